@@ -22,15 +22,19 @@ from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Any, Literal
 
-from .errors import (
-    LmpchainError,
-)  # all else is imported by the check that needs it, as it may be broken
+# all else is imported by the check that needs it, as it may be broken
+from .errors import LmpchainError
 from .util import mpi
 
 MPIEXEC_S = 20.0  # longest time for two ranks to answer
-TOLERANCE, ROUNDED = 1e-6, 1e-12  # for the wave, and for frequencies
+# for the wave, and for frequencies
+TOLERANCE = 1e-6
+ROUNDED = 1e-12
 SCARCE = 1.0  # GB of memory below which a warning is due
-SIZES_SEEN = "from lmpchain.util import mpi; w = mpi.library().COMM_WORLD; s = w.gather(w.size); w.rank or print(s)"
+SIZES_SEEN = (
+    "from lmpchain.util import mpi; w = mpi.library().COMM_WORLD; s = w.gather(w.size); w.rank "
+    "or print(s)"
+)
 
 
 @dataclass(frozen=True)
@@ -147,10 +151,10 @@ def _check(name: str, cure: str) -> Callable[[Check], None]:
 def _versions() -> Iterator[Finding]:
     yield Finding("lmpchain", "ok", version("lmpchain"))
     for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
-        if parts := re.fullmatch(
-            r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need
-        ):  # requirements of extras contain a ;
-            name, least = parts[1], parts[2] or "0"
+        # requirements of extras contain a ;
+        if parts := re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need):
+            name = parts[1]
+            least = parts[2] or "0"
             installed = _version(name)
             have, must = (
                 [int(number) for number in re.findall(r"\d+", text)] for text in (installed, least)
@@ -171,9 +175,8 @@ def _version(name: str) -> str:
     "mpiexec",
     "pip install --force-reinstall mpich mpi4py (or put the mpiexec of your own MPI first in PATH)",
 )
-def _mpiexec() -> Iterator[
-    Finding
-]:  # before MPI starts in this process, which may disturb another mpiexec
+# before MPI starts in this process, which may disturb another mpiexec
+def _mpiexec() -> Iterator[Finding]:
     path = mpi.launcher()
     command = [path, "-n", "2", sys.executable, "-c", SIZES_SEEN]
     try:
@@ -252,9 +255,8 @@ def _cache() -> Iterator[Finding]:
             "unset NUMBA_DISABLE_JIT",
         )
         return
-    path = str(
-        numba.njit(cache=True)(march.py_func).stats.cache_path
-    )  # numba writes to it, or raises
+    # numba writes to it, or raises
+    path = str(numba.njit(cache=True)(march.py_func).stats.cache_path)
     yield Finding("numba cache", "ok", path)
     asked = os.environ.get("NUMBA_CACHE_DIR", "")
     if asked and not Path(path).is_relative_to(asked):
@@ -295,7 +297,8 @@ def _engine(name: str) -> Iterator[Finding]:
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=20e-6, samples=11)
     start = time.perf_counter()
     answer = simulate(scene, name, TOLERANCE)
-    took, wrong = time.perf_counter() - start, error(answer, reference(scene))
+    took = time.perf_counter() - start
+    wrong = error(answer, reference(scene))
     said = f"error {wrong:.1e} (must be {TOLERANCE:g} or less) in {took:.2g} s"
     if not wrong <= TOLERANCE:
         raise LmpchainError(said)

@@ -33,9 +33,8 @@ def shown(value: object) -> str:
     brief.maxstring = brief.maxlong = brief.maxother = LONGEST
     try:
         return short(brief.repr(value))
-    except (
-        Exception
-    ):  # of a number with thousands of digits, or of an object that cannot say what it is
+    # of a number with thousands of digits, or of an object that cannot say what it is
+    except Exception:
         return f"a {type(value).__name__} too long to show"
 
 
@@ -53,10 +52,23 @@ class InputError(LmpchainError, ValueError):
     """
 
     def __init__(self, faults: Iterable[tuple[str, str]]):
+        # or a path
         self.faults = [
             (key if "/" in key[:LONGEST] else short(key), message) for key, message in faults
-        ]  # or a path
+        ]
         super().__init__("\n".join(f"{key}: {message}" for key, message in self.faults))
+
+    @classmethod
+    def at(cls, key: str, message: str) -> InputError:
+        """Return the error of a single key.
+
+        Examples
+        --------
+        >>> raise InputError.at("gravity", "must not be below 0")
+        Traceback (most recent call last):
+        lmpchain.errors.InputError: gravity: must not be below 0
+        """
+        return cls([(key, message)])
 
     def under(self, prefix: str) -> list[tuple[str, str]]:
         """Return the faults with their keys moved below `prefix`."""

@@ -1,7 +1,7 @@
 """The command line: one function a verb, in `commands`.
 
-Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of --max-wall was over
-before the run was, 130 after Ctrl-C, 143 after SIGTERM.
+Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of
+--max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.
 """
 
 from __future__ import annotations
@@ -80,9 +80,8 @@ def _piped(argv: Sequence[str] | None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     try:
         arguments = _parser().parse_args(argv)
-    except (
-        SystemExit
-    ) as asked:  # --help, --version, or arguments that argparse refused and explained
+    # --help, --version, or arguments that argparse refused and explained
+    except SystemExit as asked:
         return int(asked.code or 0)
     before = _on_sigterm(_terminated)
     try:
@@ -148,10 +147,10 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="lmpchain",
-        description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with an "
-        "estimate of its own error. All quantities are in SI units.",
-        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of "
-        "--max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.",
+        description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each "
+        "with an estimate of its own error. All quantities are in SI units.",
+        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 "
+        "the time of --max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.",
     )
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(metavar="COMMAND", required=True)
@@ -164,8 +163,9 @@ def _parser() -> argparse.ArgumentParser:
         "-o",
         "--output",
         metavar="RUN.nc|FOLDER/",
-        help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a run folder, in "
-        "which the output grows on the disk and which `lmpchain resume` continues after a stop of any kind",
+        help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a "
+        "run folder, in which the output grows on the disk and which `lmpchain resume` continues "
+        "after a stop of any kind",
     )
     run.add_argument(
         "--force", action="store_true", help="replace the file or the run that is there already"
@@ -186,7 +186,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--diameter",
         choices=["auto", "physical", "gauge"],
-        help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
+        help="LAMMPS only: positions from the real diameters, or from a far smaller one, which "
+        "reduces round-off",
     )
     run.add_argument(
         "--threads", metavar="P", type=int, help="native only: threads that share a long chain"
@@ -390,8 +391,8 @@ def _max_wall(parser: argparse.ArgumentParser) -> None:
         "--max-wall",
         metavar="H:MM:SS",
         type=_duration,
-        help="run folders only: after this time (or so many seconds), save and stop with exit code 75; lmpchain resume "
-        "continues. Leave some seconds to the time limit of the queue",
+        help="run folders only: after this time (or so many seconds), save and stop with exit code "
+        "75; lmpchain resume continues. Leave some seconds to the time limit of the queue",
     )
 
 

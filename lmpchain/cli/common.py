@@ -33,7 +33,8 @@ def on_terminal() -> bool:
 
 def gather(*checks: Callable[[], Any]) -> list[Any]:
     """Return what the checks return; raise one `InputError` with the faults of all of them."""
-    results, faults = [], []
+    results = []
+    faults = []
     for check in checks:
         try:
             results.append(check())
@@ -55,26 +56,21 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
     """Return the path of a file to write, after checking that it can be written."""
     path = Path(name)
     if path.is_dir() or name.endswith(("/", os.sep)):
-        raise InputError(
-            [
-                (
-                    name,
-                    f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}",
-                )
-            ]
+        raise InputError.at(
+            name, f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}"
         )
     if path.exists() and not path.is_file():
-        raise InputError([(name, "is a device or a pipe, not a file; name a file")])
+        raise InputError.at(name, "is a device or a pipe, not a file; name a file")
     if suffixes and path.suffix.lower() not in suffixes:
-        raise InputError([(name, f"must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}")])
+        raise InputError.at(name, f"must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}")
     if path.exists() and Path(scene).exists() and path.samefile(scene):
-        raise InputError([(name, "is the file that is read; name another file")])
+        raise InputError.at(name, "is the file that is read; name another file")
     if not path.parent.is_dir():
-        raise InputError([(name, f"there is no folder {path.parent}; make it first")])
+        raise InputError.at(name, f"there is no folder {path.parent}; make it first")
     if not os.access(path.parent, os.W_OK | os.X_OK) or (
         path.exists() and not os.access(path, os.W_OK)
     ):
-        raise InputError([(name, "you may not write there; choose another place")])
+        raise InputError.at(name, "you may not write there; choose another place")
     return path
 
 

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from ..stability.result import Stability
     from ..trajectory.trajectory import Trajectory
 
-REFERENCE_S = 60.0  # longest expected time of the independent reference; beyond it the native engine takes over
+# longest expected time of the independent reference; beyond it the native engine takes over
+REFERENCE_S = 60.0
 SHORT_S = 2.0  # runs that take less are run again
 TIGHTEST = 1e-11  # tolerance that the native engine reaches on every ordinary scene
 
@@ -78,7 +79,7 @@ def _names(given: str | None) -> list[str]:
     ]:
         raise InputError(faults)
     if not chosen:
-        raise InputError([("engines", f"names none; use {known}")])
+        raise InputError.at("engines", f"names none; use {known}")
     return chosen
 
 
@@ -89,17 +90,16 @@ def _answers(
 
     What is run again, if it is short, shows what an integration costs once all is loaded.
     """
-    from ..benchmark.bench import repeated
     from ..simulation.api import simulate
 
-    trajectories, failures = [], []
+    trajectories = []
+    failures = []
     for name in names:
         try:
             with warnings.catch_warnings(action="ignore"):  # the table shows the errors
                 answer = simulate(scene, name, tolerance, progress=on_terminal())
                 if answer.cost.total_s < SHORT_S:
-                    again = repeated(lambda name=name: simulate(scene, name, tolerance).cost)  # type: ignore[misc]
-                    quickest = min(cost.integration_s for cost in again)
+                    quickest = _quickest(scene, name, tolerance)
                     answer = replace(answer, cost=answer.cost._replace(integration_s=quickest))
                 trajectories.append(answer)
         except ToleranceNotMet as error:
@@ -109,6 +109,15 @@ def _answers(
         except (RunFailed, EngineUnavailable) as error:
             failures.append(f"{name}: {error}")
     return trajectories, failures
+
+
+def _quickest(scene: Scene, name: str, tolerance: float) -> float:
+    """Return the time of the fastest of several integrations, s."""
+    from ..benchmark.bench import repeated
+    from ..simulation.api import simulate
+
+    costs = repeated(lambda: simulate(scene, name, tolerance).cost)
+    return min(cost.integration_s for cost in costs)
 
 
 def _reference(scene: Scene, tolerance: float) -> Reference:
@@ -132,7 +141,10 @@ def _reference(scene: Scene, tolerance: float) -> Reference:
         if error.trajectory is None:
             raise
         run = error.trajectory
-    method = f"the native engine at a tolerance of {tight:g} (the scene is too long for the independent integrator)"
+    method = (
+        f"the native engine at a tolerance of {tight:g} (the scene is too long for the "
+        "independent integrator)"
+    )
     return Reference(run.time, run.displacement, run.velocity, run.error_estimate.total, method)
 
 

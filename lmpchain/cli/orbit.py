@@ -40,7 +40,10 @@ def _told(family: Family) -> list[str]:
     last = family[-1]
     state = "stable" if last.stable else f"unstable, largest multiplier {abs(last.unstable[0]):.6g}"
     lines = [
-        f"period: {last.period:.12g} s ({1 / last.period:.6g} Hz; linear: {1 / family[0].period:.6g} Hz)",
+        (
+            f"period: {last.period:.12g} s ({1 / last.period:.6g} Hz; linear: "
+            f"{1 / family[0].period:.6g} Hz)"
+        ),
         f"energy: {last.energy:.6g} J",
         f"largest displacement: {last.amplitude:.6g} m",
         f"residual after a period: {last.residual:.1e}; error of the steps: {last.error:.1e}",

@@ -12,9 +12,9 @@ from .common import gather, output, read, write_json
 def plan(arguments: argparse.Namespace) -> int:
     """Print what every engine proposes for a scene and which one is chosen; calibrate the cost model."""
     if arguments.scene is None and not arguments.calibrate:
-        raise InputError([("scene", "is missing; name a scene file, or use --calibrate alone")])
+        raise InputError.at("scene", "is missing; name a scene file, or use --calibrate alone")
     if arguments.scene is None and arguments.json:
-        raise InputError([("json", "goes with a scene file; name one")])
+        raise InputError.at("json", "goes with a scene file; name one")
     scene, numbers, _ = gather(
         lambda: arguments.scene and read(arguments.scene),
         lambda: arguments.json and output(arguments.json, arguments.scene or ""),

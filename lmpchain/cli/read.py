@@ -42,7 +42,7 @@ def fit(arguments: argparse.Namespace) -> int:
         lambda: arguments.json and output(arguments.json, arguments.scene or arguments.run),
     )
     if path and path.exists() and path.samefile(arguments.run):
-        raise InputError([(arguments.json, "is the run itself; name another file")])
+        raise InputError.at(arguments.json, "is the run itself; name another file")
     from ..measure.fit.overview import summary
 
     result = summary(trajectory)
@@ -53,24 +53,21 @@ def fit(arguments: argparse.Namespace) -> int:
 
 def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     """Read a saved run, or a dump together with its scene."""
-    path, scene, axis = arguments.run, arguments.scene, arguments.axis
+    path = arguments.run
+    scene = arguments.scene
+    axis = arguments.axis
     from ..trajectory.lammps_dump import is_dump
 
     dumped = is_dump(path)
     if scene is None and dumped:
-        raise InputError([(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")])
+        raise InputError.at(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")
     if scene is not None and not dumped and Path(path).is_file():
-        raise InputError(
-            [
-                (
-                    "scene",
-                    f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run",
-                )
-            ]
+        raise InputError.at(
+            "scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run"
         )
     if axis and scene is None:
-        raise InputError(
-            [("axis", "goes with a LAMMPS dump and its scene; leave it out for a saved run")]
+        raise InputError.at(
+            "axis", "goes with a LAMMPS dump and its scene; leave it out for a saved run"
         )
     from ..trajectory.trajectory import Trajectory
 
@@ -80,8 +77,8 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
         else Trajectory.from_dump(path, read(scene), axis=axis)
     )
     if run.time.size < 2:
-        raise InputError(
-            [(path, "has too few samples yet: go on with the run, or run the scene anew")]
+        raise InputError.at(
+            path, "has too few samples yet: go on with the run, or run the scene anew"
         )
     return run
 

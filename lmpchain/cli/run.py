@@ -116,8 +116,11 @@ def _new_folder(name: str, force: bool) -> Path:
     from ..simulation.task import check_new, check_run, is_run, resume_command
 
     if is_run(name) and not force:
-        cure = f"go on with it, {resume_command(name)}, replace it with --force, or name another folder"
-        raise InputError([(name, f"holds a run already: {cure}")])
+        cure = (
+            f"go on with it, {resume_command(name)}, replace it with --force, or name another "
+            "folder"
+        )
+        raise InputError.at(name, f"holds a run already: {cure}")
     return check_run(name) if is_run(name) else check_new(name)
 
 
@@ -125,8 +128,8 @@ def _new_file(name: str, scene: str, force: bool) -> Path:
     """Return the path of a file to write; what is there may have taken long, and is kept unless forced."""
     path = output(name, scene)
     if path.exists() and not force:
-        raise InputError(
-            [(name, "is there already: replace it with --force, or name another file with -o")]
+        raise InputError.at(
+            name, "is there already: replace it with --force, or name another file with -o"
         )
     return path
 
@@ -146,7 +149,8 @@ def _told(
     except ToleranceNotMet as error:
         if error.trajectory is None:
             raise
-        trajectory, missed = error.trajectory, error.reason
+        trajectory = error.trajectory
+        missed = error.reason
     if save:
         trajectory.save(path)
     print(_summary(trajectory, tolerance, path))
@@ -159,7 +163,9 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return a summary of the run: engine, steps, error and cost."""
     from ..trajectory.gathered import in_words
 
-    cost, error, scene = trajectory.cost, trajectory.error_estimate, trajectory.scene
+    cost = trajectory.cost
+    error = trajectory.error_estimate
+    scene = trajectory.scene
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     parts = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
     lines = {
@@ -204,15 +210,11 @@ def sweep(arguments: argparse.Namespace) -> int:
     from ..sweeps.run import dask, sweep
 
     if mpi.joined():
-        raise InputError(
-            [
-                (
-                    "sweep",
-                    "does not run under mpirun: use --workers, or --scheduler for several machines",
-                )
-            ]
+        raise InputError.at(
+            "sweep", "does not run under mpirun: use --workers, or --scheduler for several machines"
         )
-    folder, cores = arguments.output, len(os.sched_getaffinity(0))
+    folder = arguments.output
+    cores = len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
     with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
         results = sweep(
@@ -220,7 +222,8 @@ def sweep(arguments: argparse.Namespace) -> int:
         )
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
     print(
-        f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are answered in {folder}"
+        f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are "
+        f"answered in {folder}"
     )
     if reasons:
         complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")

@@ -23,10 +23,12 @@ def add(verbs: Any) -> None:
     )
     parser.add_argument("run", metavar="RUN.nc", help="saved run, or a scene file")
     parser.add_argument(
-        "--of", metavar="ANSWER", required=True,
-        help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS (such as 3-9) or "
-        "arrival_time:GRAIN@VELOCITY",
-    )  # fmt: skip
+        "--of",
+        metavar="ANSWER",
+        required=True,
+        help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS (such as "
+        "3-9) or arrival_time:GRAIN@VELOCITY",
+    )
     for name in UNCERTAIN:
         parser.add_argument(
             f"--{name}",
@@ -78,5 +80,5 @@ def _scene(path: str) -> Any:
     from ..trajectory.trajectory import Trajectory
 
     if is_dump(path):
-        raise InputError([(path, "is a LAMMPS dump: give its scene, SCENE.toml, in its place")])
+        raise InputError.at(path, "is a LAMMPS dump: give its scene, SCENE.toml, in its place")
     return Trajectory.load(path).scene

@@ -53,7 +53,8 @@ class DysonSums(Shown):
     normalised : (M, T) array
         The same over sum_n D_m(kappa_n), m/s.
     unit : float
-        Strike velocity, m/s, by which velocities are shown divided; 1 if the chain was not struck on one grain.
+        Strike velocity, m/s, by which velocities are shown divided; 1 if the chain was not struck
+        on one grain.
     """
 
     m: Array
@@ -88,8 +89,8 @@ class DysonSums(Shown):
         lines = [
             f"t = {self.time[-1]:.6g} s (tau = {self.tau[-1]:.4g}); velocities in {unit}",
             f"Eq. (22): {WHAT}",
-            f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains with "
-            "kappa_n zeta_n, its standard error and grain",
+            f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains "
+            "with kappa_n zeta_n, its standard error and grain",
         ]
         rows = [
             [
@@ -123,7 +124,8 @@ class DysonSums(Shown):
         lines.append(f"model error of Eq. (3) in random chains: up to {largest:.2g}")
         if squeezed := sum(each.squeezed for each in ensembles):
             lines.append(
-                f"in {squeezed} chains a contact is so soft that Hertz's law would no longer hold at rest"
+                f"in {squeezed} chains a contact is so soft that Hertz's law would no longer "
+                "hold at rest"
             )
         return "\n".join(lines)
 
@@ -200,7 +202,8 @@ class DysonSums(Shown):
             # colours repeat before dashes do, so that no two lines look alike
             dash = DASHES[(place + place // len(colours)) % len(DASHES)]
             style: dict[str, Any] = {"color": colours[place % len(colours)], "ls": dash, "lw": 1.6}
-            mean, band = each.velocity[-1] / self.unit, 2 * each.velocity_error[-1] / abs(self.unit)
+            mean = each.velocity[-1] / self.unit
+            band = 2 * each.velocity_error[-1] / abs(self.unit)
             true.plot(each.grains, mean, label=f"m = {m:g}", **style)
             true.fill_between(
                 each.grains, mean - band, mean + band, color=style["color"], alpha=0.2, lw=0
@@ -248,8 +251,8 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
     Raises
     ------
     InputError
-        If m is not above 0, a grain that moves was not recorded, or the chain is a sonic vacuum, where no contact has
-        a stiffness at rest.
+        If m is not above 0, a grain that moves was not recorded, or the chain is a sonic vacuum,
+        where no contact has a stiffness at rest.
 
     Examples
     --------
@@ -304,19 +307,19 @@ def orders(text: str) -> list[float]:
         try:
             values.append(float(part))
         except ValueError:
-            raise InputError(
-                [("m", f"must be numbers with commas between them (got {shown(part)})")]
+            raise InputError.at(
+                "m", f"must be numbers with commas between them (got {shown(part)})"
             ) from None
     if wrong := [m for m in values if not 0 < m < np.inf]:
-        raise InputError([("m", f"must be above 0 (got {wrong[0]:g})")])
+        raise InputError.at("m", f"must be above 0 (got {wrong[0]:g})")
     return values
 
 
 def relative_stiffness(chain: Chain) -> Array:
     """Return the stiffness of the contact below each grain over that of the first, (N,).
 
-    In a uniform column under gravity it is n^(1 - 1/delta).
-    Grain N has no contact below it unless there is a wall: it is then given one like that above it, under its weight.
+    In a uniform column under gravity it is n^(1 - 1/delta). Grain N has no contact below it unless
+    there is a wall: it is then given one like that above it, under its weight.
 
     Parameters
     ----------
@@ -338,15 +341,11 @@ def relative_stiffness(chain: Chain) -> Array:
     True
     """
     if not chain.compressed:
-        raise InputError(
-            [
-                (
-                    "gravity",
-                    "without gravity and load contacts have no stiffness at rest, so no kappa_n",
-                )
-            ]
+        raise InputError.at(
+            "gravity", "without gravity and load contacts have no stiffness at rest, so no kappa_n"
         )
-    stiffness, force = chain.contacts.stiffness[1:].copy(), chain.contacts.force
+    stiffness = chain.contacts.stiffness[1:].copy()
+    force = chain.contacts.force
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]
         stiffness[-1] = stiffness[-2] * chain.contacts.stiffness_for_force(1 + weight / force[-2])

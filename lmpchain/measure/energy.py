@@ -31,8 +31,9 @@ __dir__ = listed(__name__)
 class EnergyLedger(Shown):
     """Energies relative to the chain at rest, J, and momenta, N s, over time.
 
-    ``kinetic + contact + gravity + load = total``. For a weak wave these terms, `contact` and `gravity` above all,
-    are far larger than their sum and cancel in it; `total`, `kinetic` and `drive` keep their digits.
+    ``kinetic + contact + gravity + load = total``. For a weak wave these terms, `contact` and
+    `gravity` above all, are far larger than their sum and cancel in it; `total`, `kinetic` and
+    `drive` keep their digits.
 
     Attributes
     ----------
@@ -43,20 +44,22 @@ class EnergyLedger(Shown):
     contact : (T,) array
         Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
     gravity, load : (T,) arrays
-        Potential energies of the weight, and of a constant load on a free top or on a wall that moves, 0 at rest.
+        Potential energies of the weight, and of a constant load on a free top or on a wall that
+        moves, 0 at rest.
     total : (T,) array
         `Chain.excess_energy`.
     drive : (T,) array
-        Work of a force, or of a driver beyond that of the load, since t = 0: the integral of (drive force - top load)
-        times the velocity of the grain or wall that it acts on.
+        Work of a force, or of a driver beyond that of the load, since t = 0: the integral of (drive
+        force - top load) times the velocity of the grain or wall that it acts on.
     momentum : (T,) array
         Of all grains, positive downward.
     impulse : (T,) array
-        What force, driver, walls and a held grain have given since t = 0 beyond the impulses that balance at rest.
+        What force, driver, walls and a held grain have given since t = 0 beyond the impulses that
+        balance at rest.
     drive_error, impulse_error : float
-        How far the two may be off, as the contact forces are known at samples only: the shift when every second
-        sample is used, J and N s; infinite for fewer than three samples. Where forces are smooth and well sampled,
-        the true error is about 1/15 of it.
+        How far the two may be off, as the contact forces are known at samples only: the shift when
+        every second sample is used, J and N s; infinite for fewer than three samples. Where forces
+        are smooth and well sampled, the true error is about 1/15 of it.
     """
 
     time: Array
@@ -84,8 +87,9 @@ class EnergyLedger(Shown):
     def virial_ratio(self, start: float = 0.0, end: float | None = None) -> float:
         """Return the time mean of the kinetic over that of the total energy, from `start` to `end` in s.
 
-        In a sonic vacuum between walls it tends to (delta + 1) / (delta + 3), 5/9 for Hertz, as 1 over the time
-        (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no energy.
+        In a sonic vacuum between walls it tends to (delta + 1) / (delta + 3), 5/9 for Hertz, as 1
+        over the time (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no
+        energy.
         """
         end = self.time[-1] if end is None else end
         kinetic, total = (
@@ -118,8 +122,8 @@ class EnergyLedger(Shown):
 class EnergyShares(Shown):
     """Energies above rest of the G recorded grains and the C contacts between them over time, J.
 
-    The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic energy less the work
-    that load and weight do as it gives way, which is never below 0.
+    The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic
+    energy less the work that load and weight do as it gives way, which is never below 0.
 
     Attributes
     ----------
@@ -130,8 +134,8 @@ class EnergyShares(Shown):
     kinetic : (T, G) array
     elastic : (T, C) array
     of_grain : (T, G) array
-        Kinetic energy of each grain, half of its contacts with other grains, and all of those with walls; NaN where a
-        neighbour was not recorded.
+        Kinetic energy of each grain, half of its contacts with other grains, and all of those with
+        walls; NaN where a neighbour was not recorded.
     kinetic_error, elastic_error, of_grain_error : arrays like these three
         How far each may be off by the error of the trajectory, where that is known.
     """
@@ -156,13 +160,8 @@ class EnergyShares(Shown):
         """
         wanted = np.arange(first, last + 1)
         if not wanted.size or not np.isin(wanted, self.grain).all():
-            raise InputError(
-                [
-                    (
-                        "part",
-                        f"takes recorded grains, from the first to the last (got {first} to {last})",
-                    )
-                ]
+            raise InputError.at(
+                "part", f"takes recorded grains, from the first to the last (got {first} to {last})"
             )
         return self.of_grain[:, np.isin(self.grain, wanted)].sum(1)
 
@@ -192,16 +191,16 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     >>> (energy.part(1, 20) / scene.energy).round(8).tolist()
     [1.0, 1.0, 1.0]
     """
-    chain, grain = trajectory.scene.chain, trajectory.grains
+    chain = trajectory.scene.chain
+    grain = trajectory.grains
     between = trajectory if isinstance(trajectory, Motion) else motion_of(trajectory)
-    off, fast = between.known_error("displacement"), between.known_error("velocity")
+    off = between.known_error("displacement")
+    fast = between.known_error("velocity")
     contact = known_contacts(trajectory)
     u, _ = motion(trajectory, np.stack([contact, contact + 1]))
-    these, closer, speed = (
-        chain.contacts.of(contact),
-        u[:, 0] - u[:, 1],
-        np.abs(trajectory.velocity),
-    )
+    these = chain.contacts.of(contact)
+    closer = u[:, 0] - u[:, 1]
+    speed = np.abs(trajectory.velocity)
     steepest = np.maximum(
         *(np.abs(these.force_change(closer + side)) for side in (-2 * off, 2 * off))
     )
@@ -252,7 +251,9 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     True
     """
     scene, u, v = motion_of_all(trajectory)
-    chain, time, wall = scene.chain, trajectory.time, scene.excitation.wall
+    chain = scene.chain
+    time = trajectory.time
+    wall = scene.excitation.wall
     top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
     closer = chain.contacts.closer(u, top)
     force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v, top_speed))
@@ -263,7 +264,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         impulse, impulse_error = _integral(time, force[:, 0], rate[:, 0])
     if push := scene.excitation.push(chain, time, force, rate, v):
         speed = push.speed
-        power, change = push.force * speed, push.rate * speed + push.force * push.acceleration
+        power = push.force * speed
+        change = push.rate * speed + push.force * push.acceleration
         work, drive_error = _integral(time, power, change)
         given, error = _integral(time, push.force, push.rate)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
@@ -272,7 +274,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
             impulse_error += error
     if trajectory.scene.chain.bottom != "free":
         given, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
-        impulse, impulse_error = impulse - given, impulse_error + error
+        impulse = impulse - given
+        impulse_error = impulse_error + error
     held = chain.contacts.energy(closer).sum(1)
     return EnergyLedger(
         time=time,

@@ -26,7 +26,8 @@ __dir__ = listed(__name__)
 
 FEWEST_GRAINS = 8  # least to resolve wavenumbers
 DECADES = 3  # spanned by the colours of a spectrum
-LINE = "#D55E00"  # vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
+# vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
+LINE = "#D55E00"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,9 +44,10 @@ class Spectrum(Shown):
     bands : (G, B, 2) array
         Edges of the bands of linear waves around each, Hz: one from 0 where all grains are alike.
     amplitude : (F, G) array
-        ``|integral of w x exp(-2 pi i f t) dt|`` with the window w, m/s or m per Hz. That of a pulse does not depend on
-        how long it is recorded; a steady oscillation of amplitude A has a line of height A / 2 times the integral of
-        w. The integral of (w x)^2 over time is that of 2 amplitude^2 over frequency.
+        ``|integral of w x exp(-2 pi i f t) dt|`` with the window w, m/s or m per Hz. That of a
+        pulse does not depend on how long it is recorded; a steady oscillation of amplitude A has a
+        line of height A / 2 times the integral of w. The integral of (w x)^2 over time is that of 2
+        amplitude^2 over frequency.
     """
 
     field: Field
@@ -95,12 +97,13 @@ class Dispersion(Shown):
     wavenumber : (K,) array
         Radians a grain, from -pi to pi; those of waves that move downward are positive.
     amplitude : (F, K) array
-        ``|sum over grains of integral of w x exp(i k n - 2 pi i f t) dt|`` with the window w, m/s or m per Hz.
+        ``|sum over grains of integral of w x exp(i k n - 2 pi i f t) dt|`` with the window w, m/s
+        or m per Hz.
     grain : (3,) array
         First, middle and last grain.
     relation : (3, B, K) array
-        The B branches of the local dispersion relation at these, Hz: those of the cell that repeats there, `cut_off`
-        times ``|sin(k / 2)|`` where all grains are alike or no cell is found.
+        The B branches of the local dispersion relation at these, Hz: those of the cell that repeats
+        there, `cut_off` times ``|sin(k / 2)|`` where all grains are alike or no cell is found.
     """
 
     field: Field
@@ -154,8 +157,9 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     trajectory : Trajectory
     field : str
     window : str
-        A name that `scipy.signal.get_window` knows: "boxcar", which changes nothing, for pulses that come and go;
-        "hann" for oscillations that last, where it keeps strong lines from hiding weak ones.
+        A name that `scipy.signal.get_window` knows: "boxcar", which changes nothing, for pulses
+        that come and go; "hann" for oscillations that last, where it keeps strong lines from hiding
+        weak ones.
 
     Returns
     -------
@@ -176,7 +180,8 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     ((501, 30), '499500 Hz', '46332 Hz')
     """
     grain, motion = _sorted(trajectory, field)
-    step, samples = trajectory.time[1], trajectory.time.size
+    step = trajectory.time[1]
+    samples = trajectory.time.size
     amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
     bands = local_bands(trajectory.scene.chain)[grain - 1] / (2 * np.pi)
     return Spectrum(field, np.fft.rfftfreq(samples, step), grain, bands, amplitude)
@@ -203,26 +208,23 @@ def dispersion(
     Raises
     ------
     InputError
-        If grains are too few or were not recorded, samples too few, or there is no such field or window.
+        If grains are too few or were not recorded, samples too few, or there is no such field or
+        window.
     """
     grains, motion = _sorted(trajectory, field)
     chosen = np.arange(first, last + 1)
     if chosen.size < FEWEST_GRAINS:
-        raise InputError(
-            [("last", f"wavenumbers take {FEWEST_GRAINS} grains or more (got {first} to {last})")]
+        raise InputError.at(
+            "last", f"wavenumbers take {FEWEST_GRAINS} grains or more (got {first} to {last})"
         )
     missing = np.setdiff1d(chosen, grains)
     if missing.size:
         cure = f'choose others, or record grains = "{first}:{last}"'
-        raise InputError(
-            [
-                (
-                    "grains",
-                    f"grain {missing[0]} was not recorded, and the window may have no gap: {cure}",
-                )
-            ]
+        raise InputError.at(
+            "grains", f"grain {missing[0]} was not recorded, and the window may have no gap: {cure}"
         )
-    step, samples = trajectory.time[1], trajectory.time.size
+    step = trajectory.time[1]
+    samples = trajectory.time.size
     windowed = motion[:, np.isin(grains, chosen)] * _window(window, chosen.size)
     windowed *= _window(window, samples)[:, None]
     both = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
@@ -248,8 +250,8 @@ def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array
 def cut_off(chain: Chain) -> Array:
     """Return the highest frequency that travels around each grain, (N,) Hz; 0 in a sonic vacuum.
 
-    It is the top of the highest branch of the cell that repeats there, as that of a dimer; where none does, that of a
-    uniform chain of such grains with the contact below, sqrt(k_n / m_n) / pi.
+    It is the top of the highest branch of the cell that repeats there, as that of a dimer; where
+    none does, that of a uniform chain of such grains with the contact below, sqrt(k_n / m_n) / pi.
 
     Parameters
     ----------
@@ -266,9 +268,9 @@ def cut_off(chain: Chain) -> Array:
 def travel_time(chain: Chain, source: int = 1) -> Array:
     """Return the travel time of a weak, long wave from one grain to each, (N,) s.
 
-    It is the sum of sqrt(m / k) over the contacts between.
-    From grain 1 under a free top it takes half a contact more, as from the surface. The velocity is largest a little
-    later, by a time that grows with the width of the front.
+    It is the sum of sqrt(m / k) over the contacts between. From grain 1 under a free top it takes
+    half a contact more, as from the surface. The velocity is largest a little later, by a time that
+    grows with the width of the front.
 
     Parameters
     ----------
@@ -287,11 +289,11 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
         If the chain is not compressed, or there is no such grain.
     """
     if not chain.compressed:
-        raise InputError(
-            [("chain", "without gravity and load no weak wave travels: there is no such time")]
+        raise InputError.at(
+            "chain", "without gravity and load no weak wave travels: there is no such time"
         )
     if not 1 <= source <= chain.grains:
-        raise InputError([("source", f"grains are numbered 1 to {chain.grains} (got {source})")])
+        raise InputError.at("source", f"grains are numbered 1 to {chain.grains} (got {source})")
     apart = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
     time = np.concatenate(([0.0], np.cumsum(apart)))
     return np.abs(time - time[source - 1]) + (
@@ -304,7 +306,8 @@ def space_time(
 ) -> Axes:
     """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
 
-    It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or driven.
+    It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or
+    driven.
 
     Parameters
     ----------
@@ -322,7 +325,8 @@ def space_time(
     check(trajectory, field)
     ax = trajectory.plot(ax, field)
     if law:
-        chain, source = trajectory.scene.chain, getattr(trajectory.scene.excitation, "grain", 1)
+        chain = trajectory.scene.chain
+        source = getattr(trajectory.scene.excitation, "grain", 1)
         ax.plot(
             travel_time(chain, source),
             np.arange(1, chain.grains + 1),
@@ -341,8 +345,8 @@ def _window(name: str, size: int) -> Array:
         window: Array = get_window(name, size)
         return window
     except ValueError:
-        raise InputError(
-            [("window", f"must be a name for scipy.signal.get_window (got {shown(name)})")]
+        raise InputError.at(
+            "window", f"must be a name for scipy.signal.get_window (got {shown(name)})"
         ) from None
 
 

@@ -83,7 +83,8 @@ def page(
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     with ProgressBar(PARTS, "report", " parts", shown=progress) as bar:
         bar.describe("The wave in space and time")
-        still, numbers = panels.wave(trajectory), live.numbers(trajectory)
+        still = panels.wave(trajectory)
+        numbers = live.numbers(trajectory)
         bar.advance()
         sections = list(_sections(trajectory, bar))
         bar.describe("Fits")
@@ -130,7 +131,9 @@ def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
 
 def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
     """Yield name, value and remark of each card."""
-    scene, error, cost = trajectory.scene, trajectory.error_estimate, trajectory.cost
+    scene = trajectory.scene
+    error = trajectory.error_estimate
+    cost = trajectory.cost
     strike = f"strike number {scene.strike_number:.3g}"
     yield (
         "Scene",
@@ -158,11 +161,15 @@ def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[
 
 
 def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
-    scene, cost = trajectory.scene, trajectory.cost
+    scene = trajectory.scene
+    cost = trajectory.cost
     chain = scene.chain
     yield (
         "chain",
-        f"{chain.grains} grains, top {chain.top}, bottom {chain.bottom}, exponent {chain.exponent:g}",
+        (
+            f"{chain.grains} grains, top {chain.top}, bottom {chain.bottom}, exponent "
+            f"{chain.exponent:g}"
+        ),
     )
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N"
     given = ((key, value) for key, value in scene.excitation.given().items() if value is not None)
@@ -178,7 +185,10 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     )
     yield (
         "recorded",
-        f"{trajectory.grains.size} grains at {trajectory.time.size} times up to {scene.duration:g} s",
+        (
+            f"{trajectory.grains.size} grains at {trajectory.time.size} times up to "
+            f"{scene.duration:g} s"
+        ),
     )
     yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"

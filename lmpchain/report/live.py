@@ -15,14 +15,17 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.plotting import thinned
 
-MOST_TIMES, MOST_GRAINS = 240, 160  # shown; of more, every so many
+# shown; of more, every so many
+MOST_TIMES = 240
+MOST_GRAINS = 160
 MARGIN = 4  # grains at rest on either side of those that move
 FULL = 2**15 - 1
 
 
 def moving_part(trajectory: Trajectory) -> Trajectory:
     """Return the grains that ever leave rest and a few beside them; pictures show no others."""
-    u, v = np.asarray(trajectory.displacement), np.asarray(trajectory.velocity)
+    u = np.asarray(trajectory.displacement)
+    v = np.asarray(trajectory.velocity)
     there = trajectory.grains[leaves_rest(u, v)]
     if not there.size:
         return trajectory
@@ -41,7 +44,8 @@ def moving(trajectory: Trajectory) -> tuple[int, int]:
     there = trajectory.grains[largest > MOVING * largest.max(initial=0.0)]
     if not there.size:
         return int(trajectory.grains.min()), int(trajectory.grains.max())
-    first, last = trajectory.grains.min(), trajectory.grains.max()
+    first = trajectory.grains.min()
+    last = trajectory.grains.max()
     return max(int(there.min()) - MARGIN, int(first)), min(int(there.max()) + MARGIN, int(last))
 
 
@@ -69,7 +73,8 @@ def numbers(trajectory: Trajectory) -> dict[str, Any]:
 
 def _law(trajectory: Trajectory, grains: np.ndarray) -> list[float]:
     """Return when a long weak wave reaches each grain, s; nothing where there is no such wave."""
-    chain, source = trajectory.scene.chain, getattr(trajectory.scene.excitation, "grain", None)
+    chain = trajectory.scene.chain
+    source = getattr(trajectory.scene.excitation, "grain", None)
     if not chain.compressed or source is None:
         return []
     return [float(t) for t in travel_time(chain, max(1, source))[grains - 1]]

@@ -22,11 +22,11 @@ def origin(path: str | PathLike[str] | None) -> dict[str, str]:
     path = Path(path)
     with suppress(OSError, ValueError):
         found["date"] = (
-            f"{datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(' ', 'minutes')[:16]} UTC (file)"
+            f"{datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(' ', 'minutes')[:16]} "
+            "UTC (file)"
         )
-    with suppress(
-        OSError, ValueError, LookupError, TypeError, RecursionError
-    ):  # whatever else it may hold
+    # whatever else it may hold
+    with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         date, command = _of_folder(path) if path.is_dir() else _of_file(path)
         found |= {"date": date, "command": command}
     return found

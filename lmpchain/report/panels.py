@@ -24,10 +24,9 @@ if TYPE_CHECKING:
 
 MOMENTS = (0.25, 0.5, 1.0)  # of the duration, for the waveforms
 SHADES = ("#56B4E9", "#0072B2", "#009E73")
-WIDTH, HEIGHT = (
-    4.7,
-    3.5,
-)  # inches: letters are readable on a phone, and two pictures fit side by side
+# inches: letters are readable on a phone, and two pictures fit side by side
+WIDTH = 4.7
+HEIGHT = 3.5
 MOST_MARKERS = 2000  # drawn one by one; of more a picture is smaller as pixels
 REFLECTED = 3  # last grains, whose peak is made together with what comes back from the end
 ONWARD = 0.9  # part of the grains that a front passes later than those before them
@@ -70,7 +69,8 @@ def wave(run: Trajectory) -> Panel:
 
 def waveforms(run: Trajectory) -> Panel:
     """Draw velocity against grain number at some times, with linear theory where it applies."""
-    run, picture = moving_part(run), figure(WIDTH, 4.4)
+    run = moving_part(run)
+    picture = figure(WIDTH, 4.4)
     above, apart = (
         axes_in_units(ax, "", "")
         for ax in picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
@@ -101,7 +101,10 @@ def waveforms(run: Trajectory) -> Panel:
     apart.axhline(0, color=COLOURS["lammps"], lw=0.8)
     apart.set(xlabel="grain, from the top", ylabel="difference\n/ largest")
     peak = int(run.grains[np.abs(run.velocity[-1]).argmax()])
-    said = f"At the end the motion is largest at grain {peak}, {si(np.abs(run.velocity[-1]).max(), 'm/s', 1)}. "
+    said = (
+        f"At the end the motion is largest at grain {peak}, "
+        f"{si(np.abs(run.velocity[-1]).max(), 'm/s', 1)}. "
+    )
     if linear is None:
         apart.text(
             0.5,
@@ -113,7 +116,10 @@ def waveforms(run: Trajectory) -> Panel:
         )
         return _panel(above, f"{said}There is no linear theory of this scene.")
     off = np.abs(run.velocity - linear).max() / largest
-    said += f"Points: this run. Lines: linear theory, Eq. (3), at most {off:.2g} of the largest velocity away (below)."
+    said += (
+        f"Points: this run. Lines: linear theory, Eq. (3), at most {off:.2g} of the largest "
+        "velocity away (below)."
+    )
     return _panel(above, said)
 
 
@@ -131,7 +137,8 @@ def arrival(run: Trajectory) -> Panel:
     from matplotlib.ticker import EngFormatter, LogLocator
 
     found = _front(run)
-    chain, source = run.scene.chain, getattr(run.scene.excitation, "grain", 1)
+    chain = run.scene.chain
+    source = getattr(run.scene.excitation, "grain", 1)
     picture = figure(WIDTH, 4.8)
     height, time = (axes_in_units(ax, "", "") for ax in picture.subplots(2, 1))
     depth, values, _ = found.against_depth("amplitude")
@@ -161,8 +168,9 @@ def arrival(run: Trajectory) -> Panel:
     time.set(xlabel="grain, from the top", ylabel="arrival (µs)")
     legend(time)
     said = (
-        f"The front passes {found.grain.size} grains; its peak goes from {si(values[0], 'm/s', 1)} at grain "
-        f"{found.grain[0]} to {si(values[-1], 'm/s', 1)} at grain {found.grain[-1]}."
+        f"The front passes {found.grain.size} grains; its peak goes from "
+        f"{si(values[0], 'm/s', 1)} at grain {found.grain[0]} to {si(values[-1], 'm/s', 1)} at "
+        f"grain {found.grain[-1]}."
     )
     return _panel(
         height,
@@ -174,31 +182,22 @@ def _front(run: Trajectory) -> front.Front:
     """Return the front below the grain that is struck; raises `InputError` where there is none."""
     source = getattr(run.scene.excitation, "grain", None)
     if source is None or getattr(run.scene.excitation, "frequency", None):
-        raise InputError(
-            [
-                (
-                    "excitation",
-                    "sends no single front: there is one after a strike or a push on a grain",
-                )
-            ]
+        raise InputError.at(
+            "excitation", "sends no single front: there is one after a strike or a push on a grain"
         )
     found = front.track(run).between(source + 1, run.scene.chain.grains - REFLECTED)
     onward = np.mean(np.diff(found.time) > 0) if found.grain.size >= front.FEWEST else 0.0
     if onward < ONWARD:
-        raise InputError(
-            [
-                (
-                    "front",
-                    f"none travels downward from grain {source} past {front.FEWEST} grains or more",
-                )
-            ]
+        raise InputError.at(
+            "front", f"none travels downward from grain {source} past {front.FEWEST} grains or more"
         )
     return found
 
 
 def _decay(run: Trajectory) -> tuple[float | None, str]:
     """Return the power with which the peak velocity of a front falls with depth, and of which wave."""
-    chain, given = run.scene.chain, run.scene.excitation
+    chain = run.scene.chain
+    given = run.scene.excitation
     alike = (
         chain.grains > 1
         and np.ptp(chain.masses) < 1e-9 * chain.masses[0]

@@ -48,18 +48,19 @@ def simulate(
     ----------
     scene : Scene
     engine : str or Engine
-        A name (see `engines.names()`), an engine object, or "auto": the one that `lmpchain.plan` names, and another
-        if the run shows that its equation leaves out too much.
+        A name (see `engines.names()`), an engine object, or "auto": the one that `lmpchain.plan`
+        names, and another if the run shows that its equation leaves out too much.
     tolerance : float
-        Largest relative error, as defined for `ErrorEstimate`: of equation and solver together with "auto", of the
-        solver with an engine that is named; one with a given step enforces none.
+        Largest relative error, as defined for `ErrorEstimate`: of equation and solver together with
+        "auto", of the solver with an engine that is named; one with a given step enforces none.
     on_miss : "raise" or "warn"
         What to do if the tolerance cannot be met.
     progress : bool
         Whether to show a progress bar.
     folder : path, optional
-        Run folder to make, see `lmpchain.simulation.run_folder`: samples go to the disk as they come, the arrays of the
-        trajectory stay there, and after a stop of any kind `resume` goes on.
+        Run folder to make, see `lmpchain.simulation.run_folder`: samples go to the disk as they
+        come, the arrays of the trajectory stay there, and after a stop of any kind `resume` goes
+        on.
     max_wall : float, optional
         Time after which a run in a folder stops, s.
     **options
@@ -78,7 +79,8 @@ def simulate(
     RunFailed
         If the integration breaks down at a given step.
     Stopped
-        If `max_wall` is over; the folder holds what was done. Ctrl-C and SIGTERM, too, wait until it does.
+        If `max_wall` is over; the folder holds what was done. Ctrl-C and SIGTERM, too, wait until
+        it does.
 
     Examples
     --------
@@ -97,8 +99,8 @@ def simulate(
     task = Task(scene, policy, tolerance, on_miss == "warn")
     if folder is None:
         if max_wall is not None:
-            raise InputError(
-                [("max_wall", "goes with a run folder, which keeps what is done; name one")]
+            raise InputError.at(
+                "max_wall", "goes with a run folder, which keeps what is done; name one"
             )
         return _judged(task, *_answer(task, _Memory(task), progress))
     from .run_folder import RunFolder
@@ -112,7 +114,7 @@ def simulate(
 def check_on_miss(on_miss: Any) -> None:
     """Raise `InputError` unless this says what to do if a tolerance cannot be met."""
     if on_miss not in ("raise", "warn"):
-        raise InputError([("on_miss", f'must be "raise" or "warn" (got {shown(on_miss)})')])
+        raise InputError.at("on_miss", f'must be "raise" or "warn" (got {shown(on_miss)})')
 
 
 def resume(
@@ -127,11 +129,13 @@ def resume(
     Parameters
     ----------
     folder : path
-        That `simulate(..., folder=...)` or `lmpchain run -o FOLDER/` made; nothing is done to a finished one.
+        That `simulate(..., folder=...)` or `lmpchain run -o FOLDER/` made; nothing is done to a
+        finished one.
     max_wall, progress
         As for `simulate`.
     ranks : int, optional
-        MPI ranks that share the column from here on, in LAMMPS; by default as the run began. The bits stay the same.
+        MPI ranks that share the column from here on, in LAMMPS; by default as the run began. The
+        bits stay the same.
 
     Returns
     -------
@@ -140,7 +144,8 @@ def resume(
     Raises
     ------
     InputError
-        If this is no run folder, another process is at work in it, or its engine cannot use these ranks.
+        If this is no run folder, another process is at work in it, or its engine cannot use these
+        ranks.
     LmpchainError
         As for `simulate`.
     """
@@ -162,7 +167,8 @@ def _answer(
     task: Task, output: _Memory | RunFolder, progress: bool
 ) -> tuple[Trajectory, Outcome[Any]]:
     """Do what is left to do of a task."""
-    policy, scene = task.policy, task.scene
+    policy = task.policy
+    scene = task.scene
     attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
     with output.requests:
         while True:
@@ -190,7 +196,9 @@ def _solve(
     task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool
 ) -> tuple[Outcome[Any], dict[str, Array]]:
     """Solve the part of the scene that the engine computes, and put it where it belongs in the whole."""
-    scene, samples, part = task.scene, task.scene.samples, engine.part(task.scene)
+    scene = task.scene
+    samples = task.scene.samples
+    part = engine.part(task.scene)
     if scene.quantities:
         return _gathered(task, engine, attempt, output, progress)
     cone = None if engine.whole else scene.light_cone
@@ -205,7 +213,8 @@ def _gathered(
     task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool
 ) -> tuple[Outcome[Any], dict[str, Array]]:
     """Do the same, and gather quantities on the way."""
-    scene, part = task.scene, engine.part(task.scene)
+    scene = task.scene
+    part = engine.part(task.scene)
     state: Mapping[str, Array] = {}
     at_work: GatheringRun
 
@@ -242,7 +251,8 @@ def _in_whole(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block
     """Return blocks of the light cone as those of the whole scene."""
     if cone is None:
         return blocks
-    rows, columns = cone.rows, cone.columns
+    rows = cone.rows
+    columns = cone.columns
     return (
         Block(each.samples, each.displacement[:, :, rows], each.velocity[:, :, rows], columns)
         for each in blocks
@@ -253,7 +263,8 @@ def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajec
     """Return the trajectory, or raise `ToleranceNotMet`."""
     if "redone" in trajectory.provenance:
         warnings.warn(trajectory.provenance["redone"], stacklevel=3)
-    model, bound = trajectory.error_estimate.model, outcome.error.model_bound
+    model = trajectory.error_estimate.model
+    bound = outcome.error.model_bound
     if model > task.tolerance:
         most = f" (at most {bound:.2g})" if bound > model else ""
         left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{most}"
@@ -289,12 +300,14 @@ class _Memory:
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, G) m and m/s."""
-        scene, u, v = self._task.scene, NOTHING, NOTHING
+        scene = self._task.scene
+        u = NOTHING
+        v = NOTHING
         for block in blocks:
-            if block.displacement.shape[1] == scene.samples and block.columns == slice(
-                None
-            ):  # all at once
-                u, v = block.displacement[0], block.velocity[0]
+            # all at once
+            if block.displacement.shape[1] == scene.samples and block.columns == slice(None):
+                u = block.displacement[0]
+                v = block.velocity[0]
                 continue
             if not u.size:
                 shape = scene.samples, scene.count(scene.chain)
@@ -305,7 +318,7 @@ class _Memory:
                     cure = (
                         "record fewer samples or grains, or let a run folder hold them on the disk"
                     )
-                    raise InputError([("samples", f"{need}: {cure}")]) from None
+                    raise InputError.at("samples", f"{need}: {cure}") from None
             u[block.samples, block.columns] = block.displacement[0]
             v[block.samples, block.columns] = block.velocity[0]
         return u, v
@@ -314,7 +327,8 @@ class _Memory:
         self, outcome: Outcome[tuple[Array, Array]], gathered: dict[str, Array]
     ) -> Trajectory:
         """Return the answer."""
-        scene, engine = self._task.scene, self._engine
+        scene = self._task.scene
+        engine = self._engine
         displacement, velocity = outcome.collected
         return Trajectory(
             scene=scene,

@@ -19,9 +19,8 @@ from .api import check_on_miss, simulate
 from .gathering import GatheringRun
 from .policy import policy_for, record
 
-BATCH_NUMBERS = (
-    2**18
-)  # samples x grains of the scenes of a batch, which then stay in the cache of a processor
+# samples x grains of the scenes of a batch, which then stay in the cache of a processor
+BATCH_NUMBERS = 2**18
 
 
 def simulate_many(
@@ -34,18 +33,21 @@ def simulate_many(
 ) -> list[Trajectory]:
     """Answer many scenes; like ones are integrated together, several times faster than one by one.
 
-    Scenes are alike if their chains have one length, exponent and kind of ends, and if they record the same grains at
-    the same times. Each keeps the step that it would have alone, and has its own error estimate. Last digits may differ
-    from those of `simulate`, which computes no more than the light cone.
+    Scenes are alike if their chains have one length, exponent and kind of ends, and if they record
+    the same grains at the same times. Each keeps the step that it would have alone, and has its own
+    error estimate. Last digits may differ from those of `simulate`, which computes no more than the
+    light cone.
 
     Parameters
     ----------
     scenes : iterable of R scenes
-        All answers are held in memory: 16 bytes a sample and grain. `lmpchain.sweep` keeps those of more on the disk.
+        All answers are held in memory: 16 bytes a sample and grain. `lmpchain.sweep` keeps those of
+        more on the disk.
     tolerance : float
         As for `simulate`.
     engine : str or Engine
-        A name or an engine object. All but the native engine, and "auto", take one scene after the other.
+        A name or an engine object. All but the native engine, and "auto", take one scene after the
+        other.
     on_miss, **options
         As for `simulate`.
 
@@ -57,7 +59,8 @@ def simulate_many(
     Raises
     ------
     InputError
-        If one of them is no scene, the engine cannot do it, or an option is wrong; with its place in the list, from 0.
+        If one of them is no scene, the engine cannot do it, or an option is wrong; with its place
+        in the list, from 0.
     ToleranceNotMet, RunFailed
         As `simulate` does, for the first scene that has no answer.
 
@@ -74,11 +77,12 @@ def simulate_many(
     check_tolerance(tolerance)
     check_on_miss(on_miss)
     if isinstance(scenes, Scene) or not isinstance(scenes, Iterable):
-        raise InputError([("scenes", "must be a list of scenes; simulate takes one alone")])
-    policy, every = policy_for(engine, **options), list(scenes)
+        raise InputError.at("scenes", "must be a list of scenes; simulate takes one alone")
+    policy = policy_for(engine, **options)
+    every = list(scenes)
     for place, scene in enumerate(every):
         if not isinstance(scene, Scene):
-            raise InputError([(f"scenes.{place}", f"must be a scene (got {shown(scene)})")])
+            raise InputError.at(f"scenes.{place}", f"must be a scene (got {shown(scene)})")
         if reasons := policy.refuses(scene):
             raise InputError(InputError(reasons).under(f"scenes.{place}"))
     chosen = policy.chosen
@@ -110,16 +114,16 @@ def in_batches(
     for name, scene in made.items():
         with suppress(LmpchainError):
             attempt = first_attempt(engine, engine.part(scene), tolerance)
-            if (
-                2 * attempt.candidate.active_grains >= scene.chain.grains
-            ):  # else the light cone saves more than a batch
+            # else the light cone saves more than a batch
+            if 2 * attempt.candidate.active_grains >= scene.chain.grains:
                 attempts[name] = attempt
     while attempts:
         groups: dict[Any, list[int]] = {}
         for name, attempt in attempts.items():
             same = made[name].quantities, *alike(made[name].fine, attempt.candidate)
             groups.setdefault(same, []).append(name)
-        before, attempts = attempts, {}
+        before = attempts
+        attempts = {}
         for names in _pieces(made, groups.values()):
             try:
                 judged = _together(
@@ -149,13 +153,16 @@ def _together(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
     """Run scenes together; return of each the answer, the next attempt, and why it missed the tolerance."""
-    first, candidate, size = scenes[0], attempts[0].candidate, len(scenes)
+    first = scenes[0]
+    candidate = attempts[0].candidate
+    size = len(scenes)
     parts = [scene.fine for scene in scenes]
     run = engine.start(parts, candidate)
     try:
         run = GatheringRun(run, engine, scenes, parts, {}) if first.quantities else run
         blocks = [block for block in run.blocks() if block.displacement.size]
-        errors, whole = run.errors(), run.cost()
+        errors = run.errors()
+        whole = run.cost()
     finally:
         run.close()
     fields = [block.displacement for block in blocks], [block.velocity for block in blocks]
@@ -173,7 +180,9 @@ def _together(
         setup_s=setup_s / size,
     )
     about = record(engine, first, candidate, tolerance)
-    time, grains, told = first.time, first.recorded, []
+    time = first.time
+    grains = first.recorded
+    told = []
     for scene, attempt, error, displacement, velocity, gathered in zip(
         scenes, attempts, errors, u, v, found, strict=True
     ):
@@ -181,8 +190,17 @@ def _together(
         if following:
             following = following._replace(spent_s=share.integration_s + share.estimate_s)
         answer = Trajectory(
-            scene, engine.name, engine.equation, time, grains, displacement, velocity, error.estimate, share, about,
+            scene,
+            engine.name,
+            engine.equation,
+            time,
+            grains,
+            displacement,
+            velocity,
+            error.estimate,
+            share,
+            about,
             gathered,
-        )  # fmt: skip
+        )
         told.append((answer, following, missed))
     return told

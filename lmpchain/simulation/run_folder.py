@@ -1,11 +1,13 @@
 """A run folder: the task, the samples so far, and the state to resume the run from bit for bit.
 
 scene.toml, run.json
-    The task (`lmpchain.simulation.task`), and every session that worked on it: command, host, versions.
+    The task (`lmpchain.simulation.task`), and every session that worked on it: command, host,
+    versions.
 status.json
     Running, stopped, finished or failed, why, and how far; see `status` for a run that was killed.
 trajectory.zarr
-    The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also while the run goes on.
+    The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also while the run
+    goes on.
 checkpoint, checkpoint-before
     `lmpchain.simulation.checkpoints`.
 deck, log.lammps
@@ -74,7 +76,7 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
             raise ValueError("it does not say how the run stands")
         said |= {"best_effort": bool(said["best_effort"])}
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
-        raise InputError([(str(path), f"was changed and cannot be read: {error}")]) from None
+        raise InputError.at(str(path), f"was changed and cannot be read: {error}") from None
     return said | _killed(path) if said["state"] == "running" else said
 
 
@@ -83,9 +85,8 @@ def _killed(path: Path) -> dict[str, str]:
     with suppress(OSError):  # perhaps it may be read only
         if lock := _lock(path.parent):
             try:
-                state = json.loads(path.read_text(encoding="utf-8"))[
-                    "state"
-                ]  # it may have come to its end just now
+                # it may have come to its end just now
+                state = json.loads(path.read_text(encoding="utf-8"))["state"]
             finally:
                 lock.release()
             if state == "running":
@@ -129,7 +130,10 @@ class RunFolder:
         ranks: int | None = None,
     ):
         self._ranks = ranks
-        self.name, self.path, self.requests, self._new = str(folder), Path(folder), requests, task
+        self.name = str(folder)
+        self.path = Path(folder)
+        self.requests = requests
+        self._new = task
         self.attempt: Attempt | None = None
         self.samples = 0
         self._state: Mapping[str, Array] = {}
@@ -145,10 +149,11 @@ class RunFolder:
             tasks.check_run(self.path)
         self._lock = self._locked()
         try:
+            # by a kill
             for left in (
                 *self.path.rglob(".*.partial*"),
                 *(self.path / store.NAME).rglob("*.partial"),
-            ):  # by a kill
+            ):
                 left.unlink()
             if self._new:
                 self.task = self._new
@@ -158,9 +163,8 @@ class RunFolder:
             else:
                 self.task = tasks.read(self.path, self._ranks)
                 self._find()
-                with suppress(
-                    InputError, LookupError
-                ):  # what the sessions before did after their last checkpoint
+                # what the sessions before did after their last checkpoint
+                with suppress(InputError, LookupError):
                     wall_s = float(status(self.path)["wall_s"])
                     self._before["wall_s"] = max(
                         self._before["wall_s"], wall_s if math.isfinite(wall_s) else 0.0
@@ -178,7 +182,7 @@ class RunFolder:
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
         if not lock:
-            raise InputError([(self.name, tasks.AT_WORK)])
+            raise InputError.at(self.name, tasks.AT_WORK)
         return lock
 
     def _find(self) -> None:
@@ -190,7 +194,8 @@ class RunFolder:
             ):
                 notes, self._state = checkpoint
                 self.attempt = _attempt(notes, self._before)
-                self.samples, self._before = notes["samples"], notes["spent"]
+                self.samples = notes["samples"]
+                self._before = notes["spent"]
                 break
             lost = True
         if lost:
@@ -201,9 +206,8 @@ class RunFolder:
             )
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        if (
-            isinstance(error, InputError) and self._new and not self.samples
-        ):  # no run that could be gone on with
+        # no run that could be gone on with
+        if isinstance(error, InputError) and self._new and not self.samples:
             shutil.rmtree(self.path, ignore_errors=True)
         elif error:
             stopped = isinstance(error, Stopped) or not isinstance(error, Exception)
@@ -235,15 +239,17 @@ class RunFolder:
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Make ready for an attempt; return the state to go on from if it is the one that was at work before."""
-        state, self._state = self._state, {}
+        state = self._state
+        self._state = {}
         self.attempt = attempt
         if not state:
-            self.samples, self._before = 0, self._before | dict.fromkeys(SPENT, 0.0)
-            for (
-                _
-            ) in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
+            self.samples = 0
+            self._before = self._before | dict.fromkeys(SPENT, 0.0)
+            # both: none may tell of the attempt before, whose samples go
+            for _ in checkpoints.NAMES:
                 checkpoints.save(self.path, self._notes(self._before), {})
-            engine, scene = self._engine, self.task.scene
+            engine = self._engine
+            scene = self.task.scene
             choices = record(engine, scene, attempt.candidate, self.task.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
             engine.write_inputs(scene.fine, attempt.candidate, self.task.tolerance, self.path)
@@ -265,7 +271,8 @@ class RunFolder:
             if fresh:
                 self._writer.put(block)
                 self.samples = block.samples.stop
-            reason, moment = self.requests.reason, time.monotonic()
+            reason = self.requests.reason
+            moment = time.monotonic()
             if fresh and (reason or moment >= self._next):
                 self._checkpoint(run)
             if reason:
@@ -287,7 +294,8 @@ class RunFolder:
 
     def _notes(self, spent: Mapping[str, float]) -> dict[str, Any]:
         assert self.attempt
-        attempt, candidate = self.attempt._asdict(), self.attempt.candidate._asdict()
+        attempt = self.attempt._asdict()
+        candidate = self.attempt.candidate._asdict()
         if sharper := self.attempt.candidate.sharper:
             candidate["sharper"] = asdict(sharper)
         return {
@@ -347,10 +355,8 @@ def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
 
     try:
         attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
-        candidate, known = (
-            attempt.candidate,
-            dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"])),
-        )
+        candidate = attempt.candidate
+        known = dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
         if not (
             0 < candidate.step < math.inf
             and candidate.steps_per_landing > 0
@@ -364,12 +370,8 @@ def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
             raise ValueError("it took no time that there is")
     except (ValidationError, TypeError, ValueError, LookupError):
         cure = "go on with that one, or run the scene anew"
-        raise InputError(
-            [
-                (
-                    "checkpoint",
-                    f"was written by a version of lmpchain that this one does not know: {cure}",
-                )
-            ]
+        raise InputError.at(
+            "checkpoint",
+            f"was written by a version of lmpchain that this one does not know: {cure}",
         ) from None
     return attempt

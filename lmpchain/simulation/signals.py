@@ -28,7 +28,7 @@ class Requests:
 
     def __init__(self, max_wall: float | None):
         if max_wall is not None and not (isinstance(max_wall, int | float) and max_wall > 0):
-            raise InputError([("max_wall", f"must be a time above 0 s (got {shown(max_wall)})")])
+            raise InputError.at("max_wall", f"must be a time above 0 s (got {shown(max_wall)})")
         self._deadline = time.monotonic() + (math.inf if max_wall is None else max_wall)
         self._before: dict[int, Any] = {}
         self._number: int | None = None

@@ -20,7 +20,10 @@ from ..util.provenance import session
 from .policy import Named, Policy, policy_for
 
 AT_WORK = "another process is at work here; wait for it, or stop it"
-SCENE, RUN, STATUS, LOCK = "scene.toml", "run.json", "status.json", ".lock"
+SCENE = "scene.toml"
+RUN = "run.json"
+STATUS = "status.json"
+LOCK = ".lock"
 
 
 class Task(NamedTuple):
@@ -55,13 +58,13 @@ def is_run(folder: str | PathLike[str]) -> bool:
 def check_run(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder; raises `InputError` if it is none."""
     if not is_run(folder):
-        raise InputError(
-            [(str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one")]
+        raise InputError.at(
+            str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one"
         )
     try:
         check_tree(Path(folder))
     except OSError as error:
-        raise InputError([(str(folder), error.strerror or str(error))]) from None
+        raise InputError.at(str(folder), error.strerror or str(error)) from None
     return Path(folder)
 
 
@@ -69,15 +72,15 @@ def check_new(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder that is to be made; raises `InputError` if it cannot be."""
     path = Path(folder)
     if path.exists() and not path.is_dir():
-        raise InputError([(str(folder), "is a file; choose another name for the run folder")])
+        raise InputError.at(str(folder), "is a file; choose another name for the run folder")
     if is_run(path):
         cure = f"go on with it, {resume_command(folder)}, or choose another folder"
-        raise InputError([(str(folder), f"holds a run already: {cure}")])
+        raise InputError.at(str(folder), f"holds a run already: {cure}")
     before = {STATUS, RUN, LOCK}  # the scene, by a run that was killed as it began
     if path.exists() and any(
         p.name not in before and ".partial" not in p.suffixes for p in path.iterdir()
     ):
-        raise InputError([(str(folder), "is neither empty nor a run folder; choose another")])
+        raise InputError.at(str(folder), "is neither empty nor a run folder; choose another")
     return path
 
 
@@ -89,7 +92,7 @@ def remove(folder: Path) -> None:
         with FileLock(check_run(folder) / LOCK, timeout=0):
             shutil.rmtree(folder)
     except Timeout:
-        raise InputError([(str(folder), AT_WORK)]) from None
+        raise InputError.at(str(folder), AT_WORK) from None
 
 
 def write(folder: Path, task: Task) -> None:
@@ -114,15 +117,11 @@ def _seal(asked: dict[str, Any], scene: str) -> str:
 def check_kept(policy: Policy) -> None:
     """Raise `InputError` if an engine cannot work in a run folder."""
     if isinstance(policy, Named):
-        name, known = policy.name, engines.names()
+        name = policy.name
+        known = engines.names()
         if name not in known or type(policy.chosen) is not type(engines.get(name)):
-            raise InputError(
-                [
-                    (
-                        "engine",
-                        "a run folder knows engines by name only, and this is none of lmpchain's",
-                    )
-                ]
+            raise InputError.at(
+                "engine", "a run folder knows engines by name only, and this is none of lmpchain's"
             )
     policy.options()
 
@@ -139,7 +138,8 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         asked = json.loads((folder / RUN).read_text(encoding="utf-8"))
         text = (folder / SCENE).read_bytes().decode("utf-8")
         scene = Scene.from_text(text)
-        options, before = dict(asked["options"]), dict(asked["sessions"][-1]["packages"])
+        options = dict(asked["options"])
+        before = dict(asked["sessions"][-1]["packages"])
         if asked["sha256"] != _seal(asked, text):
             raise ValueError("they are not those that the run began with")
         ranked = "ranks" in options
@@ -151,12 +151,12 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         if not isinstance(asked["best_effort"], bool) or not isinstance(asked["sessions"], list):
             raise ValueError("they do not say what was asked")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
-        raise InputError(
-            [(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]
+        raise InputError.at(
+            str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}"
         ) from None
     if ranks is not None and not ranked:
-        raise InputError(
-            [("ranks", f"the engine {asked['engine']} runs on one; leave the number of ranks out")]
+        raise InputError.at(
+            "ranks", f"the engine {asked['engine']} runs on one; leave the number of ranks out"
         )
     if reasons := policy.refuses(scene):
         raise InputError(reasons)

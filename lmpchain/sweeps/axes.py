@@ -117,7 +117,7 @@ def axes(parts: Mapping[str, Any]) -> list[Axis]:
     for part, table in parts.items():
         try:
             if not isinstance(table, dict):
-                raise InputError([("", f"must be a table, [{part}]")])
+                raise InputError.at("", f"must be a table, [{part}]")
             made += MAKERS[part](table)
         except InputError as error:
             faults += error.under(part)
@@ -197,7 +197,7 @@ def _random(table: dict[str, Any]) -> list[Axis]:
         Draws, {key: value for key, value in table.items() if key not in tables}, tables
     )
     if not laws:
-        raise InputError([("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")])
+        raise InputError.at("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")
     by_grain = {key: each for key, each in laws.items() if each.per_grain or key in ALWAYS}
     ranges = {key: each for key, each in laws.items() if key not in by_grain}
     made = {}

@@ -36,15 +36,16 @@ class Here(Executor):
 class Processes(Executor):
     """A number of processes, each in a pool of its own, so that one that dies loses its own task only.
 
-    That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The processes end when
-    this one does, even if it is killed.
+    That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The
+    processes end when this one does, even if it is killed.
     """
 
     def __init__(self, workers: int):
         self._own = threading.local()
         self._pools: list[ProcessPoolExecutor] = []
         self._theirs, self._ours = SPAWN.Pipe(duplex=False)
-        resource_tracker.ensure_running()  # its start unblocks Ctrl-C in the thread that asks for it
+        # its start unblocks Ctrl-C in the thread that asks for it
+        resource_tracker.ensure_running()
         # threads that block Ctrl-C start processes that do: only the main process is to answer it
         block = signal.SIG_BLOCK, {signal.SIGINT}
         self._threads = ThreadPoolExecutor(

@@ -55,7 +55,8 @@ class Sweep:
     Attributes
     ----------
     tables : dict
-        The tables of the scene that all start from, which may lack what is swept, and that of the disorder.
+        The tables of the scene that all start from, which may lack what is swept, and that of the
+        disorder.
     folder : Path
         Where the CSV files lie that they name.
     engine : str
@@ -93,9 +94,8 @@ class Sweep:
     @cached_property
     def text(self) -> str:
         """All that shapes the answers, and what is kept of them, as JSON."""
-        return json.dumps(
-            {"format": FORMAT, **self.source}, default=plain
-        )  # in order: that of the axes is in it
+        # in order: that of the axes is in it
+        return json.dumps({"format": FORMAT, **self.source}, default=plain)
 
     @property
     def name(self) -> str:
@@ -117,7 +117,8 @@ class Sweep:
             for axis, index in zip(self.axes, place, strict=True)
             for each in axis.arrays
         ]
-        files, others = self.source["files"], (self.engine, self.tolerance, self.keep)
+        files = self.source["files"]
+        others = (self.engine, self.tolerance, self.keep)
         asked = json.dumps((self.asked(place), drawn, files, others), sort_keys=True, default=plain)
         return hashlib.sha256(asked.encode()).digest()[:16]
 
@@ -143,13 +144,9 @@ class Sweep:
         chain = tables.get("chain")
         count = chain.get("grains") if isinstance(chain, dict) else None
         if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_GRAINS:
-            raise InputError(
-                [
-                    (
-                        "chain.grains",
-                        "must be a whole number from 1 where values of every grain are drawn",
-                    )
-                ]
+            raise InputError.at(
+                "chain.grains",
+                "must be a whole number from 1 where values of every grain are drawn",
             )
         return count
 
@@ -165,7 +162,8 @@ class Sweep:
 
     def scene(self, place: Place) -> Scene:
         """Make a scene; raises `InputError`."""
-        ordered, disorder = self.ordered(place), self.disorder(place)
+        ordered = self.ordered(place)
+        disorder = self.disorder(place)
         if not disorder:
             return ordered
         try:
@@ -255,7 +253,7 @@ def again(text: str, folder: Path) -> Sweep:
     """Return the sweep whose `text` this is; `folder` is where its CSV files lie."""
     kept = json.loads(text)
     if not isinstance(kept["scene"], dict):
-        raise InputError([("scene", "must be tables: a sweep that is kept names no other file")])
+        raise InputError.at("scene", "must be tables: a sweep that is kept names no other file")
     return _plan(
         {key: value for key, value in kept.items() if key not in ("format", "files")},
         folder,
@@ -316,15 +314,11 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
         return given.to_dict(), folder
     if isinstance(given, str):
         path = folder / given
-        given, folder = parse(path), path.parent
+        given = parse(path)
+        folder = path.parent
     if not isinstance(given, dict):
-        raise InputError(
-            [
-                (
-                    "scene",
-                    "name a scene file, or give its tables: [scene.chain], [scene.excitation] ...",
-                )
-            ]
+        raise InputError.at(
+            "scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ..."
         )
     if unknown := [key for key in given if key not in SECTIONS]:
         there = f"they are {', '.join(SECTIONS)}"
@@ -337,10 +331,9 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
 
 def _engine(name: Any) -> str:
     if not isinstance(name, str):
-        raise InputError([("engine", f"must be the name of an engine (got {shown(name)})")])
-    if (
-        name == "auto"
-    ):  # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
+        raise InputError.at("engine", f"must be the name of an engine (got {shown(name)})")
+    # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
+    if name == "auto":
         return "native"
     return engines.get(name).name
 
@@ -348,7 +341,7 @@ def _engine(name: Any) -> str:
 def _keep(names: Any) -> list[str]:
     known = ", ".join((*QUANTITIES, "peak_force:40"))
     if not isinstance(names, list) or not names:
-        raise InputError([("keep", f"must be a list of some of {known}")])
+        raise InputError.at("keep", f"must be a list of some of {known}")
     if wrong := [
         name
         for name in names
@@ -365,7 +358,8 @@ def _with(table: Any, path: list[str], value: Any, key: str) -> Any:
     """Return the table with a value set at a path; the name of a material becomes its constants."""
     if not path:
         return value
-    first, rest = path[0], path[1:]
+    first = path[0]
+    rest = path[1:]
     if isinstance(table, str) and table in MATERIALS:
         table = {
             name: getattr(MATERIALS[table], name)
@@ -373,13 +367,13 @@ def _with(table: Any, path: list[str], value: Any, key: str) -> Any:
         }
     if isinstance(table, list):
         if not (first.isdecimal() and int(first) < len(table)):
-            raise InputError(
-                [(key, f"there is no entry {first}: the scene has {len(table)}, counted from 0")]
+            raise InputError.at(
+                key, f"there is no entry {first}: the scene has {len(table)}, counted from 0"
             )
         place = int(first)
         return [*table[:place], _with(table[place], rest, value, key), *table[place + 1 :]]
     if not isinstance(table, dict | None):
-        raise InputError([(key, "is no key of a scene: what should hold it is not a table")])
+        raise InputError.at(key, "is no key of a scene: what should hold it is not a table")
     table = table or {}
     return table | {first: _with(table.get(first), rest, value, key)}
 

@@ -33,7 +33,8 @@ class Labels(NamedTuple):
     time : (T,) array or None
         s; None if scenes differ in them.
     grains : (G,) array
-        Numbers of the grains that any scene records; in the order of the scenes if that is one order.
+        Numbers of the grains that any scene records; in the order of the scenes if that is one
+        order.
     extra : dict
         Further arrays of the store: times that differ, and what is drawn for every grain.
     """

@@ -15,7 +15,8 @@ from ..util.arrays import Array
 from ..util.validation import Checked, Positive, Real
 
 MARKS = {"low", "high", "mean", "deviation"}  # of a table that is a law
-# keys of the scene file that hold a number a grain, and how many fewer than grains; constants are a number a contact
+# keys of the scene file that hold a number a grain, and how many fewer than grains; constants are a
+# number a contact
 ARRAYS = {
     "chain.masses": 0,
     "chain.diameter": 0,
@@ -24,10 +25,8 @@ ARRAYS = {
     "chain.material.youngs_modulus": 0,
     "chain.material.poissons_ratio": 0,
 }
-ALWAYS = (
-    "chain.masses",
-    "chain.contact_constants",
-)  # of these, those that are never one number for all
+# of these, those that are never one number for all
+ALWAYS = ("chain.masses", "chain.contact_constants")
 
 
 class Uniform(Checked):
@@ -77,7 +76,7 @@ def law(table: Any) -> Uniform | Normal:
     """Return the law that a table stands for; raises `InputError`."""
     if not isinstance(table, Mapping):
         cure = "such as {low = 1.0, high = 10.0} or {mean = 5.0, deviation = 1.0}"
-        raise InputError([("", f"must be a range or a distribution, {cure}")])
+        raise InputError.at("", f"must be a range or a distribution, {cure}")
     return Normal(**table) if table.keys() & {"mean", "deviation"} else Uniform(**table)
 
 
@@ -85,8 +84,9 @@ def law(table: Any) -> Uniform | Normal:
 class Drawn:
     """A key of which every grain gets a number of its own, drawn anew for every scene.
 
-    Scene number i takes its numbers from `numpy.random.default_rng(SeedSequence(seed, spawn_key=(i, k)))`, k being the
-    first four bytes of the SHA-256 of the key, so that they depend on nothing else that is drawn.
+    Scene number i takes its numbers from `numpy.random.default_rng(SeedSequence(seed, spawn_key=(i,
+    k)))`, k being the first four bytes of the SHA-256 of the key, so that they depend on nothing
+    else that is drawn.
     """
 
     key: str

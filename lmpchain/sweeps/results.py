@@ -32,11 +32,12 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     Returns
     -------
     xarray.Dataset
-        Its dimensions are what was swept: those of the grid under the names of their keys, `case` for a list, `draw`
-        for random draws, `realisation` for disorder; then `time` in s (or `sample`, with the times as a coordinate,
-        if scenes differ in them) and `grain`. What is read off a motion comes with how far it may be off, under the
-        name with `_error`. Arrays are read from their files when they are used. Where a scene has
-        failed or is not done, all values are NaN, and `reason` says why; it is empty for the others.
+        Its dimensions are what was swept: those of the grid under the names of their keys, `case`
+        for a list, `draw` for random draws, `realisation` for disorder; then `time` in s (or
+        `sample`, with the times as a coordinate, if scenes differ in them) and `grain`. What is
+        read off a motion comes with how far it may be off, under the name with `_error`. Arrays are
+        read from their files when they are used. Where a scene has failed or is not done, all
+        values are NaN, and `reason` says why; it is empty for the others.
 
     Raises
     ------
@@ -50,7 +51,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
         or index.get("format") != FORMAT
         or not is_name(index.get("results"))
     ):
-        raise InputError([(str(folder), "holds no sweep, or one of another version of lmpchain")])
+        raise InputError.at(str(folder), "holds no sweep, or one of another version of lmpchain")
     results = folder / index["results"]
     plan, made = kept(results)
     store = open_store(results)
@@ -62,8 +63,8 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
             if name not in made.columns
         }
     except Exception as error:  # whatever a damaged file makes zarr raise
-        raise InputError(
-            [(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]
+        raise InputError.at(
+            str(results), f"is damaged ({short(error)}): remove it, and sweep again"
         ) from None
     data: dict[str, Any] = {}
     for name, column in made.columns.items():
@@ -93,13 +94,13 @@ def kept(results: Path) -> tuple[Sweep, Layout]:
     try:
         check_tree(results)
         if not _read(path):
-            raise InputError([(str(path), "is missing: remove its folder, and sweep again")])
+            raise InputError.at(str(path), "is missing: remove its folder, and sweep again")
         plan = again(path.read_text(encoding="utf-8"), results)
     except (OSError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError) and str(path) in str(error):
             raise
-        raise InputError(
-            [(str(path), f"cannot be read ({short(error)}): remove its folder, and sweep again")]
+        raise InputError.at(
+            str(path), f"cannot be read ({short(error)}): remove its folder, and sweep again"
         ) from None
     return plan, laid_out(results, plan)
 
@@ -114,8 +115,8 @@ def _read(path: Path) -> Any:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError):
-        raise InputError(
-            [(str(path), "cannot be read: remove its folder, and sweep again")]
+        raise InputError.at(
+            str(path), "cannot be read: remove its folder, and sweep again"
         ) from None
 
 
@@ -125,7 +126,10 @@ class _Stored(BackendArray):
     dtype = np.dtype(float)
 
     def __init__(self, folder: Path, made: Layout, name: str, shape: tuple[int, ...]):
-        self._folder, self._made, self._name, self._swept = folder, made, name, shape
+        self._folder = folder
+        self._made = made
+        self._name = name
+        self._swept = shape
         self.shape = (*shape, *made.columns[name].shape)
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Array:
@@ -136,7 +140,8 @@ class _Stored(BackendArray):
     def _at(self, key: tuple) -> Array:
         chosen = [np.arange(size)[part] for size, part in zip(self.shape, key, strict=True)]
         places = [np.atleast_1d(part) for part in chosen]
-        outer, inner = places[: len(self._swept)], places[len(self._swept) :]
+        outer = places[: len(self._swept)]
+        inner = places[len(self._swept) :]
         numbers = np.ravel_multi_index(np.ix_(*outer), self._swept).ravel()
         values = read(self._folder, self._made, self._name, numbers, inner)
         return values.reshape([part.size for part in chosen if part.ndim])

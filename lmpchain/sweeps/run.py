@@ -57,19 +57,21 @@ def sweep(
 ) -> xarray.Dataset:
     """Answer all scenes of a sweep that have not been answered in this folder before.
 
-    The answers are the same, to the last bit, whoever gives them, in what order, and however often the sweep is stopped
-    and begun again. A scene that cannot be made, misses its tolerance or breaks down is recorded with its reason. One
-    that something else prevents, such as a full disk or a process that dies three times over it, is done when the sweep
-    is called again.
+    The answers are the same, to the last bit, whoever gives them, in what order, and however often
+    the sweep is stopped and begun again. A scene that cannot be made, misses its tolerance or
+    breaks down is recorded with its reason. One that something else prevents, such as a full disk
+    or a process that dies three times over it, is done when the sweep is called again.
 
     Parameters
     ----------
     source : path or mapping
         A sweep file, or the same keys; `scene` may then be a `Scene`.
     folder : path
-        Made if need be. Other processes and machines that answer scenes must see it under the same name.
+        Made if need be. Other processes and machines that answer scenes must see it under the same
+        name.
     workers : int
-        Processes of this machine; with 1 all is done in this one. Scripts need ``if __name__ == "__main__":`` for more.
+        Processes of this machine; with 1 all is done in this one. Scripts need ``if __name__ ==
+        "__main__":`` for more.
     executor : concurrent.futures.Executor, optional
         Executor that runs the scenes in place of local processes, such as
         ``dask.distributed.Client(address).get_executor(pure=False)``.
@@ -84,10 +86,11 @@ def sweep(
     Raises
     ------
     InputError
-        With every fault of the sweep; if another process is at this folder, or nothing can be written there.
+        With every fault of the sweep; if another process is at this folder, or nothing can be
+        written there.
     """
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise InputError([("workers", f"must be a whole number from 1 (got {shown(workers)})")])
+        raise InputError.at("workers", f"must be a whole number from 1 (got {shown(workers)})")
     plan = read(source)
     with warnings.catch_warnings(record=True, action="always") as remarks:
         size = min(together(plan.engine, scene) for scene in plan.trials())
@@ -155,8 +158,8 @@ def _check(results: Path, plan: Sweep) -> None:
             ) != plan.text:
                 raise ValueError("its sweep.json is of another sweep")
     except (OSError, ValueError) as error:
-        raise InputError(
-            [(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]
+        raise InputError.at(
+            str(results), f"is damaged ({short(error)}): remove it, and sweep again"
         ) from None
 
 
@@ -195,15 +198,15 @@ def _alone(folder: Path) -> Iterator[None]:
     """Lock the folder of a sweep."""
     lock = folder / ".lock"
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
-        raise InputError(
-            [(str(lock), "is a link, a device or a pipe, which lmpchain never writes: remove it")]
+        raise InputError.at(
+            str(lock), "is a link, a device or a pipe, which lmpchain never writes: remove it"
         )
     try:
         with FileLock(lock, timeout=0):
             yield
     except Timeout:
-        raise InputError(
-            [(str(folder), "another process sweeps into this folder; wait for it")]
+        raise InputError.at(
+            str(folder), "another process sweeps into this folder; wait for it"
         ) from None
 
 
@@ -219,13 +222,13 @@ def dask(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError([("scheduler", 'needs Dask: pip install "lmpchain[cluster]"')]) from None
+        raise InputError.at("scheduler", 'needs Dask: pip install "lmpchain[cluster]"') from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is told by exceptions
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
-        raise InputError(
-            [("scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})")]
+        raise InputError.at(
+            "scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})"
         ) from None
     with client:
         if not client.nthreads():
@@ -240,11 +243,9 @@ class _Work:
     """What is left to do: batches of scenes to answer, and shards to gather when all of theirs are there."""
 
     def __init__(self, folder: Path, made: Layout, missing: Mapping[int, set[int]]):
-        self._folder, self._made, self._missing = (
-            folder,
-            made,
-            {shard: set(each) for shard, each in missing.items()},
-        )
+        self._folder = folder
+        self._made = made
+        self._missing = {shard: set(each) for shard, each in missing.items()}
 
     def do(
         self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int

@@ -7,8 +7,8 @@
         parts/0000064.npz   what has been found for the scenes from this one on, until their shard is complete
         parts/0000064.some.npz  the same if only some of them are known, from an earlier sweep
 
-Every file appears under its name when it is whole. The shards of `reason` are written last: it is empty for scenes that
-have an answer, and stays "not done" where there is no shard.
+Every file appears under its name when it is whole. The shards of `reason` are written last: it is
+empty for scenes that have an answer, and stays "not done" where there is no shard.
 """
 
 from __future__ import annotations
@@ -35,16 +35,17 @@ from .file import Sweep
 from .quantities import quantity
 from .store_check import CHUNK_BYTES, described
 
-NAME, PARTS, RESULTS = "sweep.json", "parts", "results.zarr"
+NAME = "sweep.json"
+PARTS = "parts"
+RESULTS = "results.zarr"
 NOT_DONE = "not done"
 SCENES_A_FILE = 160  # at least, in a shard, for every array: 100 files hold 10^4 scenes,
 SHARD_BYTES = 2**27  # unless a shard would be larger than this
 SCALARS = {"model_error": "of the equation that was solved", "solver_error": "of its solution"}
 
 
-Coordinates = Mapping[
-    str, tuple[tuple[str, ...], Any, Mapping[str, str]]
-]  # dimensions, values and metadata
+# dimensions, values and metadata
+Coordinates = Mapping[str, tuple[tuple[str, ...], Any, Mapping[str, str]]]
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,8 @@ def layout(
     lengths = {"time": samples, "grain": grains}
     columns = dict(extra)
     for name in keep:
-        kept, name = quantity(name), stored(name)
+        kept = quantity(name)
+        name = stored(name)
         shape = tuple(lengths[key] for key in kept.dimensions)
         columns[name] = Column(kept.dimensions, shape, kept.units, kept.long_name)
         if not kept.whole:
@@ -144,8 +146,11 @@ def laid_out(folder: Path, plan: Sweep) -> Layout:
             size = about["shape"], about["chunk_grid"]["configuration"]["chunk_shape"]
             kind = "string" if column.dtype is str else "float64"
             if (*size, about["dimension_names"], about["data_type"]) != (
-                [made.count, *column.shape], [made.shard, *column.shape], ["scene", *column.dimensions], kind,
-            ):  # fmt: skip
+                [made.count, *column.shape],
+                [made.shard, *column.shape],
+                ["scene", *column.dimensions],
+                kind,
+            ):
                 raise ValueError(f"{name} is not that of its sweep")
         labels = {"time", "grain"} | {
             key for axis in plan.axes for key in (axis.name, *axis.columns)
@@ -189,9 +194,14 @@ def create(folder: Path, made: Layout, coordinates: Coordinates, swept: Mapping[
             array = np.asarray(values)
             text = array.dtype.kind == "U"
             stored = group.create_array(
-                name, shape=array.shape, chunks=array.shape, dtype=str if text else array.dtype, compressors=pack,
-                dimension_names=dimensions, attributes=dict(about),
-            )  # fmt: skip
+                name,
+                shape=array.shape,
+                chunks=array.shape,
+                dtype=str if text else array.dtype,
+                compressors=pack,
+                dimension_names=dimensions,
+                attributes=dict(about),
+            )
             stored[:] = array.astype(object) if text else array
         os.replace(aside, folder / RESULTS)
     finally:
@@ -229,8 +239,8 @@ def _checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]]]:
         RecursionError,
     ) as error:
         at = str(folder / RESULTS)
-        raise InputError(
-            [(at, f"is damaged ({short(error)}): remove {folder}, and sweep again")]
+        raise InputError.at(
+            at, f"is damaged ({short(error)}): remove {folder}, and sweep again"
         ) from None
 
 
@@ -273,8 +283,8 @@ def read_part(path: Path, name: str, column: Column) -> Array:
     except FileNotFoundError:
         raise
     except Exception as error:  # whatever a damaged file makes numpy and zipfile raise
-        raise InputError(
-            [(str(path), f"cannot be read ({error}): remove it, and sweep again")]
+        raise InputError.at(
+            str(path), f"cannot be read ({error}): remove it, and sweep again"
         ) from None
 
 
@@ -336,8 +346,8 @@ def read(
         rows = slice(first, last + 1) if whole else numbers  # a slice is read much faster
         found = np.array(array.oindex[(rows, *of)] if of else array.oindex[rows])
     except Exception as error:  # whatever a damaged file makes zarr raise
-        raise InputError(
-            [(str(folder / RESULTS / name), f"is damaged ({error}): remove it, and sweep again")]
+        raise InputError.at(
+            str(folder / RESULTS / name), f"is damaged ({error}): remove it, and sweep again"
         ) from None
     wanted = set(np.unique(numbers // made.batch * made.batch).tolist())
     for first, path in parts_of(folder).items():

@@ -27,7 +27,8 @@ ENCODING = {"name": "default", "configuration": {"separator": "/"}}
 def described(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
     """Return the scenes in a batch, and the metadata of every array by name.
 
-    Raises `OSError`, `ValueError`, `KeyError` or `TypeError` unless they are such as lmpchain writes.
+    Raises `OSError`, `ValueError`, `KeyError` or `TypeError` unless they are such as lmpchain
+    writes.
     """
     check_tree(store)
     group = metadata(store)
@@ -46,7 +47,9 @@ def described(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
 
 def _check(node: Path, about: dict[str, Any]) -> None:
     """Raise unless an array is stored in the way of lmpchain."""
-    name, shape, dimensions = node.name, about["shape"], about["dimension_names"]
+    name = node.name
+    shape = about["shape"]
+    dimensions = about["dimension_names"]
     if about["node_type"] != "array" or about.keys() - KEYS or about.get("storage_transformers"):
         raise ValueError(f"{name} is stored in a way that lmpchain does not use")
     if (

@@ -39,7 +39,8 @@ def take_over(plan: Sweep, made: Layout, results: Path, before: Path) -> None:
     spots = np.searchsorted(keys, wanted).clip(max=max(keys.size - 1, 0))
     there = keys[spots] == wanted if keys.size else np.zeros(plan.count, dtype=bool)
     for shard in range(made.shards):
-        first, last = shard * made.shard, min((shard + 1) * made.shard, made.count)
+        first = shard * made.shard
+        last = min((shard + 1) * made.shard, made.count)
         known = first + np.flatnonzero(there[first:last])
         if not known.size:
             continue

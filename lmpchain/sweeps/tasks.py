@@ -25,7 +25,9 @@ from .quantities import measured
 from .realisations import scenes
 from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
 
-MOST, MOST_NUMBERS = 256, 2**22  # scenes in a task, and their samples x grains
+# scenes in a task, and their samples x grains
+MOST = 256
+MOST_NUMBERS = 2**22
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +72,12 @@ def answer(task: Task) -> None:
     plan = again(_text(task.folder / NAME), task.files)
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1
-    # what is hardly meant was said when the sweep began; how far off an answer is stands in the result
+    # what is hardly meant was said when the sweep began; how far off an answer is stands in the
+    # result
     with warnings.catch_warnings(action="ignore"):
         made = scenes(plan, task.first, task.count, alike)
-        columns, left = _columns(task), dict(enumerate(made))
+        columns = _columns(task)
+        left = dict(enumerate(made))
         for row, found in in_batches(
             engine, {n: s for n, s in left.items() if isinstance(s, Scene)}, plan.tolerance
         ):
@@ -88,7 +92,8 @@ def answer(task: Task) -> None:
 def _with_known(columns: dict[str, Any], task: Task) -> dict[str, Any]:
     """Return the arrays with what an earlier sweep has found in its place.
 
-    Those scenes were answered again, so that the others get the bits that they would have in the same company.
+    Those scenes were answered again, so that the others get the bits that they would have in the
+    same company.
     """
     some = part_of(task.folder, task.first, whole=False)
     if some.exists():
@@ -138,10 +143,8 @@ def _put(
             ] = values
         else:
             columns[name][row] = values
-    columns["model_error"][row], columns["solver_error"][row] = (
-        found.error_estimate.model,
-        found.error_estimate.solver,
-    )
+    columns["model_error"][row] = found.error_estimate.model
+    columns["solver_error"][row] = found.error_estimate.solver
     if "time" in columns:
         columns["time"][row, : found.scene.samples] = found.scene.time
     for key, values in plan.drawn(place, found.scene.chain.grains).items():
@@ -153,7 +156,8 @@ def _spots(wanted: bytes, grains: bytes) -> Any:
     """Return where these grains stand among those that the arrays have places for."""
     if wanted == grains:
         return slice(None)
-    numbers, every = np.frombuffer(wanted, int), np.frombuffer(grains, int)
+    numbers = np.frombuffer(wanted, int)
+    every = np.frombuffer(grains, int)
     order = np.argsort(every)
     return order[np.searchsorted(every, numbers, sorter=order)]
 

@@ -14,10 +14,13 @@ PROPERTIES = "species:S:1:pos:R:3:velo:R:3:id:I:1:radius:R:1:displacement:R:1"
 
 def write(record: Record, path: str | PathLike[str]) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.to_extxyz`."""
-    chain, grains = record.scene.chain, record.grains
-    rest, radii = -chain.depths[grains - 1], chain.diameters[grains - 1] / 2
+    chain = record.scene.chain
+    grains = record.grains
+    rest = -chain.depths[grains - 1]
+    radii = chain.diameters[grains - 1] / 2
     side = 2 * float(radii.max())
-    low, high = float(rest.min()) - side, float(rest.max()) + side
+    low = float(rest.min()) - side
+    high = float(rest.max()) + side
     box = (
         f'Lattice="{2 * side} 0 0 0 {2 * side} 0 0 0 {high - low}" Origin="{-side} {-side} {low}" '
         f'pbc="F F F" Properties={PROPERTIES}'
@@ -25,7 +28,8 @@ def write(record: Record, path: str | PathLike[str]) -> None:
     named = list(zip(grains.tolist(), radii.tolist(), strict=True))
     with write_aside(path) as aside, open(aside, "w", encoding="ascii") as out:
         for sample, time in enumerate(record.time.tolist()):
-            u, v = np.asarray(record.displacement[sample]), np.asarray(record.velocity[sample])
+            u = np.asarray(record.displacement[sample])
+            v = np.asarray(record.velocity[sample])
             rows = zip((rest - u).tolist(), (0.0 - v).tolist(), named, u.tolist(), strict=True)
             out.write(f"{grains.size}\n{box} Time={time}\n")
             out.writelines(

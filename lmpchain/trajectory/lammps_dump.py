@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from os import PathLike
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from .record import Cost, ErrorEstimate, Record
 
 BEGIN = b"ITEM: TIMESTEP"
 HEADER = 9  # lines above the atoms of a frame
-SAME = 1e-6  # largest difference of the first frame from the initial state, over the largest value in the dump
+# largest difference of the first frame from the initial state, over the largest value in the dump
+SAME = 1e-6
 FEWEST_LEVELS = 100  # of height that a displacement must span
 BLOCK = 1 << 20  # bytes
 AXES = ("x", "y", "z")
@@ -40,7 +41,8 @@ def is_dump(path: str | PathLike[str]) -> bool:
 
 
 def _open(path: Path) -> IO[bytes]:
-    return gzip.open(path) if path.suffix == ".gz" else open(path, "rb")  # type: ignore[return-value]
+    opener: Any = gzip.open if path.suffix == ".gz" else open
+    return opener(path, "rb")
 
 
 def read(
@@ -57,11 +59,12 @@ def read(
         If it cannot be read, or is not of this scene.
     """
     path = Path(path)
-    name, chain = str(path), scene.chain
+    name = str(path)
+    chain = scene.chain
     rest = None if equilibrium is None else _checked(equilibrium, chain.grains)
     if axis not in (None, *AXES):
-        raise InputError(
-            [("axis", f"must be x, y or z, along which the column stands (got {shown(axis)})")]
+        raise InputError.at(
+            "axis", f"must be x, y or z, along which the column stands (got {shown(axis)})"
         )
     columns = _columns(path, scene)
     heights = [key for key in AXES if key in columns] or [f"{key}u" for key in AXES]
@@ -73,36 +76,33 @@ def read(
     steps, data = read_frames(path, columns, given, chain.grains, most=2 * scene.samples)
     if len(steps) != scene.samples:
         cure = "set the samples of the scene so, or run LAMMPS to its end"
-        raise InputError(
-            [(name, f"has {len(steps)} whole frames, the scene {scene.samples} samples: {cure}")]
+        raise InputError.at(
+            name, f"has {len(steps)} whole frames, the scene {scene.samples} samples: {cure}"
         )
     if not all(np.isfinite(values).all() for values in data.values()):
-        raise InputError(
-            [(name, "holds numbers that are not finite: the run broke down; use a shorter step")]
+        raise InputError.at(
+            name, "holds numbers that are not finite: the run broke down; use a shorter step"
         )
     axis = axis or _axis(name, [data[key][0] for key in heights])
     if f"v{axis}" not in data:
-        raise InputError(
-            [(name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}")]
+        raise InputError.at(
+            name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}"
         )
     apart = np.diff(steps)
     if (apart <= 0).any() or (apart != apart[0]).any():
-        raise InputError(
-            [
-                (
-                    name,
-                    "its frames are not equally far apart: dump every so many steps, from the start",
-                )
-            ]
+        raise InputError.at(
+            name, "its frames are not equally far apart: dump every so many steps, from the start"
         )
-    z, vz = data[heights[AXES.index(axis)]], data[f"v{axis}"]
+    z = data[heights[AXES.index(axis)]]
+    vz = data[f"v{axis}"]
     origin = "heights less those at first" if rest is None else "heights less those given"
     misfits = []
     for down in [-1.0] if "v_phi" in data and axis == "z" else _ways_down(scene, z[0], rest):
         order = np.argsort(down * z[0], kind="stable")
         velocity = down * vz[:, order]
         if "v_phi" in data:
-            displacement, origin = data["v_phi"][:, order], "v_phi"
+            displacement = data["v_phi"][:, order]
+            origin = "v_phi"
         else:
             displacement = down * (z[:, order] - (z[0, order] if rest is None else rest))
             if rest is None:
@@ -111,7 +111,7 @@ def read(
         if not misfits[-1]:
             break
     else:
-        raise InputError([(name, f"{misfits[0]}: give the scene that the dump was made for")])
+        raise InputError.at(name, f"{misfits[0]}: give the scene that the dump was made for")
     mover = order[int(np.abs(velocity).sum(0).argmax())]
     told = data["v_phi"] if origin == "v_phi" else z
     if origin != "v_phi":
@@ -142,13 +142,9 @@ def _axis(name: str, first: Sequence[Array]) -> str:
     spread = [float(np.ptp(along)) for along in first]
     longest = int(np.argmax(spread))
     if not spread[longest] > 2 * sorted(spread)[-2]:
-        raise InputError(
-            [
-                (
-                    "axis",
-                    f"{name}: its grains stand along none of x, y and z: name the axis of the column",
-                )
-            ]
+        raise InputError.at(
+            "axis",
+            f"{name}: its grains stand along none of x, y and z: name the axis of the column",
         )
     return AXES[longest]
 
@@ -160,7 +156,8 @@ def _precision(told: Array, speeds: Array, displacement: Array, velocity: Array)
         ("displacement", "m", told, displacement),
         ("velocity", "m/s", speeds, velocity),
     ):
-        within, largest = _last_digit(values) / 2, float(np.abs(motion).max())
+        within = _last_digit(values) / 2
+        largest = float(np.abs(motion).max())
         parts.append(
             f"{what} within {within:.2g} {unit}, {within / (largest or np.inf):.1g} of the largest"
         )
@@ -174,13 +171,8 @@ def _checked(equilibrium: Sequence[float] | Array, grains: int) -> Array:
     except (TypeError, ValueError):
         rest = np.empty(0)
     if rest.shape != (grains,) or not np.isfinite(rest).all():
-        raise InputError(
-            [
-                (
-                    "equilibrium",
-                    f"must be the heights at rest of the {grains} grains, m, from the top",
-                )
-            ]
+        raise InputError.at(
+            "equilibrium", f"must be the heights at rest of the {grains} grains, m, from the top"
         )
     return rest
 
@@ -188,8 +180,8 @@ def _checked(equilibrium: Sequence[float] | Array, grains: int) -> Array:
 def _ways_down(scene: Scene, z: Array, rest: Array | None) -> list[float]:
     """Return whether z points up (-1) or down (1), the likelier first; `z` is the first frame, (N,) m.
 
-    The overlaps say so, as they grow with the weight above: the gaps between centres, less what grains, overlaps and
-    the start of the scene make of them, must be alike.
+    The overlaps say so, as they grow with the weight above: the gaps between centres, less what
+    grains, overlaps and the start of the scene make of them, must be alike.
     """
     if rest is not None:
         return [1.0 if rest[-1] > rest[0] else -1.0]
@@ -211,27 +203,24 @@ def _misfit(scene: Scene, displacement: Array, velocity: Array, rounding: float)
         off = np.abs(values[0] - start)
         if (off > SAME * np.abs(values).max() + slack).any():
             n = int(off.argmax())
-            return f"grain {n + 1} begins with a {what} of {values[0, n]:.6g} {unit}, in the scene {start[n]:.6g}"
+            return (
+                f"grain {n + 1} begins with a {what} of {values[0, n]:.6g} {unit}, in the scene "
+                f"{start[n]:.6g}"
+            )
     return ""
 
 
 def _columns(path: Path, scene: Scene) -> list[str]:
     """Return the names of the columns, after checking that the dump fits the chain."""
-    name, grains = str(path), scene.chain.grains
+    name = str(path)
+    grains = scene.chain.grains
     if not path.is_file():
-        raise InputError(
-            [
-                (
-                    name,
-                    "is a folder; name the dump in it"
-                    if path.is_dir()
-                    else "there is no such file",
-                )
-            ]
+        raise InputError.at(
+            name, ("is a folder; name the dump in it" if path.is_dir() else "there is no such file")
         )
     if not is_dump(path):
-        raise InputError(
-            [(name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom")]
+        raise InputError.at(
+            name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom"
         )
     try:
         with _open(path) as opened:
@@ -240,20 +229,18 @@ def _columns(path: Path, scene: Scene) -> list[str]:
             for block in iter(lambda: opened.read(BLOCK), b""):
                 last = block[-1:]
     except (OSError, EOFError, zlib.error) as error:
-        raise InputError([(name, f"cannot be read as a dump: {error}; write it anew")]) from None
+        raise InputError.at(name, f"cannot be read as a dump: {error}; write it anew") from None
     if not head[3].isdigit() or not head[8].startswith("ITEM: ATOMS"):
-        what = "is cut short, or has lines that a plain dump custom has not, as of dump_modify units or time"
-        raise InputError([(name, f"{what}: write it anew")])
+        what = (
+            "is cut short, or has lines that a plain dump custom has not, as of dump_modify "
+            "units or time"
+        )
+        raise InputError.at(name, f"{what}: write it anew")
     if last != b"\n":
-        raise InputError([(name, "is cut short within a line: run LAMMPS to its end")])
+        raise InputError.at(name, "is cut short within a line: run LAMMPS to its end")
     if int(head[3]) != grains:
-        raise InputError(
-            [
-                (
-                    name,
-                    f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for",
-                )
-            ]
+        raise InputError.at(
+            name, f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for"
         )
     columns = head[8].split()[2:]
     unwrapped = not set(AXES) <= set(columns) and {"xu", "yu", "zu"} <= set(columns)
@@ -262,7 +249,7 @@ def _columns(path: Path, scene: Scene) -> list[str]:
     if not {"vx", "vy", "vz"} & set(columns):
         missing.append("vz")
     if missing:
-        raise InputError([(name, f"has no column {', '.join(missing)}: {COLUMNS}")])
+        raise InputError.at(name, f"has no column {', '.join(missing)}: {COLUMNS}")
     return [key for key in columns if key not in AXES] if unwrapped else columns
 
 
@@ -271,8 +258,9 @@ def read_frames(
 ) -> tuple[np.ndarray, dict[str, Array]]:
     """Return step numbers, (T,), and these columns ordered by atom number, (T, N) each.
 
-    A run that was stopped and started again writes frames twice, and one that was killed leaves half a frame: of each
-    step, the frame that was written last is taken, and what is not whole is left out.
+    A run that was stopped and started again writes frames twice, and one that was killed leaves
+    half a frame: of each step, the frame that was written last is taken, and what is not whole is
+    left out.
     """
     places = [columns.index(key) for key in ("id", *wanted)]
     frames: dict[int, Array] = {}
@@ -287,8 +275,8 @@ def read_frames(
                 if len(frames) > most:
                     raise ValueError(f"it has more than {most} frames")
     except (ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
-        raise InputError(
-            [(str(path), f"cannot be read as a dump: {short(error)}; write it anew")]
+        raise InputError.at(
+            str(path), f"cannot be read as a dump: {short(error)}; write it anew"
         ) from None
     steps = np.array(sorted(frames))
     rows = np.array([frames[step] for step in steps]).reshape(len(steps), len(wanted), grains)
@@ -304,7 +292,8 @@ def _whole_frames(opened: IO[bytes], grains: int) -> Iterator[list[bytes]]:
         headed = len(body) >= HEADER - 1 and not any(BEGIN in at for at in body[: HEADER - 1])
         if headed and body[2].strip().isdigit() and int(body[2]) != grains:
             raise ValueError(
-                f"the number of atoms changes at step {short(body[0].decode(errors='replace').strip())}"
+                "the number of atoms changes at step "
+                f"{short(body[0].decode(errors='replace').strip())}"
             )
         if again := next((number for number, at in enumerate(body, 1) if BEGIN in at), 0):
             next_one = body[again - 1][body[again - 1].index(BEGIN) :]
@@ -339,17 +328,14 @@ def _last_digit(values: Array) -> float:
 
 def _check_digits(name: str, heights: Array) -> None:
     """Raise `InputError` if the dump has too few digits to resolve the motion, heights (T,) m."""
-    moved, digit = np.ptp(heights), _last_digit(heights)
+    moved = np.ptp(heights)
+    digit = _last_digit(heights)
     if heights.any() and moved < FEWEST_LEVELS * digit:
         digits = round(np.log10(np.abs(heights).max() / digit) + 0.5)
         cure = (
             "write them with dump_modify format float %.17g, or dump v_phi, as lmpchain deck does"
         )
-        raise InputError(
-            [
-                (
-                    name,
-                    f"its heights have {digits} digits, too few for displacements of {moved:.1g} m: {cure}",
-                )
-            ]
+        raise InputError.at(
+            name,
+            f"its heights have {digits} digits, too few for displacements of {moved:.1g} m: {cure}",
         )

@@ -42,8 +42,10 @@ class SampleReader(ProtoReader):
         return self._read_frame(self.ts.frame + 1)
 
     def _read_frame(self, frame: int) -> Timestep:
-        ts, run = self.ts, self._run
-        ts.frame, ts.time = frame, float(run.time[frame])
+        ts = self.ts
+        run = self._run
+        ts.frame = frame
+        ts.time = float(run.time[frame])
         ts.data["displacement"] = np.array(run.displacement[frame])
         ts.data["velocity"] = np.array(run.velocity[frame])
         ts.positions[:, 2] = self._rest - ts.data["displacement"]
@@ -63,7 +65,8 @@ class SampleReader(ProtoReader):
 
 def universe(record: Record) -> Universe:
     """Return the trajectory as a Universe; see `lmpchain.Trajectory.universe`."""
-    chain, place = record.scene.chain, record.grains - 1
+    chain = record.scene.chain
+    place = record.grains - 1
     made: Any = Universe.empty(place.size)
     made.add_TopologyAttr("ids", record.grains)
     made.add_TopologyAttr("masses", chain.masses[place])

@@ -39,7 +39,8 @@ def write(record: Record, path: str | PathLike[str]) -> None:
 def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
     """Return metadata, scene and arrays of a file; damaged or foreign ones raise whatever comes first.
 
-    Only plain arrays in this very file are read, and a claim about their size is checked before they are.
+    Only plain arrays in this very file are read, and a claim about their size is checked before
+    they are.
     """
     import h5py
 

@@ -40,8 +40,9 @@ LABELS: dict[str, dict[str, Any]] = {
 class ErrorEstimate:
     """Estimated relative error against the exact solution of Eq. (1): model and solver.
 
-    The error is the larger of those of displacement and velocity, each max|x - x_true| over all samples and grains
-    over the largest ``|x_true|`` of any grain of the chain at any time of the run, between the samples too.
+    The error is the larger of those of displacement and velocity, each max|x - x_true| over all
+    samples and grains over the largest ``|x_true|`` of any grain of the chain at any time of the
+    run, between the samples too.
 
     Attributes
     ----------
@@ -63,9 +64,9 @@ class ErrorEstimate:
 class Cost(NamedTuple):
     """Computing time, steps and force evaluations of a trajectory.
 
-    What is compiled, once on a machine, or loaded from what was compiled there before, is counted as `compile_s` alone.
-    The native engine moves an answer together with the runs that show its error; that time is shared out
-    by steps.
+    What is compiled, once on a machine, or loaded from what was compiled there before, is counted
+    as `compile_s` alone. The native engine moves an answer together with the runs that show its
+    error; that time is shared out by steps.
     """
 
     integration_s: float
@@ -88,8 +89,9 @@ class Cost(NamedTuple):
 class Block(NamedTuple):
     """A block of the solution: realisations x samples x recorded grains.
 
-    `columns` are the recorded grains that it holds; the others are still at equilibrium. A block without samples lets
-    the caller show progress or stop while the engine is at work, and if it is `resumable`, keep the state of the run.
+    `columns` are the recorded grains that it holds; the others are still at equilibrium. A block
+    without samples lets the caller show progress or stop while the engine is at work, and if it is
+    `resumable`, keep the state of the run.
     """
 
     samples: slice
@@ -169,8 +171,8 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
     return {
         "model_error": error.model,
         "solver_error": error.solver,
-        "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain at any time of the "
-        "run, the larger of displacement and velocity, x_true the solution of Eq. (1)",
+        "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain at any time of "
+        "the run, the larger of displacement and velocity, x_true the solution of Eq. (1)",
         "cost": json.dumps(cost._asdict()),
     }
 
@@ -184,7 +186,8 @@ def scene_of(about: Mapping[str, Any]) -> Scene:
 
 def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays of a scene, by name, without making one of them."""
-    samples, grains = scene.samples, scene.count(scene.chain)
+    samples = scene.samples
+    grains = scene.count(scene.chain)
     return {"time": (samples,), "grain": (grains,), **dict.fromkeys(FIELDS, (samples, grains))} | {
         gathered.stored(name): kind.shape for name, kind in gathered.arrays(scene).items()
     }
@@ -202,7 +205,8 @@ def kept_of(scene: Scene, arrays: Mapping[str, Any]) -> dict[str, Array]:
 def told(about: Mapping[str, Any]) -> dict[str, Any]:
     """Return engine, equation, error, cost and provenance from the metadata; raises if they are odd."""
     error = ErrorEstimate(float(about["model_error"]), float(about["solver_error"]))
-    cost, provenance = json.loads(about["cost"]), json.loads(about["provenance"])
+    cost = json.loads(about["cost"])
+    provenance = json.loads(about["provenance"])
     kinds: dict[Any, Any] = {float: int | float, int: int, str: str}
     if not (error.model >= 0 and error.solver >= 0):
         raise ValueError("its error estimate is no number from 0")

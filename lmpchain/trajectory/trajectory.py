@@ -44,16 +44,21 @@ class Trajectory(Shown, Record):
     provenance : dict
         Choices that shaped the solution, and versions.
     gathered : dict
-        The `quantities` of the scene by name, and how far off each may be, by name with "_error": (G,) arrays of
-        grains, numbers of contacts, and forces over "fine_time", (D,).
+        The `quantities` of the scene by name, and how far off each may be, by name with "_error":
+        (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,).
     """
 
     def __repr__(self) -> str:
         size = f"{self.time.size} samples x {self.grains.size} grains"
-        return f"Trajectory({self.engine}, Eq. ({self.equation}), {size}, error {self.error_estimate.total:.2g})"
+        return (
+            f"Trajectory({self.engine}, Eq. ({self.equation}), {size}, error "
+            f"{self.error_estimate.total:.2g})"
+        )
 
     def _summary(self) -> Iterator[Sequence[str]]:
-        scene, error, cost = self.scene, self.error_estimate, self.cost
+        scene = self.scene
+        error = self.error_estimate
+        cost = self.cost
         yield "scene", f"{scene.chain.grains} grains, {scene.excitation.label}"
         yield "engine", f"{self.engine}, which solves Eq. ({self.equation})"
         yield (
@@ -78,8 +83,8 @@ class Trajectory(Shown, Record):
     ) -> Axes:
         """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
 
-        The colours saturate at the median of the largest sizes of the grains that move, so that the wave can be seen
-        where it has become weak.
+        The colours saturate at the median of the largest sizes of the grains that move, so that the
+        wave can be seen where it has become weak.
 
         Parameters
         ----------
@@ -110,9 +115,10 @@ class Trajectory(Shown, Record):
     def to_extxyz(self, path: str | PathLike[str]) -> None:
         """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
 
-        The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z = 0 (as in a deck), id
-        (number of the grain), radius in m, and displacement in m, from equilibrium and positive downward; every number
-        is written with all its digits. The file is written atomically.
+        The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z =
+        0 (as in a deck), id (number of the grain), radius in m, and displacement in m, from
+        equilibrium and positive downward; every number is written with all its digits. The file is
+        written atomically.
         """
         from .extxyz import write
 
@@ -121,11 +127,12 @@ class Trajectory(Shown, Record):
     def universe(self) -> Universe:
         """Return an MDAnalysis Universe of the recorded grains, in SI units, read on demand.
 
-        MDAnalysis holds positions and velocities in single precision, in which a height of 0.1 m has steps of 7e-9 m
-        and most waves are lost. They are there to draw and select (z up, grain 1 at rest at z = 0). To measure, take
-        the columns that the time step carries besides, in double precision and as in this trajectory: `ts.data`, as
-        MDAnalysis does with columns of a LAMMPS dump. Atoms have `ids` (numbers of the grains), `masses` (kg) and
-        `radii` (m); times are in s.
+        MDAnalysis holds positions and velocities in single precision, in which a height of 0.1 m
+        has steps of 7e-9 m and most waves are lost. They are there to draw and select (z up, grain
+        1 at rest at z = 0). To measure, take the columns that the time step carries besides, in
+        double precision and as in this trajectory: `ts.data`, as MDAnalysis does with columns of a
+        LAMMPS dump. Atoms have `ids` (numbers of the grains), `masses` (kg) and `radii` (m); times
+        are in s.
 
         Examples
         --------
@@ -152,25 +159,28 @@ class Trajectory(Shown, Record):
     ) -> Trajectory:
         """Read a LAMMPS dump of `lmpchain deck` or of your own deck as the trajectory of a scene.
 
-        Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms. The
-        column stands along the axis on which they are farthest apart; the gaps between them, which the weight narrows,
-        and their velocities tell whether that axis points up or down. Displacements are the column v_phi where there
-        is one (with z, it points up). Else they are how far a grain has fallen from its height at rest; heights leave
-        fewer digits, and `provenance["precision"]` says what they leave unknown. The error is unknown: its estimate is
-        infinite.
+        Grains are numbered by their heights in the first frame, from the top, whatever the numbers
+        of their atoms. The column stands along the axis on which they are farthest apart; the gaps
+        between them, which the weight narrows, and their velocities tell whether that axis points
+        up or down. Displacements are the column v_phi where there is one (with z, it points up).
+        Else they are how far a grain has fallen from its height at rest; heights leave fewer
+        digits, and `provenance["precision"]` says what they leave unknown. The error is unknown:
+        its estimate is infinite.
 
-        Frames that a restarted run wrote twice are read once, the last time; a frame that a kill cut short, not at all.
+        Frames that a restarted run wrote twice are read once, the last time; a frame that a kill
+        cut short, not at all.
 
         Parameters
         ----------
         path : path
-            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z, or id xu yu zu, and vz
-            (vx, vy for a column along x, y), and v_phi if it can be had, in any order; a frame a sample of the scene.
+            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z, or
+            id xu yu zu, and vz (vx, vy for a column along x, y), and v_phi if it can be had, in any
+            order; a frame a sample of the scene.
         scene : Scene
             The one that the dump was made for.
         equilibrium : (N,) array, optional
-            Heights z of the grains at rest, m, from the top. By default they follow from the first frame, which
-            differs from rest by the displacement that the scene starts with.
+            Heights z of the grains at rest, m, from the top. By default they follow from the first
+            frame, which differs from rest by the displacement that the scene starts with.
         axis : "x", "y" or "z", optional
             Along which the column stands, if the first frame does not say it.
 
@@ -187,31 +197,23 @@ class Trajectory(Shown, Record):
     def load(cls, path: str | PathLike[str]) -> Trajectory:
         """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
 
-        The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run, the complete samples
-        are returned with the error estimate so far, relative to the motion so far, or infinite if that is not known.
+        The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run,
+        the complete samples are returned with the error estimate so far, relative to the motion so
+        far, or infinite if that is not known.
         """
         from . import netcdf, zarr_store
 
         path = Path(path)
         folder = os.path.isdir(path)  # never raises
         if folder and not (path / zarr_store.NAME).is_dir():
-            raise InputError(
-                [
-                    (
-                        str(path),
-                        "is a folder without a run in it, or with one that has no samples yet",
-                    )
-                ]
+            raise InputError.at(
+                str(path), "is a folder without a run in it, or with one that has no samples yet"
             )
         if not folder and not os.path.isfile(path):
             there = os.path.lexists(path)
-            raise InputError(
-                [
-                    (
-                        str(path),
-                        "is no file, but a device or a pipe" if there else "there is no such file",
-                    )
-                ]
+            raise InputError.at(
+                str(path),
+                "is no file, but a device or a pipe" if there else "there is no such file",
             )
         try:
             about, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
@@ -231,11 +233,7 @@ class Trajectory(Shown, Record):
                 **told(about),
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
-            raise InputError(
-                [
-                    (
-                        str(path),
-                        f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})",
-                    )
-                ]
+            raise InputError.at(
+                str(path),
+                f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})",
             ) from None

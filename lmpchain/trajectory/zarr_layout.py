@@ -1,6 +1,7 @@
 """How the arrays of a run folder lie in their Zarr store, and the check that a store is laid out so.
 
-The check reads plain JSON and file names only: no codec is made and no chunk opened before it has passed.
+The check reads plain JSON and file names only: no codec is made and no chunk opened before it has
+passed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from ..util.files import check_readable
 from .record import FIELDS, KINDS, shapes
 
 SAMPLES = 16  # in a shard, or a multiple that fills a chunk
-WIDTH = 12_500  # grains in a chunk at most: one grain's trace and one snapshot are then both read in some 20 ms
+# grains in a chunk at most: one grain's trace and one snapshot are then both read in some 20 ms
+WIDTH = 12_500
 TIMES = 65_536  # in a chunk at least
 LARGEST_METADATA = 2**30  # bytes
 MOST_SHRUNK = 1000  # times, that numbers which count up are by their codecs
@@ -30,12 +32,7 @@ KEYS = {
     "fill_value",
     "codecs",
     "attributes",
-} | {
-    "dimension_names",
-    "zarr_format",
-    "node_type",
-    "storage_transformers",
-}
+} | {"dimension_names", "zarr_format", "node_type", "storage_transformers"}
 Piece = tuple[int, ...]
 
 
@@ -44,9 +41,8 @@ def pieces(samples: int, grains: int) -> dict[str, Piece]:
     parts = math.ceil(grains / WIDTH)
     width = math.ceil(grains / parts)
     rows = SAMPLES * math.ceil(min(samples / SAMPLES, WIDTH / grains))
-    times = rows * math.ceil(
-        TIMES / rows
-    )  # so that the times of a shard lie in one chunk, replaced atomically
+    # so that the times of a shard lie in one chunk, replaced atomically
+    times = rows * math.ceil(TIMES / rows)
     shard = (rows, width * parts)
     return {
         "time": (min(times, samples),),
@@ -79,7 +75,8 @@ def metadata(node: Path) -> dict[str, Any]:
 
 def check(store: Path, scene: Scene) -> None:
     """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
-    every, sizes = shapes(scene), stores(scene)
+    every = shapes(scene)
+    sizes = stores(scene)
     if (
         metadata(store).get("node_type") != "group"
         or {p.name for p in store.iterdir() if p.is_dir()} - every.keys()

@@ -1,7 +1,8 @@
 """Trajectories as Zarr stores that can be read while they grow, in whole shards.
 
-The length of every array is fixed beforehand, and its values are NaN until they are known. A sample is complete when
-its time is there, which is written last. Zarr moves every file into place, so a kill leaves none half written.
+The length of every array is fixed beforehand, and its values are NaN until they are known. A sample
+is complete when its time is there, which is written last. Zarr moves every file into place, so a
+kill leaves none half written.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     from zarr.codecs import BloscCodec, Crc32cCodec
 
     group = zarr.open_group(folder / NAME, mode="w", zarr_format=3, attributes=dict(attributes))
-    samples, grains = scene.samples, scene.recorded.size
+    samples = scene.samples
+    grains = scene.recorded.size
     sizes = pieces(samples, grains)
     shrunk: Any = {
         "compressors": [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]
@@ -80,9 +82,8 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
             attributes=kind.labels,
             **unknown,
         )
-    with warnings.catch_warnings(
-        action="ignore"
-    ):  # consolidated metadata, which xarray reads first
+    # consolidated metadata, which xarray reads first
+    with warnings.catch_warnings(action="ignore"):
         zarr.consolidate_metadata(folder / NAME)
 
 
@@ -115,7 +116,8 @@ class Writer:
     def put(self, block: Block) -> None:
         """Append samples; full shards are written to the disk."""
         fields = block.displacement[0], block.velocity[0]
-        done, count = 0, len(fields[0])
+        done = 0
+        count = len(fields[0])
         while done < count:
             row = self._end - self._first
             taken = min(self._rows - row, count - done)
@@ -173,8 +175,9 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
 def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     """Return metadata, scene and arrays of the complete samples of a store; fields are read on demand.
 
-    Of a run that is not finished, the error is the estimate so far, or infinite if more samples are there than it is
-    of. Foreign or damaged stores raise whatever comes first, before any of their arrays is opened.
+    Of a run that is not finished, the error is the estimate so far, or infinite if more samples are
+    there than it is of. Foreign or damaged stores raise whatever comes first, before any of their
+    arrays is opened.
     """
     import xarray
 
@@ -215,12 +218,10 @@ class OnDisk(NDArrayOperatorsMixin):
 
     def __init__(self, variable: xarray.Variable):
         self.variable = variable
-        self.shape, self.dtype, self.ndim, self.size = (
-            variable.shape,
-            variable.dtype,
-            variable.ndim,
-            variable.size,
-        )
+        self.shape = variable.shape
+        self.dtype = variable.dtype
+        self.ndim = variable.ndim
+        self.size = variable.size
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -230,9 +231,8 @@ class OnDisk(NDArrayOperatorsMixin):
         fancy = [
             part for part in keys if not isinstance(part, int | np.integer | slice | EllipsisType)
         ]
-        if len(fancy) > 1 or any(
-            np.ndim(part) != 1 for part in fancy
-        ):  # rules of xarray and numpy differ
+        # rules of xarray and numpy differ
+        if len(fancy) > 1 or any(np.ndim(part) != 1 for part in fancy):
             return np.asarray(self)[key]
         return self._read(self.variable[key])
 
@@ -248,7 +248,7 @@ class OnDisk(NDArrayOperatorsMixin):
             if np.isfinite(values).all():
                 return values
             why = "samples are not there"
-        raise InputError([(NAME, f"was damaged and cannot be read: {why}; run the scene anew")])
+        raise InputError.at(NAME, f"was damaged and cannot be read: {why}; run the scene anew")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         read = (np.asarray(value) if isinstance(value, OnDisk) else value for value in inputs)

@@ -18,9 +18,10 @@ from numba.core.bytecode import FunctionIdentity
 from numba.core.event import Event, Listener, register
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
-# numba counts from 1 what each process compiles, to tell functions of one name apart. What two processes have kept may
-# then have the same names, and one that loads both calls one for the other: a force of another exponent, or a step of
-# another method (https://github.com/numba/numba/issues/10486). Random numbers differ in forks, too.
+# numba counts from 1 what each process compiles, to tell functions of one name apart. What two
+# processes have kept may then have the same names, and one that loads both calls one for the other:
+# a force of another exponent, or a step of another method
+# (https://github.com/numba/numba/issues/10486). Random numbers differ in forks, too.
 FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
 
 _news: dict[Callable, str] = {}  # message for the compilation of each function
@@ -44,7 +45,8 @@ class _Stopwatch(Listener, threading.local):
     """Add up, thread by thread, how long compilations and the loading of kept results take."""
 
     def __init__(self) -> None:
-        self.depth, self.total_s = 0, 0.0
+        self.depth = 0
+        self.total_s = 0.0
 
     def on_start(self, event: Event) -> None:
         if self.depth == 0:
@@ -75,7 +77,8 @@ def clock() -> float:
 @cache
 def _sources(module: Path) -> str:
     """Return a hash of a module, of what it imports from its folder, at any depth, and of this module."""
-    known, waiting = {}, [module, Path(__file__)]
+    known = {}
+    waiting = [module, Path(__file__)]
     while waiting:
         path = waiting.pop()
         if path not in known and path.exists():
@@ -89,9 +92,9 @@ def _sources(module: Path) -> str:
 def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
     """Return a decorator for `numba.njit` with a persistent cache and a message on stderr.
 
-    The result is kept beside the source; if that folder may not be written to, in the user's cache or in
-    NUMBA_CACHE_DIR. It is used until the module changes, or one beside it that it imports. Where nothing can be kept,
-    every process compiles anew.
+    The result is kept beside the source; if that folder may not be written to, in the user's cache
+    or in NUMBA_CACHE_DIR. It is used until the module changes, or one beside it that it imports.
+    Where nothing can be kept, every process compiles anew.
 
     Parameters
     ----------
@@ -107,7 +110,8 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
         when = "once for this machine"
         try:
             made = numba.njit(cache=True, **options)(function)
-            # numba checks only the source of this function's module, but it may call modules beside it
+            # numba checks only the source of this function's module, but it may call modules beside
+            # it
             kept: Any = made._cache._cache_file
             kept._source_stamp = kept._source_stamp, _sources(Path(function.__code__.co_filename))
         except RuntimeError:

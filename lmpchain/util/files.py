@@ -28,8 +28,8 @@ from ..errors import InputError
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` on success, remove it on failure.
 
-    File and name are flushed to the disk. Raises `OSError` as it comes. What a kill leaves behind in a folder, the next
-    process removes that writes there.
+    File and name are flushed to the disk. Raises `OSError` as it comes. What a kill leaves behind
+    in a folder, the next process removes that writes there.
     """
     _sweep(path.parent.absolute())
     writer = f"{platform.node()}-{os.getpid()}"
@@ -104,12 +104,12 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
     path = Path(path)
     try:
         if path.exists() and not path.is_file():
-            raise InputError([(str(path), "is a folder or a device; name a file")])
+            raise InputError.at(str(path), "is a folder or a device; name a file")
         with replacing(path) as aside:
             yield aside
     except (OSError, RuntimeError) as error:  # HDF5 reports a full disk as either
         reason = getattr(error, "strerror", None) or error
-        raise InputError([(str(path), f"cannot be written: {reason}")]) from error
+        raise InputError.at(str(path), f"cannot be written: {reason}") from error
 
 
 def seal(content: Any) -> bytes:
@@ -124,7 +124,8 @@ def check_seal(path: Path) -> None:
     """
     if not path.stat().st_size:
         return
-    content, length = np.memmap(path, np.uint8, "r"), len(seal(b""))
+    content = np.memmap(path, np.uint8, "r")
+    length = len(seal(b""))
     end = content[-length:].tobytes()
     if SEAL in end and end != seal(content[:-length]):
         raise ValueError("it is not as it was written")
@@ -166,7 +167,7 @@ def make_folder(path: str | PathLike[str]) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            [(str(path), f"is no folder and cannot be made one: {error.strerror}")]
+        raise InputError.at(
+            str(path), f"is no folder and cannot be made one: {error.strerror}"
         ) from None
     return path

@@ -12,7 +12,8 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-SHARED, NAMES = Path("/dev/shm"), "mpich_shm_"
+SHARED = Path("/dev/shm")
+NAMES = "mpich_shm_"
 TEMPORARY = Path("/tmp")  # MPICH does not look at TMPDIR
 OLD_S = 60.0  # by then every rank of a run has started
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
@@ -21,8 +22,8 @@ PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 def unname_shared_memory() -> None:
     """Remove the name of the shared memory of MPI, which lives on without as long as a process uses it.
 
-    Only once all processes that share it have attached to it. MPICH itself removes it at the end, which a kill takes
-    away.
+    Only once all processes that share it have attached to it. MPICH itself removes it at the end,
+    which a kill takes away.
     """
     for name in _used([Path("/proc/self")]):
         if name.startswith(NAMES):
@@ -33,7 +34,8 @@ def unname_shared_memory() -> None:
 def sweep() -> None:
     """Remove what killed runs of this user have left of MPI: shared memory, files of its launcher.
 
-    A rank that starts later than `OLD_S` after its launcher finds out by itself what that file says.
+    A rank that starts later than `OLD_S` after its launcher finds out by itself what that file
+    says.
     """
     left = []
     for names in (SHARED / NAMES, SHARED / "ucx_shm_posix_", TEMPORARY / "hydra_hwloc_xmlfile_"):

@@ -20,8 +20,8 @@ def _controller() -> ThreadpoolController:
 def in_one_thread(function: Callable[P, T]) -> Callable[P, T]:
     """Return a function whose linear algebra runs in one thread.
 
-    Several are of no use to matrices of some hundred rows, and wait for each other where a machine is busy: 240 ms in
-    place of 2 ms for the eigenvalues of 99 x 99 numbers.
+    Several are of no use to matrices of some hundred rows, and wait for each other where a machine
+    is busy: 240 ms in place of 2 ms for the eigenvalues of 99 x 99 numbers.
     """
 
     @wraps(function)

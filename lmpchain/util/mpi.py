@@ -32,11 +32,12 @@ def join() -> Any:
     EngineUnavailable
         If the processes do not see each other.
     """
-    count, world = launched(), library().COMM_WORLD
+    count = launched()
+    world = library().COMM_WORLD
     if world.size != count:
         raise EngineUnavailable(
-            f"mpirun has started {count} processes, but MPI sees {world.size}: it belongs to another MPI than LAMMPS "
-            f"does; use {launcher()}"
+            f"mpirun has started {count} processes, but MPI sees {world.size}: it belongs to "
+            f"another MPI than LAMMPS does; use {launcher()}"
         )
     settle(world)
     _joined[:] = [world]
@@ -62,7 +63,8 @@ def alone() -> Any:
 def library() -> Any:
     """Return mpi4py's MPI; raises `EngineUnavailable` with the cure if it cannot be loaded."""
     if launched() > 1:
-        end_with_parent()  # MPI waits for ever where launcher and peers are killed while it starts or ends
+        # MPI waits for ever where launcher and peers are killed while it starts or ends
+        end_with_parent()
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:

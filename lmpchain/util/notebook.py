@@ -16,11 +16,10 @@ import numpy as np
 
 from ..errors import LmpchainError
 
-LINE, CELL, FEW = (
-    60,
-    90,
-    4,
-)  # letters of a value in a line and in a table; values that are shown one by one
+# letters of a value in a line and in a table; values that are shown one by one
+LINE = 60
+CELL = 90
+FEW = 4
 STYLE = "text-align:left;vertical-align:top;padding:2px 12px 2px 0"
 
 
@@ -65,8 +64,12 @@ class Shown:
             for row in self._summary()
         )
         table = f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
-        name, drawn = escape(type(self).__name__), self._picture()
-        picture = f'<img alt="{name}" style="width:30em;max-width:100%" src="data:image/png;base64,{drawn}">'
+        name = escape(type(self).__name__)
+        drawn = self._picture()
+        picture = (
+            f'<img alt="{name}" style="width:30em;max-width:100%" '
+            f'src="data:image/png;base64,{drawn}">'
+        )
         return f"<div><b>{name}</b>{table}{picture if drawn else ''}</div>"
 
 

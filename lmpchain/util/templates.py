@@ -45,7 +45,8 @@ class _Closed(ImmutableSandboxedEnvironment):
 def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
     """Fill in a template of the package; a missing value is an error, and HTML is escaped.
 
-    Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed` nothing is read.
+    Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed`
+    nothing is read.
     """
     environment = _Closed(closed, autoescape=name.endswith(".html"))
     return environment.get_template(name).render(version=version("lmpchain"), **values)
@@ -61,7 +62,8 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
     InputError
         Under `key`, if it names what there is not, or does what it may not.
     """
-    environment, values = _Closed(closed), {"version": version("lmpchain"), **values}
+    environment = _Closed(closed)
+    values = {"version": version("lmpchain"), **values}
     try:
         unknown = (
             find_undeclared_variables(environment.parse(text))
@@ -71,19 +73,20 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
         if not unknown:
             return environment.from_string(text).render(values)
     except TemplateSyntaxError as error:
-        raise InputError(
-            [(key, f"line {error.lineno} is not in the form of Jinja2: {error.message}")]
+        raise InputError.at(
+            key, f"line {error.lineno} is not in the form of Jinja2: {error.message}"
         ) from None
     except TemplateNotFound as error:
         known = ", ".join(environment.list_templates())
-        raise InputError(
-            [(key, f"can include no {shown(error.name)}; there are {known}")]
-        ) from None
+        raise InputError.at(key, f"can include no {shown(error.name)}; there are {known}") from None
     except SecurityError:
-        why = "it may read the values that it is given, and call range and macros of its own, nothing else"
-        raise InputError([(key, f"asks for something that is closed to it: {why}")]) from None
+        why = (
+            "it may read the values that it is given, and call range and macros of its own, "
+            "nothing else"
+        )
+        raise InputError.at(key, f"asks for something that is closed to it: {why}") from None
     except Exception as error:  # whatever the expressions of a template raise
-        raise InputError([(key, f"cannot be filled in: {short(error)}")]) from None
+        raise InputError.at(key, f"cannot be filled in: {short(error)}") from None
     known = ", ".join(sorted(values))
     raise InputError(
         [

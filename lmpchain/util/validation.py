@@ -24,7 +24,8 @@ NOT_GIVEN: Any = None  # default of array fields that are filled in when they ar
 class Checked(Shown, BaseModel):
     """A frozen value that raises `InputError` with every fault on construction.
 
-    A changed copy comes from `replace`, which checks it; no other way lets a value through unchecked.
+    A changed copy comes from `replace`, which checks it; no other way lets a value through
+    unchecked.
     """
 
     model_config = ConfigDict(
@@ -65,8 +66,8 @@ class Checked(Shown, BaseModel):
         names = self._names
         if values:
             if len(values) > len(names):
-                raise InputError(
-                    [("", f"takes {', '.join(names)}: {len(values)} values are too many")]
+                raise InputError.at(
+                    "", f"takes {', '.join(names)}: {len(values)} values are too many"
                 )
             data = dict(zip(names, values, strict=False)) | data
         known = {key: value for key, value in data.items() if key in names}
@@ -121,21 +122,16 @@ class Checked(Shown, BaseModel):
         """Return this value; other fields come from `replace`."""
         update = options.pop("update", None)
         if any(value is not None for key, value in options.items() if key != "deep"):
-            raise InputError(
-                [("copy", "copies whole values: use .replace(...) for one with other fields")]
+            raise InputError.at(
+                "copy", "copies whole values: use .replace(...) for one with other fields"
             )
         return self.model_copy(update=update)
 
     @classmethod
     def model_construct(cls, *_: Any, **__: Any) -> NoReturn:  # type: ignore[override]
         """Raise `InputError`: nothing is made unchecked."""
-        raise InputError(
-            [
-                (
-                    cls.__name__,
-                    f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one",
-                )
-            ]
+        raise InputError.at(
+            cls.__name__, f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one"
         )
 
     @classmethod
@@ -163,13 +159,13 @@ class Checked(Shown, BaseModel):
         return made
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise InputError(
-            [(name, f"cannot be changed: use .replace({name}=...), which returns a checked copy")]
+        raise InputError.at(
+            name, f"cannot be changed: use .replace({name}=...), which returns a checked copy"
         )
 
     def __delattr__(self, name: str) -> None:
-        raise InputError(
-            [(name, "cannot be taken away: use .replace(...), which returns a checked copy")]
+        raise InputError.at(
+            name, "cannot be taken away: use .replace(...), which returns a checked copy"
         )
 
     def __getstate__(self) -> dict[Any, Any]:
@@ -253,7 +249,9 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
     """Yield (key, message) for every fault pydantic found, in the words of a physicist."""
     for fault in error.errors():
         key = ".".join(str(part) for part in fault["loc"])
-        kind, value, limits = fault["type"], fault["input"], fault.get("ctx", {})
+        kind = fault["type"]
+        value = fault["input"]
+        limits = fault.get("ctx", {})
         got = (
             shown(value)
             if isinstance(value, bool | int | float | str | list)
@@ -278,9 +276,8 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
         elif kind == "literal_error":
             meant = did_you_mean(value, re.findall("'(.*?)'", limits["expected"]))
             message = f"must be {limits['expected']} (got {got}){meant}"
-        elif kind == "value_error" and isinstance(
-            limits["error"], InputError
-        ):  # a value inside this one
+        # a value inside this one
+        elif kind == "value_error" and isinstance(limits["error"], InputError):
             yield from limits["error"].under(key)
             continue
         elif kind == "value_error":

@@ -42,9 +42,9 @@ class Column:
     ----------
     scene : Scene
     gauge : float
-        Diameter to draw all grains with, m, or 0 for the physical ones. Only overlaps enter the force, and
-        the round-off of a height is proportional to the height, so a gauge diameter of a few times the
-        largest overlap of the run lowers the round-off of the run in proportion.
+        Diameter to draw all grains with, m, or 0 for the physical ones. Only overlaps enter the
+        force, and the round-off of a height is proportional to the height, so a gauge diameter of a
+        few times the largest overlap of the run lowers the round-off of the run in proportion.
     pair_style : str
         One of `PAIR_STYLES`.
     remarks : tuple of str
@@ -143,7 +143,8 @@ class Column:
         """Lower and upper bound in x and y, and in z, m."""
         z, _ = self.start
         side = float(self.diameters.max() + self.skin)
-        # no wider than the column, so that ranks share it evenly; grains may leave, for lists are never renewed
+        # no wider than the column, so that ranks share it evenly; grains may leave, for lists are
+        # never renewed
         return -side, side, float(z.min() - side), float(z.max() + side)
 
     @cached_property
@@ -175,8 +176,9 @@ class Column:
     def _typed(self) -> tuple[list[int], dict[tuple[int, int], float]]:
         """Types of the grains, and the constant that LAMMPS needs for every pair of types that touches.
 
-        A grain takes a type whose pair with the grain above has the right constant already; or else the
-        type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2 N) types.
+        A grain takes a type whose pair with the grain above has the right constant already; or else
+        the type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2
+        N) types.
         """
         chain = self.chain
         constants = chain.contact_constants
@@ -185,9 +187,8 @@ class Column:
             constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
         most = MOST_TYPES if self.pair_style == "granular" else 1
         pairs: dict[tuple[int, int], float] = {}
-        partners: dict[int, dict[int, float]] = {
-            1: {}
-        }  # of each type: the types it touches, and the constants
+        # of each type: the types it touches, and the constants
+        partners: dict[int, dict[int, float]] = {1: {}}
         types = [1]
         for constant in constants.tolist():
             above = types[-1]
@@ -204,14 +205,10 @@ class Column:
                 cure = (
                     "the engine native" if most > 1 else "pair_style granular or the engine native"
                 )
-                raise InputError(
-                    [
-                        (
-                            "contact_constants",
-                            f"contact {len(types)} differs from those above it, and {most} grain type(s) cannot "
-                            f"express that in pair_style {self.pair_style}; use {cure}",
-                        )
-                    ]
+                raise InputError.at(
+                    "contact_constants",
+                    f"contact {len(types)} differs from those above it, and {most} grain type(s) "
+                    f"cannot express that in pair_style {self.pair_style}; use {cure}",
                 )
             partners.setdefault(below, {})
             partners[above].setdefault(below, constant)

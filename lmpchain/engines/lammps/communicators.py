@@ -1,7 +1,7 @@
 """Communicators of a LAMMPS run: this process alone, or the ranks of an MPI world.
 
-One process leads: it asks for something by name, every rank does it, and the answers of all come back. The others
-only follow, so nothing outside this module knows of ranks.
+One process leads: it asks for something by name, every rank does it, and the answers of all come
+back. The others only follow, so nothing outside this module knows of ranks.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ class MpiRanks:
     """All processes of an MPI world, led by rank 0."""
 
     def __init__(self, world: Any, log: str):
-        self._world, self.ranks = world, world.size
+        self._world = world
+        self.ranks = world.size
         self._held: list[Worker] = []
         self.ask("open", log)
 

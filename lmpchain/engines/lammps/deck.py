@@ -21,7 +21,8 @@ from .column import Column
 from .worker import deck_steps
 
 OWN_RUN = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
-# the names of materials are the only free text of a scene: what came with a scene file stays out of decks
+# the names of materials are the only free text of a scene: what came with a scene file stays out of
+# decks
 CLOSED = (Material,)
 
 
@@ -29,15 +30,15 @@ def own_text(key: str, path: str | PathLike[str]) -> str:
     """Return the text of a file of the user's; raises `InputError` under `key`."""
     path = Path(path)
     if not path.is_file():
-        raise InputError([(key, f"there is no file {path}")])
+        raise InputError.at(key, f"there is no file {path}")
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError([(key, f"{path} cannot be read: {error.strerror}")]) from None
+        raise InputError.at(key, f"{path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
-        raise InputError([(key, f"{path} is not text in UTF-8")])
+        raise InputError.at(key, f"{path} is not text in UTF-8")
     return text
 
 
@@ -45,8 +46,8 @@ def refuse_own_run(key: str, text: str, cure: str) -> None:
     """Raise `InputError` if commands of the user run the column or end LAMMPS, which comes after them."""
     for number, line in enumerate(text.splitlines(), 1):
         if match := OWN_RUN.search(line):
-            raise InputError(
-                [(key, f"the command {match[1]} (line {number}) cannot be used here: {cure}")]
+            raise InputError.at(
+                key, f"the command {match[1]} (line {number}) cannot be used here: {cure}"
             )
 
 
@@ -68,8 +69,8 @@ def check_template(column: Column, splitting: Splitting) -> None:
 def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) -> Path:
     """Write `in.column`, which runs by itself."""
     if splitting.order > 2 and column.scene.excitation.does_work:
-        raise InputError(
-            [("integrator", "a deck can carry a drive or a force with verlet only; use that")]
+        raise InputError.at(
+            "integrator", "a deck can carry a drive or a force with verlet only; use that"
         )
     text = _filled(column, step, splitting, data="column.data", alone=True)
     path = folder / "in.column"
@@ -97,8 +98,8 @@ def kicked_by_force(scene: Scene, splitting: Splitting) -> bool:
 def check_carried(splitting: Splitting, key: str) -> None:
     """Raise `InputError` under this key if a deck cannot carry the splitting."""
     if not carries(splitting):
-        raise InputError(
-            [(key, f"a deck cannot carry the kicks of {splitting.name}; use verlet or kahan-li6")]
+        raise InputError.at(
+            key, f"a deck cannot carry the kicks of {splitting.name}; use verlet or kahan-li6"
         )
 
 
@@ -149,7 +150,8 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         "integrator": splitting.name,
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
-        # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside
+        # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from
+        # outside
         "fix": "nve"
         if carries(splitting) and not kicked_by_force(scene, splitting)
         else "nve/noforce",
@@ -164,7 +166,7 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         return render("in.column", CLOSED, **values)
     text = render_text(column.template, "template", CLOSED, **values)
     if column.include not in text:
-        raise InputError(
-            [("include", "the template has no place for it: put {{ include }} where it belongs")]
+        raise InputError.at(
+            "include", "the template has no place for it: put {{ include }} where it belongs"
         )
     return text

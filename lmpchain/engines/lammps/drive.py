@@ -1,9 +1,9 @@
 """What acts on a column in LAMMPS during a run: formulas that it evaluates at every step.
 
-A grain follows its path by `fix move variable`, a wall is a region that moves, a force is that of `fix addforce`.
-LAMMPS evaluates the formulas in double precision at its own times, `step*dt`: they are right to 1e-16 (1 + omega t) of
-their amplitude. That is velocity Verlet; with methods of several drifts the values come from outside, at the times of
-the method.
+A grain follows its path by `fix move variable`, a wall is a region that moves, a force is that of
+`fix addforce`. LAMMPS evaluates the formulas in double precision at its own times, `step*dt`: they
+are right to 1e-16 (1 + omega t) of their amplitude. That is velocity Verlet; with methods of
+several drifts the values come from outside, at the times of the method.
 """
 
 from __future__ import annotations

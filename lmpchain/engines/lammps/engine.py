@@ -30,7 +30,9 @@ from .column import PAIR_STYLES, Column
 from .launch import gather
 from .stepper import LammpsStepper, word
 
-LOG, DECK = "log.lammps", "deck"  # in a run folder
+# in a run folder
+LOG = "log.lammps"
+DECK = "deck"
 UNKEPT = ("keep", "template", "include")  # options with which a run cannot go on in another process
 DIAMETERS = ("auto", "physical", "gauge")
 # analysis/calibration/roundoff.py measures the next three
@@ -62,15 +64,16 @@ class Lammps(TimeSteppingEngine):
         Folder that keeps the deck, the data file, LAMMPS's log and a dump of the last run (not for
         "rkn6", which no deck can carry).
     ranks : int, optional
-        MPI ranks that share the column, started for the run; by default those of a surrounding mpirun, or one.
-        The answer is the same to the last bit.
+        MPI ranks that share the column, started for the run; by default those of a surrounding
+        mpirun, or one. The answer is the same to the last bit.
     template : path, optional
-        File that takes the place of `templates/in.column`: LAMMPS commands with the placeholders named there, for
-        Jinja2 in a sandbox. Dump and run commands come from `{% include "run.column" %}`, which is empty where
-        the library runs the column, as here; so it may have none of its own.
+        File that takes the place of `templates/in.column`: LAMMPS commands with the placeholders
+        named there, for Jinja2 in a sandbox. Dump and run commands come from `{% include
+        "run.column" %}`, which is empty where the library runs the column, as here; so it may have
+        none of its own.
     include : path, optional
-        File of LAMMPS commands, taken as they stand, at the end of the set-up: fixes, computes, dumps. What it does
-        to the motion is not in the scene, and shows as an error of the answer.
+        File of LAMMPS commands, taken as they stand, at the end of the set-up: fixes, computes,
+        dumps. What it does to the motion is not in the scene, and shows as an error of the answer.
 
     Raises
     ------
@@ -107,12 +110,13 @@ class Lammps(TimeSteppingEngine):
             ("pair_style", pair_style, PAIR_STYLES),
         ):
             if value not in known:
-                raise InputError([(key, not_among(value, known))])
-        self.diameter, self.pair_style = diameter, pair_style
+                raise InputError.at(key, not_among(value, known))
+        self.diameter = diameter
+        self.pair_style = pair_style
         if ranks is not None and (
             isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1
         ):
-            raise InputError([("ranks", f"must be a whole number from 1 (got {shown(ranks)})")])
+            raise InputError.at("ranks", f"must be a whole number from 1 (got {shown(ranks)})")
         self.ranks = ranks
         self.splitting = SPLITTINGS[self.integrator]
         for key, given in (("keep", keep), ("template", template), ("include", include)):
@@ -133,7 +137,10 @@ class Lammps(TimeSteppingEngine):
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         if scene.chain.exponent not in exponents:
             known = " and ".join(f"{e:g}" for e in exponents)
-            why = f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); use the engine native"
+            why = (
+                f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); "
+                "use the engine native"
+            )
             return [("exponent", why)]
         if (self.ranks or 1) > scene.chain.grains:
             return [
@@ -179,12 +186,12 @@ class Lammps(TimeSteppingEngine):
             elif self.splitting.order == 2:
                 cure = f'integrator "rkn6" needs far fewer steps, and {cure}'
             raise ToleranceNotMet(
-                f"LAMMPS holds heights in double precision, which leaves an error of about {floor:.1g} here, "
-                f"above the tolerance of {tolerance:.1g}: {cure}"
+                "LAMMPS holds heights in double precision, which leaves an error of about "
+                f"{floor:.1g} here, above the tolerance of {tolerance:.1g}: {cure}"
             )
         why = (
-            f"round-off in heights leaves about {physical:.1g} with the physical diameter, {gauge:.1g} with the gauge "
-            f"diameter; {tolerance:.1g} is asked for"
+            f"round-off in heights leaves about {physical:.1g} with the physical diameter, "
+            f"{gauge:.1g} with the gauge diameter; {tolerance:.1g} is asked for"
         )
         choices = _choices(small if wants_gauge else 0.0, why) | {"gauge_m": repr(small)}
         error = trial.error.truncation + floor
@@ -241,8 +248,11 @@ class Lammps(TimeSteppingEngine):
         state: Mapping[str, Array],
     ) -> LammpsStepper:
         """Make the stepper of the answer."""
-        (scene,), own = scenes, schedules[0]  # one instance, one chain
-        column, log = self.column(scene, candidate), "none"
+        # one instance, one chain
+        (scene,) = scenes
+        own = schedules[0]
+        column = self.column(scene, candidate)
+        log = "none"
         if self.keep is not None:
             log = word(self.keep / "log.lammps")
             make_folder(self.keep)
@@ -275,16 +285,21 @@ class Lammps(TimeSteppingEngine):
         Raises
         ------
         InputError
-            If it keeps files of LAMMPS or runs commands of the user, which may hold a state of their own.
+            If it keeps files of LAMMPS or runs commands of the user, which may hold a state of
+            their own.
         """
-        why = "LAMMPS cannot go on after a stop with what it keeps for it; leave it out with a run folder"
+        why = (
+            "LAMMPS cannot go on after a stop with what it keeps for it; leave it out with a run "
+            "folder"
+        )
         if faults := [(key, why) for key in UNKEPT if getattr(self, key)]:
             raise InputError(faults)
         return {key: value for key, value in super().options().items() if key not in UNKEPT}
 
     def prepare(self, folder: Path) -> Self:
         """Return an engine whose LAMMPS adds what it says to a log in this run folder."""
-        prepared, log = super().prepare(folder), folder / LOG
+        prepared = super().prepare(folder)
+        log = folder / LOG
         try:
             word(log)
         except InputError as error:
@@ -310,7 +325,8 @@ class Lammps(TimeSteppingEngine):
     def write_deck(self, scene: Scene, tolerance: float, folder: Path) -> Path:
         """Write a deck that runs by itself, and its data file; return the deck.
 
-        Where round-off in heights keeps the tolerance out of reach, it is written for the error that can be had.
+        Where round-off in heights keeps the tolerance out of reach, it is written for the error
+        that can be had.
         """
         candidate, _, refusal = loosened(partial(self.candidate, self.part(scene)), tolerance)
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
@@ -342,7 +358,8 @@ def _reached(run: Run) -> tuple[Array, float]:
 def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """Return the gauge diameter, m, or 0 where the grains are no larger than that.
 
-    It is a few times the largest overlap: a rigorous bound, or, where the excitation does work, what a trial has seen.
+    It is a few times the largest overlap: a rigorous bound, or, where the excitation does work,
+    what a trial has seen.
     """
     contacts = scene.chain.contacts
     known = not scene.excitation.does_work

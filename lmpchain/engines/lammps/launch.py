@@ -20,13 +20,8 @@ def gather(ranks: int | None, log: str) -> Communicator:
     """
     world = mpi.joined()
     if mpi.launched() > 1 and ranks not in (None, 1 if world is None else world.size):
-        raise InputError(
-            [
-                (
-                    "ranks",
-                    f"mpirun has started {mpi.launched()} processes; leave the number of ranks out",
-                )
-            ]
+        raise InputError.at(
+            "ranks", f"mpirun has started {mpi.launched()} processes; leave the number of ranks out"
         )
     if world:
         return MpiRanks(world, log)

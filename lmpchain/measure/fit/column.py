@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 INSIDE = 0.5  # travel time over tau up to which the continuum describes the grains
-EARLIEST, LATEST = 5.0, 50.0  # tau between which this region begins
+# tau between which this region begins
+EARLIEST = 5.0
+LATEST = 50.0
 FORERUNNER = 10.0  # widths of the front by which an echo precedes its arrival time
 
 
@@ -41,12 +43,14 @@ class FrontLaw(Shown):
     depth : (P,) array
         h = n - 1/2, in grains.
     time, shift : (P,) arrays
-        Of the largest velocity, and by how much the front of a row of grains lags (0.908 w for Hertz), units of tau.
+        Of the largest velocity, and by how much the front of a row of grains lags (0.908 w for
+        Hertz), units of tau.
     order, exponent, factor, correction : float
         The order is 1/delta + 1/3, the next one after that of the lag.
     error : (3,) array
-        Of exponent, factor and correction: half the 95 % confidence interval, and twice the shift when one more order,
-        higher by 1/delta - 1/3, is fitted too, which is most of the effect of higher orders.
+        Of exponent, factor and correction: half the 95 % confidence interval, and twice the shift
+        when one more order, higher by 1/delta - 1/3, is fitted too, which is most of the effect of
+        higher orders.
     expected : (2,) array
         eta / 2 and 2 / eta, Eq. (9) with its factor.
     """
@@ -86,7 +90,10 @@ class FrontLaw(Shown):
             markersize=4,
             label="less the lag of the grains",
         )
-        law = f"{self.factor:.4f} h^{self.exponent:.4f}, expected {self.expected[1]:.4f} h^{self.expected[0]:.4f}"
+        law = (
+            f"{self.factor:.4f} h^{self.exponent:.4f}, expected {self.expected[1]:.4f} "
+            f"h^{self.expected[0]:.4f}"
+        )
         ax.plot(self.depth, self.law, lw=1, label=law)
         ax.set(
             xscale="log",
@@ -105,8 +112,9 @@ class ContinuumFit(Shown):
     Attributes
     ----------
     amplitude, error : float
-        C, for unit v0 in units of the scene; half its 95 % confidence interval, and three times the shift when only
-        the later half of the samples is used, as for a disturbance that falls as 1/tau.
+        C, for unit v0 in units of the scene; half its 95 % confidence interval, and three times the
+        shift when only the later half of the samples is used, as for a disturbance that falls as
+        1/tau.
     expected : float
         C of `lmpchain.theory.continuum.impulse_amplitude`, 1.155137 for Hertz.
     power : float
@@ -159,8 +167,9 @@ class ContinuumFit(Shown):
 def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSIDE) -> ContinuumFit:
     """Fit amplitude and front law of the continuum, Eqs. (27) and (35), to a struck column.
 
-    The amplitude rests on samples with ``chi <= inside tau`` that no echo from below has reached, later than tau = 50,
-    or, in shorter recordings, half the latest; the front on grains from `first` on, down to where the echo is near.
+    The amplitude rests on samples with ``chi <= inside tau`` that no echo from below has reached,
+    later than tau = 50, or, in shorter recordings, half the latest; the front on grains from
+    `first` on, down to where the echo is near.
 
     Parameters
     ----------
@@ -192,10 +201,11 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     chain = trajectory.scene.chain
     strike = struck_at_the_top(trajectory)
     if not 0 < inside < 1:
-        raise InputError([("inside", f"must be between 0 and 1 (got {shown(inside)})")])
+        raise InputError.at("inside", f"must be between 0 and 1 (got {shown(inside)})")
     delta = chain.exponent
     xi, eta, _ = exponents(delta)
-    tau, travel = trajectory.time / chain.time_scale, chi(trajectory.grains - 0.5, delta)
+    tau = trajectory.time / chain.time_scale
+    travel = chi(trajectory.grains - 0.5, delta)
     end, lag = bottom(chain.grains, delta)
     known = tau[:, None] <= 2 * end - travel - FORERUNNER * lag
     behind = known & (travel <= inside * tau[:, None])
@@ -205,8 +215,8 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     if since < EARLIEST or behind.sum() < 3:
         need = 2.2 * EARLIEST * chain.time_scale
         cure = f"record {need:.2g} s or more, grains near the top, and use more grains"
-        raise InputError(
-            [("duration", f"nothing lies far behind the front and before the echo: {cure}")]
+        raise InputError.at(
+            "duration", f"nothing lies far behind the front and before the echo: {cure}"
         )
     clock = np.broadcast_to(tau[:, None], behind.shape)[behind]
     grain = np.broadcast_to(trajectory.grains, behind.shape)[behind]
@@ -214,7 +224,8 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     shape = peaked(grain - 0.5, clock, 0.0, 1.0, 0.0, delta)
 
     def regress(part: np.ndarray) -> tuple[float, float]:
-        x, y = shape[part], values[part]
+        x = shape[part]
+        y = values[part]
         slope = float(x @ y / (x @ x))
         return slope, float(np.sqrt(((y - slope * x) ** 2).sum() / max(1, x.size - 1) / (x @ x)))
 
@@ -245,11 +256,13 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     n = front.grain
     if n.size < FEWEST:
         return None
-    h, time = n - 0.5, front.time / chain.time_scale
+    h = n - 0.5
+    time = front.time / chain.time_scale
     shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
     if not (time > shift).all():  # noise
         return None
-    order, step = 1 / 3 + 1 / chain.exponent, 1 / chain.exponent - 1 / 3
+    order = 1 / 3 + 1 / chain.exponent
+    step = 1 / chain.exponent - 1 / 3
 
     def law(x: Array, *terms: float) -> Array:
         scale, power, correction, further = (*terms, 0.0)[:4]
@@ -259,7 +272,8 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
             + np.log(np.abs(1 + np.exp(-order * x) * (correction + further * np.exp(-step * x))))
         )
 
-    x, y = np.log(h), np.log(time - shift)
+    x = np.log(h)
+    y = np.log(time - shift)
     try:
         start = np.polyfit(x, y, 1)[::-1]
         parameters, covariance = curve_fit(law, x, y, [*start, 0.0])
@@ -291,8 +305,8 @@ class ExponentFit(Shown):
     Attributes
     ----------
     laws : mapping of str to PowerLaw
-        "velocity" and "displacement", of the largest values; "time", "speed" and "width" of the velocity's maximum.
-        Those that could not be fitted are left out.
+        "velocity" and "displacement", of the largest values; "time", "speed" and "width" of the
+        velocity's maximum. Those that could not be fitted are left out.
     expected : mapping of str to float
         The exponents after a weak strike, at great depth.
     """
@@ -324,7 +338,8 @@ class ExponentFit(Shown):
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:
     """Fit the exponents with which the front of a strike on the top changes with depth.
 
-    Each by `lmpchain.measure.front.asymptotic`: with its confidence interval and the correction for finite depth.
+    Each by `lmpchain.measure.front.asymptotic`: with its confidence interval and the correction for
+    finite depth.
 
     Parameters
     ----------
@@ -340,7 +355,8 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     Raises
     ------
     InputError
-        If the scene is not a uniform column struck at its free top, or fewer than 6 grains show the front.
+        If the scene is not a uniform column struck at its free top, or fewer than 6 grains show the
+        front.
     """
     struck_at_the_top(trajectory)
     delta = trajectory.scene.chain.exponent
@@ -348,8 +364,11 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     p, q = theory.decay(delta)
     velocity = front_before_echo(trajectory, "velocity", first, last)
     if (shown := velocity.grain.size) < FEWEST:
-        need = f"a fit needs it at {FEWEST} or more grains from grain {first} on; this run shows {shown}"
-        raise InputError([("front", f"{need}: record longer")])
+        need = (
+            f"a fit needs it at {FEWEST} or more grains from grain {first} on; this run shows "
+            f"{shown}"
+        )
+        raise InputError.at("front", f"{need}: record longer")
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):  # behind a strong wave the displacement has no maximum
         fronts["displacement"] = (
@@ -357,7 +376,8 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
             front_before_echo(trajectory, "displacement", first, last),
         )
     fronts |= {key: (key, velocity) for key in ("time", "speed", "width")}
-    laws, faults = {}, []
+    laws = {}
+    faults = []
     for name, (quantity, front) in fronts.items():
         try:
             laws[name] = asymptotic(front, quantity, delta)  # type: ignore[arg-type]

@@ -12,20 +12,21 @@ from ...trajectory.trajectory import Trajectory
 from ..front import Front, track
 from ..recorded import Field
 
-QUIET = 1e-6  # least drop behind a front, over the largest motion, if the error of a trajectory is unknown
+# least drop behind a front, over the largest motion, if the error of a trajectory is unknown
+QUIET = 1e-6
 
 
 def front_before_echo(
     trajectory: Trajectory, field: Field, first: int, last: int | None = None
 ) -> Front:
     """Track the front as far as no echo reaches it."""
-    estimate, chain = trajectory.error_estimate, trajectory.scene.chain
+    estimate = trajectory.error_estimate
+    chain = trajectory.scene.chain
     if not np.isfinite(estimate.solver):
         trajectory = replace(trajectory, error_estimate=replace(estimate, solver=QUIET))
     if last is None:
-        last = int(
-            chain.grains - 3 - 2.5 * np.cbrt(chain.grains)
-        )  # some widths of the front, in grains
+        # some widths of the front, in grains
+        last = int(chain.grains - 3 - 2.5 * np.cbrt(chain.grains))
     return track(trajectory, field).between(first, last)
 
 
@@ -38,8 +39,10 @@ def bottom(grains: int, delta: float) -> tuple[float, float]:
 
 def struck_at_the_top(trajectory: Trajectory) -> float:
     """Return the velocity of the strike, m/s; raise `InputError` if the scene is another."""
-    scene, chain = trajectory.scene, trajectory.scene.chain
-    given, faults = scene.excitation, []
+    scene = trajectory.scene
+    chain = trajectory.scene.chain
+    given = scene.excitation
+    faults = []
     if not chain.gravity or chain.top_load:
         faults.append(("gravity", "takes a column under gravity alone, without a top load"))
     if chain.top != "free":

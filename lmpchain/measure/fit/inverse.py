@@ -50,7 +50,8 @@ class Trace:
     values : (T,) or (T, G) array
         m/s, m or N, velocity and displacement positive downward.
     field : "velocity", "displacement" or "force"
-        A force is what a sensor in the grain shows above that at rest: the mean of its two contacts, N.
+        A force is what a sensor in the grain shows above that at rest: the mean of its two
+        contacts, N.
 
     Raises
     ------
@@ -71,15 +72,11 @@ class Trace:
         field: Field = "velocity",
     ):
         try:
-            clock, rows, numbers = (
-                np.array(time, float),
-                np.array(values, float),
-                np.atleast_1d(np.array(grain)),
-            )
+            clock = np.array(time, float)
+            rows = np.array(values, float)
+            numbers = np.atleast_1d(np.array(grain))
         except (TypeError, ValueError):
-            raise InputError(
-                [("values", "time and values must be numbers, without gaps")]
-            ) from None
+            raise InputError.at("values", "time and values must be numbers, without gaps") from None
         rows = rows[:, None] if rows.ndim == 1 else rows
         faults = []
         if field not in get_args(Field):
@@ -178,7 +175,10 @@ class ParameterFit(Shown):
         )
         shown = EngFormatter(UNITS[self.parameter], places=4)
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
-        title = f"{name} {shown(self.value)} ± {EngFormatter(UNITS[self.parameter], places=1)(self.error)} (lines)"
+        title = (
+            f"{name} {shown(self.value)} ± "
+            f"{EngFormatter(UNITS[self.parameter], places=1)(self.error)} (lines)"
+        )
         titled(ax, title)
         legend(ax)
         return ax
@@ -193,18 +193,20 @@ def fit_parameter(
 ) -> ParameterFit:
     """Fit the strike velocity, top load or Young's modulus of a scene to a trace.
 
-    Nine values between 1/span and span times that of the scene are tried, then least squares continues from the
-    best; the solution may lie 2 span away. An oscillation can be matched a period too early or late: start near, or
-    include the arrival of the wave in the trace.
+    Nine values between 1/span and span times that of the scene are tried, then least squares
+    continues from the best; the solution may lie 2 span away. An oscillation can be matched a
+    period too early or late: start near, or include the arrival of the wave in the trace.
 
     Parameters
     ----------
     trace : Trace or Trajectory
-        Of a trajectory, the velocities of all recorded grains are taken; see `Trace.of`. It begins with the strike.
+        Of a trajectory, the velocities of all recorded grains are taken; see `Trace.of`. It begins
+        with the strike.
     scene : Scene
         Everything else that is known; its recording is not used.
     parameter : "velocity", "top_load" or "youngs_modulus"
-        Of an impulse, of the chain, of its material (not that of impurities and walls with one of their own).
+        Of an impulse, of the chain, of its material (not that of impurities and walls with one of
+        their own).
     simulate : callable
         Solver of a scene: `lmpchain.simulate`, or with an engine of your choice
         ``functools.partial(lmpchain.simulate, engine="native", tolerance=1e-9)``.
@@ -218,7 +220,8 @@ def fit_parameter(
     Raises
     ------
     InputError
-        If the scene has no such parameter, lacks a grain of the trace, or the trace does not depend on it.
+        If the scene has no such parameter, lacks a grain of the trace, or the trace does not depend
+        on it.
 
     Examples
     --------
@@ -245,7 +248,8 @@ def fit_parameter(
         return ((model(x[0]) - trace.values) / scale).ravel()
 
     tries = np.geomspace(1 / span, span, TRIES) if span > 1 else np.ones(1)
-    misfit, faults = [], []
+    misfit = []
+    faults = []
     for x in tries:
         try:
             misfit.append(float(np.sum(off(np.array([x])) ** 2)))
@@ -270,23 +274,17 @@ def fit_parameter(
         ftol=1e-15,
         gtol=1e-15,
     )
-    x, slope = float(solution.x[0]), float(np.linalg.norm(solution.jac))
+    x = float(solution.x[0])
+    slope = float(np.linalg.norm(solution.jac))
     if slope < 1e-9:
-        raise InputError(
-            [
-                (
-                    parameter,
-                    "the trace does not depend on it: choose another parameter or another grain",
-                )
-            ]
+        raise InputError.at(
+            parameter, "the trace does not depend on it: choose another parameter or another grain"
         )
     if min(x / bounds[0], bounds[1] / x) < 1 + 1e-6:
-        ends, cure = (
-            [first * x for x in bounds],
-            "start from a value closer to the true one, or use a larger span",
-        )
-        raise InputError(
-            [(parameter, f"no value between {ends[0]:.4g} and {ends[1]:.4g} fits: {cure}")]
+        ends = [first * x for x in bounds]
+        cure = "start from a value closer to the true one, or use a larger span"
+        raise InputError.at(
+            parameter, f"no value between {ends[0]:.4g} and {ends[1]:.4g} fits: {cure}"
         )
     spread = float(np.sqrt(2 * solution.cost / (trace.values.size - 1)) / slope)
     fitted = trace.values + scale * solution.fun.reshape(trace.values.shape)
@@ -306,7 +304,9 @@ def _parameter(
     scene: Scene, parameter: Parameter, trace: Trace, span: float
 ) -> tuple[float, Callable[[float], Scene]]:
     """Return the value of the parameter in the scene, and a function that replaces it."""
-    chain, given, faults = scene.chain, scene.excitation, []
+    chain = scene.chain
+    given = scene.excitation
+    faults = []
     value = 0.0
     if parameter == "velocity" and isinstance(given, Impulse):
         value = given.velocity
@@ -316,7 +316,7 @@ def _parameter(
         value = chain.top_load
     elif parameter != "youngs_modulus":
         known = ", ".join(get_args(Parameter))
-        raise InputError([("parameter", f"must be one of {known} (got {shown(parameter)})")])
+        raise InputError.at("parameter", f"must be one of {known} (got {shown(parameter)})")
     elif not isinstance(chain.material, Material):
         faults.append(
             ("material", "the grains have materials of their own: give the chain one for all")
@@ -351,12 +351,15 @@ def _parameter(
 
 def _changed(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:
     """Return the part of the scene that has the parameter, with this value."""
-    chain, given = scene.chain, scene.excitation
+    chain = scene.chain
+    given = scene.excitation
     if parameter == "velocity":
-        return {"excitation": Impulse(velocity=value, grain=given.grain)}  # type: ignore[attr-defined]
+        grain = given.grain  # type: ignore[attr-defined]
+        return {"excitation": Impulse(velocity=value, grain=grain)}
     changed: dict[str, Any] = {"top_load": value}
     if parameter == "youngs_modulus":
-        changed = {"material": chain.material.replace(youngs_modulus=value)}  # type: ignore[union-attr]
+        material = chain.material.replace(youngs_modulus=value)  # type: ignore[union-attr]
+        changed = {"material": material}
     return {"chain": chain.replace(**changed)}
 
 
@@ -385,8 +388,8 @@ def _seen(trajectory: Trajectory, grains: np.ndarray, field: Field) -> Array:
     if field == "force":
         return np.stack([sensor(trajectory, int(n)).change for n in grains], axis=1)
     if field not in get_args(Field):
-        raise InputError(
-            [("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})")]
+        raise InputError.at(
+            "field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})"
         )
     u, v = motion(trajectory, grains)
     return v if field == "velocity" else u

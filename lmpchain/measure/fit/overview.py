@@ -140,12 +140,12 @@ def summary(trajectory: Trajectory) -> Summary:
 def _modes(trajectory: Trajectory) -> list[Row]:
     scene = trajectory.scene
     if scene.chain.movable > MOST_MODES:
-        raise InputError(
-            [("grains", f"with more than {MOST_MODES} it takes long: call fit_modes itself")]
+        raise InputError.at(
+            "grains", f"with more than {MOST_MODES} it takes long: call fit_modes itself"
         )
     fit = fit_modes(trajectory)
     if not fit.energy.any():
-        raise InputError([("excitation", "nothing moves")])
+        raise InputError.at("excitation", "nothing moves")
     most = int(fit.energy.argmax())
     return [
         Row("modes", "energy of all modes", float(fit.energy.sum()), math.nan, scene.energy, "J"),
@@ -171,8 +171,12 @@ def _modes(trajectory: Trajectory) -> list[Row]:
 def _bessel(trajectory: Trajectory) -> list[Row]:
     fit = fit_bessel(trajectory)
     unit = "m/s" if fit.field == "velocity" else "m"
-    values = {"amplitude": (fit.amplitude, unit), "wave speed": (fit.rate, "grains/s"), "delay": (fit.delay, "s"),
-              "kappa": (fit.kappa, "")}  # fmt: skip
+    values = {
+        "amplitude": (fit.amplitude, unit),
+        "wave speed": (fit.rate, "grains/s"),
+        "delay": (fit.delay, "s"),
+        "kappa": (fit.kappa, ""),
+    }
     rows = [
         Row("bessel", name, value, float(error), float(expected), unit)
         for (name, (value, unit)), error, expected in zip(
@@ -186,7 +190,8 @@ def _continuum(trajectory: Trajectory) -> list[Row]:
     fit = fit_continuum(trajectory)
     rows = [Row("continuum", "amplitude C of Eq. (35)", fit.amplitude, fit.error, fit.expected)]
     if fit.front:
-        law, (exponent, factor) = fit.front, fit.front.expected.tolist()
+        law = fit.front
+        (exponent, factor) = fit.front.expected.tolist()
         rows += [
             Row("continuum", "exponent of the front", law.exponent, float(law.error[0]), exponent),
             Row("continuum", "factor of the front", law.factor, float(law.error[1]), factor),

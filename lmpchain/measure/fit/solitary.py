@@ -37,15 +37,18 @@ class SolitonFit(Shown):
     time, velocity : (P,) arrays
         When the largest velocity passes, s, and its size, m/s.
     amplitude, speed, width : float
-        Mean of these velocities, m/s; grains/s; full width at half maximum of the velocity, in grains.
+        Mean of these velocities, m/s; grains/s; full width at half maximum of the velocity, in
+        grains.
     error : (3,) array
-        Of amplitude, speed and width: half the 95 % confidence interval, and what sampling may cost.
+        Of amplitude, speed and width: half the 95 % confidence interval, and what sampling may
+        cost.
     wave : Soliton
         The exact one of this amplitude.
     expected : (3,) array
         Its amplitude, speed and width, in the same units.
     formula : float
-        Speed by the long-wave formula for this wave, Coste's under a load, Nesterenko's in a sonic vacuum, grains/s.
+        Speed by the long-wave formula for this wave, Coste's under a load, Nesterenko's in a sonic
+        vacuum, grains/s.
     """
 
     grain: np.ndarray
@@ -125,22 +128,22 @@ def fit_soliton(
     if first is None and last is None:
         front = front.between(1 + END, chain.grains - END)
         later = front.grain[np.argsort(front.time)[front.grain.size // 2 :]]
-        first, last = int(later.min(initial=chain.grains)), int(later.max(initial=1))
+        first = int(later.min(initial=chain.grains))
+        last = int(later.max(initial=1))
     front = front.between(first or 1, last or chain.grains)
-    whole = np.isfinite(front.width) & np.isfinite(
-        front.width_error
-    )  # the recording may end within the wave
+    # the recording may end within the wave
+    whole = np.isfinite(front.width) & np.isfinite(front.width_error)
     if whole.sum() < FEWEST:
         need = f"must pass {FEWEST} or more recorded grains as a whole, not {whole.sum()}"
-        raise InputError([("front", f"{need}: record for longer, or more grains")])
+        raise InputError.at("front", f"{need}: record for longer, or more grains")
     line = stats.linregress(front.grain, front.time)
     if (front.amplitude * line.slope <= 0).any():
-        raise InputError([("front", "grains move against it: no solitary wave under compression")])
+        raise InputError.at("front", "grains move against it: no solitary wave under compression")
     amplitude = float(np.abs(front.amplitude).mean())
     if (scatter := float(np.ptp(np.abs(front.amplitude))) / amplitude) > STEADY:
         between = f"from grain {front.grain[0]} to {front.grain[-1]}"
-        raise InputError(
-            [("front", f"its height changes by {scatter:.1%} {between}: no solitary wave")]
+        raise InputError.at(
+            "front", f"its height changes by {scatter:.1%} {between}: no solitary wave"
         )
     wave, time = _exact(chain, amplitude)
     speed = float(1 / np.abs(line.slope))
@@ -148,13 +151,8 @@ def fit_soliton(
     expected = np.array([amplitude, wave.speed / time, wave.width])
     fast, wide = np.array([speed, width]) / expected[1:]
     if max(abs(fast - 1), abs(wide - 1)) > NEAR:
-        raise InputError(
-            [
-                (
-                    "front",
-                    f"has {fast:.3g} times the speed and {wide:.3g} the width of a solitary wave",
-                )
-            ]
+        raise InputError.at(
+            "front", f"has {fast:.3g} times the speed and {wide:.3g} the width of a solitary wave"
         )
     if wave.loaded:
         formula = (
@@ -163,10 +161,17 @@ def fit_soliton(
     else:
         formula = float(nesterenko_speed(amplitude, chain.exponent)) / time
     sure = stats.t.ppf(0.975, whole.sum() - 2)
-    # the slope of a line through times that are each off by e, over the length L, is off by up to 3 e / L
-    sampled = np.array([front.amplitude_error.max(), 3 * front.time_error.max() / np.ptp(front.grain) * speed**2,
-                        front.width_error[whole].max() * speed])  # fmt: skip
-    # from the residuals themselves: linregress takes them from 1 - r^2, of which rounding leaves no digit here
+    # the slope of a line through times that are each off by e, over the length L, is off by up to 3
+    # e / L
+    sampled = np.array(
+        [
+            front.amplitude_error.max(),
+            3 * front.time_error.max() / np.ptp(front.grain) * speed**2,
+            front.width_error[whole].max() * speed,
+        ]
+    )
+    # from the residuals themselves: linregress takes them from 1 - r^2, of which rounding leaves no
+    # digit here
     distance = front.grain - front.grain.mean()
     residual = front.time - front.time.mean() - line.slope * distance
     slope_error = float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
@@ -190,13 +195,13 @@ def fit_soliton(
 def _fits(chain: Chain) -> None:
     """Raise InputError unless solitary waves travel unchanged in this chain."""
     if chain.gravity > 0:
-        raise InputError([("gravity", "must be 0: contacts that stiffen with depth change a wave")])
+        raise InputError.at("gravity", "must be 0: contacts that stiffen with depth change a wave")
     if chain.exponent == 1:
-        raise InputError([("exponent", "must be above 1: springs have no solitary wave")])
+        raise InputError.at("exponent", "must be above 1: springs have no solitary wave")
     if chain.grains == 1:
-        raise InputError([("grains", "must be several: a single one has no wave")])
+        raise InputError.at("grains", "must be several: a single one has no wave")
     if any(np.ptp(x) > EVEN * x[0] for x in (chain.masses, chain.contact_constants)):
-        raise InputError([("chain", "must be uniform")])
+        raise InputError.at("chain", "must be uniform")
 
 
 def _exact(chain: Chain, velocity: float) -> tuple[Soliton, float]:

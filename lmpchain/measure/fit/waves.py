@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 EVEN = 0.05  # relative differences of masses and stiffnesses up to which a chain counts as uniform
 FORERUNNER = 7.4  # J_m(m - 7.4 m^(1/3)) is below 1e-10: no echo has arrived
 FEWEST = 12  # values for three parameters and their errors
-MOST = (
-    2**18
-)  # values that are fitted: of longer chains and recordings, those of every so many grains
+# values that are fitted: of longer chains and recordings, those of every so many grains
+MOST = 2**18
 ARRIVED = 1e-3  # of the strike: the recorded wave must be larger
 DRAWN = 4  # grains in a picture
 
@@ -45,12 +44,15 @@ class ModeFit(Shown):
     time : (T,) array
         s.
     amplitude, rate : (T, M) arrays
-        ``a_p = sum_n m_n X_pn phi_n`` with modes orthonormal in mass, m kg^(1/2), and its rate, m kg^(1/2)/s.
+        ``a_p = sum_n m_n X_pn phi_n`` with modes orthonormal in mass, m kg^(1/2), and its rate, m
+        kg^(1/2)/s.
     energy, energy_error : (M,) arrays
-        (a'^2 + w^2 a^2) / 2 of each mode at t = 0, J, and its standard deviation over the samples, 0 for a linear wave.
+        (a'^2 + w^2 a^2) / 2 of each mode at t = 0, J, and its standard deviation over the samples,
+        0 for a linear wave.
     residual : (T,) array
-        How far the linear motion from the state at t = 0, Eqs. (15) and (16), is from the trajectory: max|x - x_linear|
-        over the grains over max|x| over grains and samples, the larger of displacement and velocity.
+        How far the linear motion from the state at t = 0, Eqs. (15) and (16), is from the
+        trajectory: max|x - x_linear| over the grains over max|x| over grains and samples, the
+        larger of displacement and velocity.
     """
 
     frequency: Array
@@ -120,24 +122,19 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     >>> fit.amplitude.shape, f"{fit.share.sum():.9f}", bool(fit.residual.max() < 1e-9)
     ((101, 19), '1.000000000', True)
     """
-    chain, scene = trajectory.scene.chain, trajectory.scene
+    chain = trajectory.scene.chain
+    scene = trajectory.scene
     if scene.excitation.does_work:
-        raise InputError(
-            [
-                (
-                    "excitation",
-                    "a driven chain does not move freely: strike or displace a grain instead",
-                )
-            ]
+        raise InputError.at(
+            "excitation", "a driven chain does not move freely: strike or displace a grain instead"
         )
     if (chain.contacts.exists & ~chain.contacts.pressed).any() and chain.compressed:
-        raise InputError(
-            [("top", "a wall that only touches cannot be linearised: give a top_load")]
-        )
+        raise InputError.at("top", "a wall that only touches cannot be linearised: give a top_load")
     modes = eigenmodes(chain)
     u, v = motion(trajectory, np.arange(1, chain.movable + 1))
     weight = modes.mass[:, None] * modes.shape
-    amplitude, rate = u @ weight, v @ weight
+    amplitude = u @ weight
+    rate = v @ weight
     energy = (rate**2 + (modes.frequency * amplitude) ** 2) / 2
     linear = modes.response(trajectory.time, u[0], v[0])
     off = [
@@ -158,9 +155,9 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
 class BesselFit(Shown):
     """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]`` after a strike on grain p.
 
-    Here s = rate (t - delay).
-    The second term is the image in a free top, Eq. (11) if p = 1; under a wall it is absent, Eq. (6). Standard errors
-    assume independent residuals, as of noise; model errors are not independent.
+    Here s = rate (t - delay). The second term is the image in a free top, Eq. (11) if p = 1; under
+    a wall it is absent, Eq. (6). Standard errors assume independent residuals, as of noise; model
+    errors are not independent.
 
     Attributes
     ----------
@@ -169,7 +166,8 @@ class BesselFit(Shown):
     struck : int
         p.
     amplitude, rate, delay : float
-        m/s or m; sqrt(k / m) there, 1/s, also the speed of long waves in grains a second; when the wave set out, s.
+        m/s or m; sqrt(k / m) there, 1/s, also the speed of long waves in grains a second; when the
+        wave set out, s.
     kappa : float
         rate^2 over k_1 / m_1 of the scene: kappa of Eq. (3).
     error : (4,) array
@@ -241,9 +239,10 @@ def fit_bessel(
     grains : (first, last), optional
         By default those around the struck one whose mass and contacts are like its own within 5 %.
     until : float, optional
-        s. By default each grain is taken until the first echo from the end of that region, or of the chain, can come:
-        until ``2 s = m - 7.4 m^(1/3)``, m = 2 (2 end - n - p), at the nominal rate. Of more than 262144 values, those
-        of every so many of the grains that the wave has reached are fitted.
+        s. By default each grain is taken until the first echo from the end of that region, or of
+        the chain, can come: until ``2 s = m - 7.4 m^(1/3)``, m = 2 (2 end - n - p), at the nominal
+        rate. Of more than 262144 values, those of every so many of the grains that the wave has
+        reached are fitted.
 
     Returns
     -------
@@ -252,7 +251,8 @@ def fit_bessel(
     Raises
     ------
     InputError
-        If no single grain was struck or displaced, the chain is nowhere uniform, or too little was recorded.
+        If no single grain was struck or displaced, the chain is nowhere uniform, or too little was
+        recorded.
 
     Examples
     --------
@@ -264,35 +264,36 @@ def fit_bessel(
     >>> f"{fit.amplitude:.4g} m/s, kappa {fit.kappa:.4f}", bool(fit.residual < 1e-4)
     ('1e-07 m/s, kappa 1.0000', True)
     """
-    scene, chain = trajectory.scene, trajectory.scene.chain
+    scene = trajectory.scene
+    chain = trajectory.scene.chain
     given = scene.excitation
     if not isinstance(given, Impulse | Displacement):
-        raise InputError(
-            [("excitation", "takes an impulse or displacement of one grain: strike one")]
+        raise InputError.at(
+            "excitation", "takes an impulse or displacement of one grain: strike one"
         )
     if not chain.compressed:
-        raise InputError(
-            [("chain", "carries no force at rest: nothing is linear without gravity or a top load")]
+        raise InputError.at(
+            "chain", "carries no force at rest: nothing is linear without gravity or a top load"
         )
     field: Field = "velocity" if isinstance(given, Impulse) else "displacement"
     size = given.velocity if isinstance(given, Impulse) else given.displacement
     if not size:
-        raise InputError([("excitation", "nothing moves: give a strike other than 0")])
-    p, stiffness = given.grain, chain.contacts.stiffness
+        raise InputError.at("excitation", "nothing moves: give a strike other than 0")
+    p = given.grain
+    stiffness = chain.contacts.stiffness
     near = stiffness[p] or stiffness[p - 1]
     rate = float(np.sqrt(near / chain.masses[p - 1]))
     inside = _thinned(_window(trajectory, p, rate, grains, until), trajectory, p, rate)
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
-    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(
-        size
-    ):  # at t = 0 it is prescribed
+    # at t = 0 it is prescribed
+    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(size):
         cure = "record more often or for longer, more grains near it, or give grains and until"
         reason = (
             f"{n.size} values lie where the solution can hold, too few, or without the wave: {cure}"
         )
-        raise InputError([("samples", reason)])
+        raise InputError.at("samples", reason)
     orders = [2 * np.abs(n - p)] + [2 * (n + p - 1)] * (chain.top == "free")
 
     def off(x: Array) -> Array:
@@ -338,19 +339,21 @@ def _window(
     trajectory: Trajectory, p: int, rate: float, grains: tuple[int, int] | None, until: float | None
 ) -> np.ndarray:
     """Return which samples of which grains the uniform solution can describe, (T, G) bool."""
-    chain, n, time = trajectory.scene.chain, trajectory.grains, trajectory.time[:, None]
+    chain = trajectory.scene.chain
+    n = trajectory.grains
+    time = trajectory.time[:, None]
     if chain.grains == 1:
-        raise InputError([("grains", "takes a chain of several: a single one has no wave")])
+        raise InputError.at("grains", "takes a chain of several: a single one has no wave")
     first, last = _uniform(chain, p)
     if grains is not None:
         first, last = grains
         if not 1 <= first <= p <= last <= chain.grains:
-            raise InputError(
-                [("grains", f"must be (first, last) with 1 <= first <= {p} <= last (got {grains})")]
+            raise InputError.at(
+                "grains", f"must be (first, last) with 1 <= first <= {p} <= last (got {grains})"
             )
     elif last - first < 2:
         cure = "strike a grain further down, or give grains and until"
-        raise InputError([("chain", f"is not uniform within {EVEN:.0%} around grain {p}: {cure}")])
+        raise InputError.at("chain", f"is not uniform within {EVEN:.0%} around grain {p}: {cure}")
     here = (n >= first) & (n <= last)
     if until is not None:
         return here & (time <= until)
@@ -366,9 +369,8 @@ def _thinned(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) ->
     if np.count_nonzero(inside) <= MOST:
         return inside
     reach = 2 * rate * float(trajectory.time[-1])
-    near = (
-        2 * np.abs(trajectory.grains - p) <= reach + 12 * np.cbrt(reach) + 20
-    )  # beyond, J_m(z) is below 1e-17
+    # beyond, J_m(z) is below 1e-17
+    near = 2 * np.abs(trajectory.grains - p) <= reach + 12 * np.cbrt(reach) + 20
     columns = np.flatnonzero(near & inside.any(0))
     kept = np.zeros(inside.shape[1], dtype=bool)
     kept[columns[:: max(1, -(-np.count_nonzero(inside[:, columns]) // MOST))]] = True
@@ -377,7 +379,8 @@ def _thinned(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) ->
 
 def _uniform(chain: Chain, p: int) -> tuple[int, int]:
     """Return first and last grain of the uniform part around grain p."""
-    k, m = chain.linear_stiffness, chain.masses
+    k = chain.linear_stiffness
+    m = chain.masses
     held = chain.bottom == "fixed"
     own = k[min(p, k.size) - 1]
     alike = np.abs(k / own - 1) <= EVEN  # contact n between grains n and n + 1
