@@ -8,10 +8,9 @@ from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 
-from ..util.files import check_readable
+from ..util.files import LARGEST_JSON, check_readable
 
 UNKNOWN = {"date": "not recorded", "command": "not recorded"}
-LARGEST = 2**24  # bytes of what a run folder says of its sessions
 
 
 def origin(path: str | PathLike[str] | None) -> dict[str, str]:
@@ -33,7 +32,7 @@ def origin(path: str | PathLike[str] | None) -> dict[str, str]:
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    check_readable(path / "run.json", LARGEST)
+    check_readable(path / "run.json", LARGEST_JSON)
     first = json.loads((path / "run.json").read_bytes())["sessions"][0]
     return _readable(str(first["began"])), str(first["command"])
 

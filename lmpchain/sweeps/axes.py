@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,30 +17,31 @@ from ..scene.toml_file import SECTIONS
 from ..util.arrays import Array
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Whole
-from .laws import ALWAYS, MARKS, Drawn, Normal, Uniform, drawn, law
+from .laws import ALWAYS, MARKS, GrainLaw, Normal, Uniform, bind_laws, make_law
 
-MOST = 10**6  # scenes in a sweep
-Count = Annotated[Whole, Field(ge=1, le=MOST)]
+MOST_SCENES = 10**6
+Count = Annotated[Whole, Field(ge=1, le=MOST_SCENES)]
 Seed = Annotated[Whole, Field(ge=0)]
 INDEX = "disorder.index"
 T = TypeVar("T")
+Fault = tuple[str, str]  # key and message
 
 
 class Draws(Checked):
-    """How many points of a Latin hypercube, and which."""
+    """Number of points of a Latin hypercube, and seed of its random numbers."""
 
     draws: Count
     seed: Seed
 
 
 class Seeded(Checked):
-    """Which of all sequences of random numbers."""
+    """Seed of a sequence of random numbers."""
 
     seed: Seed
 
 
 class Realisations(Checked):
-    """How many disordered chains."""
+    """Number of disordered chains."""
 
     realisations: Count
 
@@ -56,7 +58,7 @@ class Axis:
         The values that each key takes along it.
     drawn : bool
         Whether values are drawn, so that no single one is the user's to correct.
-    arrays : tuple of Drawn
+    arrays : tuple of GrainLaw
         Keys of which every grain gets a number of its own.
     """
 
@@ -64,16 +66,21 @@ class Axis:
     length: int
     columns: Mapping[str, Sequence[Any]]
     drawn: bool = False
-    arrays: tuple[Drawn, ...] = ()
+    arrays: tuple[GrainLaw, ...] = ()
 
     def __len__(self) -> int:
         return self.length
 
+    @property
+    def keys(self) -> list[str]:
+        """Keys that change along the axis."""
+        return [*self.columns, *(law.key for law in self.arrays)]
+
     def coordinates(self) -> dict[str, Array | list[str]]:
-        """Return what the places along the axis are called, by name of the coordinate: (L,) or (L, E) each."""
-        columns: dict[str, Any] = (
-            {} if self.name in self.columns else {self.name: np.arange(self.length)}
-        )
+        """Return the coordinates along the axis by name, (L,) or (L, E) each."""
+        columns: dict[str, Any] = {}
+        if self.name not in self.columns:
+            columns[self.name] = np.arange(self.length)
         for key, values in self.columns.items():
             if key != INDEX:
                 columns[key] = (
@@ -83,7 +90,7 @@ class Axis:
 
 
 def _numeric(values: Sequence[Any]) -> bool:
-    """Say whether these are numbers, or lists of numbers."""
+    """Return whether all values are numbers, or lists of numbers."""
     kinds = {type(value) for value in values}
     if kinds == {list}:
         return all(map(_numeric, values))
@@ -104,51 +111,61 @@ def _label(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, default=str)
 
 
-def axes(parts: Mapping[str, Any]) -> list[Axis]:
-    """Return the axes that these tables of a sweep file stand for; the values themselves are not checked.
+def make_axes(tables: Mapping[str, Any]) -> list[Axis]:
+    """Return the axes that the tables of a sweep file describe; values are not checked yet.
 
     Raises
     ------
     InputError
-        With every fault found.
+        With every fault.
     """
-    faults: list[tuple[str, str]] = []
-    made: list[Axis] = []
-    for part, table in parts.items():
+    faults: list[Fault] = []
+    axes: list[Axis] = []
+    for kind, table in tables.items():
         try:
             if not isinstance(table, dict):
-                raise InputError.at("", f"must be a table, [{part}]")
-            made += MAKERS[part](table)
+                raise InputError.at("", f"must be a table, [{kind}]")
+            axes += MAKERS[kind](table)
         except InputError as error:
-            faults += error.under(part)
-    if any(key.startswith("disorder.") for axis in made for key in axis.columns):
-        made = [_indexed(axis) if axis.name == "realisation" else axis for axis in made]
-    sections = (*SECTIONS, *(["disorder"] if "disorder" in parts else []))
-    keys = [key for axis in made for key in (*axis.columns, *(each.key for each in axis.arrays))]
-    for place, key in enumerate(keys):
-        if key.partition(".")[0] not in sections:
-            meant = did_you_mean(key.partition(".")[0], sections)
-            there = f"they begin with {', '.join(sections)}, as chain.gravity does"
-            faults.append((key, f"is no key of a scene{meant}; {there}"))
-        for other in keys[:place]:
-            if f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}."):
-                faults.append(
-                    (
-                        key,
-                        "is swept twice"
-                        if key == other
-                        else f"overlaps {other}: sweep one of them",
-                    )
-                )
-    if (count := math.prod(len(axis) for axis in made)) > MOST:
-        faults.append(("grid", f"these are {count} scenes; sweep {MOST} at most"))
-    if not made and not faults:
-        faults.append(
-            ("grid", f"nothing is swept: add a table {', '.join(f'[{part}]' for part in MAKERS)}")
-        )
+            faults += error.under(kind)
+    if any(key.startswith("disorder.") for axis in axes for key in axis.columns):
+        axes = [_number(axis) if axis.name == "realisation" else axis for axis in axes]
+    keys = [key for axis in axes for key in axis.keys]
+    faults += _section_faults(keys, (*SECTIONS, "disorder") if "disorder" in tables else SECTIONS)
+    faults += _overlap_faults(keys)
+    if axes or not faults:
+        faults += _count_faults(axes)
     if faults:
         raise InputError(faults)
-    return made
+    return axes
+
+
+def _count_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
+    """Yield a fault of a sweep with no scenes or with too many."""
+    count = math.prod(len(axis) for axis in axes)
+    if not axes:
+        kinds = ", ".join(f"[{kind}]" for kind in MAKERS)
+        yield "grid", f"nothing is swept: add a table {kinds}"
+    elif count > MOST_SCENES:
+        yield "grid", f"these are {count} scenes; sweep {MOST_SCENES} at most"
+
+
+def _section_faults(keys: Sequence[str], sections: Sequence[str]) -> Iterator[Fault]:
+    """Yield the keys that lie in no section of a scene file."""
+    for key in keys:
+        section = key.partition(".")[0]
+        if section not in sections:
+            cure = f"they begin with {', '.join(sections)}, as chain.gravity does"
+            yield key, f"is no key of a scene{did_you_mean(section, sections)}; {cure}"
+
+
+def _overlap_faults(keys: Sequence[str]) -> Iterator[Fault]:
+    """Yield the keys that are swept twice, or that hold one another."""
+    for first, second in itertools.combinations(keys, 2):
+        if first == second:
+            yield second, "is swept twice"
+        elif f"{second}.".startswith(f"{first}.") or f"{first}.".startswith(f"{second}."):
+            yield second, f"overlaps {first}: sweep one of them"
 
 
 def _grid(table: dict[str, Any]) -> list[Axis]:
@@ -156,36 +173,37 @@ def _grid(table: dict[str, Any]) -> list[Axis]:
 
 
 def _list(table: dict[str, Any]) -> list[Axis]:
-    made = _lists(table)
-    first, *others = made
-    count = len(made[first])
-    if unlike := [key for key in others if len(made[key]) != count]:
-        raise InputError(
-            [
-                (key, f"must have as many values as {first}, {count}, not {len(made[key])}")
-                for key in unlike
-            ]
-        )
-    return [Axis("case", count, made)]
+    columns = _lists(table)
+    first = next(iter(columns))
+    count = len(columns[first])
+    faults = [
+        (key, f"must have as many values as {first}, {count}, not {len(values)}")
+        for key, values in columns.items()
+        if len(values) != count
+    ]
+    if faults:
+        raise InputError(faults)
+    return [Axis("case", count, columns)]
 
 
 def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
-    made = {
+    """Return the lists of values of a table by key, in numbers of Python."""
+    lists = {
         key: list(value) if isinstance(value, tuple | np.ndarray) else value
         for key, value in _leaves(table)
     }
+    if not lists:
+        raise InputError.at("", "is empty: name a key, such as chain.gravity = [1.62, 9.81]")
     faults = [
         (key, "must be a list of values, and not empty")
-        for key, v in made.items()
-        if not isinstance(v, list) or not v
+        for key, values in lists.items()
+        if not isinstance(values, list) or not values
     ]
-    if faults or not made:
-        raise InputError(
-            faults or [("", "is empty: name a key, such as chain.gravity = [1.62, 9.81]")]
-        )
+    if faults:
+        raise InputError(faults)
     return {
-        key: [v.item() if isinstance(v, np.generic) else v for v in values]
-        for key, values in made.items()
+        key: [value.item() if isinstance(value, np.generic) else value for value in values]
+        for key, values in lists.items()
     }
 
 
@@ -193,60 +211,59 @@ def _random(table: dict[str, Any]) -> list[Axis]:
     from scipy.stats import qmc
 
     tables = {key: value for key, value in table.items() if isinstance(value, dict)}
-    asked, laws = _checked(
-        Draws, {key: value for key, value in table.items() if key not in tables}, tables
-    )
+    numbers = {key: value for key, value in table.items() if key not in tables}
+    options, laws = _check(Draws, numbers, tables)
     if not laws:
         raise InputError.at("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")
-    by_grain = {key: each for key, each in laws.items() if each.per_grain or key in ALWAYS}
-    ranges = {key: each for key, each in laws.items() if key not in by_grain}
-    made = {}
+    by_grain = {key: law for key, law in laws.items() if law.per_grain or key in ALWAYS}
+    ranges = {key: law for key, law in laws.items() if key not in by_grain}
+    columns = {}
     if ranges:
-        parts = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng(asked.seed)).random(
-            asked.draws
-        )
-        made = {
-            key: each.at(part).tolist()
-            for (key, each), part in zip(ranges.items(), parts.T, strict=True)
+        rng = np.random.default_rng(options.seed)
+        shares = qmc.LatinHypercube(len(ranges), seed=rng).random(options.draws)
+        columns = {
+            key: law.at(share).tolist()
+            for (key, law), share in zip(ranges.items(), shares.T, strict=True)
         }
-    return [Axis("draw", asked.draws, made, drawn=True, arrays=drawn(by_grain, asked.seed))]
+    arrays = bind_laws(by_grain, options.seed)
+    return [Axis("draw", options.draws, columns, drawn=True, arrays=arrays)]
 
 
 def _disorder(table: dict[str, Any]) -> list[Axis]:
     tables = {key: value for key, value in table.items() if isinstance(value, dict)}
-    count, laws = _checked(Realisations, _only(table, "realisations"), tables)
-    made = drawn(laws, Seeded(**_only(table, "seed")).seed) if laws else ()
-    axis = Axis("realisation", count.realisations, {}, drawn=True, arrays=made)
-    return [axis if made and "m" not in table else _indexed(axis)]
+    options, laws = _check(Realisations, _only(table, "realisations"), tables)
+    arrays = bind_laws(laws, Seeded(**_only(table, "seed")).seed) if laws else ()
+    axis = Axis("realisation", options.realisations, {}, drawn=True, arrays=arrays)
+    return [axis if arrays and "m" not in table else _number(axis)]
 
 
 def _only(table: dict[str, Any], key: str) -> dict[str, Any]:
     return {key: table[key]} if key in table else {}
 
 
-def _indexed(axis: Axis) -> Axis:
+def _number(axis: Axis) -> Axis:
     """Return the axis of disorder with contacts that are drawn anew for each realisation."""
     return replace(axis, columns={INDEX: range(len(axis))})
 
 
-def _checked(
+def _check(
     kind: type[T], table: dict[str, Any], tables: dict[str, Any]
 ) -> tuple[T, dict[str, Uniform | Normal]]:
-    """Return what plain keys say, and the laws that tables stand for, with every fault at once."""
-    faults: list[tuple[str, str]] = []
+    """Return options and laws of random numbers; raises `InputError` with every fault."""
+    faults: list[Fault] = []
     laws: dict[str, Uniform | Normal] = {}
     try:
-        made = kind(**table)
+        options = kind(**table)
     except InputError as error:
         faults += error.faults
     for key, value in _leaves(tables):
         try:
-            laws[key] = law(value)
+            laws[key] = make_law(value)
         except InputError as error:
             faults += error.under(key)
     if faults:
         raise InputError(faults)
-    return made, laws
+    return options, laws
 
 
 MAKERS = {"grid": _grid, "list": _list, "random": _random, "disorder": _disorder}

@@ -24,7 +24,7 @@ class Here(Executor):
     """Does everything in this process, at once."""
 
     def submit(self, function: Callable[..., Any], /, *values: Any, **named: Any) -> Future:
-        """Call the function and return a future that is done; what stops the program is not caught."""
+        """Call the function and return a future that is done; Ctrl-C is not caught."""
         future: Future = Future()
         try:
             future.set_result(function(*values, **named))
@@ -34,7 +34,7 @@ class Here(Executor):
 
 
 class Processes(Executor):
-    """A number of processes, each in a pool of its own, so that one that dies loses its own task only.
+    """Processes, each in a pool of its own: one that dies loses no task but its own.
 
     That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The
     processes end when this one does, even if it is killed.
@@ -71,7 +71,7 @@ class Processes(Executor):
             raise
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
-        """End the processes: now if something went wrong or the user stops, or else when they are done."""
+        """End the processes: at once after an error or a stop, or else when they are done."""
         self.shutdown(cancel_futures=kind is not None)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Sweep files: of which scenes a sweep is made, and what is asked of each; its name follows from that."""
+"""Sweep files: the scenes of a sweep, and the quantities to keep of each."""
 
 from __future__ import annotations
 
@@ -27,14 +27,13 @@ from ..util.cached import cached_property
 from ..util.files import check_readable
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
-from .axes import MAKERS, Axis, Seed, axes
+from .axes import MAKERS, Axis, Fault, Seed, make_axes
 from .quantities import QUANTITIES, of_contact, with_forces
 
-FORMAT = 2
+FORMAT = 2  # version of the files of results
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
-MOST_GRAINS = 10**8
-DRAWS_TRIED = 32  # before a sweep is refused because none of them makes a scene
-WHOLE = ["displacement", "velocity"]
+MOST_GRAINS = 10**8  # as of a chain: arrays of more would fill the memory first
+DRAWS_TRIED = 32  # before a sweep is refused, as none of them makes a scene
 Place = tuple[int, ...]
 
 
@@ -50,7 +49,7 @@ class Disorder(Checked):
 
 @dataclass(frozen=True)
 class Sweep:
-    """What a sweep file says.
+    """A sweep: the tables of its scenes, the axes along which they change, and what is kept.
 
     Attributes
     ----------
@@ -78,17 +77,12 @@ class Sweep:
 
     @cached_property
     def shape(self) -> Place:
-        """How long the axes are."""
+        """Lengths of the axes."""
         return tuple(map(len, self.axes))
-
-    @cached_property
-    def recorded(self) -> dict[tuple[Place, int], np.ndarray]:
-        """What `labels.recorded` has found so far: grains, by place along the axes that shape them and length."""
-        return {}
 
     @property
     def count(self) -> int:
-        """How many scenes these are."""
+        """Number of scenes."""
         return math.prod(self.shape)
 
     @cached_property
@@ -99,7 +93,7 @@ class Sweep:
 
     @property
     def name(self) -> str:
-        """What the results are called, a hash of all that shapes them."""
+        """Name of the results: a hash of all that shapes them."""
         return hashlib.sha256(self.text.encode()).hexdigest()[:16]
 
     def place(self, number: int) -> Place:
@@ -112,26 +106,26 @@ class Sweep:
     def key(self, number: int) -> bytes:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""
         place = self.place(number)
-        drawn = [
+        laws = [
             (each.key, type(each.law).__name__, each.law.given(), each.seed, index)
             for axis, index in zip(self.axes, place, strict=True)
             for each in axis.arrays
         ]
-        files = self.source["files"]
-        others = (self.engine, self.tolerance, self.keep)
-        asked = json.dumps((self.asked(place), drawn, files, others), sort_keys=True, default=plain)
-        return hashlib.sha256(asked.encode()).digest()[:16]
+        options = (self.engine, self.tolerance, self.keep)
+        causes = (self.tables_at(place), laws, self.source["files"], options)
+        text = json.dumps(causes, sort_keys=True, default=plain)
+        return hashlib.sha256(text.encode()).digest()[:16]
 
-    def asked(self, place: Place) -> dict[str, Any]:
+    def tables_at(self, place: Place) -> dict[str, Any]:
         """Return the tables of one scene, without what is drawn for every grain."""
         tables = self.tables
         for axis, index in zip(self.axes, place, strict=True):
             for key, values in axis.columns.items():
-                tables = _with(tables, key.split("."), values[index], key)
+                tables = _set_value(tables, key.split("."), values[index], key)
         return tables
 
     def drawn(self, place: Place, grains: int) -> dict[str, Array]:
-        """Return what is drawn for every grain of one scene, by key."""
+        """Return the numbers that are drawn for each grain of one scene, by key."""
         return {
             each.key: each.values(index, grains)
             for axis, index in zip(self.axes, place, strict=True)
@@ -139,8 +133,8 @@ class Sweep:
         }
 
     def grains(self, place: Place) -> int:
-        """Return how many grains the chain of a scene has, as its table says."""
-        tables = self.asked(place)
+        """Return the number of grains that the table of a scene gives; raises `InputError`."""
+        tables = self.tables_at(place)
         chain = tables.get("chain")
         count = chain.get("grains") if isinstance(chain, dict) else None
         if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_GRAINS:
@@ -152,13 +146,13 @@ class Sweep:
 
     def ordered(self, place: Place) -> Scene:
         """Make a scene with all but the random contacts of its chain; raises `InputError`."""
-        tables = self.asked(place)
+        tables = self.tables_at(place)
         if any(axis.arrays for axis in self.axes):
             grains = self.grains(place)
             for key, values in self.drawn(place, grains).items():
-                tables = _of_every_grain(tables, key, values)
-        asked = {key: table for key, table in tables.items() if key != "disorder"}
-        return _scene(json.dumps((asked, self.source["files"]), default=plain), self.folder)
+                tables = _set_each_grain(tables, key, values)
+        tables = {key: table for key, table in tables.items() if key != "disorder"}
+        return _make_scene(json.dumps((tables, self.source["files"]), default=plain), self.folder)
 
     def scene(self, place: Place) -> Scene:
         """Make a scene; raises `InputError`."""
@@ -172,67 +166,72 @@ class Sweep:
             raise InputError(error.under("disorder")) from None
 
     def disorder(self, place: Place) -> Disorder | None:
-        """Return how the contacts of a scene are drawn, if they are; raises `InputError`."""
-        table = self.asked(place).get("disorder")
+        """Return the options of the random contacts of a scene, if any; raises `InputError`."""
+        table = self.tables_at(place).get("disorder")
         try:
             return None if table is None else Disorder(**table)
         except InputError as error:
             raise InputError(error.under("disorder")) from None
 
     def trials(self) -> Iterator[Scene]:
-        """Yield scenes until every value has been in one; drawn values count as one.
+        """Yield scenes until each value has been in one; drawn values count as one.
 
         Raises
         ------
         InputError
-            At the end, with what is wrong with values that were in none.
+            At the end, with the faults of values that were in none.
         """
-        engine = engines.get(self.engine)
-        good: set[tuple[int, int]] = set()
-        faults: dict[tuple[int, int], list[tuple[str, str]]] = {}
-        every = sum(1 if axis.drawn else len(axis) for axis in self.axes)
-        tried = (
-            range(min(len(axis), DRAWS_TRIED) if axis.drawn else len(axis)) for axis in self.axes
-        )
-        for place in itertools.product(*tried):
-            if len(good) == every:
+        count = sum(1 if axis.drawn else len(axis) for axis in self.axes)
+        lengths = (min(len(axis), DRAWS_TRIED) if axis.drawn else len(axis) for axis in self.axes)
+        usable: set[tuple[int, int]] = set()
+        faults: dict[tuple[int, int], list[Fault]] = {}
+        for place in itertools.product(*map(range, lengths)):
+            if len(usable) == count:
                 break
             values = {(n, 0 if self.axes[n].drawn else index) for n, index in enumerate(place)}
-            if values <= good:
+            if values <= usable:
                 continue
             try:
-                scene = with_forces(self.scene(place), self.keep)
-                if reasons := engine.refuses(scene):
-                    raise InputError(reasons)
+                scene = self._trial(place)
             except InputError as error:
                 for value in values:
                     faults.setdefault(value, error.faults)
                 continue
-            good |= values
+            usable |= values
             yield scene
-        if bad := [fault for value in sorted(faults.keys() - good) for fault in faults[value]]:
-            raise InputError(dict.fromkeys(bad))
+        unusable = sorted(faults.keys() - usable)
+        if unusable:
+            raise InputError(dict.fromkeys(fault for value in unusable for fault in faults[value]))
+
+    def _trial(self, place: Place) -> Scene:
+        """Make a scene that the engine can answer; raises `InputError`."""
+        scene = with_forces(self.scene(place), self.keep)
+        if reasons := engines.get(self.engine).refuses(scene):
+            raise InputError(reasons)
+        return scene
 
 
 @lru_cache(maxsize=4)  # realisations of one chain follow one another
-def _scene(text: str, folder: Path) -> Scene:
+def _make_scene(text: str, folder: Path) -> Scene:
     return Scene.from_dict(json.loads(text)[0], folder)
 
 
-def _digests(tables: Mapping[str, Any], swept: Sequence[Axis], folder: Path) -> dict[str, str]:
+def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -> dict[str, str]:
     """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
     names = [table.get("file") for table in tables.values() if isinstance(table, dict)]
-    columns = [column for axis in swept for column in axis.columns.items()]
-    names += [name for key, values in columns if key.endswith(".file") for name in values]
-    found = {}
+    for axis in axes:
+        for key, values in axis.columns.items():
+            if key.endswith(".file"):
+                names += values
+    hashes = {}
     for name in sorted({name for name in names if isinstance(name, str)}):
         try:
             check_readable(folder / name, LARGEST_TABLE)
             with open(folder / name, "rb") as opened:
-                found[name] = hashlib.file_digest(opened, "sha256").hexdigest()
+                hashes[name] = hashlib.file_digest(opened, "sha256").hexdigest()
         except (OSError, ValueError):
-            found[name] = ""
-    return found
+            hashes[name] = ""
+    return hashes
 
 
 def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
@@ -249,38 +248,36 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
 
 
 @lru_cache(maxsize=2)  # tasks of one sweep follow one another
-def again(text: str, folder: Path) -> Sweep:
-    """Return the sweep whose `text` this is; `folder` is where its CSV files lie."""
-    kept = json.loads(text)
-    if not isinstance(kept["scene"], dict):
+def read_text(text: str, folder: Path) -> Sweep:
+    """Return the sweep with this `Sweep.text`; its CSV files lie in `folder`."""
+    data = json.loads(text)
+    if not isinstance(data["scene"], dict):
         raise InputError.at("scene", "must be tables: a sweep that is kept names no other file")
-    return _plan(
-        {key: value for key, value in kept.items() if key not in ("format", "files")},
-        folder,
-        kept["files"],
-    )
+    files = data.pop("files")
+    data.pop("format", None)
+    return _plan(data, folder, files)
 
 
 def is_name(text: Any) -> bool:
-    """Say whether results may be called so, as `Sweep.name`."""
+    """Return whether a text may be the name of results, as `Sweep.name`."""
     return isinstance(text, str) and bool(re.fullmatch("[0-9a-f]{16}", text))
 
 
 def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
-    """Return what the tables of a sweep file say, with the hashes of `files`; raises `InputError`."""
-    there = f"the keys here are {', '.join(KEYS)}"
+    """Return the sweep of the tables of a sweep file; raises `InputError` with every fault."""
+    cure = f"the keys here are {', '.join(KEYS)}"
     faults = [
-        (key, f"unknown key{did_you_mean(key, KEYS)}; {there}") for key in data if key not in KEYS
+        (key, f"unknown key{did_you_mean(key, KEYS)}; {cure}") for key in data if key not in KEYS
     ]
-    parts = {part: data[part] for part in MAKERS if part in data}
+    kinds = {kind: data[kind] for kind in MAKERS if kind in data}
     tolerance = data.get("tolerance", 1e-6)
     results: list[Any] = []
     for take in (
-        lambda: _base(data.get("scene"), folder),
-        lambda: _engine(data.get("engine", "auto")),
+        lambda: _take_scene(data.get("scene"), folder),
+        lambda: _take_engine(data.get("engine", "auto")),
         lambda: check_tolerance(tolerance),
-        lambda: _keep(data.get("keep", WHOLE)),
-        lambda: axes(parts),
+        lambda: _take_names(data.get("keep", ["displacement", "velocity"])),
+        lambda: make_axes(kinds),
     ):
         try:
             results.append(take())
@@ -288,28 +285,27 @@ def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
             faults += error.faults
     if faults:
         raise InputError(faults)
-    (tables, folder), engine, _, keep, swept = results
+    (tables, folder), engine, _, keep, axes = results
     folder = folder.absolute()
-    source = {
-        "scene": tables,
-        "engine": engine,
-        "tolerance": float(tolerance),
-        "keep": keep,
-        **parts,
+    tolerance = float(tolerance)
+    source = {"scene": tables, "engine": engine, "tolerance": tolerance, "keep": keep, **kinds}
+    source["files"] = _hash_files(tables, axes, folder) if files is None else files
+    if any(key.startswith("disorder.") for axis in axes for key in axis.columns):
+        tables = tables | {"disorder": _contact_options(kinds["disorder"])}
+    return Sweep(tables, folder, engine, tolerance, keep, axes, source)
+
+
+def _contact_options(table: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of random contacts, without their number and the laws of grains."""
+    return {
+        key: value
+        for key, value in table.items()
+        if key != "realisations" and not isinstance(value, dict)
     }
-    source["files"] = _digests(tables, swept, folder) if files is None else files
-    if "disorder" in parts and any(
-        key.startswith("disorder.") for axis in swept for key in axis.columns
-    ):
-        own = {key: value for key, value in parts["disorder"].items() if key != "realisations"}
-        tables = tables | {
-            "disorder": {key: value for key, value in own.items() if not isinstance(value, dict)}
-        }
-    return Sweep(tables, folder, engine, float(tolerance), keep, swept, source)
 
 
-def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
-    """Return the tables that all scenes start from, and the folder of the CSV files that they name."""
+def _take_scene(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
+    """Return the tables that all scenes start from, and the folder of their CSV files."""
     if isinstance(given, Scene):
         return given.to_dict(), folder
     if isinstance(given, str):
@@ -320,41 +316,39 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
         raise InputError.at(
             "scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ..."
         )
-    if unknown := [key for key in given if key not in SECTIONS]:
-        there = f"they are {', '.join(SECTIONS)}"
-        meant = {key: did_you_mean(key, SECTIONS) for key in unknown}
-        raise InputError(
-            [(f"scene.{key}", f"unknown section{meant[key]}; {there}") for key in unknown]
-        )
+    cure = f"they are {', '.join(SECTIONS)}"
+    if faults := [
+        (f"scene.{key}", f"unknown section{did_you_mean(key, SECTIONS)}; {cure}")
+        for key in given
+        if key not in SECTIONS
+    ]:
+        raise InputError(faults)
     return dict(given), folder
 
 
-def _engine(name: Any) -> str:
+def _take_engine(name: Any) -> str:
     if not isinstance(name, str):
         raise InputError.at("engine", f"must be the name of an engine (got {shown(name)})")
-    # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
+    # one engine for all: small scenes go together, and bits do not depend on the speed of a machine
     if name == "auto":
         return "native"
     return engines.get(name).name
 
 
-def _keep(names: Any) -> list[str]:
+def _take_names(names: Any) -> list[str]:
     known = ", ".join((*QUANTITIES, "peak_force:40"))
     if not isinstance(names, list) or not names:
         raise InputError.at("keep", f"must be a list of some of {known}")
-    if wrong := [
-        name
+    if faults := [
+        ("keep", f"there is no {shown(name)}{did_you_mean(name, QUANTITIES)}; use {known}")
         for name in names
         if not isinstance(name, str) or not (name in QUANTITIES or of_contact(name))
     ]:
-        meant = [(name, did_you_mean(name, QUANTITIES)) for name in wrong]
-        raise InputError(
-            [("keep", f"there is no {shown(name)}{other}; use {known}") for name, other in meant]
-        )
+        raise InputError(faults)
     return sorted(set(names))
 
 
-def _with(table: Any, path: list[str], value: Any, key: str) -> Any:
+def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
     """Return the table with a value set at a path; the name of a material becomes its constants."""
     if not path:
         return value
@@ -370,27 +364,28 @@ def _with(table: Any, path: list[str], value: Any, key: str) -> Any:
             raise InputError.at(
                 key, f"there is no entry {first}: the scene has {len(table)}, counted from 0"
             )
-        place = int(first)
-        return [*table[:place], _with(table[place], rest, value, key), *table[place + 1 :]]
+        entry = int(first)
+        return [*table[:entry], _set_value(table[entry], rest, value, key), *table[entry + 1 :]]
     if not isinstance(table, dict | None):
         raise InputError.at(key, "is no key of a scene: what should hold it is not a table")
     table = table or {}
-    return table | {first: _with(table.get(first), rest, value, key)}
+    return table | {first: _set_value(table.get(first), rest, value, key)}
 
 
-def _of_every_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str, Any]:
-    """Return the tables with a value for every grain; that of a material makes one material a grain."""
+def _set_each_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str, Any]:
+    """Return the tables with a value for each grain, in a material of its own if need be."""
     path = key.split(".")
     if len(path) == 2:
-        return _with(tables, path, values.tolist(), key)
+        return _set_value(tables, path, values.tolist(), key)
     material = (tables.get("chain") or {}).get("material", "glass")
-    each = material if isinstance(material, list) else [material] * len(values)
-    made = [
-        _with(one, path[2:], value, key) for one, value in zip(each, values.tolist(), strict=False)
+    materials = material if isinstance(material, list) else [material] * len(values)
+    changed = [
+        _set_value(material, path[2:], value, key)
+        for material, value in zip(materials, values.tolist(), strict=False)
     ]
-    return _with(tables, path[:2], made, key)
+    return _set_value(tables, path[:2], changed, key)
 
 
 def plain(value: Any) -> Any:
-    """Return what JSON can hold in place of what it cannot."""
+    """Return arrays as lists and other values as text, for JSON."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

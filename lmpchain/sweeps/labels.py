@@ -1,4 +1,4 @@
-"""What the results of a sweep are labelled by, where scenes may differ in what they record."""
+"""Labels of the results of a sweep, where scenes may differ in their samples and grains."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ..scene.recording import Recording
 from ..util.arrays import Array
 from .axes import Axis
 from .file import Place, Sweep
-from .laws import ARRAYS
 from .store import Column
 
-SHAPING = ("chain.grains", "chain.file", "recording")  # keys that what is recorded follows from
+# keys that decide which grains and times a scene records
+SHAPING = ("chain.grains", "chain.file", "recording")
 
 
 class Labels(NamedTuple):
@@ -45,66 +45,65 @@ class Labels(NamedTuple):
     extra: dict[str, Column]
 
 
-def labels(plan: Sweep) -> Labels:
+def make_labels(plan: Sweep) -> Labels:
     """Return the labels of a sweep; scenes that cannot be made have none."""
     swept = [range(len(axis)) if _shapes(axis) else range(1) for axis in plan.axes]
-    kinds = set()
+    shapes = set()
     for place in itertools.product(*swept):
-        with suppress(InputError), warnings.catch_warnings(action="ignore"):  # said of the trials
-            kinds.add(_kind(plan, place))
-    times = {(samples, duration) for samples, duration, _, _ in kinds}
-    numbers = {recorded for _, _, recorded, _ in kinds}
-    samples = max(count for count, _ in times)
-    grains = np.array(next(iter(numbers)) if len(numbers) == 1 else sorted(set().union(*numbers)))
-    longest = max(size for _, _, _, size in kinds)
+        # warnings are those of the trial scenes
+        with suppress(InputError), warnings.catch_warnings(action="ignore"):
+            shapes.add(_find_shape(plan, place))
+    times = {(shape.samples, shape.duration) for shape in shapes}
+    recordings = {shape.recorded for shape in shapes}
+    samples = max(shape.samples for shape in shapes)
+    longest = max(shape.grains for shape in shapes)
     extra = {}
-    if len(times) > 1:
+    time = None
+    if len(times) == 1:
+        time = np.linspace(0.0, times.pop()[1], samples)
+    else:
         extra["time"] = Column(("sample",), (samples,), "s", "time since the strike")
     for axis in plan.axes:
-        for each in axis.arrays:
-            about = f"drawn for every {'contact' if ARRAYS[each.key] else 'grain'}"
-            extra[each.key] = Column(
-                (f"{each.key}.entry",), (longest - ARRAYS[each.key],), "1", about
-            )
-    return Labels(
-        samples,
-        np.linspace(0.0, times.pop()[1], samples) if len(times) == 1 else None,
-        grains,
-        extra,
-    )
+        for law in axis.arrays:
+            name = f"drawn for every {'contact' if law.of_contacts else 'grain'}"
+            length = longest - law.of_contacts
+            extra[law.key] = Column((f"{law.key}.entry",), (length,), "1", name)
+    grains = recordings.pop() if len(recordings) == 1 else sorted(set().union(*recordings))
+    return Labels(samples, time, np.array(grains), extra)
 
 
-def recorded(plan: Sweep, place: Place, size: int) -> np.ndarray:
-    """Return the grains that a scene records, (G,); `size` is how many it has."""
-    shaping = tuple(
-        index if _shapes(axis) else 0 for axis, index in zip(plan.axes, place, strict=True)
-    )
-    if (shaping, size) not in plan.recorded:
-        plan.recorded[shaping, size] = _recorded(
-            json.dumps(plan.asked(place).get("recording")), size
-        )[1]
-    return plan.recorded[shaping, size]
+def find_recorded(plan: Sweep, place: Place, size: int) -> np.ndarray:
+    """Return the grains that a scene with a chain of this size records, (G,)."""
+    return _read_recording(json.dumps(plan.tables_at(place).get("recording")), size)[1]
 
 
 def _shapes(axis: Axis) -> bool:
     return any(key == "chain" or key.startswith(SHAPING) for key in axis.columns)
 
 
-def _kind(plan: Sweep, place: Place) -> tuple[int, float, tuple[int, ...], int]:
-    """Return samples, duration and grains of what a scene records, and how many grains it has."""
-    tables: dict[str, Any] = plan.asked(place)
+class _Shape(NamedTuple):
+    """Samples, duration (s) and grain numbers that a scene records, and the size of its chain."""
+
+    samples: int
+    duration: float
+    recorded: tuple[int, ...]
+    grains: int
+
+
+def _find_shape(plan: Sweep, place: Place) -> _Shape:
+    tables: dict[str, Any] = plan.tables_at(place)
     size = plan.scene(place).chain.grains if "file" in tables["chain"] else plan.grains(place)
-    what, numbers = _recorded(json.dumps(tables.get("recording")), size)
-    return what.samples, what.duration, tuple(numbers.tolist()), size
+    recording, numbers = _read_recording(json.dumps(tables.get("recording")), size)
+    return _Shape(recording.samples, recording.duration, tuple(numbers.tolist()), size)
 
 
 @lru_cache(maxsize=64)
-def _recorded(table: str, size: int) -> tuple[Recording, np.ndarray]:
-    """Return what a table asks to record, and the numbers of the grains of a chain of this size."""
-    what = Recording(
-        **{key: value for key, value in json.loads(table).items() if key != "quantities"}
-    )
+def _read_recording(table: str, size: int) -> tuple[Recording, np.ndarray]:
+    """Return the recording that a table asks for, and its grains in a chain of this size."""
+    options = json.loads(table)
+    options.pop("quantities", None)
+    recording = Recording(**options)
     chain = Chain(grains=size, diameter=1e-3, gravity=0.0, bottom="wall")
-    if faults := list(what.faults(chain)):
+    if faults := list(recording.faults(chain)):
         raise InputError(faults)
-    return what, what.numbers(chain)
+    return recording, recording.numbers(chain)

@@ -1,4 +1,4 @@
-"""Laws by which the values of a sweep are drawn: one number a scene, or one for every grain of it."""
+"""Random laws of a sweep: one number for each scene, or one for each grain of it."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ from ..util.arrays import Array
 from ..util.validation import Checked, Positive, Real
 
 MARKS = {"low", "high", "mean", "deviation"}  # of a table that is a law
-# keys of the scene file that hold a number a grain, and how many fewer than grains; constants are a
-# number a contact
-ARRAYS = {
-    "chain.masses": 0,
-    "chain.diameter": 0,
-    "chain.contact_constants": 1,
-    "chain.material.density": 0,
-    "chain.material.youngs_modulus": 0,
-    "chain.material.poissons_ratio": 0,
-}
-# of these, those that are never one number for all
-ALWAYS = ("chain.masses", "chain.contact_constants")
+CONTACT_CONSTANTS = "chain.contact_constants"
+# of the scene file, with a number for each grain or, the contact constants, for each contact
+GRAIN_KEYS = (
+    "chain.masses",
+    "chain.diameter",
+    CONTACT_CONSTANTS,
+    "chain.material.density",
+    "chain.material.youngs_modulus",
+    "chain.material.poissons_ratio",
+)
+ALWAYS = ("chain.masses", CONTACT_CONSTANTS)  # never one number for all grains
 
 
 class Uniform(Checked):
-    """Between what numbers a key is drawn: evenly, or with its logarithm even."""
+    """Uniform distribution between two numbers, of a value or of its logarithm."""
 
     low: Real
     high: Real
@@ -43,15 +42,15 @@ class Uniform(Checked):
         if self.log and self.low <= 0:
             yield "low", f"must be above 0 where log is true (got {self.low:g})"
 
-    def at(self, part: Array) -> Array:
-        """Return the numbers below which these parts of all draws lie."""
+    def at(self, share: Array) -> Array:
+        """Return the numbers below which these shares of all draws lie."""
         if self.log:
-            return np.exp(math.log(self.low) + part * math.log(self.high / self.low))
-        return self.low + part * (self.high - self.low)
+            return np.exp(math.log(self.low) + share * math.log(self.high / self.low))
+        return self.low + share * (self.high - self.low)
 
 
 class Normal(Checked):
-    """Mean and standard deviation of what is drawn: it, or its logarithm, is normally distributed."""
+    """Normal distribution of a value or of its logarithm; mean and deviation are of the value."""
 
     mean: Real
     deviation: Positive
@@ -62,18 +61,18 @@ class Normal(Checked):
         if self.log and self.mean <= 0:
             yield "mean", f"must be above 0 where log is true (got {self.mean:g})"
 
-    def at(self, part: Array) -> Array:
-        """Return the numbers below which these parts of all draws lie."""
+    def at(self, share: Array) -> Array:
+        """Return the numbers below which these shares of all draws lie."""
         from scipy.special import ndtri
 
         if self.log:
-            square = math.log1p((self.deviation / self.mean) ** 2)
-            return self.mean * np.exp(math.sqrt(square) * ndtri(part) - square / 2)
-        return self.mean + self.deviation * ndtri(part)
+            variance = math.log1p((self.deviation / self.mean) ** 2)
+            return self.mean * np.exp(math.sqrt(variance) * ndtri(share) - variance / 2)
+        return self.mean + self.deviation * ndtri(share)
 
 
-def law(table: Any) -> Uniform | Normal:
-    """Return the law that a table stands for; raises `InputError`."""
+def make_law(table: Any) -> Uniform | Normal:
+    """Return the law that a table describes; raises `InputError`."""
     if not isinstance(table, Mapping):
         cure = "such as {low = 1.0, high = 10.0} or {mean = 5.0, deviation = 1.0}"
         raise InputError.at("", f"must be a range or a distribution, {cure}")
@@ -81,7 +80,7 @@ def law(table: Any) -> Uniform | Normal:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class GrainLaw:
     """A key of which every grain gets a number of its own, drawn anew for every scene.
 
     Scene number i takes its numbers from `numpy.random.default_rng(SeedSequence(seed, spawn_key=(i,
@@ -93,20 +92,21 @@ class Drawn:
     law: Uniform | Normal
     seed: int
 
+    @property
+    def of_contacts(self) -> bool:
+        """Whether the numbers are those of contacts, of which there is one fewer."""
+        return self.key == CONTACT_CONSTANTS
+
     def values(self, index: int, grains: int) -> Array:
-        """Return the numbers of a scene, one a grain or contact."""
+        """Return the numbers of a scene, one for each grain or contact."""
         mark = int.from_bytes(hashlib.sha256(self.key.encode()).digest()[:4], "big")
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index, mark)))
-        return self.law.at(rng.random(grains - ARRAYS[self.key]))
+        return self.law.at(rng.random(grains - self.of_contacts))
 
 
-def drawn(laws: Mapping[str, Uniform | Normal], seed: int) -> tuple[Drawn, ...]:
-    """Return what is drawn for every grain; raises `InputError` for keys that hold no number a grain."""
-    if wrong := [key for key in laws if key not in ARRAYS]:
-        raise InputError(
-            [
-                (key, f"has no value a grain; those that have are {', '.join(ARRAYS)}")
-                for key in wrong
-            ]
-        )
-    return tuple(Drawn(key, each, seed) for key, each in laws.items())
+def bind_laws(laws: Mapping[str, Uniform | Normal], seed: int) -> tuple[GrainLaw, ...]:
+    """Return the laws of numbers for each grain; raises `InputError` for keys without such."""
+    cure = f"those that have are {', '.join(GRAIN_KEYS)}"
+    if faults := [(key, f"has no value a grain; {cure}") for key in laws if key not in GRAIN_KEYS]:
+        raise InputError(faults)
+    return tuple(GrainLaw(key, law, seed) for key, law in laws.items())

@@ -159,5 +159,5 @@ def measured(
         kept, names = quantity(name), (name, f"{name}_error")
         values = [known[key] for key in names] if name in known else kept.measure(motion, grains)
         for key, each in zip(names, values, strict=False):
-            found[gathered.stored(key)] = each[..., rows] if "grain" in kept.dimensions else each
+            found[gathered.file_name(key)] = each[..., rows] if "grain" in kept.dimensions else each
     return found

@@ -1,4 +1,4 @@
-"""The results of a sweep as one labelled dataset; arrays are read from their files when they are used."""
+"""Results of a sweep as one labelled dataset, whose arrays are read when they are used."""
 
 from __future__ import annotations
 
@@ -14,20 +14,18 @@ from xarray.core import indexing
 
 from ..errors import InputError, short
 from ..util.arrays import Array
-from ..util.files import check_readable, check_tree
-from .file import FORMAT, Sweep, again, is_name
-from .store import NAME, SCALARS, Layout, laid_out, open_store, read
-
-LARGEST_INDEX = 2**30  # bytes
+from ..util.files import LARGEST_JSON, check_readable, check_tree
+from .file import FORMAT, Sweep, is_name, read_text
+from .store import NAME, SCALARS, Layout, open_store, read, read_layout
 
 
 def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
-    """Return what a sweep has found so far.
+    """Return the results of a sweep so far.
 
     Parameters
     ----------
     folder : path
-        Where `sweep` has put it.
+        That `sweep` has made.
 
     Returns
     -------
@@ -46,71 +44,70 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     """
     folder = Path(folder)
     index = _read(folder / NAME)
-    if (
-        not isinstance(index, dict)
-        or index.get("format") != FORMAT
-        or not is_name(index.get("results"))
-    ):
+    if not isinstance(index, dict) or index.get("format") != FORMAT:
+        index = {}
+    if not is_name(index.get("results")):
         raise InputError.at(str(folder), "holds no sweep, or one of another version of lmpchain")
     results = folder / index["results"]
-    plan, made = kept(results)
-    store = open_store(results)
+    plan, layout = read_results(results)
+    coordinates = _read_labels(results, layout)
+    data: dict[str, Any] = {}
     swept = tuple(axis.name for axis in plan.axes)
+    laws = {law.key for axis in plan.axes for law in axis.arrays}
+    for name, column in layout.columns.items():
+        attributes = {"units": column.units, "long_name": column.long_name}
+        if name in ("reason", *SCALARS):
+            values = read(results, layout, name, np.arange(layout.count)).reshape(plan.shape)
+            data[name] = swept, values.astype(object) if column.dtype is str else values, attributes
+            continue
+        array = indexing.LazilyIndexedArray(_Stored(results, layout, name, plan.shape))
+        inner = column.dimensions
+        # where scenes differ in their times, samples are numbered and the times a coordinate
+        if "time" in layout.columns:
+            inner = tuple(key.replace("time", "sample") for key in inner)
+        variables = coordinates if name == "time" or name in laws else data
+        variables[name] = (*swept, *inner), array, attributes
+    return xarray.Dataset(data, coordinates, {"engine": plan.engine, "tolerance": plan.tolerance})
+
+
+def _read_labels(results: Path, layout: Layout) -> dict[str, Any]:
+    """Return the coordinates that are no arrays over the scenes; raises `InputError`."""
+    store = open_store(results)
     try:
-        coordinates = {
+        return {
             name: (array.metadata.dimension_names, array[:], dict(array.attrs))
             for name, array in store.arrays()
-            if name not in made.columns
+            if name not in layout.columns
         }
     except Exception as error:  # whatever a damaged file makes zarr raise
         raise InputError.at(
             str(results), f"is damaged ({short(error)}): remove it, and sweep again"
         ) from None
-    data: dict[str, Any] = {}
-    for name, column in made.columns.items():
-        about = {"units": column.units, "long_name": column.long_name}
-        if column.shape or name not in ("reason", *SCALARS):
-            stored = indexing.LazilyIndexedArray(_Stored(results, made, name, plan.shape))
-            into = coordinates if name in plan_coordinates(plan, made) else data
-            dimensions = (
-                "sample" if key == "time" and "time" in made.columns else key
-                for key in column.dimensions
-            )
-            into[name] = (*swept, *dimensions), stored, about
-        else:
-            values = read(results, made, name, np.arange(made.count)).reshape(plan.shape)
-            data[name] = swept, values.astype(object) if column.dtype is str else values, about
-    return xarray.Dataset(data, coordinates, {"engine": plan.engine, "tolerance": plan.tolerance})
 
 
-def plan_coordinates(plan: Sweep, made: Layout) -> set[str]:
-    """Return which arrays over the scenes are coordinates."""
-    return {"time"} & made.columns.keys() | {each.key for axis in plan.axes for each in axis.arrays}
-
-
-def kept(results: Path) -> tuple[Sweep, Layout]:
-    """Return the sweep that results are of, and how they are laid out; raises `InputError`."""
+def read_results(results: Path) -> tuple[Sweep, Layout]:
+    """Return the sweep of a folder of results, and their layout; raises `InputError`."""
     path = results / NAME
     try:
         check_tree(results)
         if not _read(path):
             raise InputError.at(str(path), "is missing: remove its folder, and sweep again")
-        plan = again(path.read_text(encoding="utf-8"), results)
+        plan = read_text(path.read_text(encoding="utf-8"), results)
     except (OSError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError) and str(path) in str(error):
             raise
         raise InputError.at(
             str(path), f"cannot be read ({short(error)}): remove its folder, and sweep again"
         ) from None
-    return plan, laid_out(results, plan)
+    return plan, read_layout(results, plan)
 
 
 def _read(path: Path) -> Any:
-    """Return what a JSON file holds, or None if there is none."""
+    """Return the content of a JSON file, or None if there is none."""
     try:
         if path.is_symlink():
             raise ValueError
-        check_readable(path, LARGEST_INDEX)
+        check_readable(path, LARGEST_JSON)
         return json.loads(path.read_bytes())
     except FileNotFoundError:
         return None
@@ -121,27 +118,27 @@ def _read(path: Path) -> Any:
 
 
 class _Stored(BackendArray):
-    """One array of every scene, read from the files when it is indexed, and NaN where there is none."""
+    """Array over all scenes, read from the files when it is indexed, and NaN where none are."""
 
     dtype = np.dtype(float)
 
-    def __init__(self, folder: Path, made: Layout, name: str, shape: tuple[int, ...]):
+    def __init__(self, folder: Path, layout: Layout, name: str, swept: tuple[int, ...]):
         self._folder = folder
-        self._made = made
+        self._layout = layout
         self._name = name
-        self._swept = shape
-        self.shape = (*shape, *made.columns[name].shape)
+        self._swept = swept
+        self.shape = (*swept, *layout.columns[name].shape)
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Array:
         return indexing.explicit_indexing_adapter(
-            key, self.shape, indexing.IndexingSupport.OUTER, self._at
+            key, self.shape, indexing.IndexingSupport.OUTER, self._read
         )
 
-    def _at(self, key: tuple) -> Array:
-        chosen = [np.arange(size)[part] for size, part in zip(self.shape, key, strict=True)]
-        places = [np.atleast_1d(part) for part in chosen]
-        outer = places[: len(self._swept)]
-        inner = places[len(self._swept) :]
-        numbers = np.ravel_multi_index(np.ix_(*outer), self._swept).ravel()
-        values = read(self._folder, self._made, self._name, numbers, inner)
-        return values.reshape([part.size for part in chosen if part.ndim])
+    def _read(self, key: tuple) -> Array:
+        chosen = [np.arange(size)[index] for size, index in zip(self.shape, key, strict=True)]
+        rows = [np.atleast_1d(indices) for indices in chosen]
+        outer = np.ix_(*rows[: len(self._swept)])
+        inner = rows[len(self._swept) :]
+        numbers = np.ravel_multi_index(outer, self._swept).ravel()
+        values = read(self._folder, self._layout, self._name, numbers, inner)
+        return values.reshape([indices.size for indices in chosen if indices.ndim])

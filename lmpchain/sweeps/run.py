@@ -1,4 +1,4 @@
-"""Many scenes: which are left to do, and who does them; how results are kept stands in `store`."""
+"""Runs of a sweep: which scenes are left to do, and the processes that answer them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import json
 import logging
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager, nullcontext
 from itertools import islice
@@ -22,29 +23,26 @@ from ..util.files import check_tree, make_folder, write_aside
 from ..util.progress import ProgressBar
 from .executors import Here, Processes
 from .file import FORMAT, Sweep, read
-from .labels import Labels, labels
+from .labels import Labels, make_labels
 from .results import load_sweep
 from .store import (
     NAME,
     PARTS,
     RESULTS,
+    Coordinates,
     Layout,
     clean,
     complete,
     create,
     gather,
-    layout,
+    make_layout,
     whole_parts,
 )
-from .take_over import drop, others, take_over
-from .tasks import Task, answer, together
+from .take_over import drop, list_earlier, take_over
+from .tasks import TASKS, Task, answer, count_scenes
 
 if TYPE_CHECKING:
     import xarray
-
-WAITING = 256  # tasks that an executor has at a time
-CONNECT_S = 5.0  # for a scheduler to answer
-DEATHS = 3  # of the process that is at a task, before it is given up
 
 
 def sweep(
@@ -92,70 +90,71 @@ def sweep(
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise InputError.at("workers", f"must be a whole number from 1 (got {shown(workers)})")
     plan = read(source)
-    with warnings.catch_warnings(record=True, action="always") as remarks:
-        size = min(together(plan.engine, scene) for scene in plan.trials())
-    for remark in {
-        re.sub(r"\d\S*", "", text): text for text in (str(w.message) for w in reversed(remarks))
-    }.values():
-        warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=2)
+    batch = _try_scenes(plan)
     folder = make_folder(folder).absolute()
-    with _alone(folder):
-        results, made, grains = _prepare(plan, folder, size)
-        there = whole_parts(results).keys()
-        missing = {
-            shard: set(made.batches(shard)) - there
-            for shard in range(made.shards)
-            if not complete(results, shard)
-        }
-        before = made.count - sum(_scenes(made, firsts) for firsts in missing.values())
+    with _lock(folder):
+        results, layout, grains = _prepare(plan, folder, batch)
+        work = _Work(results, layout)
         executors = (
             nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
         )
+        pending = TASKS.pending if executor or workers > 1 else 1
         with (
             executors as chosen,
-            ProgressBar(made.count, unit=" scenes", done=before, shown=progress) as bar,
+            ProgressBar(layout.count, unit=" scenes", done=work.scenes, shown=progress) as bar,
         ):
-            work = _Work(results, made, missing)
-            every = (first for firsts in missing.values() for first in sorted(firsts))
-            tasks = (Task(results, plan.folder, made, grains, first) for first in every)
-            trouble = work.do(chosen, tasks, bar, WAITING if executor or workers > 1 else 1)
-        clean(results, made)  # of workers that died on the way
-    if trouble:
+            tasks = (Task(results, plan.folder, layout, grains, first) for first in work.firsts)
+            faults = work.do(chosen, tasks, bar, pending)
+        clean(results, layout)  # of workers that died on the way
+    if faults:
         warnings.warn(
-            f"some scenes could not be done this time; of the first: {trouble[0]}", stacklevel=2
+            f"some scenes could not be done this time; of the first: {faults[0]}", stacklevel=2
         )
     return load_sweep(folder)
 
 
-def _prepare(plan: Sweep, folder: Path, size: int) -> tuple[Path, Layout, np.ndarray]:
-    """Make the folder of the results; return it, how it is laid out, and the grains."""
-    found = labels(plan)
-    made = layout(plan.keep, plan.count, size, found.samples, found.grains.size, found.extra)
+def _try_scenes(plan: Sweep) -> int:
+    """Make a scene of each value, warn of what is odd, and return how many fit in a batch."""
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        batch = min(count_scenes(plan.engine, scene) for scene in plan.trials())
+    # one warning of each kind, the first: they differ in their numbers
+    texts = [str(warning.message) for warning in caught]
+    remarks = {re.sub(r"\d\S*", "", text): text for text in reversed(texts)}
+    for remark in remarks.values():
+        warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=3)
+    return batch
+
+
+def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, Layout, np.ndarray]:
+    """Make the folder of the results; return its path, its layout, and the grains."""
+    labels = make_labels(plan)
+    layout = make_layout(
+        plan.keep, plan.count, batch, labels.samples, labels.grains.size, labels.extra
+    )
     results = folder / plan.name
     _check(results, plan)
     if not (results / NAME).exists():
         (results / PARTS).mkdir(parents=True, exist_ok=True)
         if not (results / RESULTS).exists():
             swept = {axis.name: len(axis) for axis in plan.axes}
-            create(results, made, _coordinates(plan, found), swept)
-        for before in others(folder, results):
-            take_over(plan, made, results, before)
+            create(results, layout, _coordinates(plan, labels), swept)
+        for earlier in list_earlier(folder, results):
+            take_over(plan, layout, results, earlier)
         _write(results / NAME, plan.text)
-    clean(results, made)
+    clean(results, layout)
     _write(folder / NAME, json.dumps({"format": FORMAT, "results": plan.name}))
-    for before in others(folder, results):
-        drop(plan, before)
-    return results, made, found.grains
+    for earlier in list_earlier(folder, results):
+        drop(plan, earlier)
+    return results, layout, labels.grains
 
 
 def _check(results: Path, plan: Sweep) -> None:
-    """Raise `InputError` if a folder of results that is there is not one of this sweep."""
+    """Raise `InputError` if a folder of results holds those of another sweep."""
+    path = results / NAME
     try:
         if results.exists():
             check_tree(results)
-            if (results / NAME).exists() and (results / NAME).read_text(
-                encoding="utf-8"
-            ) != plan.text:
+            if path.exists() and path.read_text(encoding="utf-8") != plan.text:
                 raise ValueError("its sweep.json is of another sweep")
     except (OSError, ValueError) as error:
         raise InputError.at(
@@ -169,32 +168,23 @@ def _write(path: Path, text: str) -> None:
             aside.write_text(text, encoding="utf-8")
 
 
-def _coordinates(
-    plan: Sweep, found: Labels
-) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
-    """Return what the axes, times and grains are called, with dimensions and metadata."""
-    made: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]] = {}
+def _coordinates(plan: Sweep, labels: Labels) -> Coordinates:
+    """Return dimensions, values and metadata of axes, times and grains."""
+    coordinates: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]] = {}
     for axis in plan.axes:
         for key, values in axis.coordinates().items():
             dimensions = (axis.name, f"{key}.entry") if np.ndim(values) == 2 else (axis.name,)
-            made[key] = dimensions, values, {}
-    if found.time is not None:
-        made["time"] = ("time",), found.time, {"units": "s", "long_name": "time since the strike"}
-    made["grain"] = (
-        ("grain",),
-        found.grains,
-        {"units": "1", "long_name": "number of the grain, from the top"},
-    )
-    return made
-
-
-def _scenes(made: Layout, firsts: Iterable[int]) -> int:
-    """Return how many scenes these batches are."""
-    return sum(min(made.batch, made.count - first) for first in firsts)
+            coordinates[key] = dimensions, values, {}
+    if labels.time is not None:
+        attributes = {"units": "s", "long_name": "time since the strike"}
+        coordinates["time"] = ("time",), labels.time, attributes
+    attributes = {"units": "1", "long_name": "number of the grain, from the top"}
+    coordinates["grain"] = ("grain",), labels.grains, attributes
+    return coordinates
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _lock(folder: Path) -> Iterator[None]:
     """Lock the folder of a sweep."""
     lock = folder / ".lock"
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
@@ -212,7 +202,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def dask(address: str) -> Iterator[Executor]:
-    """Give an executor whose work is done by the workers of a Dask scheduler.
+    """Yield an executor whose work is done by the workers of a Dask scheduler.
 
     Raises
     ------
@@ -225,7 +215,7 @@ def dask(address: str) -> Iterator[Executor]:
         raise InputError.at("scheduler", 'needs Dask: pip install "lmpchain[cluster]"') from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is told by exceptions
     try:
-        client = Client(address, timeout=CONNECT_S)
+        client = Client(address, timeout=TASKS.scheduler_s)
     except (OSError, ValueError) as error:
         raise InputError.at(
             "scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})"
@@ -240,56 +230,79 @@ def dask(address: str) -> Iterator[Executor]:
 
 
 class _Work:
-    """What is left to do: batches of scenes to answer, and shards to gather when all of theirs are there."""
+    """Batches of scenes to answer, and shards to gather when all of their batches are there."""
 
-    def __init__(self, folder: Path, made: Layout, missing: Mapping[int, set[int]]):
+    def __init__(self, folder: Path, layout: Layout):
+        present = whole_parts(folder).keys()
         self._folder = folder
-        self._made = made
-        self._missing = {shard: set(each) for shard, each in missing.items()}
+        self._layout = layout
+        self._missing = {
+            shard: set(layout.batches(shard)) - present
+            for shard in range(layout.shards)
+            if not complete(folder, shard)
+        }
+        # first scene of each missing batch, and the scenes that are done
+        self.firsts = [first for firsts in self._missing.values() for first in sorted(firsts)]
+        left = sum(min(layout.batch, layout.count - first) for first in self.firsts)
+        self.scenes = layout.count - left
 
     def do(
         self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int
     ) -> list[str]:
-        """Have all tasks done, so many at a time, and return why some were not, in words."""
-        trouble: list[str] = []
-        deaths: dict[Any, int] = {}
+        """Do all tasks, at most so many at a time; return the faults that prevented some."""
+        faults: list[str] = []
+        deaths: Counter[Task | int] = Counter()
         pending: dict[Future, Task | int] = {}
-
-        def submit(what: Task | int) -> None:
-            if isinstance(what, Task):
-                pending[executor.submit(answer, what)] = what
-            else:
-                pending[executor.submit(gather, self._folder, self._made, what)] = what
-
         try:
-            for shard in [shard for shard, missing in self._missing.items() if not missing]:
-                submit(shard)
+            for shard in [shard for shard, firsts in self._missing.items() if not firsts]:
+                self._submit(executor, shard, pending)
             while True:
                 for task in islice(tasks, max(most - len(pending), 0)):
-                    submit(task)
+                    self._submit(executor, task, pending)
                 if not pending:
-                    return trouble
+                    return faults
                 for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                    what = pending.pop(future)
-                    failed = True
-                    try:
-                        future.result()
-                        failed = False
-                    except BrokenExecutor:
-                        deaths[what] = deaths.get(what, 0) + 1
-                        if deaths[what] < DEATHS:
-                            submit(what)
+                    job = pending.pop(future)
+                    error = _find_error(future)
+                    if isinstance(error, BrokenExecutor):
+                        deaths[job] += 1
+                        if deaths[job] < TASKS.deaths:
+                            self._submit(executor, job, pending)
                             continue
-                        trouble.append(f"the process that was at it died {DEATHS} times")
-                    except Exception as error:  # of the machine or the cluster, not of the scene
-                        trouble.append(f"{type(error).__name__} {error}".strip())
-                    if isinstance(what, Task):
-                        bar.advance(what.count)
-                        missing = self._missing[what.first // self._made.shard]
-                        if not failed:
-                            missing.discard(what.first)
-                            if not missing:
-                                submit(what.first // self._made.shard)
+                    if error is not None:
+                        faults.append(_describe(error))
+                    if isinstance(job, Task):
+                        bar.advance(job.count)
+                        if error is None and self._completes_shard(job):
+                            self._submit(executor, job.first // self._layout.shard, pending)
         finally:
             for future in pending:
                 future.cancel()
+
+    def _submit(self, executor: Executor, job: Task | int, pending: dict[Future, Any]) -> None:
+        """Answer the scenes of a task, or gather the batches of a shard."""
+        if isinstance(job, Task):
+            pending[executor.submit(answer, job)] = job
+        else:
+            pending[executor.submit(gather, self._folder, self._layout, job)] = job
+
+    def _completes_shard(self, task: Task) -> bool:
+        """Note that a batch is done; return whether it was the last one of its shard."""
+        firsts = self._missing[task.first // self._layout.shard]
+        firsts.discard(task.first)
+        return not firsts
+
+
+def _find_error(future: Future) -> Exception | None:
+    try:
+        future.result()
+    except Exception as error:
+        return error
+    return None
+
+
+def _describe(error: Exception) -> str:
+    """Return a fault of the machine or the cluster, not of a scene, in words."""
+    if isinstance(error, BrokenExecutor):
+        return f"the process that was at it died {TASKS.deaths} times"
+    return f"{type(error).__name__} {error}".strip()

@@ -7,24 +7,48 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..trajectory.zarr_layout import KEYS, codec_names, codec_names_in_shards, metadata
+from ..trajectory.zarr_layout import (
+    KEYS,
+    MOST_SHRUNK,
+    codec_names,
+    codec_names_in_shards,
+    metadata,
+)
 from ..util.files import check_tree
 
-CHUNK_BYTES = 2**18  # of a shard, read at a time
-KINDS = {
-    "float64": "bytes",
-    "int64": "bytes",
-    "string": "vlen-utf8",
-}  # types of data, and what writes them
+# types of data, and their codec
+KINDS = {"float64": "bytes", "int64": "bytes", "string": "vlen-utf8"}
 FILLS = {"float64": "NaN", "string": "not done"}  # where a scene has no answer
-PLAIN_BYTES = 2**26  # of an array that is read whole, whatever its file is like;
-MOST_SHRUNK = 1000  # times, that larger ones are by their codecs
 ENCODING = {"name": "default", "configuration": {"separator": "/"}}
 
 
-def described(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
+class StoreSizes(NamedTuple):
+    """Sizes of the files of a store.
+
+    Attributes
+    ----------
+    shard_scenes : int
+        Least scenes in a shard, for each array: 100 files hold 10^4 scenes.
+    shard_bytes : int
+        Largest shard, whatever that takes of its scenes.
+    chunk_bytes : int
+        Largest piece of a shard that is read at a time, unless one scene takes more.
+    plain_bytes : int
+        Largest array without shards, which is read whole, unless its file is as large as it claims.
+    """
+
+    shard_scenes: int = 160
+    shard_bytes: int = 2**27
+    chunk_bytes: int = 2**18
+    plain_bytes: int = 2**26
+
+
+STORE = StoreSizes()
+
+
+def check_store(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
     """Return the scenes in a batch, and the metadata of every array by name.
 
     Raises `OSError`, `ValueError`, `KeyError` or `TypeError` unless they are such as lmpchain
@@ -39,47 +63,63 @@ def described(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
     for node in sorted(store.iterdir()):
         if node.is_dir():
             arrays[node.name] = metadata(node)
-            _check(node, arrays[node.name])
+            _check_array(node, arrays[node.name])
         elif node.name != "zarr.json":
             raise ValueError(f"{node.name} does not belong there")
     return batch, arrays
 
 
-def _check(node: Path, about: dict[str, Any]) -> None:
-    """Raise unless an array is stored in the way of lmpchain."""
-    name = node.name
-    shape = about["shape"]
-    dimensions = about["dimension_names"]
-    if about["node_type"] != "array" or about.keys() - KEYS or about.get("storage_transformers"):
-        raise ValueError(f"{name} is stored in a way that lmpchain does not use")
-    if (
-        not shape
-        or len(shape) != len(dimensions)
-        or not all(type(length) is int and length > 0 for length in shape)
-    ):
-        raise ValueError(f"{name} has a shape that lmpchain does not use")
-    if not all(isinstance(text, str) for text in (*dimensions, *about["attributes"].values())):
-        raise ValueError(f"{name} has labels that lmpchain does not use")
-    if about["data_type"] not in KINDS:
-        raise ValueError(f"{name} holds a type of data that lmpchain does not use")
-    chunk = about["chunk_grid"]["configuration"]["chunk_shape"]
-    plain = about["chunk_grid"]["name"] == "regular" and about["chunk_key_encoding"] == ENCODING
+def _check_array(node: Path, array: dict[str, Any]) -> None:
+    """Raise `ValueError` unless lmpchain stores an array so."""
+
+    def require(condition: object, fault: str) -> None:
+        if not condition:
+            raise ValueError(f"{node.name} {fault}")
+
+    strange = array.keys() - KEYS or array.get("storage_transformers")
+    require(
+        array["node_type"] == "array" and not strange,
+        "is stored in a way that lmpchain does not use",
+    )
+    shape = array["shape"]
+    dimensions = array["dimension_names"]
+    sizes = shape and all(type(length) is int and length > 0 for length in shape)
+    require(sizes and len(shape) == len(dimensions), "has a shape that lmpchain does not use")
+    labels = (*dimensions, *array["attributes"].values())
+    require(
+        all(isinstance(label, str) for label in labels), "has labels that lmpchain does not use"
+    )
+    kind = array["data_type"]
+    require(kind in KINDS, "holds a type of data that lmpchain does not use")
+    grid = array["chunk_grid"]
+    chunk = grid["configuration"]["chunk_shape"]
+    usual = grid["name"] == "regular" and array["chunk_key_encoding"] == ENCODING
     if dimensions[0] == "scene":
-        inner = about["codecs"][0]["configuration"]["chunk_shape"]
-        codecs = codec_names_in_shards(about["codecs"], tuple(inner))
-        width = 8 * math.prod(shape[1:])
-        plain &= inner[0] > 0 and chunk[0] % inner[0] == 0 and chunk[1:] == shape[1:] == inner[1:]
-        plain &= (
-            inner[0] * width <= max(CHUNK_BYTES, width)
-            and about["fill_value"] == FILLS[about["data_type"]]
-        )
+        inner = array["codecs"][0]["configuration"]["chunk_shape"]
+        codecs = codec_names_in_shards(array["codecs"], tuple(inner))
+        usual &= _fits_shards(shape, chunk, inner) and array["fill_value"] == FILLS[kind]
     else:
-        codecs = codec_names(about["codecs"])
-        held = sum(path.stat().st_size for path in (node / "c").rglob("*") if path.is_file())
-        plain &= chunk == shape and 8 * math.prod(shape) <= max(PLAIN_BYTES, MOST_SHRUNK * held)
-    if not plain:
-        raise ValueError(
-            f"{name} is in pieces that lmpchain does not use, or claims to hold more than it does"
-        )
-    if codecs != [KINDS[about["data_type"]], "zstd", "crc32c"]:
-        raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
+        codecs = codec_names(array["codecs"])
+        usual &= chunk == shape and _fits_file(shape, node)
+    require(usual, "is in pieces that lmpchain does not use, or claims to hold more than it does")
+    require(
+        codecs == [KINDS[kind], "zstd", "crc32c"],
+        "is stored with codecs that lmpchain does not use",
+    )
+
+
+def _fits_shards(shape: list[int], shard: list[int], chunk: list[int]) -> bool:
+    """Return whether whole chunks of whole scenes, none too large, make up a shard."""
+    scene_bytes = 8 * math.prod(shape[1:])
+    return (
+        chunk[0] > 0
+        and shard[0] % chunk[0] == 0
+        and shard[1:] == shape[1:] == chunk[1:]
+        and chunk[0] * scene_bytes <= max(STORE.chunk_bytes, scene_bytes)
+    )
+
+
+def _fits_file(shape: list[int], node: Path) -> bool:
+    """Return whether an array is small, or its compressed file large enough to hold it."""
+    stored = sum(path.stat().st_size for path in (node / "c").rglob("*") if path.is_file())
+    return 8 * math.prod(shape) <= max(STORE.plain_bytes, MOST_SHRUNK * stored)

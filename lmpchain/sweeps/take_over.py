@@ -1,4 +1,4 @@
-"""What one sweep of a folder has found serves the next one that asks for the same scenes."""
+"""Results of an earlier sweep in a folder, for a sweep that has some of the same scenes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 
 from ..errors import InputError
 from .file import Sweep, is_name
-from .results import kept
+from .results import read_results
 from .store import NAME, NOT_DONE, Layout, read, write_part
 
 
-def others(folder: Path, results: Path) -> list[Path]:
-    """Return where the results of other sweeps of the folder lie."""
+def list_earlier(folder: Path, results: Path) -> list[Path]:
+    """Return the folders of the results of other sweeps in a folder."""
     return sorted(
         path
         for path in folder.iterdir()
@@ -23,76 +23,71 @@ def others(folder: Path, results: Path) -> list[Path]:
     )
 
 
-def take_over(plan: Sweep, made: Layout, results: Path, before: Path) -> None:
-    """Write what another sweep has found of these scenes, if both record the same grains and times."""
+def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None:
+    """Write the results of an earlier sweep for these scenes, if both have the same arrays."""
     try:
-        old, laid = kept(before)
+        old_plan, old_layout = read_results(earlier)
     except InputError:  # damaged, or of another version
         return
-    shapes = [
-        {name: column.shape for name, column in each.columns.items()} for each in (made, laid)
-    ]
-    if shapes[0] != shapes[1] or old.keep != plan.keep:
+    if _shapes(layout) != _shapes(old_layout) or old_plan.keep != plan.keep:
         return
-    keys, places = _done(old, laid, before)
+    keys, old_numbers = _done(old_plan, old_layout, earlier)
+    if not keys.size:
+        return
     wanted = np.array([plan.key(number) for number in range(plan.count)])
-    spots = np.searchsorted(keys, wanted).clip(max=max(keys.size - 1, 0))
-    there = keys[spots] == wanted if keys.size else np.zeros(plan.count, dtype=bool)
-    for shard in range(made.shards):
-        first = shard * made.shard
-        last = min((shard + 1) * made.shard, made.count)
-        known = first + np.flatnonzero(there[first:last])
-        if not known.size:
+    spots = np.searchsorted(keys, wanted).clip(max=keys.size - 1)
+    present = keys[spots] == wanted
+    for shard in range(layout.shards):
+        begin = shard * layout.shard
+        numbers = begin + np.flatnonzero(present[begin : begin + layout.shard])
+        if not numbers.size:
             continue
-        order = np.argsort(places[spots[known]])
-        numbers = known[order]
-        found = {name: read(before, laid, name, places[spots[numbers]]) for name in made.columns}
-        for begin in made.batches(shard):
-            end = min(begin + made.batch, made.count)
-            mine = (numbers >= begin) & (numbers < end)
-            if mine.any():
-                _write(
-                    results,
-                    begin,
-                    end,
-                    numbers[mine],
-                    {name: values[mine] for name, values in found.items()},
-                )
+        # in the order of the store, which is read faster
+        numbers = numbers[np.argsort(old_numbers[spots[numbers]])]
+        columns = {
+            name: read(earlier, old_layout, name, old_numbers[spots[numbers]])
+            for name in layout.columns
+        }
+        for first in layout.batches(shard):
+            end = min(first + layout.batch, layout.count)
+            rows = (numbers >= first) & (numbers < end)
+            if rows.any():
+                part = {name: values[rows] for name, values in columns.items()}
+                _write(results, first, end, numbers[rows], part)
 
 
-def _write(results: Path, begin: int, end: int, numbers: np.ndarray, found: dict[str, Any]) -> None:
-    """Write a part of which these scenes are known."""
+def _shapes(layout: Layout) -> dict[str, tuple[int, ...]]:
+    return {name: column.shape for name, column in layout.columns.items()}
+
+
+def _write(results: Path, first: int, end: int, numbers: np.ndarray, part: dict[str, Any]) -> None:
+    """Write a part with the results of some of its scenes, `numbers`."""
     columns = {}
-    for name, values in found.items():
+    for name, values in part.items():
         text = name == "reason"
-        column: Any = np.full(
-            (end - begin, *values.shape[1:]),
-            NOT_DONE if text else np.nan,
-            object if text else float,
-        )
-        column[numbers - begin] = values
+        shape = (end - first, *values.shape[1:])
+        column: Any = np.full(shape, NOT_DONE if text else np.nan, object if text else float)
+        column[numbers - first] = values
         columns[name] = column.astype(str) if text else column
-    write_part(results, begin, columns, whole=len(numbers) == end - begin)
+    write_part(results, first, columns, whole=len(numbers) == end - first)
 
 
-def _done(plan: Sweep, made: Layout, results: Path) -> tuple[np.ndarray, np.ndarray]:
+def _done(plan: Sweep, layout: Layout, results: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the keys of the scenes that are done, in order, and their numbers."""
-    reasons = read(results, made, "reason", np.arange(made.count))
+    reasons = read(results, layout, "reason", np.arange(layout.count))
     numbers = np.flatnonzero(reasons != NOT_DONE)
     keys = np.array([plan.key(int(number)) for number in numbers], dtype="S32")
     order = np.argsort(keys)
     return keys[order], numbers[order]
 
 
-def drop(plan: Sweep, before: Path) -> None:
-    """Remove the results of another sweep if this one asks for all that is done of it."""
+def drop(plan: Sweep, earlier: Path) -> None:
+    """Remove the results of another sweep if this one has all of its scenes that are done."""
     try:
-        old, laid = kept(before)
+        old_plan, old_layout = read_results(earlier)
     except InputError:
         return
-    keys, _ = _done(old, laid, before)
-    if (
-        old.keep == plan.keep
-        and np.isin(keys, [plan.key(number) for number in range(plan.count)]).all()
-    ):
-        shutil.rmtree(before, ignore_errors=True)
+    keys, _ = _done(old_plan, old_layout, earlier)
+    wanted = [plan.key(number) for number in range(plan.count)]
+    if old_plan.keep == plan.keep and np.isin(keys, wanted).all():
+        shutil.rmtree(earlier, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The tasks of a sweep: scenes are answered, like ones in batches, and what is kept is written."""
+"""Tasks of a sweep: answer some scenes, like ones in batches, and write the results."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,15 +19,38 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..simulation.many import in_batches
 from ..trajectory.trajectory import Trajectory
-from .file import Sweep, again
-from .labels import recorded
+from .file import Sweep, read_text
+from .labels import find_recorded
 from .quantities import measured
 from .realisations import scenes
 from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
 
-# scenes in a task, and their samples x grains
-MOST = 256
-MOST_NUMBERS = 2**22
+
+class TaskLimits(NamedTuple):
+    """Limits of the tasks of a sweep.
+
+    Attributes
+    ----------
+    scenes : int
+        Most scenes of a task.
+    numbers : int
+        Most samples x grains of all its scenes.
+    pending : int
+        Tasks that an executor has at a time.
+    deaths : int
+        Processes that die over a task before it is given up.
+    scheduler_s : float
+        Longest wait for an answer of a Dask scheduler, s.
+    """
+
+    scenes: int = 256
+    numbers: int = 2**22
+    pending: int = 256
+    deaths: int = 3
+    scheduler_s: float = 5.0
+
+
+TASKS = TaskLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,69 +75,64 @@ class Task:
 
     @property
     def count(self) -> int:
-        """How many scenes these are."""
+        """Number of scenes."""
         return min(self.layout.batch, self.layout.count - self.first)
 
 
-def together(engine: str, scene: Scene) -> int:
-    """Return how many scenes like this one make a task: one, unless it is small."""
+def count_scenes(engine: str, scene: Scene) -> int:
+    """Return the number of scenes like this one in a task: one, unless it is small."""
     if not engines.get(engine).batches:
         return 1
-    return max(1, min(MOST, MOST_NUMBERS // (scene.fine.samples * scene.chain.grains)))
+    numbers = scene.fine.samples * scene.chain.grains
+    return max(1, min(TASKS.scenes, TASKS.numbers // numbers))
 
 
 def answer(task: Task) -> None:
-    """Answer the scenes of a task, unless that was done before, and write down what is kept of them."""
-    if part_of(task.folder, task.first).exists() or complete(
-        task.folder, task.first // task.layout.shard
-    ):
+    """Answer the scenes of a task, unless that was done before, and write their results."""
+    shard = task.first // task.layout.shard
+    if part_of(task.folder, task.first).exists() or complete(task.folder, shard):
         return
-    plan = again(_text(task.folder / NAME), task.files)
+    plan = read_text(_read(task.folder / NAME), task.files)
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1
-    # what is hardly meant was said when the sweep began; how far off an answer is stands in the
-    # result
+    # warnings were given when the sweep began; the error of an answer stands in the result
     with warnings.catch_warnings(action="ignore"):
-        made = scenes(plan, task.first, task.count, alike)
-        columns = _columns(task)
-        left = dict(enumerate(made))
-        for row, found in in_batches(
-            engine, {n: s for n, s in left.items() if isinstance(s, Scene)}, plan.tolerance
-        ):
+        columns = _make_columns(task)
+        left = dict(enumerate(scenes(plan, task.first, task.count, alike)))
+        batch = {row: scene for row, scene in left.items() if isinstance(scene, Scene)}
+        for row, result in in_batches(engine, batch, plan.tolerance):
             del left[row]
-            _put(columns, row, found, plan, task)
+            _put(columns, row, result, plan, task)
         for row, scene in left.items():
-            _put(columns, row, _alone(scene, engine, plan.tolerance), plan, task)
+            _put(columns, row, _answer_alone(scene, engine, plan.tolerance), plan, task)
     columns["reason"] = np.array(columns["reason"], dtype=str)
-    write_part(task.folder, task.first, _with_known(columns, task))
+    write_part(task.folder, task.first, _insert_earlier(columns, task))
 
 
-def _with_known(columns: dict[str, Any], task: Task) -> dict[str, Any]:
-    """Return the arrays with what an earlier sweep has found in its place.
+def _insert_earlier(columns: dict[str, Any], task: Task) -> dict[str, Any]:
+    """Return the arrays with the results of an earlier sweep in their place.
 
     Those scenes were answered again, so that the others get the bits that they would have in the
     same company.
     """
-    some = part_of(task.folder, task.first, whole=False)
-    if some.exists():
-        known = {
-            name: read_part(some, name, column) for name, column in task.layout.columns.items()
-        }
-        there = known["reason"] != NOT_DONE
-        for name, values in columns.items():
-            columns[name] = np.array(
-                np.where(there.reshape(-1, *[1] * (values.ndim - 1)), known[name], values)
-            )
-    return columns
+    path = part_of(task.folder, task.first, whole=False)
+    if not path.exists():
+        return columns
+    earlier = {name: read_part(path, name, column) for name, column in task.layout.columns.items()}
+    done = earlier["reason"] != NOT_DONE
+    return {
+        name: np.where(done.reshape(-1, *[1] * (values.ndim - 1)), earlier[name], values)
+        for name, values in columns.items()
+    }
 
 
 @lru_cache(maxsize=2)
-def _text(path: Path) -> str:
+def _read(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def _columns(task: Task) -> dict[str, Any]:
-    """Return an array of NaN for everything that is kept, (R, ...) each, and no reasons."""
+def _make_columns(task: Task) -> dict[str, Any]:
+    """Return an array of NaN for each quantity, (R, ...) each, and no reasons."""
     columns: dict[str, Any] = {
         name: np.full((task.count, *column.shape), np.nan)
         for name, column in task.layout.columns.items()
@@ -123,49 +141,51 @@ def _columns(task: Task) -> dict[str, Any]:
 
 
 def _put(
-    columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError, plan: Sweep, task: Task
+    columns: Mapping[str, Any],
+    row: int,
+    result: Trajectory | LmpchainError,
+    plan: Sweep,
+    task: Task,
 ) -> None:
-    """Put what is kept of an answer where it belongs, or why there is none."""
-    if isinstance(found, LmpchainError):
-        columns["reason"][row] = str(found)
+    """Put the quantities of an answer in their row, or the reason why there is none."""
+    if isinstance(result, LmpchainError):
+        columns["reason"][row] = str(result)
         return
     place = plan.place(task.first + row)
-    motion = motion_of(found)
-    wanted = recorded(plan, place, found.scene.chain.grains)
-    spots = _spots(wanted.tobytes(), task.grains.tobytes())
-    for name, values in measured(motion, plan.keep, wanted, found.gathered).items():
-        into = columns[name][row]
+    scene = result.scene
+    grains = find_recorded(plan, place, scene.chain.grains)
+    spots = _find_spots(grains.tobytes(), task.grains.tobytes())
+    for name, values in measured(motion_of(result), plan.keep, grains, result.gathered).items():
         if values.ndim == 2:
-            into[: len(values), spots] = values
+            columns[name][row][: len(values), spots] = values
+        elif task.layout.columns[name].dimensions == ("time",):
+            columns[name][row, : len(values)] = values
         elif values.ndim:
-            into[
-                slice(len(values)) if task.layout.columns[name].dimensions == ("time",) else spots
-            ] = values
+            columns[name][row][spots] = values
         else:
             columns[name][row] = values
-    columns["model_error"][row] = found.error_estimate.model
-    columns["solver_error"][row] = found.error_estimate.solver
+    columns["model_error"][row] = result.error_estimate.model
+    columns["solver_error"][row] = result.error_estimate.solver
     if "time" in columns:
-        columns["time"][row, : found.scene.samples] = found.scene.time
-    for key, values in plan.drawn(place, found.scene.chain.grains).items():
+        columns["time"][row, : scene.samples] = scene.time
+    for key, values in plan.drawn(place, scene.chain.grains).items():
         columns[key][row, : len(values)] = values
 
 
 @lru_cache(maxsize=64)
-def _spots(wanted: bytes, grains: bytes) -> Any:
-    """Return where these grains stand among those that the arrays have places for."""
+def _find_spots(wanted: bytes, grains: bytes) -> Any:
+    """Return the indices of some grains among those of the arrays."""
     if wanted == grains:
         return slice(None)
-    numbers = np.frombuffer(wanted, int)
-    every = np.frombuffer(grains, int)
-    order = np.argsort(every)
-    return order[np.searchsorted(every, numbers, sorter=order)]
+    numbers = np.frombuffer(grains, int)
+    order = np.argsort(numbers)
+    return order[np.searchsorted(numbers, np.frombuffer(wanted, int), sorter=order)]
 
 
-def _alone(
+def _answer_alone(
     scene: Scene | InputError, engine: Engine, tolerance: float
 ) -> Trajectory | LmpchainError:
-    """Answer one scene, or say why there is no answer."""
+    """Answer one scene, or return the reason why there is no answer."""
     if isinstance(scene, InputError):
         return scene
     try:

@@ -1,4 +1,4 @@
-"""Names, shapes and labels of what is gathered all along a run."""
+"""Names, shapes and labels of the quantities gathered all along a run."""
 
 from __future__ import annotations
 
@@ -32,60 +32,60 @@ class Kind(NamedTuple):
     labels: dict[str, Any]
 
 
-def stored(name: str) -> str:
-    """Return what a quantity is called in files, whose names hold no colon.
+def file_name(name: str) -> str:
+    """Return the name of a quantity in files, where names hold no colon.
 
     Examples
     --------
-    >>> stored("peak_force:40_error")
+    >>> file_name("peak_force:40_error")
     'peak_force_40_error'
     """
     return name.replace(":", "_")
 
 
 def arrays(scene: Scene) -> dict[str, Kind]:
-    """Return what is gathered of a scene, by its name in `Trajectory.gathered`."""
-    made: dict[str, Kind] = {}
+    """Return the arrays that are gathered of a scene, by name in `Trajectory.gathered`."""
+    kinds: dict[str, Kind] = {}
+    sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}
     for name in scene.quantities:
-        kind, _, contact = name.partition(":")
-        dimensions, units, about = KINDS[kind]
-        about = f"{about} {contact}".strip()
-        sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}
+        key, _, contact = name.partition(":")
+        dimensions, units, title = KINDS[key]
+        title = f"{title} {contact}".strip()
         shape = tuple(sizes[dimension] for dimension in dimensions)
-        made[name] = Kind(dimensions, shape, {"units": units, "long_name": about})
-        made[f"{name}_error"] = Kind(
-            dimensions, shape, {"units": units, "long_name": f"error of the {about}"}
-        )
+        kinds[name] = Kind(dimensions, shape, {"units": units, "long_name": title})
+        error = {"units": units, "long_name": f"error of the {title}"}
+        kinds[f"{name}_error"] = Kind(dimensions, shape, error)
         if TIME in dimensions:
-            made[TIME] = Kind(
-                (TIME,), (scene.fine.samples,), {"units": "s", "long_name": "time since the strike"}
-            )
-    return made
+            labels = {"units": "s", "long_name": "time since the strike"}
+            kinds[TIME] = Kind(dimensions, shape, labels)
+    return kinds
 
 
 def variables(
     scene: Scene, values: dict[str, Any]
 ) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
-    """Return dimensions, values and metadata of what was gathered, by its name in files."""
-    every = arrays(scene)
+    """Return dimensions, values and metadata of gathered arrays, by name in files."""
+    kinds = arrays(scene)
     return {
-        stored(name): (every[name].dimensions, each, every[name].labels)
-        for name, each in values.items()
+        file_name(name): (kinds[name].dimensions, array, kinds[name].labels)
+        for name, array in values.items()
     }
 
 
 def in_words(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:
-    """Return a line for each quantity: between what its values lie, and how far off they are at most."""
+    """Return a line for each quantity: the range of its values, and their largest error."""
     lines = {}
     for name in scene.quantities:
-        value, error = (np.ravel(values[key]) for key in (name, f"{name}_error"))
-        there = np.isfinite(value)
-        if not there.any():
+        value = np.ravel(values[name])
+        error = np.ravel(values[f"{name}_error"])
+        finite = np.isfinite(value)
+        if not finite.any():
             lines[name] = "nothing: no front has passed"
             continue
-        low, high = (f"{extreme(value[there]):.6g}" for extreme in (np.min, np.max))
-        units = KINDS[name.partition(":")[0]][1].replace(" s-1", "/s")
-        some = "" if there.all() else f" in {there.sum()} of {there.size} grains"
+        low = f"{value[finite].min():.6g}"
+        high = f"{value[finite].max():.6g}"
         span = low if low == high else f"{low} to {high}"
-        lines[name] = f"{span} {units}{some}, off by {error[there].max():.2g} at most"
+        units = KINDS[name.partition(":")[0]][1].replace(" s-1", "/s")
+        grains = "" if finite.all() else f" in {finite.sum()} of {finite.size} grains"
+        lines[name] = f"{span} {units}{grains}, off by {error[finite].max():.2g} at most"
     return lines

@@ -63,13 +63,13 @@ class SampleReader(ProtoReader):
         """Do nothing: no file is held."""
 
 
-def universe(record: Record) -> Universe:
+def make_universe(record: Record) -> Universe:
     """Return the trajectory as a Universe; see `lmpchain.Trajectory.universe`."""
     chain = record.scene.chain
-    place = record.grains - 1
-    made: Any = Universe.empty(place.size)
-    made.add_TopologyAttr("ids", record.grains)
-    made.add_TopologyAttr("masses", chain.masses[place])
-    made.add_TopologyAttr("radii", chain.diameters[place] / 2)
-    made.trajectory = SampleReader(record)
-    return made
+    indices = record.grains - 1
+    universe: Any = Universe.empty(indices.size)
+    universe.add_TopologyAttr("ids", record.grains)
+    universe.add_TopologyAttr("masses", chain.masses[indices])
+    universe.add_TopologyAttr("radii", chain.diameters[indices] / 2)
+    universe.trajectory = SampleReader(record)
+    return universe

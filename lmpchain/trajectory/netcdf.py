@@ -15,7 +15,7 @@ from ..util.arrays import Array
 from ..util.files import check_readable, check_seal, seal, write_aside
 from ..util.provenance import command, now
 from .gathered import TIME
-from .record import DIMENSIONS, KINDS, TOLD, Record, scene_of, shapes
+from .record import ATTRIBUTES, DIMENSIONS, KINDS, Record, read_scene, shapes
 
 if TYPE_CHECKING:
     import h5py
@@ -37,7 +37,7 @@ def write(record: Record, path: str | PathLike[str]) -> None:
 
 
 def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
-    """Return metadata, scene and arrays of a file; damaged or foreign ones raise whatever comes first.
+    """Return metadata, scene and arrays of a file; a damaged or foreign one raises an error.
 
     Only plain arrays in this very file are read, and a claim about their size is checked before
     they are.
@@ -47,13 +47,10 @@ def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
     check_readable(path, sys.maxsize)
     check_seal(path)
     with h5py.File(path, "r") as file:
-        about = {name: _attribute(file, name) for name in TOLD}
-        scene = scene_of(about)
-        return (
-            about,
-            scene,
-            {name: _array(file, name, shape) for name, shape in shapes(scene).items()},
-        )
+        attributes = {name: _attribute(file, name) for name in ATTRIBUTES}
+        scene = read_scene(attributes)
+        arrays = {name: _array(file, name, shape) for name, shape in shapes(scene).items()}
+        return attributes, scene, arrays
 
 
 def _attribute(file: h5py.File, name: str) -> Any:
@@ -62,10 +59,9 @@ def _attribute(file: h5py.File, name: str) -> Any:
 
     if not h5py.h5a.exists(file.id, name.encode()):
         raise ValueError(f"it has no {name}")
-    kept = h5py.h5a.open(file.id, name.encode())
-    if kept.shape not in ((), (1,)) or not (
-        h5py.check_string_dtype(kept.dtype) or kept.dtype.kind in "if"
-    ):
+    attribute = h5py.h5a.open(file.id, name.encode())
+    plain = h5py.check_string_dtype(attribute.dtype) or attribute.dtype.kind in "if"
+    if attribute.shape not in ((), (1,)) or not plain:
         raise ValueError(f"its {name} is neither text nor a number")
     return np.asarray(file.attrs[name]).item()
 
@@ -76,14 +72,15 @@ def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
 
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"its {name} is not in the file, or a link")
-    found = file[name]
-    if not isinstance(found, h5py.Dataset) or found.dtype != (kind := KINDS.get(name, "float64")):
+    array = file[name]
+    kind = KINDS.get(name, "float64")
+    if not isinstance(array, h5py.Dataset) or array.dtype != kind:
         raise ValueError(f"its {name} are not numbers of the kind {kind}")
-    layout = found.id.get_create_plist().get_layout()
-    if layout not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or found.external:
+    layout = array.id.get_create_plist().get_layout()
+    if layout not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or array.external:
         raise ValueError(f"its {name} does not lie in the file in one piece, as lmpchain writes it")
-    if found.shape != shape:
-        raise ValueError(f"its {name} has the shape {found.shape}, its scene {shape}")
-    if found.id.get_storage_size() != found.nbytes:
+    if array.shape != shape:
+        raise ValueError(f"its {name} has the shape {array.shape}, its scene {shape}")
+    if array.id.get_storage_size() != array.nbytes:
         raise ValueError(f"its {name} is not stored in the file")
-    return found[()]
+    return array[()]

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 UNITS = {"velocity": "m/s", "displacement": "m"}
-MOVING = 1e-3  # of the largest motion: grains that move less are left out of the colour scale
-WIDEST = 4000  # samples drawn: a picture has fewer columns
+MOVING = 1e-3  # share of the largest motion below which a grain counts as at rest
 
 
 def space_time(
@@ -26,7 +25,7 @@ def space_time(
 
     ax = axes_in_units(ax, "s", "")
     order = as_slice(np.argsort(trajectory.grains))
-    every = -(-trajectory.time.size // WIDEST)
+    every = -(-trajectory.time.size // 4000)  # a picture has fewer columns
     time = trajectory.time[::every]
     motion = np.asarray(getattr(trajectory, field)[::every])[:, order]
     rows, drawn = thinned(trajectory.grains[order], motion.T)
@@ -41,6 +40,6 @@ def space_time(
 
 
 def scale(motion: Array) -> float:
-    """Return where colours of a motion (T, G) saturate: the median of the peaks of grains that move."""
+    """Return the median peak of the grains that move, where colours of a motion, (T, G), saturate."""
     largest = np.abs(motion).max(0)
     return float(np.median(largest[largest > MOVING * largest.max()])) if largest.any() else 1.0

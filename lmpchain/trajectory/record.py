@@ -14,11 +14,12 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from . import gathered
 
-FORMAT = 1
+FORMAT = 1  # version of the files
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
 KINDS = {"time": "float64", "grain": "int64", "displacement": "float64", "velocity": "float64"}
-TOLD = (
+# metadata of a file
+ATTRIBUTES = (
     "lmpchain_format",
     "engine",
     "equation",
@@ -120,26 +121,25 @@ class Record:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Record):
             return NotImplemented
-        mine, theirs = (
-            {**each.__dict__, "gathered": each.gathered.keys(), **each.gathered}
-            for each in (self, other)
-        )
-        if mine["gathered"] != theirs["gathered"]:
+        if self.gathered.keys() != other.gathered.keys():
             return False
         arrays = (*FIELDS, "time", "grains")
-        return all(
-            np.array_equal(mine[key], theirs[key], equal_nan=key in self.gathered)
-            if key in arrays or key in self.gathered
-            else mine[key] == theirs[key]
-            for key in mine
+        values = (name for name in vars(self) if name not in (*arrays, "gathered"))
+        return (
+            all(getattr(self, name) == getattr(other, name) for name in values)
+            and all(np.array_equal(getattr(self, name), getattr(other, name)) for name in arrays)
+            and all(
+                np.array_equal(array, other.gathered[name], equal_nan=True)
+                for name, array in self.gathered.items()
+            )
         )
 
     __hash__ = None  # type: ignore[assignment]
 
     def attributes(self) -> dict[str, Any]:
         """Return the metadata of the file."""
-        known = subject(self.scene, self.engine, self.equation, self.provenance)
-        return known | verdict(self.error_estimate, self.cost)
+        before = subject(self.scene, self.engine, self.equation, self.provenance)
+        return before | verdict(self.error_estimate, self.cost)
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
         """Return dimensions, values and metadata of each array."""
@@ -171,17 +171,18 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
     return {
         "model_error": error.model,
         "solver_error": error.solver,
-        "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain at any time of "
-        "the run, the larger of displacement and velocity, x_true the solution of Eq. (1)",
+        "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain"
+        " at any time of the run, the larger of displacement and velocity, x_true the solution of "
+        "Eq. (1)",
         "cost": json.dumps(cost._asdict()),
     }
 
 
-def scene_of(about: Mapping[str, Any]) -> Scene:
-    """Return the scene that the metadata of a file hold; raises where there is none."""
-    if about["lmpchain_format"] != FORMAT:
+def read_scene(attributes: Mapping[str, Any]) -> Scene:
+    """Return the scene in the metadata of a file; raises `ValueError` where there is none."""
+    if attributes["lmpchain_format"] != FORMAT:
         raise ValueError("it is of another version of lmpchain")
-    return Scene.from_text(about["scene"])
+    return Scene.from_text(attributes["scene"])
 
 
 def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
@@ -189,36 +190,38 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
     samples = scene.samples
     grains = scene.count(scene.chain)
     return {"time": (samples,), "grain": (grains,), **dict.fromkeys(FIELDS, (samples, grains))} | {
-        gathered.stored(name): kind.shape for name, kind in gathered.arrays(scene).items()
+        gathered.file_name(name): kind.shape for name, kind in gathered.arrays(scene).items()
     }
 
 
-def kept_of(scene: Scene, arrays: Mapping[str, Any]) -> dict[str, Array]:
-    """Return what was gathered, by name, from the arrays of a file."""
+def select_gathered(scene: Scene, arrays: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the gathered quantities of a scene from the arrays of a file, by name."""
     return {
-        name: arrays[gathered.stored(name)]
+        name: arrays[gathered.file_name(name)]
         for name in gathered.arrays(scene)
-        if gathered.stored(name) in arrays
+        if gathered.file_name(name) in arrays
     }
 
 
-def told(about: Mapping[str, Any]) -> dict[str, Any]:
-    """Return engine, equation, error, cost and provenance from the metadata; raises if they are odd."""
-    error = ErrorEstimate(float(about["model_error"]), float(about["solver_error"]))
-    cost = json.loads(about["cost"])
-    provenance = json.loads(about["provenance"])
+def read_result(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return engine, equation, error, cost and provenance of metadata; raises `ValueError`."""
+    error = ErrorEstimate(float(attributes["model_error"]), float(attributes["solver_error"]))
+    cost = json.loads(attributes["cost"])
+    provenance = json.loads(attributes["provenance"])
+    engine = attributes["engine"]
+    equation = attributes["equation"]
     kinds: dict[Any, Any] = {float: int | float, int: int, str: str}
     if not (error.model >= 0 and error.solver >= 0):
         raise ValueError("its error estimate is no number from 0")
     if not all(isinstance(cost[name], kinds[kind]) for name, kind in get_type_hints(Cost).items()):
         raise ValueError("its cost is not in numbers")
-    if not isinstance(about["engine"], str) or not isinstance(about["equation"], int | float):
+    if not isinstance(engine, str) or not isinstance(equation, int | float):
         raise ValueError("its engine or equation is none")
     if not all(isinstance(value, str) for value in dict(provenance).values()):
         raise ValueError("its provenance is not in words")
     return {
-        "engine": about["engine"],
-        "equation": int(about["equation"]),
+        "engine": engine,
+        "equation": int(equation),
         "error_estimate": error,
         "cost": Cost(**cost),
         "provenance": provenance,

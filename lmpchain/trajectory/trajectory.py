@@ -14,14 +14,14 @@ from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from .record import Record, kept_of, told
+from .record import Record, read_result, select_gathered
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
     from MDAnalysis import Universe
 
-MOST_DRAWN = 4_000_000  # values of a trajectory that a notebook draws unasked
+DRAWN_VALUES = 4_000_000  # of larger trajectories a notebook shows no picture unasked
 
 
 class Trajectory(Shown, Record):
@@ -69,19 +69,17 @@ class Trajectory(Shown, Record):
             "error estimate",
             f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)",
         )
-        how = f" of {cost.step_s:.4g} s by {cost.integrator}" if cost.integrator else ""
-        yield (
-            "cost",
-            f"{cost.total_s:.3g} s, {cost.steps} steps{how}, {cost.active_grains} grains computed",
-        )
+        method = f" of {cost.step_s:.4g} s by {cost.integrator}" if cost.integrator else ""
+        steps = f"{cost.steps} steps{method}"
+        yield "cost", f"{cost.total_s:.3g} s, {steps}, {cost.active_grains} grains computed"
 
     def _picture(self) -> str:
-        return super()._picture() if self.time.size * self.grains.size <= MOST_DRAWN else ""
+        return super()._picture() if self.time.size * self.grains.size <= DRAWN_VALUES else ""
 
     def plot(
         self, ax: Axes | None = None, field: Literal["velocity", "displacement"] = "velocity"
     ) -> Axes:
-        """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
+        """Draw the motion over time and depth, downward red, upward blue; returns the axes.
 
         The colours saturate at the median of the largest sizes of the grains that move, so that the
         wave can be seen where it has become weak.
@@ -97,7 +95,7 @@ class Trajectory(Shown, Record):
         return space_time(self, field, ax)
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return a labelled dataset with the dimensions time and grain; stored arrays stay on the disk."""
+        """Return a labelled dataset of time and grain; stored arrays stay on the disk."""
         import xarray
 
         variables = {
@@ -138,16 +136,17 @@ class Trajectory(Shown, Record):
         --------
         >>> import lmpchain
         >>> chain = lmpchain.Chain(grains=40, diameter=1e-3)
-        >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=50e-6)
+        >>> strike = lmpchain.Impulse(velocity=1e-6)
+        >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=50e-6)
         >>> t = lmpchain.simulate(scene, engine="native")
         >>> top = t.universe().select_atoms("id 1:5")
         >>> peak = max(ts.data["velocity"][top.indices].max() for ts in top.universe.trajectory)
         >>> bool(peak == t.velocity[:, :5].max())
         True
         """
-        from .mdanalysis import universe
+        from .mdanalysis import make_universe
 
-        return universe(self)
+        return make_universe(self)
 
     @classmethod
     def from_dump(
@@ -210,27 +209,26 @@ class Trajectory(Shown, Record):
                 str(path), "is a folder without a run in it, or with one that has no samples yet"
             )
         if not folder and not os.path.isfile(path):
-            there = os.path.lexists(path)
+            device = os.path.lexists(path)
             raise InputError.at(
                 str(path),
-                "is no file, but a device or a pipe" if there else "there is no such file",
+                "is no file, but a device or a pipe" if device else "there is no such file",
             )
         try:
-            about, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
+            attributes, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
             time = arrays["time"]
-            if not (
-                np.array_equal(time, scene.time[: time.size])
-                and np.array_equal(arrays["grain"], scene.recorded)
-            ):
-                raise ValueError("its times or grains are not those of its scene")
+            if not np.array_equal(time, scene.time[: time.size]):
+                raise ValueError("its times are not those of its scene")
+            if not np.array_equal(arrays["grain"], scene.recorded):
+                raise ValueError("its grains are not those of its scene")
             return cls(
                 scene=scene,
                 time=time,
                 grains=arrays["grain"],
                 displacement=arrays["displacement"],
                 velocity=arrays["velocity"],
-                gathered=kept_of(scene, arrays),
-                **told(about),
+                gathered=select_gathered(scene, arrays),
+                **read_result(attributes),
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
             raise InputError.at(

@@ -24,7 +24,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import check_tree
 from . import gathered
-from .record import FIELDS, LABELS, Block, Cost, ErrorEstimate, scene_of, verdict
+from .record import FIELDS, LABELS, Block, Cost, ErrorEstimate, read_scene, verdict
 from .zarr_layout import check, metadata, pieces
 
 if TYPE_CHECKING:
@@ -43,46 +43,29 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     samples = scene.samples
     grains = scene.recorded.size
     sizes = pieces(samples, grains)
-    shrunk: Any = {
-        "compressors": [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]
-    }
-    unknown: Any = {"dtype": "f8", "fill_value": math.nan} | shrunk
-    for name in FIELDS:
+    shrink: Any = [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]
+
+    def make(
+        name: str, dimensions: tuple[str, ...], labels: dict[str, Any], **options: Any
+    ) -> None:
         group.create_array(
             name,
-            shape=(samples, grains),
-            chunks=sizes["chunk"],
-            shards=sizes[name],
-            dimension_names=("time", "grain"),
-            attributes=LABELS[name],
-            **unknown,
+            dimension_names=dimensions,
+            attributes=labels,
+            compressors=shrink,
+            **options,
         )
-    group.create_array(
-        "time",
-        shape=(samples,),
-        chunks=sizes["time"],
-        dimension_names=("time",),
-        attributes=LABELS["time"],
-        **unknown,
-    )
-    group.create_array(
-        "grain",
-        data=scene.recorded,
-        chunks=sizes["grain"],
-        dimension_names=("grain",),
-        attributes=LABELS["grain"],
-        **shrunk,
-    )
+
+    unknown: Any = {"dtype": "f8", "fill_value": math.nan}
+    fields = {"shape": (samples, grains), "chunks": sizes["chunk"]} | unknown
+    for name in FIELDS:
+        make(name, ("time", "grain"), LABELS[name], shards=sizes[name], **fields)
+    make("time", ("time",), LABELS["time"], shape=(samples,), chunks=sizes["time"], **unknown)
+    make("grain", ("grain",), LABELS["grain"], data=scene.recorded, chunks=sizes["grain"])
     for name, kind in gathered.arrays(scene).items():
-        group.create_array(
-            gathered.stored(name),
-            shape=kind.shape,
-            chunks=kind.shape,
-            dimension_names=kind.dimensions,
-            attributes=kind.labels,
-            **unknown,
-        )
-    # consolidated metadata, which xarray reads first
+        shape = {"shape": kind.shape, "chunks": kind.shape}
+        make(gathered.file_name(name), kind.dimensions, kind.labels, **shape, **unknown)
+    # consolidated metadata, which xarray reads first; zarr warns that they are no standard yet
     with warnings.catch_warnings(action="ignore"):
         zarr.consolidate_metadata(folder / NAME)
 
@@ -104,14 +87,14 @@ class Writer:
         self._end = sample
 
     def _go_to(self, first: int) -> None:
-        """Begin a shard. What the store holds of it stays, so that no reader sees a sample vanish."""
+        """Begin a shard with its samples in the store, so that no reader sees a sample vanish."""
         self._first = self._end = first
         self._buffers.fill(math.nan)
         if first < self._known:
             with suppress(ValueError):  # damaged samples to come are written anew
                 for buffer, array in zip(self._buffers, self._fields, strict=True):
-                    known = array[first : first + self._rows]
-                    buffer[: len(known)] = known
+                    samples = array[first : first + self._rows]
+                    buffer[: len(samples)] = samples
 
     def put(self, block: Block) -> None:
         """Append samples; full shards are written to the disk."""
@@ -143,22 +126,20 @@ class Writer:
         if math.isfinite(error.total):
             self._group.attrs[SO_FAR] = {"samples": self._end} | asdict(error)
 
-    def conclude(self, error: ErrorEstimate, cost: Cost, found: Mapping[str, Array]) -> None:
-        """Store the error estimate, the cost, and what was gathered."""
-        for name, values in found.items():
-            self._group[gathered.stored(name)][...] = values
+    def conclude(self, error: ErrorEstimate, cost: Cost, quantities: Mapping[str, Array]) -> None:
+        """Store the error estimate, the cost, and the gathered quantities."""
+        for name, values in quantities.items():
+            self._group[gathered.file_name(name)][...] = values
         self._group.attrs.update(verdict(error, cost) | {SO_FAR: None})
 
 
 def usable(folder: Path, scene: Scene, samples: Any) -> bool:
-    """Say whether so many samples are complete and readable, up to the shard of the next one."""
+    """Return whether so many samples are complete, and the shard of the next one readable."""
     import zarr
 
-    if (
-        isinstance(samples, bool)
-        or not isinstance(samples, int)
-        or not 0 <= samples <= scene.samples
-    ):
+    if isinstance(samples, bool) or not isinstance(samples, int):
+        return False
+    if not 0 <= samples <= scene.samples:
         return False
     if not samples:
         return True
@@ -166,14 +147,14 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
         check(folder / NAME, scene)
         group: Any = zarr.open_group(folder / NAME, mode="r", zarr_format=3)
         first = samples - samples % group[FIELDS[0]].shards[0]
-        parts = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
-        return all(bool(np.isfinite(part).all()) for part in parts)
+        arrays = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
+        return all(bool(np.isfinite(array).all()) for array in arrays)
     except Exception:  # whatever damaged files make zarr raise
         return False
 
 
 def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
-    """Return metadata, scene and arrays of the complete samples of a store; fields are read on demand.
+    """Return metadata, scene and arrays of the complete samples; fields are read on demand.
 
     Of a run that is not finished, the error is the estimate so far, or infinite if more samples are
     there than it is of. Foreign or damaged stores raise whatever comes first, before any of their
@@ -182,8 +163,8 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     import xarray
 
     check_tree(folder / NAME)
-    about = metadata(folder / NAME)["attributes"]
-    scene = scene_of(about)
+    attributes = metadata(folder / NAME)["attributes"]
+    scene = read_scene(attributes)
     check(folder / NAME, scene)
     data = xarray.open_dataset(
         folder / NAME,
@@ -194,20 +175,27 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
         zarr_format=3,
         consolidated=False,
     )
+    finished = "solver_error" in attributes
     complete = int(np.isfinite(data["time"].to_numpy()).sum())
-    if "solver_error" in about and complete < scene.samples:
+    if finished and complete < scene.samples:
         raise ValueError("the run was finished, but samples are not there")
     data = data.isel(time=slice(0, complete))
-    nothing = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)
-    noted = about.get(SO_FAR) or {"samples": -1}
-    error = (noted["model"], noted["solver"]) if noted["samples"] >= complete else (0.0, math.inf)
-    arrays = {name: data[name].to_numpy() for name in ("time", "grain")}
-    fields = {name: OnDisk(data[name].variable) for name in FIELDS}
-    if "solver_error" in about:
-        arrays |= {
-            name: data[name].to_numpy() for name in map(gathered.stored, gathered.arrays(scene))
-        }
-    return verdict(ErrorEstimate(*error), nothing) | about, scene, arrays | fields
+    names = ["time", "grain"]
+    if finished:
+        names += map(gathered.file_name, gathered.arrays(scene))
+    arrays: dict[str, Any] = {name: data[name].to_numpy() for name in names}
+    arrays |= {name: OnDisk(data[name].variable) for name in FIELDS}
+    no_cost = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)
+    result = verdict(_error_so_far(attributes, complete), no_cost) | attributes
+    return result, scene, arrays
+
+
+def _error_so_far(attributes: Mapping[str, Any], samples: int) -> ErrorEstimate:
+    """Return the stored estimate of an unfinished run, infinite if it is of fewer samples."""
+    stored = attributes.get(SO_FAR)
+    if stored and stored["samples"] >= samples:
+        return ErrorEstimate(stored["model"], stored["solver"])
+    return ErrorEstimate(0.0, math.inf)
 
 
 class OnDisk(NDArrayOperatorsMixin):
@@ -228,27 +216,26 @@ class OnDisk(NDArrayOperatorsMixin):
 
     def __getitem__(self, key: Any) -> Any:
         keys = key if isinstance(key, tuple) else (key,)
-        fancy = [
-            part for part in keys if not isinstance(part, int | np.integer | slice | EllipsisType)
-        ]
+        plain = int | np.integer | slice | EllipsisType
+        indices = [index for index in keys if not isinstance(index, plain)]
         # rules of xarray and numpy differ
-        if len(fancy) > 1 or any(np.ndim(part) != 1 for part in fancy):
+        if len(indices) > 1 or any(np.ndim(index) != 1 for index in indices):
             return np.asarray(self)[key]
         return self._read(self.variable[key])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.asarray(self._read(self.variable), dtype)
 
-    def _read(self, part: xarray.Variable) -> Any:
+    def _read(self, variable: xarray.Variable) -> Any:
         try:
-            values = part.to_numpy()
+            values = variable.to_numpy()
         except (ValueError, RuntimeError, OSError) as error:
-            why = str(error)
+            fault = str(error)
         else:
             if np.isfinite(values).all():
                 return values
-            why = "samples are not there"
-        raise InputError.at(NAME, f"was damaged and cannot be read: {why}; run the scene anew")
+            fault = "samples are not there"
+        raise InputError.at(NAME, f"was damaged and cannot be read: {fault}; run the scene anew")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         read = (np.asarray(value) if isinstance(value, OnDisk) else value for value in inputs)

@@ -64,6 +64,7 @@ def _to_disk(path: Path) -> None:
 
 
 SEAL = b"lmpchain sha256 "
+LARGEST_JSON = 2**30  # bytes, of what describes a store, a run or a sweep
 
 
 def check_readable(path: Path, largest: int) -> None:

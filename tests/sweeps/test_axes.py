@@ -10,19 +10,19 @@ from scipy import stats
 
 from lmpchain import InputError
 from lmpchain.sweeps import axes as module
-from lmpchain.sweeps.axes import Axis, axes
-from lmpchain.sweeps.laws import Drawn, Normal, Uniform, law
+from lmpchain.sweeps.axes import Axis, make_axes
+from lmpchain.sweeps.laws import GrainLaw, Normal, Uniform, make_law
 
 
 def faults(parts: dict[str, Any]) -> list[tuple[str, str]]:
     with pytest.raises(InputError) as caught:
-        axes(parts)
+        make_axes(parts)
     return caught.value.faults
 
 
 def test_a_grid_has_an_axis_for_each_key():
     grid = {"chain": {"gravity": [1.0, 2.0]}, "excitation.velocity": np.array([1e-3, 2e-3, 3e-3])}
-    first, second = axes({"grid": grid})
+    first, second = make_axes({"grid": grid})
     assert (first.name, first.length, len(first), dict(first.columns)) == (
         "chain.gravity", 2, 2, {"chain.gravity": [1.0, 2.0]},
     )  # fmt: skip
@@ -54,7 +54,7 @@ def test_coordinates_are_numbers_or_words():
 
 
 def test_cases_have_as_many_values_each():
-    (axis,) = axes({"list": {"chain.gravity": (1.0, 2.0), "chain.top": ["free", "wall"]}})
+    (axis,) = make_axes({"list": {"chain.gravity": (1.0, 2.0), "chain.top": ["free", "wall"]}})
     assert (axis.name, axis.length) == ("case", 2)
     told = faults({"list": {"chain.gravity": [1.0, 2.0], "chain.top": ["free"]}})
     assert told == [("list.chain.top", "must have as many values as chain.gravity, 2, not 1")]
@@ -69,37 +69,39 @@ def test_cases_have_as_many_values_each():
 def test_a_hypercube_is_that_of_its_seed():
     low, high = {"low": 1.0, "high": 3.0}, {"mean": 5.0, "deviation": 0.5}
     table = {"draws": 40, "seed": 3, "chain.gravity": low, "excitation.velocity": high}
-    (axis,) = axes({"random": table})
+    (axis,) = make_axes({"random": table})
     assert (axis.name, axis.length, axis.drawn) == ("draw", 40, True)
     parts = stats.qmc.LatinHypercube(2, seed=np.random.default_rng(3)).random(40)
     assert axis.columns["chain.gravity"] == pytest.approx(1.0 + 2.0 * parts[:, 0], rel=1e-14)
     normal = stats.norm.ppf(parts[:, 1], 5.0, 0.5)
     assert axis.columns["excitation.velocity"] == pytest.approx(normal, rel=1e-13)
-    (other,) = axes({"random": table | {"seed": 4}})
+    (other,) = make_axes({"random": table | {"seed": 4}})
     assert not set(other.columns["chain.gravity"]) & set(axis.columns["chain.gravity"])
-    (grains,) = axes(
+    (grains,) = make_axes(
         {"random": {"draws": 2, "seed": 3, "chain.masses": {"low": 1e-6, "high": 2e-6}}}
     )
     assert not grains.columns
     assert [each.key for each in grains.arrays] == ["chain.masses"]
-    (each,) = axes({"random": {"draws": 2, "seed": 3, "chain.diameter": low | {"per_grain": True}}})
+    (each,) = make_axes(
+        {"random": {"draws": 2, "seed": 3, "chain.diameter": low | {"per_grain": True}}}
+    )
     assert [one.key for one in each.arrays] == ["chain.diameter"]
     missing = "name a key, such as chain.gravity = {low = 1.0, high = 10.0}"
     assert faults({"random": {"draws": 2, "seed": 3}}) == [("random", missing)]
 
 
 def test_realisations_have_contacts_of_their_own_where_an_order_is_given():
-    (contacts,) = axes({"disorder": {"m": 2, "seed": 1, "realisations": 3}})
+    (contacts,) = make_axes({"disorder": {"m": 2, "seed": 1, "realisations": 3}})
     assert (contacts.name, contacts.drawn, contacts.arrays) == ("realisation", True, ())
     assert list(contacts.columns["disorder.index"]) == [0, 1, 2]
     masses = {"chain.masses": {"low": 1e-6, "high": 2e-6}}
-    (grains,) = axes({"disorder": {"seed": 1, "realisations": 3} | masses})
+    (grains,) = make_axes({"disorder": {"seed": 1, "realisations": 3} | masses})
     assert not grains.columns
     assert grains.arrays[0].seed == 1
-    (both,) = axes({"disorder": {"m": 2, "seed": 1, "realisations": 3} | masses})
+    (both,) = make_axes({"disorder": {"m": 2, "seed": 1, "realisations": 3} | masses})
     assert "disorder.index" in both.columns
     assert both.arrays
-    swept, indexed = axes(
+    swept, indexed = make_axes(
         {"grid": {"disorder.m": [1, 2]}, "disorder": {"seed": 1, "realisations": 3} | masses}
     )
     assert swept.name == "disorder.m"
@@ -107,10 +109,10 @@ def test_realisations_have_contacts_of_their_own_where_an_order_is_given():
 
 
 def test_scenes_are_a_million_at_most(monkeypatch: pytest.MonkeyPatch):
-    assert module.MOST == 10**6
-    monkeypatch.setattr(module, "MOST", 6)
+    assert module.MOST_SCENES == 10**6
+    monkeypatch.setattr(module, "MOST_SCENES", 6)
     grid = {"chain.gravity": [1.0, 2.0], "chain.exponent": [1.5, 2.0, 3.0]}
-    assert len(axes({"grid": grid})) == 2
+    assert len(make_axes({"grid": grid})) == 2
     told = faults({"grid": grid | {"chain.exponent": [1.5] * 4}})
     assert told == [("grid", "these are 8 scenes; sweep 6 at most")]
 
@@ -126,7 +128,7 @@ def test_numbers_of_draws_and_seeds_have_limits(table: dict[str, Any]):
         for key, value in table["random"].items()
         if value not in (0,) or key == "draws"
     ]
-    assert axes({"random": {"draws": 1, "seed": 0} | ranges})[0].length == 1
+    assert make_axes({"random": {"draws": 1, "seed": 0} | ranges})[0].length == 1
 
 
 def test_keys_are_those_of_a_scene_and_swept_once():
@@ -141,7 +143,7 @@ def test_keys_are_those_of_a_scene_and_swept_once():
         {"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}}
     )
     assert overlap == [("chain.material", "overlaps chain.material.density: sweep one of them")]
-    axes(
+    make_axes(
         {"grid": {"chain.top": ["free"], "chain.top_load": [1.0]}}
     )  # one begins like the other, and is none of it
     (fault,) = faults({})
@@ -169,17 +171,17 @@ def test_laws_are_those_of_scipy():
 
 
 def test_a_table_is_a_range_or_a_distribution():
-    assert law({"low": 1.0, "high": 2.0}) == Uniform(low=1.0, high=2.0)
-    assert law({"mean": 1.0, "deviation": 2.0}) == Normal(mean=1.0, deviation=2.0)
+    assert make_law({"low": 1.0, "high": 2.0}) == Uniform(low=1.0, high=2.0)
+    assert make_law({"mean": 1.0, "deviation": 2.0}) == Normal(mean=1.0, deviation=2.0)
     for half, key in (
         ({"mean": 1.0}, "deviation"),
         ({"deviation": 1.0}, "mean"),
         ({"low": 1.0}, "high"),
     ):
         with pytest.raises(InputError, match=f"{key}: is missing"):
-            law(half)
+            make_law(half)
     with pytest.raises(InputError, match="must be a range or a distribution"):
-        law([1.0, 2.0])
+        make_law([1.0, 2.0])
 
 
 @pytest.mark.parametrize(
@@ -206,16 +208,16 @@ def test_a_table_is_a_range_or_a_distribution():
 )
 def test_laws_that_are_none(table: dict[str, Any], key: str, message: str):
     with pytest.raises(InputError) as caught:
-        law(table)
+        make_law(table)
     assert caught.value.faults == [(key, message)]
 
 
 def test_laws_just_inside_their_limits():
-    law({"low": 2.0, "high": float(np.nextafter(2.0, 3.0))})
-    law({"low": 5e-324, "high": 2.0, "log": True})
-    law({"low": -2.0, "high": -1.0})
-    law({"mean": 5e-324, "deviation": 1.0, "log": True})
-    law({"mean": 0.0, "deviation": 1.0})
+    make_law({"low": 2.0, "high": float(np.nextafter(2.0, 3.0))})
+    make_law({"low": 5e-324, "high": 2.0, "log": True})
+    make_law({"low": -2.0, "high": -1.0})
+    make_law({"mean": 5e-324, "deviation": 1.0, "log": True})
+    make_law({"mean": 0.0, "deviation": 1.0})
 
 
 def test_numbers_of_grains_follow_from_seed_scene_and_key():
@@ -225,9 +227,9 @@ def test_numbers_of_grains_follow_from_seed_scene_and_key():
         mark = int.from_bytes(hashlib.sha256(key.encode()).digest()[:4], "big")
         sequence = np.random.SeedSequence(7, spawn_key=(3, mark))
         expected = 1.0 + np.random.default_rng(sequence).random(9 - fewer)
-        assert np.array_equal(Drawn(key, uniform, 7).values(3, 9), expected)
+        assert np.array_equal(GrainLaw(key, uniform, 7).values(3, 9), expected)
     with pytest.raises(
         InputError, match=r"chain\.gravity: has no value a grain; those that have are chain\.masses"
     ):
-        module.drawn({"chain.gravity": uniform}, 1)
+        module.bind_laws({"chain.gravity": uniform}, 1)
     assert json.dumps(uniform.given()) == '{"low": 1.0, "high": 2.0}'

@@ -14,8 +14,8 @@ from lmpchain import Chain, Impulse, InputError, Scene, sweep
 from lmpchain.sweeps import run, store, tasks
 from lmpchain.sweeps.executors import Here
 from lmpchain.sweeps.file import read
-from lmpchain.sweeps.labels import labels, recorded
-from lmpchain.sweeps.tasks import together
+from lmpchain.sweeps.labels import find_recorded, make_labels
+from lmpchain.sweeps.tasks import count_scenes
 
 SCENE: dict[str, Any] = {
     "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
@@ -29,7 +29,7 @@ ASKED = {"scene": SCENE, "grid": {"chain.gravity": GRAVITIES}, "keep": ["wall_fo
 @pytest.fixture
 def in_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two scenes a task."""
-    monkeypatch.setattr(tasks, "MOST", 2)
+    monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
 
 
 class Bar:
@@ -119,7 +119,7 @@ def test_an_executor_has_so_many_tasks_at_a_time(
         return wait(pending, **options)
 
     monkeypatch.setattr(run, "wait", counted)
-    monkeypatch.setattr(run, "WAITING", most)
+    monkeypatch.setattr(run, "TASKS", run.TASKS._replace(pending=most))
     sweep(ASKED, tmp_path, executor=Here())
     assert max(counts) == min(most, 4)
     counts.clear()
@@ -154,12 +154,12 @@ def test_small_scenes_make_a_task_together():
         struck = Impulse(velocity=1e-9)
         return Scene(chain=chain, excitation=struck, duration=1e-9 * samples, samples=samples)
 
-    assert together("native", scene(10, 11)) == 256
+    assert count_scenes("native", scene(10, 11)) == 256
     for grains, samples in ((128, 256), (1000, 128), (1024, 4096), (1025, 4097), (2000, 5000)):
         one = scene(grains, samples)
         numbers = one.fine.samples * grains
-        assert together("native", one) == max(1, min(256, 2**22 // numbers))
-    assert together("lammps", scene(10, 11)) == 1
+        assert count_scenes("native", one) == max(1, min(256, 2**22 // numbers))
+    assert count_scenes("lammps", scene(10, 11)) == 1
 
 
 def test_dask_is_asked_for_by_its_address(monkeypatch: pytest.MonkeyPatch):
@@ -215,7 +215,7 @@ def test_labels_are_those_of_all_scenes():
         "disorder": {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
     }
     plan = read({"scene": SCENE, "list": recording, **masses})
-    found = labels(plan)
+    found = make_labels(plan)
     assert (found.samples, found.time, found.grains.tolist()) == (5, None, [2, 3, 5])
     assert found.extra["time"].shape == (5,)
     assert (found.extra["time"].units, found.extra["time"].long_name) == (
@@ -223,21 +223,21 @@ def test_labels_are_those_of_all_scenes():
         "time since the strike",
     )
     assert found.extra["chain.masses"].shape == (9,)
-    assert recorded(plan, (0, 1), 6).tolist() == [5, 2]
-    assert recorded(plan, (1, 0), 9).tolist() == [2, 3]
-    alike = labels(read(ASKED))
+    assert find_recorded(plan, (0, 1), 6).tolist() == [5, 2]
+    assert find_recorded(plan, (1, 0), 9).tolist() == [2, 3]
+    alike = make_labels(read(ASKED))
     assert (alike.samples, alike.grains.tolist()) == (3, [1, 2, 3, 4, 5, 6])
     assert alike.time is not None
     assert alike.time.tolist() == [0.0, 2.5e-6, 5e-6]
     assert not alike.extra
-    later = labels(read(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
+    later = make_labels(read(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
     assert later.extra["time"].shape == (3,)
 
 
 def test_grains_find_their_places():
     wanted, grains = np.array([7, 2]), np.array([9, 2, 4, 7])
-    assert tasks._spots(wanted.tobytes(), grains.tobytes()).tolist() == [3, 1]
-    assert tasks._spots(grains.tobytes(), grains.tobytes()) == slice(None)
+    assert tasks._find_spots(wanted.tobytes(), grains.tobytes()).tolist() == [3, 1]
+    assert tasks._find_spots(grains.tobytes(), grains.tobytes()) == slice(None)
 
 
 # --- what an earlier sweep has found
@@ -246,7 +246,7 @@ def test_grains_find_their_places():
 @pytest.mark.usefixtures("in_pairs")
 def test_what_is_known_is_taken_over_whatever_its_place(tmp_path: Path, monkeypatch: Any):
     """Also where it lies in several shards, and in parts of others."""
-    monkeypatch.setattr(store, "SCENES_A_FILE", 1)
+    monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=1))
     few = ASKED | {"grid": {"chain.gravity": [3.0, 6.0, 1.0, 9.0, 2.0]}}
     first = sweep(few, tmp_path).load()
     solved: list[int] = []

@@ -11,8 +11,16 @@ import zarr
 
 from lmpchain import InputError, load_sweep, sweep
 from lmpchain.sweeps import store, store_check
-from lmpchain.sweeps.file import again, is_name, read
-from lmpchain.sweeps.store import Column, Layout, layout, part_of, parts_of, whole_parts, write_part
+from lmpchain.sweeps.file import is_name, read, read_text
+from lmpchain.sweeps.store import (
+    Column,
+    Layout,
+    make_layout,
+    part_of,
+    parts_of,
+    whole_parts,
+    write_part,
+)
 
 SCENE: dict[str, Any] = {
     "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
@@ -51,7 +59,7 @@ def test_a_shard_is_no_larger_than_128_MB():
 
 def test_the_layout_has_an_error_beside_each_number_read_off():
     extra = {"time": Column(("sample",), (7,), "s", "")}
-    made = layout(["velocity", "energy", "wall_force", "peak_force:3"], 9, 2, 7, 4, extra)
+    made = make_layout(["velocity", "energy", "wall_force", "peak_force:3"], 9, 2, 7, 4, extra)
     shapes = {name: column.shape for name, column in made.columns.items()}
     assert shapes == {
         "time": (7,),
@@ -85,14 +93,14 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
     assert np.isnan(velocity.fill_value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["results.zarr"]
     assert len(list((tmp_path / "results.zarr").iterdir())) == 4
-    batch, arrays = store_check.described(tmp_path / "results.zarr")
+    batch, arrays = store_check.check_store(tmp_path / "results.zarr")
     assert (batch, sorted(arrays)) == (4, ["peak", "reason", "velocity"])
 
 
 @pytest.fixture
 def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, Layout, dict[str, np.ndarray]]:
     """Two shards of six scenes, the first gathered, of the second a part and some of another."""
-    monkeypatch.setattr(store, "SCENES_A_FILE", 2)
+    monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=2))
     made = laid(11, 3, velocity=(2, 4), peak=())
     assert (made.shard, made.shards) == (6, 2)
     (tmp_path / "parts").mkdir()
@@ -216,10 +224,10 @@ def test_an_array_claims_no_more_than_its_file_can_hold(tmp_path: Path):
         folder.mkdir()
         plain(folder, 5, held=held, shape=[length])
         if sound:
-            assert store_check.described(folder / "results.zarr")[0] == 1
+            assert store_check.check_store(folder / "results.zarr")[0] == 1
         else:
             with pytest.raises(ValueError, match="claims to hold more than it does"):
-                store_check.described(folder / "results.zarr")
+                store_check.check_store(folder / "results.zarr")
 
 
 def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
@@ -233,14 +241,14 @@ def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
         inner["chunk_shape"] = [rows, 128, 32]
         file.write_text(json.dumps(about))
         if sound:
-            store_check.described(tmp_path / "results.zarr")
+            store_check.check_store(tmp_path / "results.zarr")
         else:
             with pytest.raises((ValueError, ZeroDivisionError)):
-                store_check.described(tmp_path / "results.zarr")
+                store_check.check_store(tmp_path / "results.zarr")
     inner["chunk_shape"] = [8, 128, 16]
     file.write_text(json.dumps(about))
     with pytest.raises(ValueError, match="is in pieces"):
-        store_check.described(tmp_path / "results.zarr")
+        store_check.check_store(tmp_path / "results.zarr")
 
 
 @pytest.mark.parametrize("batch", [0, -1, True, 1.0, "1", None])
@@ -250,7 +258,7 @@ def test_a_batch_is_a_whole_number_from_1(tmp_path: Path, batch: Any):
     about = json.loads(file.read_text())
     file.write_text(json.dumps(about | {"attributes": {"batch": batch}}))
     with pytest.raises(ValueError, match="no store of lmpchain"):
-        store_check.described(tmp_path / "results.zarr")
+        store_check.check_store(tmp_path / "results.zarr")
 
 
 # --- places, keys and names
@@ -283,8 +291,8 @@ def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
         plan = read(base | change)
         names.add(plan.name)
         keys |= {plan.key(0), plan.key(1)}
-        assert again(plan.text, plan.folder).name == plan.name
-        assert again(plan.text, plan.folder).key(1) == plan.key(1)
+        assert read_text(plan.text, plan.folder).name == plan.name
+        assert read_text(plan.text, plan.folder).key(1) == plan.key(1)
     assert (len(names), len(keys)) == (5, 10)
     assert read(base).key(0) == read(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
     plan = read(base)
@@ -296,7 +304,7 @@ def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
     with pytest.raises(
         InputError, match="must be tables: a sweep that is kept names no other file"
     ):
-        again(json.dumps({"scene": "scene.toml", "files": {}}), plan.folder)
+        read_text(json.dumps({"scene": "scene.toml", "files": {}}), plan.folder)
 
 
 def test_one_scene_for_each_value_is_tried_before_all_are_run():
@@ -350,11 +358,11 @@ def test_drawn_numbers_need_a_chain_of_so_many_grains(grains: Any):
 def test_a_sweep_of_several_shards(tmp_path: Path, monkeypatch: Any):
     from lmpchain.sweeps import tasks
 
-    monkeypatch.setattr(tasks, "MOST", 2)
+    monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
     whole = sweep(
         {"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "one"
     ).load()
-    monkeypatch.setattr(store, "SCENES_A_FILE", 1)
+    monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=1))
     found = sweep(
         {"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "many"
     )

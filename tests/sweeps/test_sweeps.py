@@ -555,7 +555,7 @@ def test_bad_sweeps_are_refused_before_anything_runs(tmp_path, wrong, keys):
 
 
 def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(run, "CONNECT_S", 0.2)  # where nobody listens
+    monkeypatch.setattr(run, "TASKS", run.TASKS._replace(scheduler_s=0.2))  # where nobody listens
     path = tmp_path / "sweep.toml"
     path.write_text("[grid\n")
     assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
@@ -663,7 +663,7 @@ def test_folders_that_are_no_sweeps(tmp_path):
 
 def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
     """What an interrupted sweep has left is completed; a longer one takes over what there is."""
-    monkeypatch.setattr(tasks, "MOST", 2)
+    monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
     monkeypatch.setattr(run, "gather", None)
     with pytest.warns(UserWarning, match="could not be done"):
         sweep(chains(6), tmp_path / "parts")  # whose shard cannot be gathered
@@ -686,7 +686,7 @@ def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
     ]
     assert load_sweep(tmp_path / "parts").velocity[4].equals(whole.velocity[4])
     monkeypatch.undo()
-    monkeypatch.setattr(tasks, "MOST", 2)
+    monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
     assert sweep(chains(6), tmp_path / "parts").load().identical(whole)
     assert list(folder.iterdir()) == []
 

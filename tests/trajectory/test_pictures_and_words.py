@@ -95,7 +95,7 @@ def test_a_trajectory_says_what_it_is():
 def test_a_notebook_draws_what_is_not_too_much(monkeypatch: pytest.MonkeyPatch):
     t = made()
     for most, drawn in ((15, True), (14, False)):
-        monkeypatch.setattr(trajectory, "MOST_DRAWN", most)
+        monkeypatch.setattr(trajectory, "DRAWN_VALUES", most)
         assert bool(t._picture()) == drawn
 
 

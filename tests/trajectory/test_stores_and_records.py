@@ -11,7 +11,15 @@ import zarr
 
 from lmpchain import Chain, Impulse, InputError, Scene
 from lmpchain.trajectory import zarr_store
-from lmpchain.trajectory.record import Block, Cost, ErrorEstimate, Record, scene_of, told, verdict
+from lmpchain.trajectory.record import (
+    Block,
+    Cost,
+    ErrorEstimate,
+    Record,
+    read_result,
+    read_scene,
+    verdict,
+)
 from lmpchain.trajectory.zarr_layout import pieces
 from lmpchain.trajectory.zarr_store import Writer, usable
 
@@ -213,7 +221,7 @@ RECORD = Record(
 
 def test_what_a_file_says_of_a_run_is_read_again():
     about = RECORD.attributes()
-    assert told(about) == {
+    assert read_result(about) == {
         "engine": "native", "equation": 3, "error_estimate": RECORD.error_estimate, "cost": RECORD.cost,
         "provenance": {"choice": "of ours"},
     }  # fmt: skip
@@ -224,9 +232,9 @@ def test_what_a_file_says_of_a_run_is_read_again():
     )
     assert about["title"] == "Displacement and velocity of the grains of a chain"
     assert json.loads(about["cost"])["active_grains"] == 6
-    assert scene_of(about) == SCENE
+    assert read_scene(about) == SCENE
     with pytest.raises(ValueError, match="another version"):
-        scene_of(about | {"lmpchain_format": 2})
+        read_scene(about | {"lmpchain_format": 2})
 
 
 @pytest.mark.parametrize(
@@ -244,6 +252,6 @@ def test_what_a_file_says_of_a_run_is_read_again():
 )
 def test_metadata_that_make_no_sense_are_refused(change: dict[str, Any], why: str):
     with pytest.raises(ValueError, match=f"its {why}"):
-        told(RECORD.attributes() | change)
-    told(RECORD.attributes() | {"model_error": 0.0, "solver_error": math.inf})
-    told(RECORD.attributes() | {"cost": json.dumps(RECORD.cost._asdict() | {"step_s": 1})})
+        read_result(RECORD.attributes() | change)
+    read_result(RECORD.attributes() | {"model_error": 0.0, "solver_error": math.inf})
+    read_result(RECORD.attributes() | {"cost": json.dumps(RECORD.cost._asdict() | {"step_s": 1})})
