@@ -6,7 +6,7 @@ import reprlib
 from collections.abc import Iterable
 from typing import Any
 
-LONGEST = 80  # letters of a value that an error line shows
+SHOWN_LETTERS = 80  # letters of a value that an error line shows
 
 
 def short(text: object) -> str:
@@ -18,7 +18,7 @@ def short(text: object) -> str:
     ('gravity', 80)
     """
     text = str(text)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+    return text if len(text) <= SHOWN_LETTERS else f"{text[: SHOWN_LETTERS - 3]}..."
 
 
 def shown(value: object) -> str:
@@ -30,7 +30,7 @@ def shown(value: object) -> str:
     ('1.5', "'a'", '[0, 1, 2, 3, 4, 5, ...]')
     """
     brief = reprlib.Repr()
-    brief.maxstring = brief.maxlong = brief.maxother = LONGEST
+    brief.maxstring = brief.maxlong = brief.maxother = SHOWN_LETTERS
     try:
         return short(brief.repr(value))
     # of a number with thousands of digits, or of an object that cannot say what it is
@@ -54,7 +54,7 @@ class InputError(LmpchainError, ValueError):
     def __init__(self, faults: Iterable[tuple[str, str]]):
         # or a path
         self.faults = [
-            (key if "/" in key[:LONGEST] else short(key), message) for key, message in faults
+            (key if "/" in key[:SHOWN_LETTERS] else short(key), message) for key, message in faults
         ]
         super().__init__("\n".join(f"{key}: {message}" for key, message in self.faults))
 

@@ -7,7 +7,7 @@ import re
 import sys
 from typing import Any, NoReturn
 
-from ..errors import LONGEST, short
+from ..errors import SHOWN_LETTERS, short
 from ..util.suggestions import did_you_mean
 from .common import complain
 
@@ -35,7 +35,7 @@ class Parser(argparse.ArgumentParser):
         """Report what is wrong with the arguments in one line, and end with exit code 2."""
         if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
             message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
-        brief = re.sub(rf"\S{{{LONGEST},}}", lambda match: short(match[0]), message)
+        brief = re.sub(rf"\S{{{SHOWN_LETTERS},}}", lambda match: short(match[0]), message)
         named = brief.removeprefix("argument ")
         complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
         sys.exit(2)

@@ -1,4 +1,4 @@
-"""The one front door: a scene and an engine in, a trajectory out."""
+"""Simulation of a scene with an engine: `simulate` and `resume`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from .run_folder import RunFolder
 
 ESTIMATE_S = 2.0  # between two error estimates for the progress bar
-NOTHING = np.empty(0)
 
 
 def simulate(
@@ -102,13 +101,13 @@ def simulate(
             raise InputError.at(
                 "max_wall", "goes with a run folder, which keeps what is done; name one"
             )
-        return _judged(task, *_answer(task, _Memory(task), progress))
+        return _conclude(task, *_answer(task, _Memory(task), progress))
     from .run_folder import RunFolder
     from .signals import Requests
 
     with RunFolder(folder, Requests(max_wall), task) as output:
         answer = _answer(output.task, output, progress)
-    return _judged(task, *answer)
+    return _conclude(task, *answer)
 
 
 def check_on_miss(on_miss: Any) -> None:
@@ -152,29 +151,28 @@ def resume(
     from .run_folder import RunFolder, status
     from .signals import Requests
 
-    said = status(folder)
-    if said["state"] == "finished":
+    state = status(folder)
+    if state["state"] == "finished":
         trajectory = Trajectory.load(folder)
-        if said["reason"] and not said["best_effort"]:
-            raise ToleranceNotMet(said["reason"], trajectory)
+        if state["reason"] and not state["best_effort"]:
+            raise ToleranceNotMet(state["reason"], trajectory)
         return trajectory
     with RunFolder(folder, Requests(max_wall), ranks=ranks) as output:
         answer = _answer(output.task, output, progress)
-    return _judged(output.task, *answer)
+    return _conclude(output.task, *answer)
 
 
 def _answer(
     task: Task, output: _Memory | RunFolder, progress: bool
 ) -> tuple[Trajectory, Outcome[Any]]:
-    """Do what is left to do of a task."""
+    """Solve what is left of a task, with another engine if the first one leaves out too much."""
     policy = task.policy
     scene = task.scene
     attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
     with output.requests:
         while True:
-            outcome, gathered = _solve(
-                task, output.prepare(policy.engine(attempt)), attempt, output, progress
-            )
+            engine = output.prepare(policy.engine(attempt))
+            outcome, gathered = _solve(task, engine, attempt, output, progress)
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
             except ToleranceNotMet as refusal:
@@ -195,28 +193,13 @@ def _answer(
 def _solve(
     task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool
 ) -> tuple[Outcome[Any], dict[str, Array]]:
-    """Solve the part of the scene that the engine computes, and put it where it belongs in the whole."""
+    """Solve a scene with one engine; return the outcome, and the quantities of the scene."""
     scene = task.scene
-    samples = task.scene.samples
-    part = engine.part(task.scene)
-    if scene.quantities:
-        return _gathered(task, engine, attempt, output, progress)
-    cone = None if engine.whole else scene.light_cone
-
-    def collect(run: Run) -> Any:
-        return _collected(run, engine, output, samples, progress, cone)
-
-    return solve_to_tolerance(engine, [part], attempt, collect, output.begin, task.best_effort), {}
-
-
-def _gathered(
-    task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool
-) -> tuple[Outcome[Any], dict[str, Array]]:
-    """Do the same, and gather quantities on the way."""
-    scene = task.scene
-    part = engine.part(task.scene)
+    part = engine.part(scene)
+    # a run that gathers quantities yields samples of the whole scene itself
+    cone = None if engine.whole or scene.quantities else scene.light_cone
     state: Mapping[str, Array] = {}
-    at_work: GatheringRun
+    gathering: GatheringRun | None = None
 
     def begin(attempt: Attempt) -> Mapping[str, Array] | None:
         nonlocal state
@@ -224,54 +207,41 @@ def _gathered(
         return of_engine(state) or None
 
     def collect(run: Run) -> Any:
-        nonlocal at_work
-        at_work = GatheringRun(run, engine, [scene], [part], state)
-        return _collected(at_work, engine, output, scene.samples, progress)
+        nonlocal gathering
+        if scene.quantities:
+            run = gathering = GatheringRun(run, engine, [scene], [part], state)
+        if not progress:
+            return output.collect(run, _expand(run.blocks(), cone))
+        with closing(_show_progress(run, engine.name, scene.samples, output.samples)) as blocks:
+            return output.collect(run, _expand(blocks, cone))
 
     outcome = solve_to_tolerance(engine, [part], attempt, collect, begin, task.best_effort)
-    return outcome, at_work.found([outcome.error.total])[0]
+    return outcome, gathering.found([outcome.error.total])[0] if gathering else {}
 
 
-def _collected(
-    run: Run,
-    engine: Engine,
-    output: _Memory | RunFolder,
-    samples: int,
-    progress: bool,
-    cone: LightCone | None = None,
-) -> Any:
-    """Put the blocks of a run, of the whole scene or of its light cone, where they belong."""
-    if not progress:
-        return output.collect(run, _in_whole(run.blocks(), cone))
-    with closing(_shown(run, engine.name, samples, output.samples)) as blocks:
-        return output.collect(run, _in_whole(blocks, cone))
-
-
-def _in_whole(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
-    """Return blocks of the light cone as those of the whole scene."""
+def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
+    """Return blocks of the light cone as blocks of the whole scene."""
     if cone is None:
         return blocks
     rows = cone.rows
     columns = cone.columns
     return (
-        Block(each.samples, each.displacement[:, :, rows], each.velocity[:, :, rows], columns)
-        for each in blocks
+        Block(block.samples, block.displacement[:, :, rows], block.velocity[:, :, rows], columns)
+        for block in blocks
     )
 
 
-def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
-    """Return the trajectory, or raise `ToleranceNotMet`."""
+def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
+    """Return the trajectory, with warnings; raise `ToleranceNotMet` if the tolerance was missed."""
     if "redone" in trajectory.provenance:
         warnings.warn(trajectory.provenance["redone"], stacklevel=3)
     model = trajectory.error_estimate.model
     bound = outcome.error.model_bound
     if model > task.tolerance:
-        most = f" (at most {bound:.2g})" if bound > model else ""
-        left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{most}"
-        warnings.warn(
-            f"{left_out}, more than {task.tolerance:g}. {outcome.error.remark}".rstrip(". "),
-            stacklevel=3,
-        )
+        limit = f" (at most {bound:.2g})" if bound > model else ""
+        error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{limit}"
+        remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
+        warnings.warn(remark.rstrip(". "), stacklevel=3)
     if outcome.missed and not task.best_effort:
         raise ToleranceNotMet(outcome.missed, trajectory)
     if outcome.missed:
@@ -301,10 +271,9 @@ class _Memory:
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, G) m and m/s."""
         scene = self._task.scene
-        u = NOTHING
-        v = NOTHING
+        u = v = np.empty(0)
         for block in blocks:
-            # all at once
+            # the whole answer in one block needs no copy
             if block.displacement.shape[1] == scene.samples and block.columns == slice(None):
                 u = block.displacement[0]
                 v = block.velocity[0]
@@ -314,11 +283,12 @@ class _Memory:
                 try:
                     u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
                 except (MemoryError, ValueError, OSError):
-                    need = f"{16e-9 * shape[0] * shape[1]:.3g} GB do not fit"
-                    cure = (
-                        "record fewer samples or grains, or let a run folder hold them on the disk"
-                    )
-                    raise InputError.at("samples", f"{need}: {cure}") from None
+                    size = 16e-9 * shape[0] * shape[1]
+                    raise InputError.at(
+                        "samples",
+                        f"{size:.3g} GB do not fit: record fewer samples or grains, or let a run "
+                        "folder hold them on the disk",
+                    ) from None
             u[block.samples, block.columns] = block.displacement[0]
             v[block.samples, block.columns] = block.velocity[0]
         return u, v
@@ -346,7 +316,10 @@ class _Memory:
 
 
 def _zeros(shape: tuple[int, int], moving: int) -> Array:
-    """Return zeros of which only the columns that are written take memory."""
+    """Return zeros of which only the columns that are written take memory.
+
+    Pages are small where few columns move: huge ones would fill with the zeros between them.
+    """
     if 2 * moving > shape[1] or shape[1] < mmap.PAGESIZE:
         return np.zeros(shape)
     pages = mmap.mmap(-1, 8 * shape[0] * shape[1])
@@ -355,8 +328,8 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
     return np.frombuffer(pages).reshape(shape)
 
 
-def _shown(run: Run, name: str, samples: int, done: int) -> Generator[Block, None, None]:
-    """Yield the blocks of a run, and show how far it is, how fast, and how good it is so far."""
+def _show_progress(run: Run, name: str, samples: int, done: int) -> Generator[Block, None, None]:
+    """Yield the blocks of a run, and show its progress, speed and error so far."""
     estimated = time.monotonic()
     with ProgressBar(samples, name, " samples", done=done, layout=RATE) as bar:
         for block in run.blocks():

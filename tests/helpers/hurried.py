@@ -16,8 +16,8 @@ LONGER = 20  # than the steps that it would choose
 
 def main(words: list[str]) -> int:
     """Run a command of lmpchain."""
-    error_estimate.BLOCK_S = run_folder.OFTEN_S = 0.02
-    run_folder.SHARE = 0.5
+    error_estimate.BLOCK_S = 0.02
+    run_folder.INTERVALS = run_folder.INTERVALS._replace(checkpoint_s=0.02, checkpoint_share=0.5)
     honest = time_stepping.TimeSteppingEngine.candidate
 
     def candidate(engine, *arguments):

@@ -260,7 +260,7 @@ def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
 def test_a_folder_that_another_process_uses_is_left_alone(tmp_path, small_blocks, monkeypatch):
     folder = tmp_path / "run"
     stopped(folder)
-    monkeypatch.setattr(run_folder, "LOOK_S", 0.0)
+    monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(lock_s=0.0))
     with FileLock(folder / ".lock"):
         with pytest.raises(InputError, match="another process is at work here"):
             resume(folder)

@@ -194,7 +194,7 @@ def test_a_command_is_kept_up_to_2000_letters(monkeypatch: pytest.MonkeyPatch):
 
 def test_a_session_says_where_and_with_what():
     before = datetime.now(UTC).replace(microsecond=0)
-    session = provenance.session()
+    session = provenance.describe_session()
     assert before <= datetime.fromisoformat(session["began"]) <= datetime.now(UTC)
     assert session["began"].endswith("+00:00")
     assert len(session["began"]) == len("2024-05-06T07:08:09+00:00")
