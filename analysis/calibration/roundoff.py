@@ -17,7 +17,7 @@ from common import Case, Row, answer, command, quantile
 from scenes import drawn
 
 from lmpchain import Chain, Drive, Impulse, Scene
-from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, TYPICAL, Lammps, gauge_diameter
+from lmpchain.engines.lammps.engine import HEIGHTS, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import CANCELS, Chebyshev, LinearEngine, Modes
 from lmpchain.engines.native import Native
 from lmpchain.engines.round_off import (
@@ -257,22 +257,23 @@ def _lammps(count: int) -> list[Row]:
             except (InputError, ToleranceNotMet):
                 continue
             ratios.append(found / predicted_floor(scene, "lammps", diameter))
-    walks = [TYPICAL * ratio for ratio in ratios]
+    walks = [HEIGHTS.typical * ratio for ratio in ratios]
     low, middle, high = (quantile(walks, part) for part in (0.25, 0.5, 0.75))
     nine = quantile(walks, 0.9)
     wide = quantile(np.exp(np.abs(np.log(ratios))), 0.9) if ratios else math.nan
     return [
         Row(
-            "ROUNDING",
-            ROUNDING,
-            ROUNDING * nine,
-            ROUNDING * nine,
-            10 * ROUNDING * nine,
-            f"ulp(height) sqrt(evaluations) that bound nine in ten of {len(walks)} runs; half {ROUNDING * middle:.2g}",
+            "HEIGHTS.rounding",
+            HEIGHTS.rounding,
+            HEIGHTS.rounding * nine,
+            HEIGHTS.rounding * nine,
+            10 * HEIGHTS.rounding * nine,
+            "ulp(height) sqrt(evaluations) that bound nine in ten of "
+            f"{len(walks)} runs; half {HEIGHTS.rounding * middle:.2g}",
         ),
         Row(
-            "TYPICAL",
-            TYPICAL,
+            "HEIGHTS.typical",
+            HEIGHTS.typical,
             middle,
             low,
             high,
@@ -282,7 +283,7 @@ def _lammps(count: int) -> list[Row]:
 
 
 def _headroom(count: int) -> Row:
-    """Return the row of HEADROOM: overlaps of two neighbouring contacts over the bound on one."""
+    """Return the row of HEIGHTS.headroom: overlaps of two neighbouring contacts over the bound on one."""
     needed = []
     for scene in gentle(count, 55, strength=(-2.0, 3.0), kinds=("gravity", "load", "vacuum")):
         part, engine = Scene(**scene.given() | {"samples": 201}), Native()
@@ -298,13 +299,13 @@ def _headroom(count: int) -> Row:
                 float(
                     (np.maximum(overlap[:, 1:], 0) + np.maximum(overlap[:, :-1], 0)).max()
                     / gauge
-                    * HEADROOM
+                    * HEIGHTS.headroom
                 )
             )
     low = max(needed, default=math.nan)
     return Row(
-        "HEADROOM",
-        HEADROOM,
+        "HEIGHTS.headroom",
+        HEIGHTS.headroom,
         low,
         low,
         3 * low,

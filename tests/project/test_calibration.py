@@ -50,7 +50,7 @@ SHOWN = {
     "returning_waves": ["COMES_BACK", "NEARBY", "NEARBY_AT_KINKS"],
     "roundoff": [
         *("native_floor", "DISPLACED", "PLAIN", "STRONG", "dop853.spread"),
-        *("ROUNDING", "HEADROOM", "modes.round_off", "chebyshev.round_off"),
+        *("HEIGHTS.rounding", "HEIGHTS.headroom", "modes.round_off", "chebyshev.round_off"),
     ],
     "stability_limits": ["TRUSTED", "SAFE_STRAIN (pre_run)", "limit: verlet"],
     "transfer_matrices": ["WARM_UP"],

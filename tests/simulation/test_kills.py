@@ -60,7 +60,8 @@ def native(_: pytest.MonkeyPatch):
 
 def lammps(monkeypatch: pytest.MonkeyPatch):
     """An attempt with the physical diameter, for a law of round-off that hopes for too much, and one with the gauge."""
-    monkeypatch.setattr(lammps_engine, "ROUNDING", 1e-6)
+    heights = lammps_engine.HEIGHTS._replace(rounding=1e-6)
+    monkeypatch.setattr(lammps_engine, "HEIGHTS", heights)
     return paper("weak", 13), engines.Lammps(), 1e-6
 
 

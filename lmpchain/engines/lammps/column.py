@@ -36,7 +36,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Column:
-    """What LAMMPS is told about a scene.
+    """A scene in the terms of LAMMPS.
 
     Parameters
     ----------
@@ -72,24 +72,23 @@ class Column:
 
     @property
     def model(self) -> str:
-        """Contact model of LAMMPS: hertz multiplies overlap^(3/2) by the square root of the effective radius."""
+        """Contact model of LAMMPS: hertz, with the root of the effective radius, or hooke."""
         return "hooke" if self.chain.exponent == 1 else "hertz"
 
     @property
     def mobile(self) -> tuple[int, int]:
-        """First and last grain that move by the equation of motion; a driven grain and a held one do not."""
+        """First and last grain that move by the equation of motion: not driven, not held."""
         return 1 + self.scene.excitation.driven, self.chain.movable
 
     @property
     def load(self) -> float:
-        """Constant force on grain 1, N; 0 below a wall, whose overlap gives it, and for a driven grain."""
-        return (
-            0.0 if self.chain.top == "wall" or self.scene.excitation.driven else self.chain.top_load
-        )
+        """Constant force on grain 1, N; 0 for a driven grain, and below a wall, which presses."""
+        imposed = self.chain.top == "wall" or self.scene.excitation.driven
+        return 0.0 if imposed else self.chain.top_load
 
     @property
     def strike(self) -> Impulse | None:
-        """The impulse, which a deck keeps as a variable."""
+        """Impulse of the scene, which a deck keeps as a variable."""
         return self.scene.excitation if isinstance(self.scene.excitation, Impulse) else None
 
     @cached_property
@@ -106,8 +105,8 @@ class Column:
     def heights(self) -> Array:
         """Heights at rest, (N,) m: the running sum in extended precision, rounded once."""
         d = self.diameters.astype(np.longdouble)
-        apart = (d[:-1] + d[1:]) / 2 - self.chain.equilibrium_overlap
-        return np.append(0.0, -np.cumsum(apart)).astype(float)
+        distances = (d[:-1] + d[1:]) / 2 - self.chain.equilibrium_overlap
+        return np.append(0.0, -np.cumsum(distances)).astype(float)
 
     @cached_property
     def start(self) -> tuple[Array, Array]:
@@ -119,21 +118,19 @@ class Column:
     def walls(self) -> list[Wall]:
         """The walls, as planes that stand still."""
         radius = self.diameters[[0, -1]] / 2
-        above, below = (
-            self.heights[[0, -1]] + [1, -1] * (radius - self.chain.contacts.overlap[[0, -1]])
-        ).tolist()
-        top, bottom = (
-            self.chain.wall_constants / (1.0 if self.model == "hooke" else np.sqrt(radius))
-        ).tolist()
-        both = (
+        gaps = radius - self.chain.contacts.overlap[[0, -1]]
+        above, below = (self.heights[[0, -1]] + [1, -1] * gaps).tolist()
+        scale = 1.0 if self.model == "hooke" else np.sqrt(radius)
+        top, bottom = (self.chain.wall_constants / scale).tolist()
+        walls = (
             Wall("top", 1, top, "NULL", repr(above)),
             Wall("bottom", self.chain.grains, bottom, repr(below), "NULL"),
         )
-        return [wall for wall in both if wall.constant > 0]
+        return [wall for wall in walls if wall.constant > 0]
 
     @cached_property
     def skin(self) -> float:
-        """Neighbour skin, m: every gap of the start lies within it."""
+        """Neighbour skin, m, within which each gap of the start lies."""
         z, _ = self.start
         gap = z[:-1] - z[1:] - (self.diameters[:-1] + self.diameters[1:]) / 2
         return float(0.3 * self.diameters.max() + gap.max(initial=0.0))
@@ -150,14 +147,14 @@ class Column:
     @cached_property
     def types(self) -> list[int]:
         """Type of every grain, from 1."""
-        return self._typed[0]
+        return self._assign_types[0]
 
     @cached_property
     def coefficients(self) -> list[str]:
         """Arguments of the pair_coeff commands."""
         if self.pair_style != "granular":
             return ["* *"]
-        pairs = self._typed[1]
+        pairs = self._assign_types[1]
         lines = [f"* * {self.model} {next(iter(pairs.values()), 1.0)!r} {LOSSLESS}"]
         if len(pairs) > 1:
             lines += [
@@ -170,11 +167,11 @@ class Column:
         """Argument of the pair_style command."""
         if self.pair_style == "granular":
             return "granular"
-        return f"{self.pair_style} {self._typed[1].get((1, 1), 1.0)!r} 0.0 0.0 0.0 0.0 0"
+        return f"{self.pair_style} {self._assign_types[1].get((1, 1), 1.0)!r} 0.0 0.0 0.0 0.0 0"
 
     @cached_property
-    def _typed(self) -> tuple[list[int], dict[tuple[int, int], float]]:
-        """Types of the grains, and the constant that LAMMPS needs for every pair of types that touches.
+    def _assign_types(self) -> tuple[list[int], dict[tuple[int, int], float]]:
+        """Types of the grains, and the constant of each pair of types that touches.
 
         A grain takes a type whose pair with the grain above has the right constant already; or else
         the type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2
@@ -192,15 +189,16 @@ class Column:
         types = [1]
         for constant in constants.tolist():
             above = types[-1]
-            known = (
-                t
-                for t, value in partners[above].items()
+            equal = [
+                grain_type
+                for grain_type, value in partners[above].items()
                 if abs(value - constant) <= 1e-14 * constant
-            )
-            free = (t for t in partners if t not in partners[above])
-            below = next(known, None) or min(
-                free, key=lambda t: len(partners[t]), default=len(partners) + 1
-            )
+            ]
+            if equal:
+                below = equal[0]
+            else:
+                free = (key for key in partners if key not in partners[above])
+                below = min(free, key=lambda key: len(partners[key]), default=len(partners) + 1)
             if below > most:
                 cure = (
                     "the engine native" if most > 1 else "pair_style granular or the engine native"

@@ -16,8 +16,9 @@ from ...errors import EngineUnavailable, LmpchainError, RunFailed
 from ...util import mpi
 from .worker import Worker
 
-PATIENCE_S = 2e-3  # how long a follower waits at full speed before it dozes
-DOZE_S = 5e-4
+# a follower polls at full speed for the first time, and then pauses for the second, s
+POLLING_S = 2e-3
+PAUSE_S = 5e-4
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
 
@@ -61,7 +62,7 @@ class MpiRanks:
     def __init__(self, world: Any, log: str):
         self._world = world
         self.ranks = world.size
-        self._held: list[Worker] = []
+        self._workers: list[Worker] = []
         self.ask("open", log)
 
     def ask(self, name: str, *values: Any) -> list[Any]:
@@ -69,11 +70,12 @@ class MpiRanks:
         with signals_blocked():
             for rank in range(1, self.ranks):
                 self._world.send((name, values), rank)
-            answers = self._world.gather(_obey(self._world, self._held, name, values))
-        if failed := next((answer for answer in answers if isinstance(answer, Exception)), None):
-            if isinstance(failed, LmpchainError):
-                raise failed
-            raise RunFailed(f"LAMMPS stopped: {failed}") from None
+            answers = self._world.gather(_obey(self._world, self._workers, name, values))
+        for answer in answers:
+            if isinstance(answer, LmpchainError):
+                raise answer
+            if isinstance(answer, Exception):
+                raise RunFailed(f"LAMMPS stopped: {answer}") from None
         return answers
 
     def close(self) -> None:
@@ -82,55 +84,53 @@ class MpiRanks:
 
 
 def worker_loop(world: Any) -> None:
-    """Do what rank 0 asks for until it says that that was all."""
+    """Obey rank 0 until it shuts the workers down."""
     for number in SIGNALS:  # rank 0 takes them, and ends the others
         signal.signal(number, signal.SIG_IGN)
-    held: list[Worker] = []
+    workers: list[Worker] = []
     while True:
-        waited = time.perf_counter()
+        began = time.perf_counter()
         while not world.iprobe(source=0):
-            if time.perf_counter() - waited > PATIENCE_S:
-                time.sleep(DOZE_S)
+            if time.perf_counter() - began > POLLING_S:
+                time.sleep(PAUSE_S)
         name, values = world.recv(source=0)
         if name == "shutdown_workers":
             return
-        world.gather(_obey(world, held, name, values))
+        world.gather(_obey(world, workers, name, values))
 
 
 def shutdown_workers(world: Any) -> None:
-    """Tell the followers that that was all."""
+    """End the loops of the other ranks."""
     for rank in range(1, world.size):
         world.send(("shutdown_workers", ()), rank)
 
 
-def _obey(world: Any, held: list[Worker], name: str, values: tuple[Any, ...]) -> Any:
+def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...]) -> Any:
     """Call a method on this rank; an error that not all ranks share aborts them all."""
     try:
         if name == "open":
-            held[:] = [Worker(world, *values)]
+            workers[:] = [Worker(world, *values)]
             return None
         if name == "close":
-            return held.pop().close() if held else None
-        return getattr(held[0], name)(*values)
+            return workers.pop().close() if workers else None
+        return getattr(workers[0], name)(*values)
     except Exception as error:
-        alike = type(error) is Exception and _by_lammps(error)  # another class where one rank fails
-        if (
-            alike
-            or isinstance(error, RunFailed)
-            or (name == "open" and isinstance(error, EngineUnavailable))
-        ):
+        # LAMMPS raises another class where one rank fails alone
+        shared = type(error) is Exception and _by_lammps(error)
+        unavailable = name == "open" and isinstance(error, EngineUnavailable)
+        if shared or unavailable or isinstance(error, RunFailed):
             return error
         mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
 
 
 def _by_lammps(error: Exception) -> bool:
-    """Say whether LAMMPS raised it, whose messages begin so: the handler of a signal may raise any class."""
+    """Return whether LAMMPS raised an error, by its text: handlers of signals raise any class."""
     return str(*error.args[:1]).startswith("ERROR")
 
 
 @contextmanager
 def signals_blocked() -> Iterator[None]:
-    """Let signals wait, so that Ctrl-C does not come while some ranks know what to do and others do not."""
+    """Block signals, so that Ctrl-C does not come while only some ranks have their orders."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield

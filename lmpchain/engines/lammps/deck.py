@@ -20,13 +20,13 @@ from . import drive
 from .column import Column
 from .worker import deck_steps
 
-OWN_RUN = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
+RUN_COMMAND = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
 # the names of materials are the only free text of a scene: what came with a scene file stays out of
 # decks
 CLOSED = (Material,)
 
 
-def own_text(key: str, path: str | PathLike[str]) -> str:
+def read_user_text(key: str, path: str | PathLike[str]) -> str:
     """Return the text of a file of the user's; raises `InputError` under `key`."""
     path = Path(path)
     if not path.is_file():
@@ -42,28 +42,28 @@ def own_text(key: str, path: str | PathLike[str]) -> str:
     return text
 
 
-def refuse_own_run(key: str, text: str, cure: str) -> None:
-    """Raise `InputError` if commands of the user run the column or end LAMMPS, which comes after them."""
+def refuse_run(key: str, text: str, cure: str) -> None:
+    """Raise `InputError` if commands of the user run the column or end LAMMPS."""
     for number, line in enumerate(text.splitlines(), 1):
-        if match := OWN_RUN.search(line):
+        if match := RUN_COMMAND.search(line):
             raise InputError.at(
                 key, f"the command {match[1]} (line {number}) cannot be used here: {cure}"
             )
 
 
 def setup(column: Column, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
-    """Return the commands that set up the column from a data file at time step `done`, ready for `run`."""
-    refuse_own_run(
+    """Return the commands that set up the column at time step `done`, from a data file."""
+    refuse_run(
         "template",
         column.template,
         'put {% include "run.column" %} there, and lmpchain run does the rest',
     )
-    return _filled(column, step, splitting, done, data=f'"{data}"', alone=False)
+    return _fill(column, step, splitting, done, data=f'"{data}"', alone=False)
 
 
 def check_template(column: Column, splitting: Splitting) -> None:
     """Raise `InputError` if the template of the user cannot be filled in."""
-    _filled(column, column.scene.duration, splitting, data="column.data", alone=True)
+    _fill(column, column.scene.duration, splitting, data="column.data", alone=True)
 
 
 def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) -> Path:
@@ -72,7 +72,7 @@ def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) 
         raise InputError.at(
             "integrator", "a deck can carry a drive or a force with verlet only; use that"
         )
-    text = _filled(column, step, splitting, data="column.data", alone=True)
+    text = _fill(column, step, splitting, data="column.data", alone=True)
     path = folder / "in.column"
     with write_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
@@ -85,14 +85,15 @@ def dump(path: str, every: int) -> str:
 
 
 def carries(splitting: Splitting) -> bool:
-    """Say whether a deck can carry this splitting: its kicks must be LAMMPS's own."""
+    """Return whether a deck can carry this splitting: its kicks must be those of LAMMPS."""
     return splitting.order == 2 or bool(splitting.substeps)
 
 
-def kicked_by_force(scene: Scene, splitting: Splitting) -> bool:
-    """Say whether a force acts with a method of several drifts, which has its own times for it."""
-    acting = scene.excitation
-    return splitting.order > 2 and acting.does_work and not acting.driven and acting.wall is None
+def kicks_by_force(scene: Scene, splitting: Splitting) -> bool:
+    """Return whether a force acts with a method of several drifts, at the times of the method."""
+    excitation = scene.excitation
+    force = excitation.does_work and not excitation.driven and excitation.wall is None
+    return splitting.order > 2 and force
 
 
 def check_carried(splitting: Splitting, key: str) -> None:
@@ -116,10 +117,10 @@ def data_file(column: Column, folder: Path | None) -> Iterator[Path]:
         write_data(column, path := folder / "column.data")
         yield path
         return
-    with open(os.memfd_create("column.data"), "wb") as held:
-        held.write(_data(column))
-        held.flush()
-        yield Path(f"/proc/{os.getpid()}/fd/{held.fileno()}")
+    with open(os.memfd_create("column.data"), "wb") as memory:
+        memory.write(_data(column))
+        memory.flush()
+        yield Path(f"/proc/{os.getpid()}/fd/{memory.fileno()}")
 
 
 def _data(column: Column) -> bytes:
@@ -139,9 +140,11 @@ def _data(column: Column) -> bytes:
     ).encode("ascii")
 
 
-def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **values: Any) -> str:
+def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **values: Any) -> str:
     """Return the commands of the deck, or of the user's template in its place."""
     scene = column.scene
+    # velocity Verlet and its compositions kick in LAMMPS; else the kicks come from outside
+    kicks = carries(splitting) and not kicks_by_force(scene, splitting)
     values |= {
         "column": column,
         "step": step,
@@ -150,15 +153,11 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         "integrator": splitting.name,
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
-        # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from
-        # outside
-        "fix": "nve"
-        if carries(splitting) and not kicked_by_force(scene, splitting)
-        else "nve/noforce",
+        "fix": "nve" if kicks else "nve/noforce",
         "first_step": done * deck_steps(splitting),
         "start_time": done * step,
-        "moves": splitting.order
-        == 2,  # fix move wants steps of one length; else the speeds come from outside
+        # fix move wants steps of one length; else the speeds come from outside
+        "moves": splitting.order == 2,
         "include": column.include,
         **drive.placeholders(scene.excitation, scene.duration),
     }

