@@ -49,10 +49,10 @@ def trials(count: int, seed: int) -> Iterator[tuple[Trajectory, Trajectory]]:
         except LmpchainError:
             continue
         found += 1
-        yield many, thinned(many, every)
+        yield many, thin_rows(many, every)
 
 
-def thinned(trajectory: Trajectory, every: int) -> Trajectory:
+def thin_rows(trajectory: Trajectory, every: int) -> Trajectory:
     """Return a trajectory with every so manieth of its samples."""
     time = trajectory.time[::every]
     scene = Scene(**trajectory.scene.given() | {"samples": time.size})

@@ -20,7 +20,7 @@ from lmpchain.engines.native import Native
 from lmpchain.errors import RunFailed, ToleranceNotMet
 from lmpchain.integrators.kernels.layout import LOWEST
 from lmpchain.util.provenance import session
-from lmpchain.util.tables import aligned
+from lmpchain.util.tables import align
 
 NINE_IN_TEN, ALL_BUT_ONE = 0.9, 0.99
 
@@ -55,7 +55,7 @@ def table(rows: Iterable[Row]) -> list[str]:
         )
         for row in rows
     ]
-    return aligned([head, *lines])
+    return align([head, *lines])
 
 
 def command(main: Callable[[bool], list[Row]], doc: str | None) -> None:

@@ -9,7 +9,7 @@ from itertools import chain, groupby
 from typing import TYPE_CHECKING, Any
 
 from ..scene.scene import Scene
-from ..util.plotting import LOWEST, MARKERS, SHADES, SHAPES, legend, panels, window
+from ..util.plotting import LEAST_ERROR, MARKERS, SHADES, SHAPES, legend, panels, window
 from .pareto import KNOWN, front, time_to
 
 if TYPE_CHECKING:
@@ -105,7 +105,9 @@ def _draw_errors(
 
 def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
     """Draw engines with one point each (error, cost, name), and name those of about one error together."""
-    for _, same in groupby(points, key=lambda point: round(2 * math.log10(max(point[0], LOWEST)))):
+    for _, same in groupby(
+        points, key=lambda point: round(2 * math.log10(max(point[0], LEAST_ERROR)))
+    ):
         errors, costs, names = zip(*same, strict=True)
         for error, cost, name in zip(errors, costs, names, strict=True):
             ax.plot(cost, error, MARKERS.get(name, "x"), color="0.8", mec="k", ms=8, zorder=5)

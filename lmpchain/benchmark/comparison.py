@@ -13,8 +13,8 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LOWEST, MARKERS, legend, panels, titled, window
-from ..util.tables import aligned, finite, number
+from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, legend, panels, set_title, window
+from ..util.tables import align, finite, number
 from .reference import Reference
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ class Comparison(Shown):
             "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
             "the larger of displacement and velocity"
         )
-        return "\n".join([*aligned(self._summary()), source, meaning])
+        return "\n".join([*align(self._summary()), source, meaning])
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
         """Draw the trajectories, their errors over time and their cost; returns the axes of the first.
@@ -288,7 +288,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
         )
     axes.axhline(0, color="0.8", lw=0.8, zorder=0)
     axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
-    titled(
+    set_title(
         axes, f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs"
     )
     span = np.array([last.min(), last.max()])
@@ -326,23 +326,23 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     time = reference.time * 1e6
     curves = comparison.errors_over_time()
     for answer, row, curve in zip(comparison.trajectories, comparison.rows, curves, strict=True):
-        values = np.maximum(curve, LOWEST)
+        values = np.maximum(curve, LEAST_ERROR)
         colour = _colour(answer.engine)
         axes.semilogy(
             time[1:], values[1:], color=colour, lw=1.3, label=answer.engine
         )  # at t = 0 the error is 0
-        axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)
-    axes.axhline(max(reference.error, LOWEST), color="0.55", ls=":", lw=1.5)
+        axes.axhline(max(row.expected_error, LEAST_ERROR), color=colour, ls="--", lw=1.3)
+    axes.axhline(max(reference.error, LEAST_ERROR), color="0.55", ls=":", lw=1.5)
     axes.set(xlabel="time (µs)", ylabel="relative error")
-    titled(axes, "Error over time; dashed: expected by the engine, dotted: of the reference")
+    set_title(axes, "Error over time; dashed: expected by the engine, dotted: of the reference")
     axes.margins(y=0.12)
 
 
 def _draw_cost(comparison: Comparison, axes: Axes) -> None:
     """Draw the error against the time of the integration."""
     for row in comparison.rows:
-        x, y = max(row.integration_s, 1e-9), max(row.error, LOWEST)
-        expected = max(row.expected_error, LOWEST)
+        x, y = max(row.integration_s, 1e-9), max(row.error, LEAST_ERROR)
+        expected = max(row.expected_error, LEAST_ERROR)
         colour = _colour(row.engine)
         axes.loglog([x, x], [y, expected], color=colour, ls="--", lw=1.3)
         axes.loglog(
@@ -359,7 +359,7 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
             label=name,
         )
     axes.set(xlabel="integration time (s)", ylabel="relative error")
-    titled(axes, "Error and cost; bar: expected error")
+    set_title(axes, "Error and cost; bar: expected error")
     axes.margins(x=0.2, y=0.15)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ..scene.scene import Scene
 from ..util.notebook import Shown
 from ..util.provenance import processor
-from ..util.tables import aligned, finite, number
+from ..util.tables import align, finite, number
 from .chart import draw
 from .comparison import Row
 from .pareto import KNOWN as KNOWN
@@ -140,7 +140,7 @@ class WorkPrecision(Shown):
         for name, points in (curves | dict(others)).items():
             times = [time_to(target, points) for target in TARGETS]
             lines.append([name, *(number(1e3 * t, unit="ms", missing="-") for t in times)])
-        return "\n".join(aligned(lines))
+        return "\n".join(align(lines))
 
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()

@@ -19,11 +19,12 @@ from typing import Any
 
 from ..errors import InputError, LmpchainError, shown
 from ..util import mpi
-from . import commands, sensitivity
+from . import commands
 from .common import complain
 from .parser import Parser, ShowVersion
 
-NO_READER = 128 + signal.SIGPIPE  # what a shell says of tools that SIGPIPE ends
+Command = Callable[[argparse.Namespace], int]
+Add = Callable[[str, Command, str], argparse.ArgumentParser]  # name of a verb, and its summary
 
 
 class _Terminated(BaseException):
@@ -38,8 +39,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv : list of str, optional
         Arguments without the name of the program; those of the process by default.
     """
-    if mpi.launched() == 1:
-        return _piped(argv)
+    if mpi.count_processes() == 1:
+        return _run(argv)
     try:
         world = mpi.join()
     except LmpchainError as error:
@@ -51,13 +52,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         worker_loop(world)
         return 0
     try:
-        return _piped(argv)
+        return _run(argv)
     finally:
         shutdown_workers(world)
 
 
-def _piped(argv: Sequence[str] | None) -> int:
-    """Run the command line; where nobody reads on, as behind `| head`, end without a word."""
+def _run(argv: Sequence[str] | None) -> int:
+    """Run the command line; end in silence where no one reads on, as behind `| head`."""
     try:
         code = _main(argv)
         for stream in (sys.stdout, sys.stderr):
@@ -69,7 +70,7 @@ def _piped(argv: Sequence[str] | None) -> int:
         for stream in (sys.stdout, sys.stderr):  # what is left in them is flushed at exit
             with suppress(AttributeError, OSError, ValueError):
                 os.dup2(nowhere, stream.fileno())
-        return NO_READER
+        return 128 + signal.SIGPIPE  # as a shell says of a tool that SIGPIPE ends
     except OSError as error:  # such as a full disk behind stdout
         with suppress(OSError, ValueError):
             sys.stdout.close()
@@ -81,9 +82,9 @@ def _main(argv: Sequence[str] | None) -> int:
     try:
         arguments = _parser().parse_args(argv)
     # --help, --version, or arguments that argparse refused and explained
-    except SystemExit as asked:
-        return int(asked.code or 0)
-    before = _on_sigterm(_terminated)
+    except SystemExit as end:
+        return int(end.code or 0)
+    before = _on_sigterm(_raise_terminated)
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning  # type: ignore[assignment]
@@ -101,16 +102,16 @@ def _main(argv: Sequence[str] | None) -> int:
         complain(str(error))
         return 1
     except KeyboardInterrupt:
-        print(f"stopped by Ctrl-C; {_kept(arguments)}", file=sys.stderr)
+        print(f"stopped by Ctrl-C; {_describe_rest(arguments)}", file=sys.stderr)
         return 130
     except _Terminated:
-        print(f"stopped by SIGTERM; {_kept(arguments)}", file=sys.stderr)
+        print(f"stopped by SIGTERM; {_describe_rest(arguments)}", file=sys.stderr)
         return 143
     finally:
         _on_sigterm(before)
 
 
-def _kept(arguments: argparse.Namespace) -> str:
+def _describe_rest(arguments: argparse.Namespace) -> str:
     """Return in words what a stopped command has left on the disk."""
     from ..simulation.task import is_run, resume_command
 
@@ -127,7 +128,7 @@ def _kept(arguments: argparse.Namespace) -> str:
     return f"nothing unfinished was kept{hint}"
 
 
-def _terminated(*_: Any) -> None:
+def _raise_terminated(*_: Any) -> None:
     raise _Terminated
 
 
@@ -147,252 +148,254 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="lmpchain",
-        description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each "
-        "with an estimate of its own error. All quantities are in SI units.",
-        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 "
-        "the time of --max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.",
+        description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by "
+        "side, each with an estimate of its own error. All quantities are in SI units.",
+        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is "
+        "wrong, 75 the time of --max-wall was over before the run was, 130 after Ctrl-C, 143 after "
+        "SIGTERM.",
     )
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    run = verbs.add_parser(
-        "run", help="solve a scene and save the trajectory, in a file or a run folder"
+    def add(name: str, command: Command, summary: str) -> argparse.ArgumentParser:
+        verb = verbs.add_parser(name, help=summary)
+        verb.set_defaults(command=command)
+        return verb
+
+    _add_runs(add)
+    _add_comparisons(add)
+    _add_orbits(add)
+    _add_deck(add)
+    _add_readers(add)
+    _add_charts(add)
+    _add_sweep(add)
+    doctor = add(
+        "doctor",
+        commands.doctor,
+        "check the installation: LAMMPS, MPI, versions, cores, engines",
     )
-    _scene(run, commands.run)
-    run.add_argument(
-        "-o",
+    _option(doctor, "--json", "FILE", "file for the findings")
+    add("docs", commands.docs, "open the pages of the documentation")
+    return parser
+
+
+def _option(
+    parser: argparse._ActionsContainer, name: str, metavar: str, text: str, **options: Any
+) -> None:
+    """Add an option; those for output files have a short form."""
+    names = ("-o", name) if name == "--output" else (name,)
+    parser.add_argument(*names, metavar=metavar, help=text, **options)
+
+
+def _add_runs(add: Add) -> None:
+    run = add(
+        "run", commands.run, "solve a scene and save the trajectory, in a file or a run folder"
+    )
+    _add_scene(run)
+    _option(
+        run,
         "--output",
-        metavar="RUN.nc|FOLDER/",
-        help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a "
-        "run folder, in which the output grows on the disk and which `lmpchain resume` continues "
-        "after a stop of any kind",
+        "RUN.nc|FOLDER/",
+        "NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a run "
+        "folder, in which the output grows on the disk and which `lmpchain resume` continues after "
+        "a stop of any kind",
     )
     run.add_argument(
         "--force", action="store_true", help="replace the file or the run that is there already"
     )
-    run.add_argument("--engine", metavar="E", default="auto", help="engine (default: auto)")
-    _tolerance(run)
-    run.add_argument(
-        "--integrator",
-        metavar="I",
-        help="rkn6, kahan-li6 or verlet (default: what the engine prefers)",
-    )
-    run.add_argument(
-        "--step",
-        metavar="S",
-        type=float,
-        help="longest time step, s; then no tolerance is enforced",
-    )
+    _option(run, "--engine", "E", "engine (default: auto)", default="auto")
+    _add_tolerance(run)
+    methods = "rkn6, kahan-li6 or verlet (default: what the engine prefers)"
+    _option(run, "--integrator", "I", methods)
+    _option(run, "--step", "S", "longest time step, s; then no tolerance is enforced", type=float)
     run.add_argument(
         "--diameter",
         choices=["auto", "physical", "gauge"],
         help="LAMMPS only: positions from the real diameters, or from a far smaller one, which "
         "reduces round-off",
     )
-    run.add_argument(
-        "--threads", metavar="P", type=int, help="native only: threads that share a long chain"
-    )
-    _ranks(run)
-    _own(run)
-    _max_wall(run)
-
-    resume = verbs.add_parser(
-        "resume", help="continue the run in a folder, bit-identical to a run without the stop"
+    _option(run, "--threads", "P", "native only: threads that share a long chain", type=int)
+    _add_ranks(run)
+    _add_templates(run)
+    _add_max_wall(run)
+    resume = add(
+        "resume",
+        commands.resume,
+        "continue the run in a folder, bit-identical to a run without the stop",
     )
     resume.add_argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made")
-    _ranks(resume)
-    _max_wall(resume)
-    resume.set_defaults(command=commands.resume)
+    _add_ranks(resume)
+    _add_max_wall(resume)
 
-    compare = verbs.add_parser(
-        "compare", help="solve a scene with several engines, compare with a reference"
-    )
-    _scene(compare, commands.compare)
-    compare.add_argument(
-        "--engines", metavar="A,B,...", help="engines (default: all that can solve the scene)"
-    )
-    _tolerance(compare)
-    compare.add_argument(
-        "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
-    )
-    compare.add_argument("--json", metavar="FILE", help="file for the numbers")
 
-    plan = verbs.add_parser(
-        "plan", help="show which engine solves a scene at the lowest cost, and why"
+def _add_comparisons(add: Add) -> None:
+    compare = add(
+        "compare",
+        commands.compare,
+        "solve a scene with several engines, compare with a reference",
+    )
+    _add_scene(compare)
+    _option(compare, "--engines", "A,B,...", "engines (default: all that can solve the scene)")
+    _add_tolerance(compare)
+    _add_outputs(compare, "PICTURE.png")
+    plan = add(
+        "plan", commands.plan, "show which engine solves a scene at the lowest cost, and why"
     )
     plan.add_argument("scene", metavar="SCENE.toml", nargs="?", help="scene file")
-    plan.set_defaults(command=commands.plan)
-    _tolerance(plan)
-    plan.add_argument("--json", metavar="FILE", help="file for the numbers")
+    _add_tolerance(plan)
+    _option(plan, "--json", "FILE", "file for the numbers")
     plan.add_argument(
         "--calibrate",
         action="store_true",
         help="measure the speed of the engines on this machine and store it for the cost model",
     )
 
-    orbit = verbs.add_parser(
-        "orbit", help="periodic orbit of the chain: a linear mode followed up to an energy"
+
+def _add_orbits(add: Add) -> None:
+    orbit = add(
+        "orbit",
+        commands.orbit,
+        "periodic orbit of the chain: a linear mode followed up to an energy",
     )
-    _scene(orbit, commands.orbit)
-    orbit.add_argument(
-        "--mode", metavar="K", type=int, required=True, help="number of the mode, the lowest is 1"
+    _add_scene(orbit)
+    _option(orbit, "--mode", "K", "number of the mode, the lowest is 1", type=int, required=True)
+    _option(orbit, "--energy", "E", "energy above rest, J", type=float, required=True)
+    _add_outputs(orbit, "PICTURE.png")
+    sensitivity = add(
+        "sensitivity",
+        commands.sensitivity,
+        "what an answer of a saved run depends on, grain by grain",
     )
-    orbit.add_argument(
-        "--energy", metavar="E", type=float, required=True, help="energy above rest, J"
-    )
-    orbit.add_argument(
-        "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
-    )
-    orbit.add_argument("--json", metavar="FILE", help="file for the numbers")
-    sensitivity.add(verbs)
-    deck = verbs.add_parser("deck", help="write a LAMMPS input that runs by itself")
-    _scene(deck, commands.deck)
-    deck.add_argument(
-        "-o",
-        "--output",
-        metavar="FOLDER",
+    sensitivity.add_argument("run", metavar="RUN.nc", help="saved run, or a scene file")
+    _option(
+        sensitivity,
+        "--of",
+        "ANSWER",
+        "peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS (such as 3-9) "
+        "or arrival_time:GRAIN@VELOCITY",
         required=True,
-        help="folder for in.column and column.data",
     )
-    _tolerance(deck)
-    deck.add_argument(
-        "--step", metavar="S", type=float, help="longest time step, s (default: from the tolerance)"
-    )
+    for name in commands.UNCERTAIN:
+        uncertainty = f"uncertainty of each {name}, as a part of it"
+        _option(sensitivity, f"--{name}", "PART", uncertainty, type=float)
+    of_derivatives = "of the derivatives (default: 1e-4)"
+    _option(sensitivity, "--tolerance", "X", of_derivatives, type=float, default=1e-4)
+    _add_outputs(sensitivity, "PICTURE.png", "picture along the chain (.png, .pdf or .svg)")
+
+
+def _add_deck(add: Add) -> None:
+    deck = add("deck", commands.deck, "write a LAMMPS input that runs by itself")
+    _add_scene(deck)
+    _option(deck, "--output", "FOLDER", "folder for in.column and column.data", required=True)
+    _add_tolerance(deck)
+    step = "longest time step, s (default: from the tolerance)"
+    _option(deck, "--step", "S", step, type=float)
     deck.add_argument("--diameter", choices=["physical", "gauge", "auto"], default="physical")
     deck.add_argument("--integrator", choices=["verlet", "kahan-li6"], default="verlet")
     deck.add_argument(
         "--pair-style", choices=["granular", "gran/hertz/history"], default="granular"
     )
-    _own(deck)
+    _add_templates(deck)
 
-    dyson = verbs.add_parser(
-        "dyson", help="weighted velocities of Eq. (22), beside the mean over random chains"
-    )
-    _saved(dyson, commands.dyson)
-    dyson.add_argument(
-        "--m",
-        metavar="M,M,...",
-        required=True,
-        help="orders of Dyson's distribution, such as 1,2,5,20",
-    )
-    dyson.add_argument(
-        "--realisations",
-        metavar="R",
-        type=int,
-        default=200,
-        help="random chains each (default: 200)",
-    )
-    dyson.add_argument(
-        "--seed", metavar="S", type=int, default=1, help="seed of the random chains (default: 1)"
-    )
-    dyson.add_argument(
-        "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
-    )
-    dyson.add_argument("--json", metavar="FILE", help="file for the numbers")
-    fit = verbs.add_parser(
-        "fit", help="fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front"
-    )
-    _saved(fit, commands.fit)
-    fit.add_argument("--json", metavar="FILE", help="file for the numbers")
-    report = verbs.add_parser(
-        "report", help="write a page about a saved run: pictures, fits, errors, provenance"
-    )
-    _saved(report, commands.report)
-    report.add_argument(
-        "-o",
-        "--output",
-        metavar="REPORT.html",
-        help="file to write (default: RUN.html beside the run)",
-    )
 
-    workprec = verbs.add_parser(
-        "workprec", help="work-precision chart of every engine and integrator on a scene"
+def _add_readers(add: Add) -> None:
+    dyson = add(
+        "dyson",
+        commands.dyson,
+        "weighted velocities of Eq. (22), beside the mean over random chains",
     )
-    _scene(workprec, commands.workprec)
-    workprec.add_argument(
-        "--budget",
-        metavar="S",
-        type=float,
-        default=60.0,
-        help="about how long it may take, s (default: 60)",
+    _add_run(dyson)
+    orders = "orders of Dyson's distribution, such as 1,2,5,20"
+    _option(dyson, "--m", "M,M,...", orders, required=True)
+    chains = "random chains each (default: 200)"
+    _option(dyson, "--realisations", "R", chains, type=int, default=200)
+    _option(dyson, "--seed", "S", "seed of the random chains (default: 1)", type=int, default=1)
+    _add_outputs(dyson, "PICTURE.png")
+    fit = add(
+        "fit",
+        commands.fit,
+        "fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front",
     )
-    workprec.add_argument(
-        "-o",
-        "--output",
-        metavar="CHART.png",
-        help="picture to write (.png, .pdf or .svg), with its numbers beside it",
+    _add_run(fit)
+    _option(fit, "--json", "FILE", "file for the numbers")
+    report = add(
+        "report",
+        commands.report,
+        "write a page about a saved run: pictures, fits, errors, provenance",
     )
-    workprec.add_argument(
-        "--json", metavar="FILE", help="file for the numbers (default: CHART.json)"
-    )
+    _add_run(report)
+    page = "file to write (default: RUN.html beside the run)"
+    _option(report, "--output", "REPORT.html", page)
 
-    stability = verbs.add_parser(
-        "stability", help="find where methods fail on a scene: steps, round-off, chaos, theories"
-    )
-    _scene(stability, commands.stability)
-    stability.add_argument(
-        "-o", "--output", metavar="CHART.png", help="picture to write (.png, .pdf or .svg)"
-    )
-    stability.add_argument("--json", metavar="FILE", help="file for the numbers")
 
-    sweep = verbs.add_parser(
-        "sweep", help="solve many scenes: a grid, a list, random draws, disordered chains"
+def _add_charts(add: Add) -> None:
+    workprec = add(
+        "workprec",
+        commands.workprec,
+        "work-precision chart of every engine and integrator on a scene",
+    )
+    _add_scene(workprec)
+    budget = "about how long it may take, s (default: 60)"
+    _option(workprec, "--budget", "S", budget, type=float, default=60.0)
+    chart = "picture to write (.png, .pdf or .svg), with its numbers beside it"
+    _option(workprec, "--output", "CHART.png", chart)
+    _option(workprec, "--json", "FILE", "file for the numbers (default: CHART.json)")
+    stability = add(
+        "stability",
+        commands.stability,
+        "find where methods fail on a scene: steps, round-off, chaos, theories",
+    )
+    _add_scene(stability)
+    _add_outputs(stability, "CHART.png")
+
+
+def _add_sweep(add: Add) -> None:
+    sweep = add(
+        "sweep",
+        commands.sweep,
+        "solve many scenes: a grid, a list, random draws, disordered chains",
     )
     sweep.add_argument("sweep", metavar="SWEEP.toml", help="sweep file")
-    sweep.add_argument(
-        "-o", "--output", metavar="FOLDER", required=True, help="folder for the results"
-    )
-    by = sweep.add_mutually_exclusive_group()
-    by.add_argument(
-        "--workers", metavar="P", type=int, help="processes of this machine (default: one a core)"
-    )
-    by.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler whose workers solve the scenes"
-    )
-    sweep.set_defaults(command=commands.sweep)
-
-    doctor = verbs.add_parser(
-        "doctor", help="check the installation: LAMMPS, MPI, versions, cores, engines"
-    )
-    doctor.add_argument("--json", metavar="FILE", help="file for the findings")
-    doctor.set_defaults(command=commands.doctor)
-
-    verbs.add_parser("docs", help="open the pages of the documentation").set_defaults(
-        command=commands.docs
-    )
-    return parser
+    _option(sweep, "--output", "FOLDER", "folder for the results", required=True)
+    executor = sweep.add_mutually_exclusive_group()
+    processes = "processes of this machine (default: one a core)"
+    _option(executor, "--workers", "P", processes, type=int)
+    scheduler = "of a Dask scheduler whose workers solve the scenes"
+    _option(executor, "--scheduler", "ADDRESS", scheduler)
 
 
-def _scene(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:
+def _add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", metavar="SCENE.toml", help="scene file")
-    parser.set_defaults(command=command)
 
 
-def _ranks(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--ranks",
-        metavar="P",
-        type=int,
-        help="LAMMPS only: MPI processes that share the chain (not under mpirun)",
-    )
+def _add_outputs(
+    parser: argparse.ArgumentParser,
+    metavar: str,
+    text: str = "picture to write (.png, .pdf or .svg)",
+) -> None:
+    _option(parser, "--output", metavar, text)
+    _option(parser, "--json", "FILE", "file for the numbers")
 
 
-def _own(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--template", metavar="FILE", help="LAMMPS only: your own deck, with placeholders (Jinja2)"
-    )
-    parser.add_argument(
-        "--include", metavar="FILE", help="LAMMPS only: your own fixes, computes and dumps"
-    )
+def _add_ranks(parser: argparse.ArgumentParser) -> None:
+    text = "LAMMPS only: MPI processes that share the chain (not under mpirun)"
+    _option(parser, "--ranks", "P", text, type=int)
 
 
-def _max_wall(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+def _add_templates(parser: argparse.ArgumentParser) -> None:
+    deck = "LAMMPS only: your own deck, with placeholders (Jinja2)"
+    _option(parser, "--template", "FILE", deck)
+    _option(parser, "--include", "FILE", "LAMMPS only: your own fixes, computes and dumps")
+
+
+def _add_max_wall(parser: argparse.ArgumentParser) -> None:
+    _option(
+        parser,
         "--max-wall",
-        metavar="H:MM:SS",
+        "H:MM:SS",
+        "run folders only: after this time (or so many seconds), save and stop with exit code 75; "
+        "lmpchain resume continues. Leave some seconds to the time limit of the queue",
         type=_duration,
-        help="run folders only: after this time (or so many seconds), save and stop with exit code "
-        "75; lmpchain resume continues. Leave some seconds to the time limit of the queue",
     )
 
 
@@ -408,28 +411,18 @@ def _duration(text: str) -> float:
     return total
 
 
-def _saved(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:
-    parser.add_argument(
-        "run",
-        metavar="RUN.nc",
-        help="file that lmpchain run saved, or a dump such as column.lammpstrj",
-    )
-    parser.add_argument(
-        "--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for"
-    )
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    run = "file that lmpchain run saved, or a dump such as column.lammpstrj"
+    parser.add_argument("run", metavar="RUN.nc", help=run)
+    scene = "for a dump: the scene that it was made for"
+    _option(parser, "--scene", "SCENE.toml", scene)
     parser.add_argument(
         "--axis",
         choices=["x", "y", "z"],
         help="for a dump: along which the column stands (default: seen)",
     )
-    parser.set_defaults(command=command)
 
 
-def _tolerance(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--tolerance",
-        metavar="X",
-        type=float,
-        default=1e-6,
-        help="largest relative error (default: 1e-6)",
-    )
+def _add_tolerance(parser: argparse.ArgumentParser) -> None:
+    text = "largest relative error (default: 1e-6)"
+    _option(parser, "--tolerance", "X", text, type=float, default=1e-6)

@@ -1,4 +1,4 @@
-"""What the commands of the command line do, one function a verb."""
+"""Commands of the command line, one function a verb."""
 
 from .compare import compare, doctor, stability, workprec
 from .orbit import orbit
@@ -6,8 +6,10 @@ from .pages import docs
 from .plan import plan
 from .read import dyson, fit, report
 from .run import deck, resume, run, run_folder, sweep
+from .sensitivity import UNCERTAIN, sensitivity
 
 __all__ = [
+    "UNCERTAIN",
     "compare",
     "deck",
     "docs",
@@ -20,6 +22,7 @@ __all__ = [
     "resume",
     "run",
     "run_folder",
+    "sensitivity",
     "stability",
     "sweep",
     "workprec",

@@ -1,4 +1,4 @@
-"""Shared by the commands: reading scenes, checking output paths, writing results."""
+"""Steps of several commands: reading scenes, checking output paths, writing results."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ PICTURES = (".png", ".pdf", ".svg")
 
 def complain(text: str, kind: str = "error") -> None:
     """Print a fault on stderr in one line, with unprintable characters escaped."""
-    shown = (
-        c if c.isprintable() else c.encode("unicode_escape").decode()
-        for c in " ".join(text.split())
+    letters = (
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+        for letter in " ".join(text.split())
     )
-    print(f"{kind}: {''.join(shown)}", file=sys.stderr)
+    print(f"{kind}: {''.join(letters)}", file=sys.stderr)
 
 
 def on_terminal() -> bool:
-    """Say whether stderr is a terminal, where progress is shown."""
+    """Return whether stderr is a terminal, where progress is shown."""
     return sys.stderr is not None and sys.stderr.isatty()
 
 
@@ -56,9 +56,8 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
     """Return the path of a file to write, after checking that it can be written."""
     path = Path(name)
     if path.is_dir() or name.endswith(("/", os.sep)):
-        raise InputError.at(
-            name, f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}"
-        )
+        example = path if suffixes else path / "run.nc"
+        raise InputError.at(name, f"is a folder; name a file, such as {example}")
     if path.exists() and not path.is_file():
         raise InputError.at(name, "is a device or a pipe, not a file; name a file")
     if suffixes and path.suffix.lower() not in suffixes:
@@ -67,11 +66,18 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
         raise InputError.at(name, "is the file that is read; name another file")
     if not path.parent.is_dir():
         raise InputError.at(name, f"there is no folder {path.parent}; make it first")
-    if not os.access(path.parent, os.W_OK | os.X_OK) or (
-        path.exists() and not os.access(path, os.W_OK)
-    ):
+    writable = os.access(path.parent, os.W_OK | os.X_OK)
+    if not writable or (path.exists() and not os.access(path, os.W_OK)):
         raise InputError.at(name, "you may not write there; choose another place")
     return path
+
+
+def check_outputs(arguments: Any, source: str) -> tuple[Callable[[], Any], Callable[[], Any]]:
+    """Return the checks for `gather` of the paths of picture and numbers; None if not asked for."""
+    return (
+        lambda: arguments.output and output(arguments.output, source, PICTURES),
+        lambda: arguments.json and output(arguments.json, source),
+    )
 
 
 def beside(path: str, suffix: str) -> str:

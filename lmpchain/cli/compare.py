@@ -16,7 +16,18 @@ from ..errors import (
     check_tolerance,
     shown,
 )
-from .common import PICTURES, beside, complain, gather, keep, on_terminal, output, read, write_json
+from .common import (
+    PICTURES,
+    beside,
+    check_outputs,
+    complain,
+    gather,
+    keep,
+    on_terminal,
+    output,
+    read,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from ..benchmark.curves import WorkPrecision
@@ -25,10 +36,8 @@ if TYPE_CHECKING:
     from ..stability.result import Stability
     from ..trajectory.trajectory import Trajectory
 
-# longest expected time of the independent reference; beyond it the native engine takes over
-REFERENCE_S = 60.0
+REFERENCE_S = 60.0  # longest expected time of the independent reference
 SHORT_S = 2.0  # runs that take less are run again
-TIGHTEST = 1e-11  # tolerance that the native engine reaches on every ordinary scene
 
 
 def compare(arguments: argparse.Namespace) -> int:
@@ -36,30 +45,25 @@ def compare(arguments: argparse.Namespace) -> int:
     names, scene, picture, numbers, _ = gather(
         lambda: _names(arguments.engines),
         lambda: read(arguments.scene),
-        lambda: arguments.output and output(arguments.output, arguments.scene, PICTURES),
-        lambda: arguments.json and output(arguments.json, arguments.scene),
+        *check_outputs(arguments, arguments.scene),
         lambda: check_tolerance(arguments.tolerance),
     )
     from .. import engines
-    from ..benchmark.comparison import compare as side_by_side
+    from ..benchmark import comparison
 
-    able: list[str] = []
-    refusals: list[tuple[str, str]] = []
-    for name in names:
-        reasons = engines.get(name).refuses(scene)
-        refusals += [(key, f"{name}: {reason}") for key, reason in reasons]
-        if not reasons:
-            able.append(name)
+    reasons = {name: engines.get(name).refuses(scene) for name in names}
+    refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
+    able = [name for name in names if not reasons[name]]
     if not able:
         raise InputError(refusals)
-    trajectories, failures = _answers(scene, able, arguments.tolerance)
+    trajectories, failures = _solve(scene, able, arguments.tolerance)
     if trajectories:
-        comparison = side_by_side(trajectories, _reference(scene, arguments.tolerance))
-        print(comparison.table())
+        result = comparison.compare(trajectories, _reference(scene, arguments.tolerance))
+        print(result.table())
     for key, reason in refusals:
         print(f"left out: {reason} ({key})")
     if trajectories:
-        keep(comparison, numbers, picture)
+        keep(result, numbers, picture)
     for failure in failures:
         complain(failure)
     return 1 if failures else 0
@@ -70,25 +74,23 @@ def _names(given: str | None) -> list[str]:
 
     if given is None:
         return list(engines.names())
-    chosen = list(dict.fromkeys(name.strip() for name in given.split(",") if name.strip()))
-    known = ", ".join(engines.names())
+    names = list(dict.fromkeys(name.strip() for name in given.split(",") if name.strip()))
+    cure = f"use {', '.join(engines.names())}"
     if faults := [
-        ("engines", f"no engine is called {shown(n)}; use {known}")
-        for n in chosen
-        if n not in engines.names()
+        ("engines", f"no engine is called {shown(name)}; {cure}")
+        for name in names
+        if name not in engines.names()
     ]:
         raise InputError(faults)
-    if not chosen:
-        raise InputError.at("engines", f"names none; use {known}")
-    return chosen
+    if not names:
+        raise InputError.at("engines", f"names none; {cure}")
+    return names
 
 
-def _answers(
-    scene: Scene, names: list[str], tolerance: float
-) -> tuple[list[Trajectory], list[str]]:
+def _solve(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Trajectory], list[str]]:
     """Run every engine; return the trajectories and the failures, in words.
 
-    What is run again, if it is short, shows what an integration costs once all is loaded.
+    Short runs are repeated: the first one also loads what was compiled.
     """
     from ..simulation.api import simulate
 
@@ -121,30 +123,28 @@ def _quickest(scene: Scene, name: str, tolerance: float) -> float:
 
 
 def _reference(scene: Scene, tolerance: float) -> Reference:
-    """Return the reference solution, from the native engine if Taylor series would take too long."""
+    """Return the reference solution, by the native engine if Taylor series took too long."""
     from ..benchmark.reference import Reference, expected_seconds, reference
     from ..scene.scene import Scene
     from ..simulation.api import simulate
 
     if expected_seconds(scene) <= REFERENCE_S:
         return reference(scene)
-    tight = max(tolerance / 100, TIGHTEST)
-    everywhere = Scene(
+    tight = max(tolerance / 100, 1e-11)  # which the native engine reaches on ordinary scenes
+    all_grains = Scene(
         chain=scene.chain,
         excitation=scene.excitation,
         duration=scene.duration,
         samples=scene.samples,
     )
     try:
-        run = simulate(everywhere, "native", tight, progress=on_terminal())
+        run = simulate(all_grains, "native", tight, progress=on_terminal())
     except ToleranceNotMet as error:
         if error.trajectory is None:
             raise
         run = error.trajectory
-    method = (
-        f"the native engine at a tolerance of {tight:g} (the scene is too long for the "
-        "independent integrator)"
-    )
+    reason = "the scene is too long for the independent integrator"
+    method = f"the native engine at a tolerance of {tight:g} ({reason})"
     return Reference(run.time, run.displacement, run.velocity, run.error_estimate.total, method)
 
 
@@ -167,12 +167,11 @@ def stability(arguments: argparse.Namespace) -> int:
     """Find where methods fail on a scene."""
     scene, picture, numbers = gather(
         lambda: read(arguments.scene),
-        lambda: arguments.output and output(arguments.output, arguments.scene, PICTURES),
-        lambda: arguments.json and output(arguments.json, arguments.scene),
+        *check_outputs(arguments, arguments.scene),
     )
-    from ..stability.find import stability as found_out
+    from ..stability import find
 
-    result = found_out(scene, progress=on_terminal())
+    result = find.stability(scene, progress=on_terminal())
     _show(result, numbers, picture)
     return 0
 

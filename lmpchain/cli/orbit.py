@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from .common import PICTURES, gather, on_terminal, output, read, write_json
+from .common import check_outputs, gather, on_terminal, read, write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,13 +17,12 @@ def orbit(arguments: argparse.Namespace) -> int:
     """Follow a mode of the chain of a scene from its linear limit up to an energy."""
     scene, picture, numbers = gather(
         lambda: read(arguments.scene),
-        lambda: arguments.output and output(arguments.output, arguments.scene, PICTURES),
-        lambda: arguments.json and output(arguments.json, arguments.scene),
+        *check_outputs(arguments, arguments.scene),
     )
     from ..orbits.modes import mode_family
 
     family = mode_family(scene.chain, arguments.mode, arguments.energy, progress=on_terminal())
-    print("\n".join(_told(family)))
+    print("\n".join(_describe(family)))
     if numbers:
         write_json(family.to_json(), numbers)
         print(f"numbers: {numbers}")
@@ -35,15 +34,13 @@ def orbit(arguments: argparse.Namespace) -> int:
     return 0 if family.reached else 1
 
 
-def _told(family: Family) -> list[str]:
-    """Return what there is to say of the last orbit and of what happened on the way."""
+def _describe(family: Family) -> list[str]:
+    """Return lines about the last orbit and the events on the way to it."""
     last = family[-1]
     state = "stable" if last.stable else f"unstable, largest multiplier {abs(last.unstable[0]):.6g}"
+    frequencies = f"{1 / last.period:.6g} Hz; linear: {1 / family[0].period:.6g} Hz"
     lines = [
-        (
-            f"period: {last.period:.12g} s ({1 / last.period:.6g} Hz; linear: "
-            f"{1 / family[0].period:.6g} Hz)"
-        ),
+        f"period: {last.period:.12g} s ({frequencies})",
         f"energy: {last.energy:.6g} J",
         f"largest displacement: {last.amplitude:.6g} m",
         f"residual after a period: {last.residual:.1e}; error of the steps: {last.error:.1e}",
@@ -53,11 +50,9 @@ def _told(family: Family) -> list[str]:
         f"{event.kind}: at {event.value:.6g} J, {1 / event.orbit.period:.6g} Hz"
         for event in family.events
     ]
-    return (
-        lines
-        if family.reached
-        else [*lines, f"the family does not come to the energy asked for: {family.ended}"]
-    )
+    if not family.reached:
+        lines.append(f"the family does not come to the energy asked for: {family.ended}")
+    return lines
 
 
 def _picture(family: Family) -> Figure:

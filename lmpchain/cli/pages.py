@@ -1,4 +1,4 @@
-"""The command that opens the pages of the documentation: docs."""
+"""The command `docs`, which opens the pages of the documentation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import LmpchainError
 
-SOURCES = Path(__file__).parents[2] / "docs"  # of a checkout; an installed wheel has none
+SOURCES = Path(__file__).parent.parent.parent / "docs"  # of a checkout; a wheel has none
 
 
 def docs(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""An argument parser that reports faults as all commands do."""
+"""Argument parser that reports faults as all commands do."""
 
 from __future__ import annotations
 
@@ -19,16 +19,14 @@ class Parser(argparse.ArgumentParser):
         """Complain of unknown arguments here, where the options of the verb are known."""
         known, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            names = (name.partition("=")[0] for name in unknown)
-            meant = next(
-                filter(None, (did_you_mean(name, self._option_string_actions) for name in names)),
-                "",
-            )
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+            options = self._option_string_actions
+            cures = [did_you_mean(name.partition("=")[0], options) for name in unknown]
+            cure = next(filter(None, cures), "")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{cure}")
         return known, unknown
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; a closed pipe is an error here, which newer versions of argparse ignore."""
+        """Print the help; a closed pipe is an error here, which argparse may ignore."""
         print(self.format_help(), end="", file=file)
 
     def error(self, message: str) -> NoReturn:

@@ -1,16 +1,16 @@
-"""The command `plan`: which engine solves a scene at which cost, and how fast the engines are here."""
+"""The command `plan`: cost and error of each engine on a scene, and the speed of this machine."""
 
 from __future__ import annotations
 
 import argparse
 
 from ..errors import InputError, LmpchainError, check_tolerance
-from ..util.tables import aligned, number
+from ..util.tables import align, number
 from .common import gather, output, read, write_json
 
 
 def plan(arguments: argparse.Namespace) -> int:
-    """Print what every engine proposes for a scene and which one is chosen; calibrate the cost model."""
+    """Print the proposals of the engines for a scene and the choice; calibrate the cost model."""
     if arguments.scene is None and not arguments.calibrate:
         raise InputError.at("scene", "is missing; name a scene file, or use --calibrate alone")
     if arguments.scene is None and arguments.json:
@@ -49,4 +49,4 @@ def _calibrate() -> None:
         (name, number(1e3 * start, unit="ms"), f"{slowness:.2g}")
         for name, (start, slowness) in measured().items()
     ]
-    print("\n".join(aligned(rows)))
+    print("\n".join(align(rows)))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from .common import PICTURES, beside, gather, keep, on_terminal, output, read
+from .common import beside, check_outputs, gather, keep, on_terminal, output, read
 
 if TYPE_CHECKING:
     from ..trajectory.trajectory import Trajectory
@@ -22,8 +22,7 @@ def dyson(arguments: argparse.Namespace) -> int:
 
     run, picture, numbers, m = gather(
         lambda: _run_or_dump(arguments),
-        lambda: arguments.output and output(arguments.output, arguments.run, PICTURES),
-        lambda: arguments.json and output(arguments.json, arguments.run),
+        *check_outputs(arguments, arguments.run),
         lambda: orders(arguments.m),
     )
     result = sums(run, m)
@@ -58,10 +57,10 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     axis = arguments.axis
     from ..trajectory.lammps_dump import is_dump
 
-    dumped = is_dump(path)
-    if scene is None and dumped:
+    dump = is_dump(path)
+    if scene is None and dump:
         raise InputError.at(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")
-    if scene is not None and not dumped and Path(path).is_file():
+    if scene is not None and not dump and Path(path).is_file():
         raise InputError.at(
             "scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run"
         )
@@ -71,11 +70,8 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
         )
     from ..trajectory.trajectory import Trajectory
 
-    run = (
-        Trajectory.load(path)
-        if scene is None
-        else Trajectory.from_dump(path, read(scene), axis=axis)
-    )
+    load = Trajectory.load
+    run = load(path) if scene is None else Trajectory.from_dump(path, read(scene), axis=axis)
     if run.time.size < 2:
         raise InputError.at(
             path, "has too few samples yet: go on with the run, or run the scene anew"

@@ -13,36 +13,33 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
-from ..util.tables import aligned
+from ..util.tables import align
 from .common import beside, complain, gather, on_terminal, output, read
 
 if TYPE_CHECKING:
     from ..simulation.policy import Policy
     from ..trajectory.trajectory import Trajectory
 
-TO_BE_RESUMED = 75  # exit code after --max-wall: EX_TEMPFAIL of sysexits.h, "try again later"
-
 
 def _policy(arguments: argparse.Namespace) -> Policy:
-    """Return which engine answers, with the options given for it."""
+    """Return the choice of the engine, with its options."""
     from ..simulation.policy import policy_for
 
-    names = "integrator", "step", "threads", "diameter", "ranks", "template", "include"
-    given = {key: getattr(arguments, key) for key in names}
-    return policy_for(
-        arguments.engine, **{key: value for key, value in given.items() if value is not None}
-    )
+    names = ("integrator", "step", "threads", "diameter", "ranks", "template", "include")
+    options = {name: getattr(arguments, name) for name in names}
+    options = {name: value for name, value in options.items() if value is not None}
+    return policy_for(arguments.engine, **options)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Solve a scene and save the trajectory, in a file or in a run folder."""
     name = arguments.output or beside(arguments.scene, ".nc")
-    whole = run_folder(arguments) is not None
+    in_folder = run_folder(arguments) is not None
     scene, path, policy, _ = gather(
         lambda: read(arguments.scene),
         lambda: (
             _new_folder(name, arguments.force)
-            if whole
+            if in_folder
             else _new_file(name, arguments.scene, arguments.force)
         ),
         lambda: _policy(arguments),
@@ -54,27 +51,27 @@ def run(arguments: argparse.Namespace) -> int:
 
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
-    if whole and is_run(path):
+    if in_folder and is_run(path):
         remove(path)
     for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
         warnings.warn(warning, stacklevel=1)
-    if mpi.joined() and not (policy.chosen and policy.chosen.ranks_of_mpi):
+    if mpi.joined_world() and not (policy.chosen and policy.chosen.ranks_of_mpi):
         warnings.warn(
             f"the engine {policy.name} runs on one rank; --engine lammps would use them all",
             stacklevel=1,
         )
-    return _told(
+    return _report(
         lambda: simulate(
             scene,
             policy.chosen or policy.name,
             arguments.tolerance,
             progress=on_terminal(),
-            folder=path if whole else None,
+            folder=path if in_folder else None,
             max_wall=arguments.max_wall,
         ),
         arguments.tolerance,
         path,
-        save=not whole,
+        save=not in_folder,
     )
 
 
@@ -83,20 +80,20 @@ def resume(arguments: argparse.Namespace) -> int:
     from ..simulation.api import resume
     from ..simulation.run_folder import status
 
-    about = status(arguments.folder)
-    if about["state"] == "finished":
+    state = status(arguments.folder)
+    if state["state"] == "finished":
         print(f"{arguments.folder}: this run is finished; there is nothing left to do")
-    elif about["state"] == "killed":
-        done = f"at sample {about['samples_done']} of {about['samples']} or later"
-        print(f"{arguments.folder}: {about['reason']} {done}; going on from its last checkpoint")
-    return _told(
+    elif state["state"] == "killed":
+        done = f"at sample {state['samples_done']} of {state['samples']} or later"
+        print(f"{arguments.folder}: {state['reason']} {done}; going on from its last checkpoint")
+    return _report(
         lambda: resume(
             arguments.folder,
             max_wall=arguments.max_wall,
             progress=on_terminal(),
             ranks=arguments.ranks,
         ),
-        about["tolerance"],
+        state["tolerance"],
         Path(arguments.folder),
     )
 
@@ -106,26 +103,25 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
     if "folder" in arguments:
         return arguments.folder
     name = getattr(arguments, "output", None)
-    in_folder = (
-        arguments.command is run and name and (name.endswith(("/", os.sep)) or Path(name).is_dir())
-    )
-    return name if in_folder else None
+    if arguments.command is not run or not name:
+        return None
+    return name if name.endswith(("/", os.sep)) or Path(name).is_dir() else None
 
 
 def _new_folder(name: str, force: bool) -> Path:
     from ..simulation.task import check_new, check_run, is_run, resume_command
 
     if is_run(name) and not force:
-        cure = (
-            f"go on with it, {resume_command(name)}, replace it with --force, or name another "
-            "folder"
+        raise InputError.at(
+            name,
+            f"holds a run already: go on with it, {resume_command(name)}, replace it with --force, "
+            "or name another folder",
         )
-        raise InputError.at(name, f"holds a run already: {cure}")
     return check_run(name) if is_run(name) else check_new(name)
 
 
 def _new_file(name: str, scene: str, force: bool) -> Path:
-    """Return the path of a file to write; what is there may have taken long, and is kept unless forced."""
+    """Return the path of a file to write; an earlier run is replaced only by force."""
     path = output(name, scene)
     if path.exists() and not force:
         raise InputError.at(
@@ -134,7 +130,7 @@ def _new_file(name: str, scene: str, force: bool) -> Path:
     return path
 
 
-def _told(
+def _report(
     answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False
 ) -> int:
     """Run, print the summary and return the exit code."""
@@ -145,7 +141,7 @@ def _told(
         trajectory = answer()
     except Stopped as stopped:  # by --max-wall; signals are handled elsewhere
         print(stopped, file=sys.stderr)
-        return TO_BE_RESUMED
+        return os.EX_TEMPFAIL  # try again later
     except ToleranceNotMet as error:
         if error.trajectory is None:
             raise
@@ -173,12 +169,12 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         "scene": f"{scene.chain.grains} grains, {scene.samples} samples over {scene.duration:g} s",
         "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
         "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
-        "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error estimate, "
-        f"{cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
+        "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error "
+        f"estimate, {cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
         **in_words(scene, trajectory.gathered),
         "folder" if path.is_dir() else "file": str(path),
     }
-    return "\n".join(aligned(lines.items()))
+    return "\n".join(align(lines.items()))
 
 
 def deck(arguments: argparse.Namespace) -> int:
@@ -209,7 +205,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     """Solve the missing scenes of a sweep, and print how many failed."""
     from ..sweeps.run import dask, sweep
 
-    if mpi.joined():
+    if mpi.joined_world():
         raise InputError.at(
             "sweep", "does not run under mpirun: use --workers, or --scheduler for several machines"
         )
@@ -221,10 +217,8 @@ def sweep(arguments: argparse.Namespace) -> int:
             arguments.sweep, folder, workers=workers, executor=executor, progress=on_terminal()
         )
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
-    print(
-        f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are "
-        f"answered in {folder}"
-    )
+    total = results["reason"].size
+    print(f"{total - len(reasons)} of {total} scenes are answered in {folder}")
     if reasons:
         complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")
     return 1 if reasons else 0

@@ -61,11 +61,11 @@ class Fit:
 
     def table(self) -> str:
         """Return the numbers as text, a line each."""
-        from ..util.tables import aligned
+        from ..util.tables import align
 
         rows = [(name, f"{value:.8g}", f"+- {off:.2g}") for name, value, off in
                 zip(self.names, self.estimate, self.error, strict=True)]  # fmt: skip
-        return "\n".join([*aligned(rows), f"chi square: {self.chi_square:.5g} of {self.freedom}"])
+        return "\n".join([*align(rows), f"chi square: {self.chi_square:.5g} of {self.freedom}"])
 
     def profile(self, name: str, reach: float = 3.0, points: int = 13) -> tuple[Array, Array]:
         """Return values of one number, (points,), and how much chi square grows, others refitted.

@@ -92,7 +92,7 @@ class Sensitivity:
 
     def table(self) -> str:
         """Return the answer, what matters most, and the uncertainty, as text."""
-        from ..util.tables import aligned
+        from ..util.tables import align
 
         size = abs(self.value) or 1.0
         lines = [
@@ -109,7 +109,7 @@ class Sensitivity:
             for name, part in self.relative.items()
             if part.size > 1
         ]
-        lines += [*aligned(rows), f"derivatives known to {self.gradient.error:.1e}"]
+        lines += [*align(rows), f"derivatives known to {self.gradient.error:.1e}"]
         for name, part in self.uncertainty.items():
             lines.append(f"by the uncertainty of {name}: {part:.3g} {self.unit}")
         if self.uncertainty:
@@ -136,7 +136,7 @@ class Sensitivity:
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the change for 1 % of every entry along the chain; returns the axes."""
-        from ..util.plotting import COLOURS, axes_in_units, legend, titled
+        from ..util.plotting import COLOURS, axes_in_units, legend, set_title
 
         ax = axes_in_units(ax, "", "")
         size = abs(self.value) or 1.0
@@ -160,7 +160,7 @@ class Sensitivity:
         ax.set_xlabel("grain")
         ax.set_ylabel("change for 1 % more, %")
         ax.set_xlim(0.5, matters.max() + 2.5)
-        titled(ax, f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}")
+        set_title(ax, f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}")
         legend(ax)
         return ax
 

@@ -77,7 +77,7 @@ class Ensemble(Shown):
 
         Returns the axes.
         """
-        from ..util.plotting import axes_in_units, legend, titled
+        from ..util.plotting import axes_in_units, legend, set_title
 
         ax = axes_in_units(ax, "", "m/s")
         mean, band = self.velocity[sample], 2 * self.velocity_error[sample]
@@ -95,7 +95,7 @@ class Ensemble(Shown):
                 label="± 2 st. errors",
             )
         ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
-        titled(ax, f"t = {self.time[sample]:.4g} s")
+        set_title(ax, f"t = {self.time[sample]:.4g} s")
         legend(ax)
         return ax
 

@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, colour_bar, edges, legend, thinned
+from ..util.plotting import axes_in_units, colour_bar, edges, legend, thin_rows
 from .bodies import known_contacts, motion
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class ContactHistory(Shown):
             legend(ax)
         else:
             rows = np.argsort(self.contact)
-            numbers, force = thinned(self.contact[rows], values.T[rows])
+            numbers, force = thin_rows(self.contact[rows], values.T[rows])
             limit = scale(values)
             colours = (
                 {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}

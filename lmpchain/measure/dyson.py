@@ -16,7 +16,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.tables import aligned, number
+from ..util.tables import align, number
 from .bodies import motion
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class DysonSums(Shown):
         rows.append(
             ["ordered", "", "", "", number(ordered[at] / self.unit, ".5g"), "", str(at + 1)]
         )
-        lines += aligned(rows)
+        lines += align(rows)
         largest = max(each.model_error for each in ensembles)
         lines.append(f"model error of Eq. (3) in random chains: up to {largest:.2g}")
         if squeezed := sum(each.squeezed for each in ensembles):
@@ -192,7 +192,7 @@ class DysonSums(Shown):
         Axes
             Those of the means.
         """
-        from ..util.plotting import COLOURS, legend, panels, titled, window
+        from ..util.plotting import COLOURS, legend, panels, set_title, window
 
         true, *others = panels(window(7.0, 8.0).subplots(2, sharex=True) if ax is None else ax)
         colours = list(COLOURS.values())
@@ -214,12 +214,12 @@ class DysonSums(Shown):
                 weighted.plot(grains, terms, label=f"m = {m:g}: sum {total:.4g}", **style)
         unit = r"$v_0$" if self.unit != 1 else "m/s"
         true.set_ylabel(f"mean velocity ({unit})")
-        titled(
+        set_title(
             true, f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors"
         )
         for weighted in others:
             weighted.set_ylabel(rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({unit})")
-            titled(
+            set_title(
                 weighted,
                 f"Terms of Eq. (22), one chain weighted over depth, tau = {self.tau[-1]:.4g}",
             )

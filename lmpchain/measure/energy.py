@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, titled
+from ..util.plotting import axes_in_units, legend, set_title
 from .bodies import known_contacts, motion, motion_of_all
 from .motion import Motion, motion_of
 
@@ -113,7 +113,9 @@ class EnergyLedger(Shown):
             )
         ax.set(xlabel="time", ylabel="energy above rest")
         largest = np.abs(self.total).max() or 1.0
-        titled(ax, f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total")
+        set_title(
+            ax, f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total"
+        )
         legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
         return ax
 

@@ -11,7 +11,7 @@ from ..theory.bands import Cell, branches, repeating
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, axes_in_units, legend, titled
+from ..util.plotting import COLOURS, axes_in_units, legend, set_title
 from .floquet import Complex
 from .orbit import Orbit
 
@@ -136,7 +136,7 @@ class Family(Shown):
         ax.yaxis.set_major_formatter(EngFormatter("J"))
         ax.yaxis.set_minor_formatter(NullFormatter())
         if self.ended:
-            titled(ax, self.ended[0].upper() + self.ended[1:])
+            set_title(ax, self.ended[0].upper() + self.ended[1:])
         legend(
             ax, frameon=True, edgecolor="none", framealpha=1.0
         )  # it may lie on a band, whose patch is of its colour

@@ -13,7 +13,7 @@ from ..measure.spectrum import travel_time
 from ..trajectory.picture import MOVING, scale
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
-from ..util.plotting import thinned
+from ..util.plotting import thin_rows
 
 # shown; of more, every so many
 MOST_TIMES = 240
@@ -58,7 +58,7 @@ def numbers(trajectory: Trajectory) -> dict[str, Any]:
     shown = order[(grains >= first) & (grains <= last)]
     rows = np.unique(np.linspace(0, trajectory.time.size - 1, MOST_TIMES).round().astype(int))
     velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[rows][:, shown])
-    kept, drawn = thinned(trajectory.grains[shown], velocity.T, MOST_GRAINS)
+    kept, drawn = thin_rows(trajectory.grains[shown], velocity.T, MOST_GRAINS)
     largest = float(np.abs(drawn).max(initial=0.0)) or 1.0
     data = np.round(drawn.T / largest * FULL).astype("<i2")
     return {

@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import check_tolerance
 from ..scene.scene import Scene
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LOWEST, MARKERS, axes_in_units, legend
-from ..util.tables import aligned, number
+from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
+from ..util.tables import align, number
 from .selection import Proposal, cheapest, estimated, propose_all, reason
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Plan(Shown):
 
     def table(self) -> str:
         """Return all candidates as a table, and why the first is taken."""
-        return "\n".join([*aligned(self._summary()), f"{self.engine} {self.why}"])
+        return "\n".join([*align(self._summary()), f"{self.engine} {self.why}"])
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         yield from (
@@ -78,7 +78,7 @@ class Plan(Shown):
             self.tolerance, color="0.4", lw=1, ls="--", label=f"tolerance {self.tolerance:g}"
         )
         for proposal in self.candidates:
-            error = max(proposal.model_error + proposal.solver_error, LOWEST)
+            error = max(proposal.model_error + proposal.solver_error, LEAST_ERROR)
             if np.isfinite([error, proposal.cost_s]).all():
                 colour, marker = (
                     COLOURS.get(proposal.engine, "k"),
@@ -91,7 +91,7 @@ class Plan(Shown):
                 )
         ax.plot(
             self.expected_cost_s,
-            max(self.expected_error, LOWEST),
+            max(self.expected_error, LEAST_ERROR),
             "o",
             ms=15,
             mfc="none",

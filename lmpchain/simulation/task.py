@@ -145,7 +145,7 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         if order["sha256"] != _seal(order, text):
             raise ValueError("they are not those that the run began with")
         parallel = "ranks" in options
-        if parallel and (ranks is not None or mpi.joined()):  # those of mpirun serve
+        if parallel and (ranks is not None or mpi.joined_world()):  # those of mpirun serve
             options["ranks"] = ranks
         policy = policy_for(str(order["engine"]), **options)
         check_policy(policy)  # no commands of whoever wrote this folder
@@ -186,7 +186,7 @@ def _session(options: dict[str, Any]) -> dict[str, Any]:
     """Return the record of this session, with its ranks where the engine can use several."""
     record = describe_session()
     if "ranks" in options:
-        world = mpi.joined()
+        world = mpi.joined_world()
         record["ranks"] = world.size if world else options["ranks"] or 1
     return record
 

@@ -14,8 +14,8 @@ from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LOWEST, SHADES, panels, window
-from ..util.tables import aligned, finite, number
+from ..util.plotting import COLOURS, LEAST_ERROR, SHADES, panels, window
+from ..util.tables import align, finite, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +90,7 @@ class Stability(Shown):
 
     def table(self) -> str:
         """Return the boundaries as a table; what the scene lies beyond bears a mark."""
-        return "\n".join(aligned(self._summary()))
+        return "\n".join(align(self._summary()))
 
     def _summary(self) -> Iterator[Sequence[str]]:
         yield "", "", "", "predicted", "measured", "this scene"
@@ -173,7 +173,7 @@ def _draw_energy(axes: Axes, result: Stability) -> None:
         place = list(METHODS).index(curve.name) % len(SHADES)
         axes.plot(
             curve.x[1:],
-            np.maximum(curve.y[1:], LOWEST),
+            np.maximum(curve.y[1:], LEAST_ERROR),
             color=SHADES[place],
             lw=1.2,
             label=curve.name,
@@ -187,7 +187,7 @@ def _draw_energy(axes: Axes, result: Stability) -> None:
 def _draw_growth(axes: Axes, result: Stability) -> None:
     for curve in result.curves:
         if curve.panel == "growth":
-            axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=COLOURS["native"], lw=1.3)
+            axes.plot(curve.x, np.maximum(curve.y, LEAST_ERROR), color=COLOURS["native"], lw=1.3)
     end = result.scene.duration
     for level in LEVELS:
         axes.axhline(level, color="0.75", lw=0.8)
@@ -229,7 +229,7 @@ def _draw_strength(axes: Axes, result: Stability) -> None:
             style = "-" if curve.name in STRENGTHS else next(styles)
             axes.plot(
                 curve.x,
-                np.maximum(curve.y, LOWEST),
+                np.maximum(curve.y, LEAST_ERROR),
                 color=colour,
                 ls=style,
                 lw=1.4,

@@ -26,7 +26,7 @@ from ..scene.excitation import Profile
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, titled
+from ..util.plotting import axes_in_units, legend, set_title
 from ..util.progress import ProgressBar
 from .domain import real, require
 
@@ -125,7 +125,9 @@ class DimerSoliton(Shown):
             ax.plot(x, self.velocity(x, light), label=f"velocity of {name} grains")
             ax.plot(x, self.overlap(x, light), "--", lw=1, label=f"overlap ahead of {name} grains")
         ax.set(xlabel="x − ct (grains)", ylabel="units of heavy mass and contact")
-        titled(ax, f"δ = {self.delta:g}, mass ratio {self.mass_ratio:.8g}, speed {self.speed:.7g}")
+        set_title(
+            ax, f"δ = {self.delta:g}, mass ratio {self.mass_ratio:.8g}, speed {self.speed:.7g}"
+        )
         legend(ax)
         return ax
 

@@ -26,7 +26,7 @@ from ..scene.excitation import Profile
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, titled
+from ..util.plotting import axes_in_units, legend, set_title
 from .domain import real, require
 from .soliton_limits import (
     coste_speed,
@@ -243,7 +243,7 @@ class Soliton(Shown):
             x, formula / self.overlap(0.0), color="0.4", lw=1, ls="--", label=f"overlap, {name}"
         )
         ax.set(xlabel="x − ct (grains)", ylabel="over the largest value")
-        titled(
+        set_title(
             ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{' times sound' if self.loaded else ''}"
         )
         legend(ax)

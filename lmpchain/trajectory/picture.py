@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..util.arrays import Array, as_slice
-from ..util.plotting import axes_in_units, colour_bar, edges, thinned
+from ..util.plotting import axes_in_units, colour_bar, edges, thin_rows
 from .record import Record
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def space_time(
     every = -(-trajectory.time.size // 4000)  # a picture has fewer columns
     time = trajectory.time[::every]
     motion = np.asarray(getattr(trajectory, field)[::every])[:, order]
-    rows, drawn = thinned(trajectory.grains[order], motion.T)
+    rows, drawn = thin_rows(trajectory.grains[order], motion.T)
     limit = scale(motion)
     shown = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
     colour_bar(ax, shown, f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")

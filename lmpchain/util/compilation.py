@@ -65,28 +65,27 @@ register("numba:compiler_lock", _stopwatch)
 
 
 def compiled_s() -> float:
-    """Return how long this thread has compiled, or loaded what was compiled before, so far, s."""
+    """Return the time that this thread has compiled or loaded kept results so far, s."""
     return _stopwatch.total_s
 
 
 def clock() -> float:
-    """Return a time, s, that stands still while this thread compiles or loads what was compiled before."""
+    """Return a time, s, that stands still while this thread compiles or loads kept results."""
     return time.perf_counter() - _stopwatch.total_s
 
 
 @cache
 def _sources(module: Path) -> str:
-    """Return a hash of a module, of what it imports from its folder, at any depth, and of this module."""
-    known = {}
+    """Return a hash of a module, of its imports from its folder at any depth, and of this one."""
+    sources = {}
     waiting = [module, Path(__file__)]
     while waiting:
         path = waiting.pop()
-        if path not in known and path.exists():
-            known[path] = path.read_bytes()
-            waiting += (
-                path.with_name(f"{name}.py") for name in BESIDE.findall(known[path].decode())
-            )
-    return sha256(b"".join(known[path] for path in sorted(known))).hexdigest()
+        if path not in sources and path.exists():
+            sources[path] = path.read_bytes()
+            names = BESIDE.findall(sources[path].decode())
+            waiting += (path.with_name(f"{name}.py") for name in names)
+    return sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()
 
 
 def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
@@ -109,15 +108,14 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
     def decorate(function: Callable) -> Any:
         when = "once for this machine"
         try:
-            made = numba.njit(cache=True, **options)(function)
-            # numba checks only the source of this function's module, but it may call modules beside
-            # it
-            kept: Any = made._cache._cache_file
-            kept._source_stamp = kept._source_stamp, _sources(Path(function.__code__.co_filename))
+            dispatcher = numba.njit(cache=True, **options)(function)
+            # numba checks only the source of this module, but a function may call modules beside it
+            file: Any = dispatcher._cache._cache_file
+            file._source_stamp = file._source_stamp, _sources(Path(function.__code__.co_filename))
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
-            made = numba.njit(**options)(function)
+            dispatcher = numba.njit(**options)(function)
         _news[function] = f"compiling {what}, {when}: about {seconds} s"
-        return made
+        return dispatcher
 
     return decorate

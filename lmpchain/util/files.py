@@ -69,15 +69,15 @@ LARGEST_JSON = 2**30  # bytes, of what describes a store, a run or a sweep
 
 def check_readable(path: Path, largest: int) -> None:
     """Raise `OSError` unless this is a regular file of at most so many bytes."""
-    about = path.stat()
-    if not stat.S_ISREG(about.st_mode):
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
-    if about.st_size > largest:
+    if status.st_size > largest:
         raise OSError(errno.EFBIG, f"is larger than {largest / 2**20:.0f} MB")
 
 
 def check_tree(folder: Path) -> None:
-    """Raise `OSError` unless this is a folder of folders and regular files, without a link to anywhere."""
+    """Raise `OSError` unless a folder holds nothing but folders and regular files, no links."""
     if folder.is_symlink():
         raise OSError(errno.EINVAL, f"{folder.name} is a link; name what it points to")
     for at, folders, files in os.walk(folder):
@@ -133,7 +133,7 @@ def check_seal(path: Path) -> None:
 
 
 def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
-    """Return the arrays that `numpy.savez` packed: plain ones as large as their bytes, or it raises."""
+    """Return the arrays that `numpy.savez` packed; raises unless they are plain."""
     arrays = {}
     with zipfile.ZipFile(BytesIO(content)) as packed:
         if any(item.compress_type != zipfile.ZIP_STORED for item in packed.infolist()):

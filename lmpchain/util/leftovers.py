@@ -1,4 +1,4 @@
-"""What a kill would leave behind on the machine: files of MPI, and ranks without a launcher."""
+"""Leftovers of killed runs: files of MPI, and ranks without a launcher."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ SHARED = Path("/dev/shm")
 NAMES = "mpich_shm_"
 TEMPORARY = Path("/tmp")  # MPICH does not look at TMPDIR
 OLD_S = 60.0  # by then every rank of a run has started
-PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 
 def unname_shared_memory() -> None:
-    """Remove the name of the shared memory of MPI, which lives on without as long as a process uses it.
+    """Remove the name of the shared memory of MPI, which lasts without as long as it is used.
 
     Only once all processes that share it have attached to it. MPICH itself removes it at the end,
     which a kill takes away.
     """
-    for name in _used([Path("/proc/self")]):
+    for name in _names_in_use([Path("/proc/self")]):
         if name.startswith(NAMES):
             (SHARED / name).unlink(missing_ok=True)
 
@@ -37,21 +36,21 @@ def sweep() -> None:
     A rank that starts later than `OLD_S` after its launcher finds out by itself what that file
     says.
     """
-    left = []
+    leftovers = []
     for names in (SHARED / NAMES, SHARED / "ucx_shm_posix_", TEMPORARY / "hydra_hwloc_xmlfile_"):
         for path in names.parent.glob(f"{names.name}*"):
             with suppress(OSError):  # gone by now
-                about = path.lstat()
-                if about.st_uid == os.getuid() and about.st_mtime < time.time() - OLD_S:
-                    left.append(path)
-    if left:
-        used = _used(path for path in Path("/proc").iterdir() if path.name.isdigit())
-        for path in left:
+                status = path.lstat()
+                if status.st_uid == os.getuid() and status.st_mtime < time.time() - OLD_S:
+                    leftovers.append(path)
+    if leftovers:
+        used = _names_in_use(path for path in Path("/proc").iterdir() if path.name.isdigit())
+        for path in leftovers:
             if path.name not in used:
                 path.unlink(missing_ok=True)
 
 
-def _used(processes: Iterable[Path]) -> set[str]:
+def _names_in_use(processes: Iterable[Path]) -> set[str]:
     """Return the names of the shared memory that these processes have attached to."""
     names = set()
     for process in processes:
@@ -64,6 +63,7 @@ def _used(processes: Iterable[Path]) -> set[str]:
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process as soon as the one that started it is gone, whatever it waits for."""
+    """Have the kernel end this process as soon as its parent is gone."""
+    death_signal = 1  # PR_SET_PDEATHSIG of linux/prctl.h
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(ctypes.c_int(PR_SET_PDEATHSIG), ctypes.c_ulong(signal.SIGKILL))
+        ctypes.CDLL(None).prctl(ctypes.c_int(death_signal), ctypes.c_ulong(signal.SIGKILL))

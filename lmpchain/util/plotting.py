@@ -36,28 +36,29 @@ MARKERS = {
     "continuum": "P",
 }
 NARROW = 3.5  # inches: axes that share a page with others
-LOWEST = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
+LEAST_ERROR = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
 # colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
 SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
 
 
-def thinned(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]:
+def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]:
     """Return fewer rows of a map: of every few, the one that differs most from its first value.
 
     Examples
     --------
-    >>> rows, values = thinned(np.arange(6.0), np.array([[0, 0], [0, 9], [0, 1], [0, 0], [0, 0], [0, -4.0]]), most=2)
+    >>> values = np.array([[0, 0], [0, 9], [0, 1], [0, 0], [0, 0], [0, -4.0]])
+    >>> rows, values = thin_rows(np.arange(6.0), values, most=2)
     >>> rows.tolist(), values.tolist()
     ([0.0, 3.0], [[0.0, 9.0], [0.0, -4.0]])
     """
-    every = -(-len(rows) // most)
-    if every == 1:
+    stride = -(-len(rows) // most)
+    if stride == 1:
         return rows, values
-    first = np.arange(0, len(rows), every)
+    first = np.arange(0, len(rows), stride)
     size = np.abs(values - values[:, :1]).max(1)
-    loudest = [at + int(size[at : at + every].argmax()) for at in first]
-    return rows[first], values[loudest]
+    largest = [row + int(size[row : row + stride].argmax()) for row in first]
+    return rows[first], values[largest]
 
 
 def edges(middles: Array) -> Array:
@@ -99,7 +100,7 @@ def window(width: float = 6.4, height: float = 4.2) -> Figure:
 
 
 def axes_in_units(ax: Axes | None, x: str, y: str) -> Axes:
-    """Return axes, given or of a new figure, in our colours and labelled in these units with SI prefixes."""
+    """Return axes, given or new, in our colours, labelled in these units with SI prefixes."""
     from matplotlib.ticker import EngFormatter
 
     ax = window().subplots() if ax is None else ax
@@ -120,15 +121,13 @@ def axes_in_units(ax: Axes | None, x: str, y: str) -> Axes:
 
 def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
     """Return the axes given, one or several, in our colours."""
-    return [
-        axes_in_units(each, "", "")
-        for each in (ax if isinstance(ax, Sequence | np.ndarray) else [ax])
-    ]
+    several = ax if isinstance(ax, Sequence | np.ndarray) else [ax]
+    return [axes_in_units(single, "", "") for single in several]
 
 
-def titled(ax: Axes, text: str) -> None:
+def set_title(ax: Axes, text: str) -> None:
     """Put a title above axes, on the left, in as many lines as it takes."""
-    ax.set_title(_folded(ax, text, 10.0), loc="left", fontsize=10.0)
+    ax.set_title(_fold(ax, text, 10.0), loc="left", fontsize=10.0)
 
 
 def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
@@ -136,7 +135,7 @@ def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
     handles = handles or ax.get_legend_handles_labels()
     if handles[0]:
         size = 7.0 if _inches(ax) < NARROW else 9.0
-        labels = [_folded(ax, label, size + 2.0) for label in handles[1]]
+        labels = [_fold(ax, label, size + 2.0) for label in handles[1]]
         ax.legend(
             handles[0], labels, **{"frameon": False, "fontsize": size, "handlelength": 1.5} | keys
         )
@@ -156,8 +155,9 @@ def _inches(ax: Axes) -> float:
     return float(ax.get_position().width * ax.figure.figure.get_size_inches()[0])
 
 
-def _folded(ax: Axes, text: str, size: float) -> str:
-    """Return text in lines as wide as axes at this size in points; letters are about half as wide."""
+def _fold(ax: Axes, text: str, size: float) -> str:
+    """Return text in lines as wide as axes, in letters of this size in points."""
+    # a letter is about half as wide as high
     return textwrap.fill(text, max(12, int(72 * _inches(ax) / (0.52 * size))))
 
 

@@ -1,4 +1,4 @@
-"""What a misspelt name was probably meant to be."""
+"""Suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     >>> did_you_mean("wood", ["glass", "steel"])
     ''
     """
-    meant = {other.lower(): other for other in known}
-    near = get_close_matches(name.lower(), meant, 1) if isinstance(name, str) else []
-    return f" (did you mean {meant[near[0]]!r}?)" if near else ""
+    names = {candidate.lower(): candidate for candidate in known}
+    close = get_close_matches(name.lower(), names, 1) if isinstance(name, str) else []
+    return f" (did you mean {names[close[0]]!r}?)" if close else ""
 
 
 def not_among(name: object, known: Iterable[str]) -> str:
-    """Return what to say of a name that is none of these.
+    """Return the fault of a name that is none of these.
 
     Examples
     --------
     >>> not_among("Glas", ["glass", "steel"])
     "must be glass | steel (got 'Glas') (did you mean 'glass'?)"
     """
-    known = list(known)
-    return f"must be {' | '.join(known)} (got {shown(name)}){did_you_mean(name, known)}"
+    names = list(known)
+    return f"must be {' | '.join(names)} (got {shown(name)}){did_you_mean(name, names)}"

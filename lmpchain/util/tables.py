@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 
-def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
+def align(rows: Iterable[Sequence[str]]) -> list[str]:
     """Return one line per row of a table, with its columns aligned on the left.
 
     Examples
     --------
-    >>> aligned([("engine", "step"), ("native", "1 s")])
+    >>> align([("engine", "step"), ("native", "1 s")])
     ['engine  step', 'native  1 s']
     """
     rows = list(rows)
@@ -23,7 +23,7 @@ def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
 def number(
     value: float, form: str = ".3g", unit: str = "", *, missing: str = "", infinite: str = "inf"
 ) -> str:
-    """Return a number with its unit; what stands for NaN and for infinity bears none.
+    """Return a number with its unit, or the words for NaN and infinity, which have none.
 
     Examples
     --------

@@ -13,12 +13,12 @@ from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
 
 from ..errors import InputError, short, shown
 
-_PACKAGE = Path(__file__).parents[1]
+_PACKAGE = Path(__file__).parent.parent
 _FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
 
 
 class _Closed(ImmutableSandboxedEnvironment):
-    """Sandboxed templates, which may read their values and call only `range` and their own macros."""
+    """Sandboxed templates, which read their values and call `range` and their own macros only."""
 
     def __init__(self, closed: tuple[type, ...] = (), **options: Any):
         self._closed_types = closed
@@ -65,11 +65,8 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
     environment = _Closed(closed)
     values = {"version": version("lmpchain"), **values}
     try:
-        unknown = (
-            find_undeclared_variables(environment.parse(text))
-            - values.keys()
-            - environment.globals.keys()
-        )
+        variables = find_undeclared_variables(environment.parse(text))
+        unknown = variables - values.keys() - environment.globals.keys()
         if not unknown:
             return environment.from_string(text).render(values)
     except TemplateSyntaxError as error:
@@ -77,20 +74,16 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
             key, f"line {error.lineno} is not in the form of Jinja2: {error.message}"
         ) from None
     except TemplateNotFound as error:
-        known = ", ".join(environment.list_templates())
-        raise InputError.at(key, f"can include no {shown(error.name)}; there are {known}") from None
+        names = ", ".join(environment.list_templates())
+        raise InputError.at(key, f"can include no {shown(error.name)}; there are {names}") from None
     except SecurityError:
-        why = (
-            "it may read the values that it is given, and call range and macros of its own, "
-            "nothing else"
-        )
-        raise InputError.at(key, f"asks for something that is closed to it: {why}") from None
+        cure = "it may read the values that it is given, and call range and macros of its own"
+        raise InputError.at(
+            key, f"asks for something that is closed to it: {cure}, nothing else"
+        ) from None
     except Exception as error:  # whatever the expressions of a template raise
         raise InputError.at(key, f"cannot be filled in: {short(error)}") from None
-    known = ", ".join(sorted(values))
+    cure = f"there are {', '.join(sorted(values))}"
     raise InputError(
-        [
-            (key, f"there is no placeholder {shown(name)}; there are {known}")
-            for name in sorted(unknown)
-        ]
+        (key, f"there is no placeholder {shown(name)}; {cure}") for name in sorted(unknown)
     )

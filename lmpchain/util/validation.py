@@ -43,16 +43,11 @@ class Checked(Shown, BaseModel):
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
         """Note the names of the fields, and let `help` begin with them and their defaults."""
         cls._names = tuple(cls.model_fields)
-        cls.__signature__ = Signature(
-            [
-                Parameter(
-                    name,
-                    Parameter.KEYWORD_ONLY,
-                    default=Parameter.empty if own.is_required() else own.default,
-                )
-                for name, own in cls.model_fields.items()
-            ]
-        )
+        parameters = []
+        for name, field in cls.model_fields.items():
+            default = Parameter.empty if field.is_required() else field.default
+            parameters.append(Parameter(name, Parameter.KEYWORD_ONLY, default=default))
+        cls.__signature__ = Signature(parameters)
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         yield from self.given().items()
@@ -66,21 +61,17 @@ class Checked(Shown, BaseModel):
         names = self._names
         if values:
             if len(values) > len(names):
-                raise InputError.at(
-                    "", f"takes {', '.join(names)}: {len(values)} values are too many"
-                )
+                fault = f"takes {', '.join(names)}: {len(values)} values are too many"
+                raise InputError.at("", fault)
             data = dict(zip(names, values, strict=False)) | data
-        known = {key: value for key, value in data.items() if key in names}
         faults = []
-        if len(known) < len(data):
-            there = f"the keys here are {', '.join(names)}"
-            faults = [
-                (key, f"unknown key{did_you_mean(key, names)}; {there}")
-                for key in data
-                if key not in known
-            ]
+        if not data.keys() <= set(names):
+            cure = f"the keys here are {', '.join(names)}"
+            unknown = [key for key in data if key not in names]
+            faults = [(key, f"unknown key{did_you_mean(key, names)}; {cure}") for key in unknown]
+            data = {key: value for key, value in data.items() if key in names}
         try:
-            super().__init__(**known)
+            super().__init__(**data)
             faults += self._faults()
         except ValidationError as error:
             faults += _describe(error)
@@ -90,7 +81,7 @@ class Checked(Shown, BaseModel):
             warnings.warn(remark, stacklevel=1)  # from one line, so that Python says each once
 
     def _remarks(self) -> Iterator[str]:
-        """Yield what is allowed but hardly meant."""
+        """Yield warnings of values that are allowed but hardly meant."""
         yield from ()
 
     def _faults(self) -> Iterator[tuple[str, str]]:
@@ -98,7 +89,7 @@ class Checked(Shown, BaseModel):
         yield from ()
 
     def replace(self, **changes: Any) -> Self:
-        """Return a checked copy with these fields changed; None takes a field back that need not be given.
+        """Return a checked copy with these fields changed; None takes an optional one away.
 
         Raises
         ------
@@ -109,7 +100,7 @@ class Checked(Shown, BaseModel):
         return type(self)(**{key: value for key, value in fields.items() if value is not None})
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return this value, which never changes, or what `replace` makes of it."""
+        """Return this value, which never changes, or a copy by `replace`."""
         return self.replace(**update) if update else self
 
     def __copy__(self) -> Self:
@@ -137,26 +128,25 @@ class Checked(Shown, BaseModel):
     @classmethod
     def _unchecked(cls, **fields: Any) -> Self:
         """Return a value of fields that are known to be right, as they are."""
-        every = cls.model_fields.items()
-        left = {
-            name: about.default
-            for name, about in every
-            if name not in fields and not about.is_required()
+        defaults = {
+            name: field.default
+            for name, field in cls.model_fields.items()
+            if name not in fields and not field.is_required()
         }
-        return cls._filled(fields | left, set(fields))
+        return cls._filled(fields | defaults, set(fields))
 
     @classmethod
     def _filled(cls, values: dict[str, Any], given: set[str]) -> Self:
-        """Return a value with these fields, of which those were given; pydantic's way takes ten times as long."""
-        made = object.__new__(cls)
+        """Return a value with these fields, ten times as fast as pydantic does."""
+        instance = object.__new__(cls)
         for name, value in {
             "__dict__": values,
             "__pydantic_fields_set__": given,
             "__pydantic_extra__": None,
             "__pydantic_private__": None,
         }.items():
-            object.__setattr__(made, name, value)
-        return made
+            object.__setattr__(instance, name, value)
+        return instance
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise InputError.at(
@@ -169,11 +159,10 @@ class Checked(Shown, BaseModel):
         )
 
     def __getstate__(self) -> dict[Any, Any]:
-        """Leave out what is computed on first use."""
+        """Return the state without properties that are computed on first use."""
         state = super().__getstate__()
-        fields = {
-            key: value for key, value in state["__dict__"].items() if key in type(self).model_fields
-        }
+        values = state["__dict__"].items()
+        fields = {key: value for key, value in values if key in type(self).model_fields}
         return state | {"__dict__": fields}
 
     def __setstate__(self, state: dict[Any, Any]) -> None:
@@ -211,17 +200,16 @@ def _vector(value: Any) -> Any:
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"must be a list of numbers, not of shape {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(
-            f"must be finite, but entry {int(np.argmin(np.isfinite(array))) + 1} is not"
-        )
+        entry = int(np.argmin(np.isfinite(array))) + 1
+        raise ValueError(f"must be finite, but entry {entry} is not")
     return read_only(array)
 
 
 def _positive_vector(value: Any) -> Any:
     array = _vector(value)
     if not (array > 0).all():
-        where = int(np.argmin(array > 0))
-        raise ValueError(f"must be above 0, but entry {where + 1} is {array[where]:g}")
+        entry = int(np.argmin(array > 0))
+        raise ValueError(f"must be above 0, but entry {entry + 1} is {array[entry]:g}")
     return array
 
 
@@ -248,40 +236,35 @@ OneOrMany = Annotated[float | Array, BeforeValidator(_one_or_many)]
 def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
     """Yield (key, message) for every fault pydantic found, in the words of a physicist."""
     for fault in error.errors():
-        key = ".".join(str(part) for part in fault["loc"])
-        kind = fault["type"]
-        value = fault["input"]
-        limits = fault.get("ctx", {})
-        got = (
-            shown(value)
-            if isinstance(value, bool | int | float | str | list)
-            else f"a {type(value).__name__}"
-        )
-        if kind == "missing":
-            message = "is missing; add it"
-        elif kind == "finite_number":
-            message = f"must be a finite number (got {shown(value)})"
-        elif kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
-            words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-            message = (
-                f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} (got {got})"
-            )
-        elif kind in ("int_type", "int_from_float"):
-            message = f"must be a whole number (got {got})"
-        elif kind == "float_type":
-            message = f"must be a number (got {got})"
-        elif kind in ("is_instance_of", "model_type", "model_attributes_type"):
-            made = limits.get("class") or limits.get("class_name")
-            message = f"must be of the type {made} (got {got}): make one, or read a scene file"
-        elif kind == "literal_error":
-            meant = did_you_mean(value, re.findall("'(.*?)'", limits["expected"]))
-            message = f"must be {limits['expected']} (got {got}){meant}"
-        # a value inside this one
-        elif kind == "value_error" and isinstance(limits["error"], InputError):
-            yield from limits["error"].under(key)
-            continue
-        elif kind == "value_error":
-            message = str(limits["error"])
+        key = ".".join(map(str, fault["loc"]))
+        cause = fault.get("ctx", {}).get("error")
+        if isinstance(cause, InputError):  # a value inside this one
+            yield from cause.under(key)
+        elif fault["type"] == "value_error":
+            yield key, str(cause)
+        elif fault["type"] == "missing":
+            yield key, "is missing; add it"
         else:
-            message = f"{fault['msg'].lower()} (got {got})"
-        yield key, message
+            yield key, _name_kind(fault["type"], fault["input"], fault.get("ctx", {}), fault["msg"])
+
+
+def _name_kind(fault: str, value: Any, limits: Mapping[str, Any], message: str) -> str:
+    """Return what a value must be, and what it is; pydantic's own message for rare faults."""
+    simple = isinstance(value, bool | int | float | str | list)
+    got = f"(got {shown(value) if simple else f'a {type(value).__name__}'})"
+    if fault == "finite_number":
+        return f"must be a finite number {got}"
+    if fault in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+        return f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} {got}"
+    if fault in ("int_type", "int_from_float"):
+        return f"must be a whole number {got}"
+    if fault == "float_type":
+        return f"must be a number {got}"
+    if fault in ("is_instance_of", "model_type", "model_attributes_type"):
+        kind = limits.get("class") or limits.get("class_name")
+        return f"must be of the type {kind} {got}: make one, or read a scene file"
+    if fault == "literal_error":
+        names = re.findall("'(.*?)'", limits["expected"])
+        return f"must be {limits['expected']} {got}{did_you_mean(value, names)}"
+    return f"{message.lower()} {got}"

@@ -525,7 +525,7 @@ def test_an_orbit_is_told_in_numbers():
     chain = Chain(grains=3, diameter=1e-3)
     family = orbits.follow(orbits.normal_mode(chain, 1, 1e-14), "energy", 2e-14)
     last, first = family[-1], family[0]
-    told = orbit._told(family)
+    told = orbit._describe(family)
     number = r"([\d.e+-]+)"
     period, hertz, linear = re.fullmatch(
         rf"period: {number} s \({number} Hz; linear: {number} Hz\)", told[0]
@@ -558,7 +558,7 @@ def test_an_orbit_is_told_in_numbers():
         reached = False
         ended = "it turns back"
 
-    told = orbit._told(Family([first, loose]))
+    told = orbit._describe(Family([first, loose]))
     assert told[4] == "Floquet multipliers: unstable, largest multiplier 2.5"
     assert told[5] == "period doubling: at 1.5e-14 J, 200000 Hz"
     assert told[6] == "the family does not come to the energy asked for: it turns back"

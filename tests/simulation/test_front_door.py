@@ -328,7 +328,7 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
         for _ in range(2):
             checkpoints.save(folder, notes, checkpoint.state)
         with pytest.raises(
-            InputError, match="checkpoint: was written by a version of lmpchain that this one does"
+            InputError, match="checkpoint: was written by another version of lmpchain"
         ):
             resume(folder)
 
@@ -453,14 +453,14 @@ def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
         return run
 
     monkeypatch.setattr(engine, "start", start)
-    for t, following, missed in many._together(engine, scenes, attempts, 1e-6):
+    for t, following, missed in many._solve(engine, scenes, attempts, 1e-6):
         assert (following, missed) == (None, "")
         assert t.cost.integration_s == pytest.approx(1.0, rel=1e-12)
         assert t.cost.estimate_s == pytest.approx((1.5 + 3 * 0.6) / 3, rel=1e-12)
         assert t.cost.setup_s == pytest.approx((0.9 + 3 * 0.3) / 3, rel=1e-12)
         assert t.cost.steps == costs[0].steps
     hurried = [attempt._replace(tolerance=1e-12) for attempt in attempts]
-    for _, following, missed in many._together(engine, scenes, hurried, 1e-12):
+    for _, following, missed in many._solve(engine, scenes, hurried, 1e-12):
         assert missed == ""
         assert following.spent_s == pytest.approx(1.0 + (1.5 + 3 * 0.6) / 3, rel=1e-12)
         assert following.number == 2
@@ -470,12 +470,12 @@ def test_batches_are_no_larger_than_a_cache():
     wide = SCENE.replace(samples=2**11 // 12 * 8)
     size = many.BATCH_NUMBERS // (wide.samples * 12)
     scenes = dict(enumerate([wide] * (2 * size + 1)))
-    pieces = list(many._pieces(scenes, [list(scenes)]))
+    pieces = list(many._split(scenes, [list(scenes)]))
     assert [len(piece) for piece in pieces] == [size, size, 1]
     assert [place for piece in pieces for place in piece] == list(scenes)
     assert size * wide.samples * 12 <= many.BATCH_NUMBERS < (size + 1) * wide.samples * 12
     huge = SCENE.replace(samples=2**18)
-    assert list(many._pieces({0: huge, 1: huge}, [[0, 1]])) == [[0], [1]]
+    assert list(many._split({0: huge, 1: huge}, [[0, 1]])) == [[0], [1]]
 
 
 def test_scenes_that_are_cut_to_the_light_cone_go_alone():

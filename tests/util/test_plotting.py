@@ -21,9 +21,9 @@ from lmpchain.util.plotting import (
     legend,
     panels,
     save,
+    set_title,
     si,
-    thinned,
-    titled,
+    thin_rows,
     window,
 )
 
@@ -45,7 +45,7 @@ def test_a_map_with_fewer_rows_keeps_the_loudest_of_each_few(rows: int, most: in
     values = rng.normal(size=(rows, 4))
     numbers = np.arange(1.0, rows + 1)
     few = int(np.ceil(rows / most))
-    kept, drawn = thinned(numbers, values, most)
+    kept, drawn = thin_rows(numbers, values, most)
     assert len(kept) <= most
     assert kept.tolist() == numbers[::few].tolist()
     for place, row in enumerate(drawn):
@@ -56,7 +56,7 @@ def test_a_map_with_fewer_rows_keeps_the_loudest_of_each_few(rows: int, most: in
 
 def test_a_map_has_2000_rows_at_most_unless_asked():
     for rows in (2000, 2001, 3999):
-        kept, drawn = thinned(np.arange(float(rows)), np.zeros((rows, 2)))
+        kept, drawn = thin_rows(np.arange(float(rows)), np.zeros((rows, 2)))
         assert len(kept) == len(drawn) == (2000 if rows == 2000 else (rows + 1) // 2)
 
 
@@ -210,7 +210,7 @@ def drawn_width(text) -> float:
 def test_titles_are_as_wide_as_their_axes(width: float):
     """And no narrower than they need be: a letter is about half as wide as high."""
     ax = axes(width)
-    titled(ax, WORDS)
+    set_title(ax, WORDS)
     assert ax.get_title("left")
     title = ax._left_title
     assert title.get_fontsize() == rcParams["font.size"]
@@ -226,7 +226,7 @@ def test_titles_are_as_wide_as_their_axes(width: float):
 
 def test_the_narrowest_axes_hold_a_word():
     ax = axes(0.8)
-    titled(ax, "displacement downward")
+    set_title(ax, "displacement downward")
     assert ax.get_title("left") == "displacement\ndownward"
 
 
@@ -272,4 +272,4 @@ def test_a_legend_of_given_handles():
 
 
 def test_what_is_nothing_is_drawn_below_all_round_off():
-    assert 0 < plotting.LOWEST < 1e-16
+    assert 0 < plotting.LEAST_ERROR < 1e-16

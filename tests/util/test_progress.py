@@ -16,7 +16,7 @@ from numba.core.bytecode import FunctionIdentity
 from numba.core.event import end_event, start_event
 
 from lmpchain.util import compilation, notebook
-from lmpchain.util.notebook import Shown, brief, described
+from lmpchain.util.notebook import Shown, brief, parse_meanings
 from lmpchain.util.progress import COUNT, RATE, ProgressBar
 
 
@@ -147,7 +147,9 @@ def test_a_table_has_names_values_and_meanings():
     assert rows[1] == ("name", repr("n" * 88), "Of it.")
     assert rows[2] == ("longer", "'" + "n" * 85 + " ...", "")
     assert rows[3] == ("more0", "0", "")
-    assert described(Few.__doc__.replace("\n    ", "\n"))["width"] == "In metres, on two lines."
+    assert (
+        parse_meanings(Few.__doc__.replace("\n    ", "\n"))["width"] == "In metres, on two lines."
+    )
     html = Few(0)._repr_html_()
     assert html.startswith("<div><b>Few</b><table><tr><td style=")
     assert html.endswith("</table></div>")

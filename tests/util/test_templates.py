@@ -19,7 +19,7 @@ from lmpchain import InputError
 from lmpchain.util import provenance
 from lmpchain.util.lazy import attributes, listed
 from lmpchain.util.suggestions import did_you_mean, not_among
-from lmpchain.util.tables import aligned, finite, number
+from lmpchain.util.tables import align, finite, number
 from lmpchain.util.templates import render, render_text
 
 
@@ -102,9 +102,9 @@ def test_a_page_of_the_package_escapes_and_a_deck_does_not():
 
 def test_columns_of_a_table_are_aligned():
     rows = [("engine", "step", "why"), ("a", "12 s", ""), ("native", "", "x")]
-    assert aligned(iter(rows)) == ["engine  step  why", "a       12 s", "native        x"]
+    assert align(iter(rows)) == ["engine  step  why", "a       12 s", "native        x"]
     with pytest.raises(ValueError, match="argument"):
-        aligned([("a", "b"), ("c",)])
+        align([("a", "b"), ("c",)])
 
 
 def test_numbers_of_a_table():

@@ -236,7 +236,7 @@ class Lammps(TimeSteppingEngine):
     ) -> Candidate | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
         gauge = float(candidate.choices.get("gauge_m", 0.0))
-        free = self.diameter == "auto" and gauge and not _drawn(candidate)
+        free = self.diameter == "auto" and gauge and not _drawn_diameter(candidate)
         if free and error and error.roundoff > 0.5 * tolerance:
             reason = f"the physical diameter left {error.roundoff:.1g}"
             return candidate._replace(choices=_choices(gauge, reason))
@@ -284,7 +284,7 @@ class Lammps(TimeSteppingEngine):
             *([remark] if remark else []),
         )
         return Column(
-            scene, _drawn(candidate), self.pair_style, remarks, self.template, self.include
+            scene, _drawn_diameter(candidate), self.pair_style, remarks, self.template, self.include
         )
 
     def options(self) -> dict[str, Any]:
@@ -394,5 +394,5 @@ def _choices(gauge: float, reason: str) -> dict[str, str]:
     return {"diameter": "gauge" if gauge else "physical", "drawn_m": repr(gauge), "why": reason}
 
 
-def _drawn(candidate: Candidate) -> float:
+def _drawn_diameter(candidate: Candidate) -> float:
     return float(candidate.choices["drawn_m"])

@@ -18,10 +18,11 @@ def gather(ranks: int | None, log: str) -> Communicator:
     EngineUnavailable
         If MPI does not work here.
     """
-    world = mpi.joined()
-    if mpi.launched() > 1 and ranks not in (None, 1 if world is None else world.size):
+    world = mpi.joined_world()
+    if mpi.count_processes() > 1 and ranks not in (None, 1 if world is None else world.size):
         raise InputError.at(
-            "ranks", f"mpirun has started {mpi.launched()} processes; leave the number of ranks out"
+            "ranks",
+            f"mpirun has started {mpi.count_processes()} processes; leave the number of ranks out",
         )
     if world:
         return MpiRanks(world, log)

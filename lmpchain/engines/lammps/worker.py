@@ -117,7 +117,13 @@ class Worker:
             ends = [int(end / plan.step) for end, _ in plan.pieces]
             self._use_piece(next(k for k, end in enumerate(ends) if end >= plan.done))
         self._lammps.command("run 0 post no")
-        # a rank without grains has no arrays
+        self._view_arrays(count)
+        return self._share()
+
+    def _view_arrays(self, count: int) -> None:
+        """Keep views of the arrays of LAMMPS; a rank without grains has none."""
+        plan = self._plan
+        arrays = self._lammps.numpy
         self._x, self._v, self._f = (
             arrays.extract_atom(name)[:count] if count else np.empty((0, 3)) for name in "xvf"
         )
@@ -130,7 +136,6 @@ class Worker:
         self._kick = np.empty_like(self._inverse_mass)
         row = -1 if plan.pushed is None else plan.pushed - max(plan.first, self._start)
         self._pushed = row if 0 <= row < self._vz.size else None
-        return self._share()
 
     def _first_grain(self, count: int) -> int:
         """Return the first grain of this rank, counted from 0, after checking all `count` of them."""

@@ -17,7 +17,7 @@ from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
-from ...util.plotting import axes_in_units, legend, titled
+from ...util.plotting import axes_in_units, legend, set_title
 from ..bodies import motion
 from ..contact import sensor
 
@@ -179,7 +179,7 @@ class ParameterFit(Shown):
             f"{name} {shown(self.value)} ± "
             f"{EngFormatter(UNITS[self.parameter], places=1)(self.error)} (lines)"
         )
-        titled(ax, title)
+        set_title(ax, title)
         legend(ax)
         return ax
 

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import InputError
 from ...trajectory.trajectory import Trajectory
 from ...util.notebook import Shown
-from ...util.tables import aligned, finite, number
+from ...util.tables import align, finite, number
 from .column import ContinuumFit as ContinuumFit
 from .column import ExponentFit as ExponentFit
 from .column import FrontLaw as FrontLaw
@@ -91,7 +91,7 @@ class Summary(Shown):
 
     def table(self) -> str:
         """Return the numbers as text."""
-        lines = aligned(self._summary()) if self.rows else []
+        lines = align(self._summary()) if self.rows else []
         lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
         remark = "" if self.strike_number <= WEAK else ", so linear theory is not expected to hold"
         return "\n".join([*lines, f"strike number {self.strike_number:.3g}{remark}"])

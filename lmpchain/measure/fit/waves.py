@@ -17,7 +17,7 @@ from ...trajectory.picture import UNITS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
-from ...util.plotting import axes_in_units, legend, titled
+from ...util.plotting import axes_in_units, legend, set_title
 from ..bodies import motion
 from ..recorded import Field
 
@@ -92,7 +92,7 @@ class ModeFit(Shown):
             elinewidth=1,
         )
         ax.set(xlabel="frequency of the mode", ylabel="share of the energy at t = 0 (%)")
-        titled(ax, f"Linear motion from t = 0: off by at most {self.residual.max():.1e}")
+        set_title(ax, f"Linear motion from t = 0: off by at most {self.residual.max():.1e}")
         return ax
 
 
@@ -217,7 +217,7 @@ class BesselFit(Shown):
             )
             ax.plot(self.time[here], self.model[here], color=points.get_color(), lw=1)
         ax.set(xlabel="time", ylabel=f"{self.field}, downward")
-        titled(
+        set_title(
             ax,
             f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}, residual {self.residual:.1e} (lines)",
         )
