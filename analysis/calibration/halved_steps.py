@@ -1,4 +1,4 @@
-"""Measure the factor SAFETY on what other steps show: of gradients (`design`), and of periodic orbits.
+"""Measure the factor SAFETY on differences between runs with other steps: gradients and orbits.
 
 Gradients of a last velocity by the masses and the velocities at t = 0, at some lengths of the steps, are held against
 differences of Taylor series in extended precision; orbits with long steps against those of steps as short as round-off
@@ -11,6 +11,7 @@ half need.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -19,12 +20,11 @@ from scenes import drawn
 
 from lmpchain import Chain, LmpchainError, Profile, Scene
 from lmpchain.design import Momentum, gradient
-from lmpchain.design.gradients import SAFETY as OF_GRADIENTS
+from lmpchain.integrators.halving import SAFETY
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.orbits import mesh as meshes
 from lmpchain.orbits import normal_mode, shooting
-from lmpchain.orbits.shooting import CLOSED
-from lmpchain.orbits.shooting import SAFETY as OF_ORBITS
+from lmpchain.orbits.shooting import NEWTON
 
 REACHES = (0.8, 0.4, 0.2, 0.1)  # omega h
 METHODS = ("verlet", "rkn4", "rkn6", "kahan-li8")
@@ -75,7 +75,7 @@ def needed(scene: Scene) -> list[float]:
                 largest = np.abs(slopes[moving]).max()
                 off = np.abs(found[key][moving] - slopes[moving]).max()
                 if largest and KNOWN[0] * largest < off and found.errors[key] < KNOWN[1] * largest:
-                    factors.append(OF_GRADIENTS * float(off) / found.errors[key])
+                    factors.append(SAFETY * float(off) / found.errors[key])
     return factors
 
 
@@ -117,8 +117,8 @@ def of_orbits(count: int) -> list[float]:
             continue
         for reach in COARSE:
             with (
-                mock.patch.object(meshes, "REACH", reach),
-                mock.patch.object(shooting, "ROUNDS", 1),
+                mock.patch.object(meshes, "MESH", replace(meshes.MESH, reach=reach)),
+                mock.patch.object(shooting, "NEWTON", replace(NEWTON, closed=1.0)),
             ):
                 try:
                     found = normal_mode(chain, mode, energy)
@@ -129,8 +129,8 @@ def of_orbits(count: int) -> list[float]:
                 / np.abs(true.displacement).max()
             )
             off = max(float(apart), abs(np.log(found.period / true.period)))
-            if 100 * CLOSED < off < 0.01:
-                factors.append(OF_ORBITS * off / found.error)
+            if 100 * NEWTON.closed < off < 0.01:
+                factors.append(SAFETY * off / found.error)
     return factors
 
 
@@ -147,11 +147,11 @@ def main(quick: bool = False) -> list[Row]:
     return [
         row(
             "SAFETY (gradients)",
-            OF_GRADIENTS,
+            SAFETY,
             of_gradients(1 if quick else 30),
             "errors of gradients",
         ),
-        row("SAFETY (orbits)", OF_ORBITS, of_orbits(2 if quick else 60), "errors of orbits"),
+        row("SAFETY (orbits)", SAFETY, of_orbits(2 if quick else 60), "errors of orbits"),
     ]
 
 

@@ -1,68 +1,88 @@
-"""Whether a family comes back to orbits that it has been through."""
+"""Families of orbits that close: whether one comes back to orbits that it has been through."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ..util.arrays import Array
-from .events import Place
+from .events import Member
 from .shooting import Constraint, Equations, Point, Solution
 
-BESIDE = 0.05  # of a step: how near it must pass by an earlier orbit for the two to be compared
-AGAIN = 1e-8  # relative distance at which orbits are the same, and the errors of their steps
-LOOKS = np.linspace(0.0, 1.0, 65)[:, None]  # on the way from one orbit to the next
+
+@dataclass(frozen=True)
+class Closing:
+    """When an orbit of a family is an earlier one.
+
+    Attributes
+    ----------
+    near : float
+        Distance of an earlier orbit from the way of the family, over the step, up to which the
+        two are compared.
+    same : float
+        Relative distance of two equal orbits, beside ten times the errors of their steps.
+    """
+
+    near: float = 0.05
+    same: float = 1e-8
+
+
+CLOSING = Closing()
 
 
 class Aspect(NamedTuple):
-    """An orbit as the unknowns (U,) show it from one of its moments of rest, and its relative error."""
+    """Unknowns (U,) of an orbit, begun at one of its moments of rest, and its relative error."""
 
     unknown: Array
     error: float
 
 
-def aspects(equations: Equations, place: Place) -> list[Aspect]:
-    """Return a place, and the same orbit half a period later if it rests there otherwise."""
-    point, mesh = place.solution.point, place.solution.mesh
-    seen = [Aspect(place.unknown, place.orbit.error)]
+def aspects(equations: Equations, member: Member) -> list[Aspect]:
+    """Return an orbit, and the same half a period later if it rests there in another state."""
+    point = member.solution.point
+    mesh = member.solution.mesh
+    states = [Aspect(member.unknown, member.orbit.error)]
     if equations.reversible:
         flow = equations.flow_at(point.value)
         half = flow.run(point.state, point.period, mesh[: mesh.size // 2])
         state = flow.canonical(half.displacement[-1], half.velocity[-1])
         later = equations.pack(Point(state, point.period, point.value))
-        if not _same(later, place.unknown, place.orbit.error):
-            seen.append(Aspect(later, place.orbit.error))
-    return seen
+        if not _equal(later, member.unknown, member.orbit.error):
+            states.append(Aspect(later, member.orbit.error))
+    return states
 
 
 def returns(
-    solved: Callable[[Point, Constraint, Place], Solution | None],
+    solver: Callable[[Point, Constraint, Member], Solution | None],
     equations: Equations,
     earlier: Sequence[Aspect],
-    here: Place,
-    there: Place,
+    start: Member,
+    end: Member,
 ) -> bool:
-    """Return whether the family between two places goes through one of its earlier orbits.
+    """Return whether the family between two orbits goes through one of its earlier orbits.
 
-    Each that lies beside the way is compared with the orbit solved for in the plane across the way through it.
+    Each that lies beside the way is compared with the orbit solved for in the plane across the way
+    through it.
     """
-    apart = there.unknown - here.unknown
-    length = float(np.linalg.norm(apart))
-    middle = (here.unknown + there.unknown) / 2
-    for known in earlier:
-        if known.unknown is here.unknown or np.linalg.norm(known.unknown - middle) > length:
+    step = end.unknown - start.unknown
+    length = float(np.linalg.norm(step))
+    middle = (start.unknown + end.unknown) / 2
+    for aspect in earlier:
+        far = np.linalg.norm(aspect.unknown - middle) > length
+        if aspect.unknown is start.unknown or far:
             continue
-        way = _way(here, there, length)
-        distance = np.linalg.norm(way - known.unknown, axis=1)
+        curve = _curve(start, end, length)
+        distance = np.linalg.norm(curve - aspect.unknown, axis=1)
         nearest = int(distance.argmin())
-        if distance[nearest] > BESIDE * length:
+        if distance[nearest] > CLOSING.near * length:
             continue
-        found = solved(equations.unpack(way[nearest]), _plane(known.unknown, apart / length), there)
-        if found and _same(
-            equations.pack(found.point), known.unknown, there.orbit.error + known.error
-        ):
+        plane = _plane(aspect.unknown, step / length)
+        solution = solver(equations.unpack(curve[nearest]), plane, end)
+        error = end.orbit.error + aspect.error
+        if solution and _equal(equations.pack(solution.point), aspect.unknown, error):
             return True
     return False
 
@@ -71,12 +91,14 @@ def _plane(through: Array, normal: Array) -> Constraint:
     return Constraint(lambda unknown, _: (float(normal @ (unknown - through)), normal))
 
 
-def _way(here: Place, there: Place, length: float) -> Array:
-    """Return the cubic from one place to the next along the directions of the family, (65, U)."""
-    t, left = LOOKS, 1 - LOOKS
-    ends = left**2 * (1 + 2 * t) * here.unknown + t**2 * (1 + 2 * left) * there.unknown
-    return np.asarray(ends + length * t * left * (left * here.direction - t * there.direction))
+def _curve(start: Member, end: Member, length: float) -> Array:
+    """Return points (65, U) of the cubic between two orbits along the directions of the family."""
+    t = np.linspace(0.0, 1.0, 65)[:, None]
+    s = 1 - t
+    ends = s**2 * (1 + 2 * t) * start.unknown + t**2 * (1 + 2 * s) * end.unknown
+    return np.asarray(ends + length * t * s * (s * start.direction - t * end.direction))
 
 
-def _same(one: Array, other: Array, error: float) -> bool:
-    return bool(np.abs(one - other).max() < (AGAIN + 10 * error) * np.abs(other).max())
+def _equal(unknown: Array, other: Array, error: float) -> bool:
+    difference = np.abs(unknown - other).max()
+    return bool(difference < (CLOSING.same + 10 * error) * np.abs(other).max())

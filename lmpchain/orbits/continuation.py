@@ -1,7 +1,7 @@
 """Families of periodic orbits, by pseudo-arclength continuation, with their bifurcations located.
 
-A step goes along the family, not along the parameter, so that folds are passed; H. B. Keller, in Applications of
-Bifurcation Theory, ed. P. H. Rabinowitz (1977).
+A step goes along the family, not along the parameter, so that folds are passed; H. B. Keller, in
+Applications of Bifurcation Theory, ed. P. H. Rabinowitz (1977).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import lru_cache
 
 import numpy as np
@@ -16,132 +17,342 @@ from scipy.linalg import svd
 
 from ..chain.chain import Chain
 from ..errors import InputError, RunFailed, shown
+from ..scene.excitation import Drive
 from ..util.arrays import Array
 from ..util.linear_algebra import in_one_thread
 from ..util.progress import ProgressBar
-from .closing import aspects, returns
-from .events import EVENTS, Place, between
+from .closing import Aspect, aspects, returns
+from .events import EVENTS, Member, locate
 from .family import Event, Family
 from .flow import Flow
 from .orbit import Orbit, orbit_of
-from .shooting import Constraint, Equations, Point, Solution, discretisation, fixed, solve, solved
+from .shooting import (
+    Constraint,
+    Equations,
+    Point,
+    Solution,
+    estimate_error,
+    fixed,
+    solve,
+    solve_step,
+)
 
-FIRST, SMALLEST = 0.2, 1e-7  # steps along the family, over the size of the orbit
-LARGEST = {
-    True: 0.4,
-    False: 0.7,
-}  # the longest where events are sought, and where not; 1 goes down to rest
-REGROWN = {
-    True: 0.02,
-    False: 1.0,
-}  # up to which steps laid anew make no step a hard one: long ones jump over events
-STRAIGHT, BENT = (
-    0.98,
-    0.9,
-)  # cosine of the angle between two tangents: a longer step, and a shorter one
-EASY = 10  # iterations
-STILL, PATIENCE = (
-    0.05,
-    60,
-)  # a family must go so many sizes of its orbit in so many tries, or is given up
-CROWDED = 5e6  # unknowns times steps, some 15 s, to locate events, then it is given up: in resonances they crowd
-HALVINGS = 12  # of the last step, to come to the orbit asked for
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Lengths of steps along a family, and when it is given up.
+
+    Attributes
+    ----------
+    first, smallest : float
+        Over the size of the orbit.
+    longest, longest_alone : float
+        The same, where events are sought and where not; 1 would go down to rest.
+    straight : float
+        Cosine of the angle between two directions from which on the next step may be longer.
+    bent : float
+        The same, below which this one is too long.
+    easy : int
+        Iterations of Newton's method up to which the next step may be longer.
+    still : float
+        Way, in sizes of the orbit, that a family must go in `patience` tries.
+    patience : int
+        Most tries for that way.
+    crowded : float
+        Unknowns times steps to locate events, some 15 s, after which they are given up: in
+        resonances they crowd.
+    """
+
+    first: float = 0.2
+    smallest: float = 1e-7
+    longest: float = 0.4
+    longest_alone: float = 0.7
+    straight: float = 0.98
+    bent: float = 0.9
+    easy: int = 10
+    still: float = 0.05
+    patience: int = 60
+    crowded: float = 5e6
+
+
+STEPS = Steps()
+
+
+class Ending(Enum):
+    """Why a family ended before the value of its parameter that was asked for."""
+
+    POINTS = "its first {orbits} orbits end at {position}"
+    STILL = "it hardly moves on from {position}"
+    LOST = "it cannot be followed beyond {position}"
+    MISSED = "no orbit of it is found at {until:g}"
+    CROWDED = "its events crowd, {events} up to {position}: events=False leaves them out"
+    RETURNED = "it comes back to orbits that it has been through, from {position} on"
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The family that an orbit belongs to: its equations, what is held, and what its parameter is.
+    """The family that an orbit belongs to.
 
-    With `exact` its directions are good enough to locate events by.
+    Attributes
+    ----------
+    equations : Equations
+    held : tuple of Constraint
+        Of the period or the energy, if another number changes.
+    parameter : "energy", "period" or "value"
+    exact : bool
+        Whether directions of the family are good enough to locate events by.
     """
 
     equations: Equations
     held: tuple[Constraint, ...]
-    of: str
+    parameter: str
     exact: bool = False
 
-    def solved(
-        self, guess: Point, constraint: Constraint, near: Place | None = None
+    def solve(
+        self, guess: Point, constraint: Constraint, near: Member | None = None
     ) -> Solution | None:
-        """Return the orbit of the family near a guess that a constraint selects; a place nearby saves work."""
-        return solve(
-            self.equations,
-            guess,
-            [*self.held, constraint],
-            near=near and near.solution,
-            exact=self.exact,
-        )
+        """Return the orbit of the family near a guess that a constraint selects.
 
-    def place(
+        A member nearby saves work.
+        """
+        constraints = [*self.held, constraint]
+        neighbour = near and near.solution
+        return solve(self.equations, guess, constraints, near=neighbour, exact=self.exact)
+
+    def member(
         self, solution: Solution, constraint: Constraint, before: Array | None = None
-    ) -> Place:
-        """Return a solved orbit with the direction of the family, turned as that of the place before."""
-        unknown, point = self.equations.pack(solution.point), solution.point
-        if (
-            len(solution.slopes) == unknown.size
-        ):  # the way on which only the last equation, the constraint, changes
-            direction = solved(solution.slopes, np.append(np.zeros(unknown.size - 1), 1.0))
+    ) -> Member:
+        """Return a solved orbit with the direction of the family, turned like the one before."""
+        point = solution.point
+        unknown = self.equations.pack(point)
+        if len(solution.slopes) == unknown.size:
+            # along the family only the last equation, the constraint, changes
+            direction = solve_step(solution.slopes, np.append(np.zeros(unknown.size - 1), 1.0))
             direction /= np.linalg.norm(direction)
         else:
             direction = svd(solution.slopes[:-1])[2][-1]
         if before is not None and direction @ before < 0:
             direction = -direction
-        error, _ = discretisation(self.equations, solution, [*self.held, constraint])
+        error, _ = estimate_error(self.equations, solution, [*self.held, constraint])
         orbit = orbit_of(self.equations, solution, error)
 
-        def rate(what: str) -> float:
-            return float(fixed(self.equations, what, 1.0).of(unknown, point)[1] @ direction)
+        def rate(name: str) -> float:
+            slope = fixed(self.equations, name, 1.0).of(unknown, point)[1]
+            return float(slope @ direction)
 
-        turning = rate(self.of) if orbit.drive else np.nan if self.of == "value" else rate("energy")
-        return Place(orbit, unknown, direction, rate(self.of), turning, solution)
+        turning = np.nan
+        if orbit.drive:
+            turning = rate(self.parameter)
+        elif self.parameter != "value":
+            turning = rate("energy")
+        return Member(orbit, unknown, direction, rate(self.parameter), turning, solution)
 
     def along(
-        self, place: Place, length: float, guess: Array | None = None, near: Place | None = None
-    ) -> Place | None:
-        """Return the place at this distance along the family, or None where none is found.
+        self, member: Member, length: float, guess: Array | None = None, near: Member | None = None
+    ) -> Member | None:
+        """Return the member at this distance along the family, or None where none is found.
 
-        A guess and a place nearer to it than the one to begin with save work.
+        A guess, and a member nearer to it than the one to begin with, save work.
         """
-        ahead = place.unknown + length * place.direction
-        arc = Constraint(
-            lambda unknown, _: (float(place.direction @ (unknown - ahead)), place.direction)
-        )
+        ahead = member.unknown + length * member.direction
+
+        def arc(unknown: Array, _: Point) -> tuple[float, Array]:
+            return float(member.direction @ (unknown - ahead)), member.direction
+
+        start = self.equations.unpack(ahead if guess is None else guess)
         try:
-            solution = self.solved(
-                self.equations.unpack(ahead if guess is None else guess), arc, near or place
-            )
-        except (
-            InputError
-        ):  # of a chain that there is not, beyond the end of what the parameter may be
+            solution = self.solve(start, Constraint(arc), near or member)
+        except InputError:
+            # beyond the end of what the parameter of a chain may be
             return None
-        return None if solution is None else self.place(solution, arc, place.direction)
+        if solution is None:
+            return None
+        return self.member(solution, Constraint(arc), member.direction)
 
-    def missed(self, place: Place, target: Constraint) -> float:
-        """Return by how much a place misses a target, with its sign."""
-        return target.of(place.unknown, self.equations.unpack(place.unknown))[0]
+    def miss(self, member: Member, target: Constraint) -> float:
+        """Return by how much a member misses a target, with its sign."""
+        return target.of(member.unknown, self.equations.unpack(member.unknown))[0]
 
-    def meeting(self, here: Place, there: Place, target: Constraint) -> Place | None:
-        """Return the place between two where a target is met; what lies between is halved until it is found."""
-        for _ in range(HALVINGS):
-            before, after, apart = (
-                self.missed(here, target),
-                self.missed(there, target),
-                there.unknown - here.unknown,
+    def meet(self, start: Member, end: Member, target: Constraint) -> Member | None:
+        """Return the member between two that meets a target, by halving until one is found."""
+        smallest = STEPS.smallest * self.size(start)
+        while True:
+            step = end.unknown - start.unknown
+            length = np.linalg.norm(step)
+            before = self.miss(start, target)
+            after = self.miss(end, target)
+            guess = start.unknown + (before / (before - after) if after else 1.0) * step
+            solution = self.solve(self.equations.unpack(guess), target, end)
+            if solution and np.linalg.norm(self.equations.pack(solution.point) - guess) < length:
+                return self.member(solution, target, start.direction)
+            middle = self.along(start, float(start.direction @ step) / 2)
+            if middle is None or length < smallest:
+                return None
+            if self.miss(middle, target) * before <= 0:
+                end = middle
+            else:
+                start = middle
+
+    def size(self, member: Member) -> float:
+        """Return the size of an orbit among the unknowns."""
+        state = member.unknown[: self.equations.period_at(member.unknown)]
+        return float(np.linalg.norm(state))
+
+    def value(self, point: Point) -> float:
+        """Return the parameter of an orbit."""
+        if self.parameter == "energy":
+            return self.equations.flow_at(point.value).energy(point.state)[0]
+        return point.period if self.parameter == "period" else point.value
+
+    def value_of(self, member: Member) -> float:
+        """Return the parameter of a member."""
+        return self.value(self.equations.unpack(member.unknown))
+
+    def position(self, member: Member) -> str:
+        """Return the parameter and the period of a member, in words."""
+        name = "the parameter" if self.parameter == "value" else self.parameter
+        return f"{name} {self.value_of(member):.6g} (period {member.orbit.period:.6g} s)"
+
+
+class _March:
+    """A family on its way to a value of its parameter.
+
+    Parameters
+    ----------
+    curve : Curve
+    start : Member
+    target : Constraint
+    points : int
+        Most orbits.
+    events : bool
+        Whether events are located.
+    """
+
+    def __init__(
+        self, curve: Curve, start: Member, target: Constraint, points: int, events: bool
+    ) -> None:
+        self.curve = curve
+        self.target = target
+        self.points = points
+        self.events: list[Event] | None = [] if events else None
+        self.miss = curve.miss(start, target)
+        if start.rate * self.miss > 0:
+            start = start._replace(
+                direction=-start.direction, rate=-start.rate, turning=-start.turning
             )
-            guess = here.unknown + (before / (before - after) if after else 1.0) * apart
-            found = self.solved(self.equations.unpack(guess), target, there)
-            if found and np.linalg.norm(self.equations.pack(found.point) - guess) < np.linalg.norm(
-                apart
-            ):
-                return self.place(found, target, here.direction)
-            middle = self.along(here, float(here.direction @ apart) / 2)
-            if middle is None:
-                break
-            here, there = (
-                (here, middle) if self.missed(middle, target) * before <= 0 else (middle, there)
-            )
+        self.members = [start]
+        self.earlier: list[Aspect] = aspects(curve.equations, start)
+        self.reached = self.miss == 0
+        self.ending: Ending | None = None
+        self.length = STEPS.first * curve.size(start)
+        # tries, and the way gone, since the family last moved on; work to locate events
+        self.tries = 0
+        self.gone = 0.0
+        self.work = 0.0
+
+    @property
+    def done(self) -> bool:
+        """Whether the family has come to its end."""
+        return self.reached or self.ending is not None
+
+    def advance(self) -> None:
+        """Take a step along the family, or end it."""
+        start = self.members[-1]
+        if len(self.members) >= self.points:
+            self.ending = Ending.POINTS
+            return
+        end = self._step(start)
+        if end is not None and self.curve.miss(end, self.target) * self.miss <= 0:
+            end = self.curve.meet(start, end, self.target)
+            self.reached = end is not None
+            if end is None:
+                self.ending = Ending.MISSED
+        if end is None:
+            return
+        if self.events is not None:
+            self._locate_events(start, end, self.events)
+        self.members.append(end)
+        self.miss = self.curve.miss(end, self.target)
+        self.gone += float(np.linalg.norm(end.unknown - start.unknown)) / self.curve.size(end)
+        if self.gone > STEPS.still:
+            self.tries = 0
+            self.gone = 0.0
+        equations = self.curve.equations
+        if not self.reached and returns(self.curve.solve, equations, self.earlier, start, end):
+            self.ending = Ending.RETURNED
+        self.earlier += aspects(equations, end)
+
+    def _step(self, start: Member) -> Member | None:
+        """Return the next member, and set the length of the step after it; None ends the family."""
+        size = self.curve.size(start)
+        longest = STEPS.longest_alone if self.events is None else STEPS.longest
+        self.length = min(self.length, longest * size)
+        while self.length > STEPS.smallest * size and self.tries < STEPS.patience:
+            end = self.curve.along(start, self.length)
+            self.tries += 1
+            turn = 0.0 if end is None else float(end.direction @ start.direction)
+            if end is not None and turn > STEPS.bent:
+                iterations = end.solution.iterations
+                if self.events is None:
+                    # a mesh laid anew around openings makes no step a hard one
+                    iterations -= end.solution.relaid
+                if turn < STEPS.straight:
+                    self.length *= 0.8
+                elif iterations <= STEPS.easy:
+                    self.length *= 2
+                return end
+            self.length /= 4 if end is None else 2
+        self.ending = Ending.STILL if self.tries == STEPS.patience else Ending.LOST
         return None
+
+    def _locate_events(self, start: Member, end: Member, events: list[Event]) -> None:
+        """Add the events of a step in their order along the family."""
+        length = float(start.direction @ (end.unknown - start.unknown))
+        members = {0.0: start, 1.0: end}
+
+        def at(share: float) -> Member | None:
+            low = max(other for other in members if other < share)
+            high = min(other for other in members if other > share)
+            weight = (share - low) / (high - low)
+            guess = (1 - weight) * members[low].unknown + weight * members[high].unknown
+            near = members[high if weight > 0.5 else low]
+            member = self.curve.along(start, share * length, guess, near)
+            self.work += end.unknown.size * (member or end).solution.mesh.size
+            if member:
+                members[share] = member
+            return member
+
+        located = []
+        for kind in EVENTS:
+            member = locate(kind, start, end, at)
+            if member is not None:
+                event = Event(kind, self.curve.value_of(member), member.orbit)
+                located.append((float(start.direction @ member.unknown), event))
+        events += [event for _, event in sorted(located, key=lambda pair: pair[0])]
+        if self.work > STEPS.crowded and not self.reached:
+            self.ending = Ending.CROWDED
+
+    def family(self, name: str, until: float) -> Family:
+        """Return the orbits so far, their events, and why there are no more."""
+        members = self.members
+        ended = ""
+        if self.ending:
+            ended = self.ending.value.format(
+                orbits=self.points,
+                position=self.curve.position(members[-1]),
+                until=until,
+                events=len(self.events or ()),
+            )
+        return Family(
+            tuple(member.orbit for member in members),
+            np.array([self.curve.value_of(member) for member in members]),
+            name,
+            tuple(self.events or ()),
+            self.reached,
+            ended,
+        )
 
 
 @in_one_thread
@@ -156,14 +367,16 @@ def follow(
     events: bool = True,
     progress: bool = False,
 ) -> Family:
-    """Follow a periodic orbit as its energy, its period or a number of the chain changes, folds included.
+    """Follow a periodic orbit as its energy, its period or a number of the chain changes.
+
+    Folds, where the parameter turns back, are passed.
 
     Parameters
     ----------
     orbit : Orbit
     parameter : str, or function of a number that returns a chain
-        "energy" (J), "period" (s), "amplitude" (of the drive, m), a number of the chain such as "top_load" or
-        "exponent", or one of many, such as "masses[7]" (from 1).
+        "energy" (J), "period" (s), "amplitude" (of the drive, m), a number of the chain such as
+        "top_load" or "exponent", or one of many, such as "masses[7]" (from 1).
     until : float
         Value of the parameter where the family ends.
     start : float, optional
@@ -173,16 +386,16 @@ def follow(
     points : int
         Most orbits of the family.
     events : bool
-        Whether folds and bifurcations are located. Two that undo each other within one step are not seen; follow
-        the family in shorter pieces to see them. Without events steps are longer, and may jump over a narrow
-        resonance to where the family goes on beyond its folds.
+        Whether folds and bifurcations are located. Two that undo each other within one step are not
+        seen; follow the family in shorter pieces to see them. Without events steps are longer, and
+        may jump over a narrow resonance to where the family goes on beyond its folds.
     progress : bool
 
     Returns
     -------
     Family
-        With `reached` false if the family never came to `until`; why is said by `ended`. Where events crowd, as in
-        resonances, it ends too, and goes on with `events=False`.
+        With `reached` false if the family never came to `until`; why is said by `ended`. Where
+        events crowd, as in resonances, it ends too, and goes on with `events=False`.
 
     Raises
     ------
@@ -193,128 +406,25 @@ def follow(
     """
     curve, first = _curve(orbit, parameter, start, until, hold)
     curve = replace(curve, exact=events)
-    target = fixed(curve.equations, curve.of, until)
-    # at a given period the amplitude of a small orbit is next to free
-    anchor = fixed(
-        curve.equations,
-        *(
-            ("energy", orbit.energy)
-            if curve.of == "period" and orbit.drive is None
-            else (curve.of, _value(curve, first))
-        ),
-    )
-    begun = curve.solved(first, anchor)
-    if begun is None:
+    # with the period held, the amplitude of a small orbit is next to free: hold its energy
+    if curve.parameter == "period" and orbit.drive is None:
+        anchor = fixed(curve.equations, "energy", orbit.energy)
+    else:
+        anchor = fixed(curve.equations, curve.parameter, curve.value(first))
+    solution = curve.solve(first, anchor)
+    if solution is None:
         raise RunFailed(
             "the orbit to begin with does not solve these equations: is it that of `start`?"
         )
-    here = curve.place(begun, anchor)
-    left = curve.missed(here, target)
-    if here.rate * left > 0:
-        here = here._replace(direction=-here.direction, rate=-here.rate, turning=-here.turning)
-    length = FIRST * _size(curve, here)
-    places, whole, reached, ended = [here], max(abs(left), 1e-300), left == 0, ""
-    earlier, tried, gone, sought = aspects(curve.equations, here), 0, 0.0, 0.0
-    found: list[Event] = []
-    with ProgressBar(
-        1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress
-    ) as bar:
-        while not reached and not ended:
-            here = places[-1]
-            if len(places) >= points:
-                ended = f"its first {points} orbits end at {_where(curve, here)}"
-                break
-            there, length, tries = _step(curve, here, length, events, PATIENCE - tried)
-            if there is None:
-                stuck = (
-                    "hardly moves on from"
-                    if tries == PATIENCE - tried
-                    else "cannot be followed beyond"
-                )
-                ended = f"it {stuck} {_where(curve, here)}"
-            elif curve.missed(there, target) * left <= 0:
-                there = curve.meeting(here, there, target)
-                reached = there is not None
-                ended = "" if reached else f"no orbit of it is found at {until:g}"
-            if there is None:
-                break
-            if events:
-                located, work = _events(curve, here, there)
-                found, sought = found + located, sought + work
-                if sought > CROWDED and not reached:
-                    ended = f"its events crowd, {len(found)} up to {_where(curve, there)}: events=False leaves them out"
-            places.append(there)
-            left = curve.missed(there, target)
-            bar.reach(max(0.0, 1 - abs(left) / whole))
-            gone += float(np.linalg.norm(there.unknown - here.unknown)) / _size(curve, there)
-            tried, gone = (0, 0.0) if gone > STILL else (tried + tries, gone)
-            if not reached and returns(curve.solved, curve.equations, earlier, here, there):
-                ended = f"it comes back to orbits that it has been through, from {_where(curve, there)} on"
-            earlier += aspects(curve.equations, there)
-    return Family(
-        tuple(place.orbit for place in places),
-        np.array([_value(curve, curve.equations.unpack(place.unknown)) for place in places]),
-        parameter if isinstance(parameter, str) else "parameter", tuple(found), reached, ended,
-    )  # fmt: skip
-
-
-def _where(curve: Curve, place: Place) -> str:
-    """Return where on a family a place is, in words."""
-    value = _value(curve, curve.equations.unpack(place.unknown))
-    return f"{'the parameter' if curve.of == 'value' else curve.of} {value:.6g} (period {place.orbit.period:.6g} s)"
-
-
-def _size(curve: Curve, place: Place) -> float:
-    """Return the size of an orbit among the unknowns."""
-    return float(np.linalg.norm(place.unknown[: curve.equations.period_at(place.unknown)]))
-
-
-def _step(
-    curve: Curve, here: Place, length: float, events: bool, most: int
-) -> tuple[Place | None, float, int]:
-    """Return the next place, how long a step from it may be, and how many of at most `most` were tried."""
-    size = _size(curve, here)
-    length, tries = min(length, LARGEST[events] * size), 0
-    while length > SMALLEST * size and tries < most:
-        there, tries = curve.along(here, length), tries + 1
-        if there is not None and (turn := float(there.direction @ here.direction)) > BENT:
-            relaid = there.solution.relaid if length < REGROWN[events] * size else 0
-            easy = there.solution.iterations - relaid <= EASY and turn > STRAIGHT
-            return there, length * (2.0 if easy else 0.8 if turn < STRAIGHT else 1.0), tries
-        length /= 4 if there is None else 2
-    return None, length, tries
-
-
-def _events(curve: Curve, here: Place, there: Place) -> tuple[list[Event], float]:
-    """Return what happens between two places, located along the family, and the work that took."""
-    length = float(here.direction @ (there.unknown - here.unknown))
-    found, meshes, known = [], [], {0.0: here, 1.0: there}
-
-    def at(part: float) -> Place | None:
-        low, high = max(p for p in known if p < part), min(p for p in known if p > part)
-        share = (part - low) / (high - low)
-        guess = (1 - share) * known[low].unknown + share * known[high].unknown
-        place = curve.along(here, part * length, guess, known[high if share > 0.5 else low])
-        meshes.append((place or there).solution.mesh.size)
-        if place:
-            known[part] = place
-        return place
-
-    for kind in EVENTS:
-        where = between(kind, here, there, at)
-        if where is not None:
-            value = _value(curve, curve.equations.unpack(where.unknown))
-            found.append((float(here.direction @ where.unknown), Event(kind, value, where.orbit)))
-    return [event for _, event in sorted(found, key=lambda pair: pair[0])], float(
-        there.unknown.size * sum(meshes)
-    )
-
-
-def _value(curve: Curve, point: Point) -> float:
-    """Return the parameter of a point."""
-    if curve.of == "energy":
-        return curve.equations.flow_at(point.value).energy(point.state)[0]
-    return point.period if curve.of == "period" else point.value
+    target = fixed(curve.equations, curve.parameter, until)
+    march = _March(curve, curve.member(solution, anchor), target, points, events)
+    distance = max(abs(march.miss), 1e-300)
+    layout = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
+    with ProgressBar(1.0, "orbits", layout=layout, shown=progress) as bar:
+        while not march.done:
+            march.advance()
+            bar.reach(max(0.0, 1 - abs(march.miss) / distance))
+    return march.family(parameter if isinstance(parameter, str) else "parameter", until)
 
 
 def _curve(
@@ -324,100 +434,69 @@ def _curve(
     until: float,
     hold: str,
 ) -> tuple[Curve, Point]:
-    """Return the family of an orbit and where on it the orbit is."""
+    """Return the family of an orbit, and the point of the orbit on it."""
     if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
         raise InputError([("until", f"must be a number (got {shown(until)})")])
     if hold not in ("period", "energy") or (hold == "energy" and orbit.drive is not None):
         raise InputError([("hold", 'must be "period", or "energy" of an orbit that is not driven')])
     if parameter in ("energy", "period"):
         if parameter == "energy" and orbit.drive is not None:
-            raise InputError(
-                [
-                    (
-                        "parameter",
-                        "energy is not conserved in a driven chain: follow period or amplitude",
-                    )
-                ]
-            )
+            message = "energy is not conserved in a driven chain: follow period or amplitude"
+            raise InputError([("parameter", message)])
         if until <= 0:
             raise InputError([("until", f"must be above 0 for the {parameter} (got {until:g})")])
         equations = _equations(orbit, lambda _: orbit.flow, 0.0)
         return Curve(equations, (), str(parameter)), Point(orbit.state, orbit.period)
-    chain_at, value, drive_at = _varied(orbit, parameter, start)
+    chain_at, value, drive_at = _vary(orbit, parameter, start)
 
     @lru_cache(maxsize=8)
     def flow_at(number: float) -> Flow:
         return Flow(chain_at(number), orbit.flow.rate, drive_at(number), orbit.flow.cycles)
 
-    flow_at(until)  # what the chain does not allow is said at once
+    # values that the chain does not allow are refused at once
+    flow_at(until)
     equations = _equations(orbit, flow_at, max(abs(value), abs(until)))
-    kept = orbit.period if hold == "period" else orbit.energy
+    constraint = fixed(equations, hold, orbit.period if hold == "period" else orbit.energy)
     state = flow_at(value).canonical(orbit.displacement, orbit.velocity)
-    return Curve(equations, (fixed(equations, hold, kept),), "value"), Point(
-        state, orbit.period, value
-    )
+    return Curve(equations, (constraint,), "value"), Point(state, orbit.period, value)
 
 
 def _equations(orbit: Orbit, flow_at: Callable[[float], Flow], scale: float) -> Equations:
-    return Equations(
-        flow_at, orbit.reversible, float(np.linalg.norm(orbit.state)), scale, orbit.period
-    )
+    unit = float(np.linalg.norm(orbit.state))
+    return Equations(flow_at, orbit.reversible, unit, scale, orbit.period)
 
 
-def _varied(
+def _vary(
     orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None
-) -> tuple[Callable[[float], Chain], float, Callable]:
+) -> tuple[Callable[[float], Chain], float, Callable[[float], Drive | None]]:
     """Return chain and drive as functions of the parameter, and its value for this orbit."""
-    chain, drive = orbit.chain, orbit.drive
+    chain = orbit.chain
+    drive = orbit.drive
     if not isinstance(parameter, str):
         if start is None:
-            raise InputError(
-                [
-                    (
-                        "start",
-                        "is missing: the value for which the function gives the chain of the orbit",
-                    )
-                ]
-            )
+            message = "is missing: the value for which the function gives the chain of the orbit"
+            raise InputError([("start", message)])
         return parameter, float(start), lambda _: drive
     if parameter == "amplitude":
         if drive is None:
-            raise InputError(
-                [("parameter", "amplitude is that of a drive, and the orbit is not driven")]
-            )
-        return (
-            lambda _: chain,
-            float(drive.amplitude),
-            lambda number: drive.replace(amplitude=number),
-        )
+            message = "amplitude is that of a drive, and the orbit is not driven"
+            raise InputError([("parameter", message)])
+        amplitude = float(drive.amplitude)
+        return lambda _: chain, amplitude, lambda number: drive.replace(amplitude=number)
     element = ELEMENT.fullmatch(parameter)
-    name, place = (element[1], int(element[2]) - 1) if element else (parameter, None)
-    arrays = {
-        "masses": chain.masses,
-        "diameter": chain.diameters,
-        "contact_constants": chain.contact_constants,
-    }
-    given = arrays[name] if element and name in arrays else getattr(chain, name, None)
-    if (
-        place is not None
-        and isinstance(given, np.ndarray)
-        and 0 <= place < given.size
-        and name in type(chain).model_fields
-    ):
+    name = element[1] if element else parameter
+    value = chain.diameters if element and name == "diameter" else getattr(chain, name, None)
+    field = name in type(chain).model_fields
+    if element and field and isinstance(value, np.ndarray) and 1 <= int(element[2]) <= value.size:
+        index = int(element[2]) - 1
 
         def with_element(number: float) -> Chain:
-            changed = given.copy()
-            changed[place] = number
-            return chain.replace(**{name: changed})
+            values = value.copy()
+            values[index] = number
+            return chain.replace(**{name: values})
 
-        return with_element, float(given[place]), lambda _: drive
-    if place is not None or name not in type(chain).model_fields or type(given) is not float:
-        raise InputError(
-            [
-                (
-                    "parameter",
-                    f"must be energy, period, amplitude or a number of the chain (got {shown(parameter)})",
-                )
-            ]
-        )
-    return lambda number: chain.replace(**{name: number}), given, lambda _: drive
+        return with_element, float(value[index]), lambda _: drive
+    if element or not field or type(value) is not float:
+        message = "must be energy, period, amplitude or a number of the chain"
+        raise InputError([("parameter", f"{message} (got {shown(parameter)})")])
+    return lambda number: chain.replace(**{name: number}), value, lambda _: drive

@@ -1,8 +1,9 @@
-"""Folds and bifurcations along a family of orbits, located by regula falsi, halving where it does not."""
+"""Folds and bifurcations along a family of orbits, located by regula falsi and halving."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,15 +14,44 @@ from .orbit import Orbit
 from .shooting import Solution
 
 EVENTS = ("fold", "period doubling", "Neimark-Sacker", "branch point")
-SPLIT = 1e-6  # of two means: less is what round-off makes of a double one
-TRIES = 24
-NEAR = 1e-6  # of a step: where an event is located
 
 
-class Place(NamedTuple):
-    """A point of a family: its orbit, the unknowns (U,) and the direction (U,) of the family.
+@dataclass(frozen=True)
+class Location:
+    """How accurately an event is located.
 
-    `rate` is that of the parameter along it; where `turning` passes 0 a pair of multipliers passes 1 by itself.
+    Attributes
+    ----------
+    split : float
+        Difference of two means of multipliers, below which they are a double one with round-off.
+    tries : int
+        Most orbits for an event.
+    near : float
+        Where it is, of the step in which it lies.
+    """
+
+    split: float = 1e-6
+    tries: int = 24
+    near: float = 1e-6
+
+
+LOCATION = Location()
+
+
+class Member(NamedTuple):
+    """An orbit of a family, and where the family goes from there.
+
+    Attributes
+    ----------
+    orbit : Orbit
+    unknown, direction : (U,) arrays
+        Its unknowns and how they change along the family.
+    rate : float
+        Change of the parameter along it.
+    turning : float
+        A number that passes 0 where a pair of multipliers passes 1 without a bifurcation; NaN where
+        none is known.
+    solution : Solution
     """
 
     orbit: Orbit
@@ -32,82 +62,90 @@ class Place(NamedTuple):
     solution: Solution
 
 
-def between(
-    kind: str, here: Place, there: Place, at: Callable[[float], Place | None]
-) -> Place | None:
-    """Return where between two places something happens, nearer the second, or None.
+def locate(
+    kind: str, start: Member, end: Member, at: Callable[[float], Member | None]
+) -> Member | None:
+    """Return the orbit just behind an event between two orbits of a family, or None without one.
+
+    Regula falsi with the Illinois rule; M. Dowell and P. Jarratt, BIT 11, 168 (1971).
 
     Parameters
     ----------
     at : function
-        Of the part of the way, 0 to 1.
+        The orbit at a fraction of the step, or None where none is found.
     """
-    before, after = _count(kind, here), _count(kind, there)
-    if before == after or (kind == "branch point" and here.turning * there.turning < 0):
+    before = _count(kind, start)
+    after = _count(kind, end)
+    if before == after or (kind == "branch point" and start.turning * end.turning < 0):
         return None
-    low, high, found = 0.0, 1.0, there
-    more, pairs_meet = max(before, after), kind == "Neimark-Sacker"
-    centre = _centre(here if before == more else there) if pairs_meet else 0.0
-    f_low, f_high = (
-        _distance(kind, here, centre, before == more),
-        _distance(kind, there, centre, after == more),
-    )
-    side, width = 0, 1.0
-    for number in range(TRIES):
-        slow = (
-            number % 3 == 2 and high - low > width / 4
-        )  # as where another pair is nearer than the one that meets
-        falsi = f_low + f_high > 0 and not slow
-        part = (low * f_high + high * f_low) / (f_high + f_low) if falsi else (low + high) / 2
-        width = width if number % 3 else high - low
-        part = min(max(part, low + 0.02 * (high - low)), high - 0.02 * (high - low))
-        middle = at(part)
-        if middle is None:
+    larger = max(before, after)
+    meeting = kind == "Neimark-Sacker"
+    centre = _centre(start if before == larger else end) if meeting else 0.0
+    bounds = [0.0, 1.0]
+    values = [
+        _distance(kind, start, centre, before == larger),
+        _distance(kind, end, centre, after == larger),
+    ]
+    event = end
+    previous = -1
+    for number in range(LOCATION.tries):
+        gap = bounds[1] - bounds[0]
+        if number % 3 == 0:
+            width = gap
+        # regula falsi is slow where another pair is nearer than the one that meets: halve then
+        slow = number % 3 == 2 and gap > width / 4
+        share = 0.5 if slow or not sum(values) else values[0] / sum(values)
+        position = bounds[0] + gap * min(max(share, 0.02), 0.98)
+        member = at(position)
+        if member is None:
             break
-        count = _count(kind, middle)
-        centre = _centre(middle) if pairs_meet and count == more else centre
-        f = _distance(kind, middle, centre, count == more)
-        if count == before:
-            low, f_low = part, f
-            f_high, side = (f_high / 2 if side < 0 else f_high), -1
-        else:
-            high, f_high, found = part, f, middle
-            f_low, side = (f_low / 2 if side > 0 else f_low), 1
-        if high - low < NEAR:
+        count = _count(kind, member)
+        if meeting and count == larger:
+            centre = _centre(member)
+        side = int(count != before)
+        bounds[side] = position
+        values[side] = _distance(kind, member, centre, count == larger)
+        if side == previous:
+            values[1 - side] /= 2
+        if side:
+            event = member
+        if bounds[1] - bounds[0] < LOCATION.near:
             break
-    return found
+        previous = side
+    return event
 
 
-def _count(kind: str, place: Place) -> int:
-    """Return a number that changes where something of this kind happens."""
+def _count(kind: str, member: Member) -> int:
+    """Return a whole number that changes where an event of this kind happens."""
     if kind == "fold":
-        return int(place.rate > 0)
-    mean = place.orbit.means
+        return int(member.rate > 0)
+    mean = member.orbit.means
     real = _real(mean)
     if kind == "Neimark-Sacker":
         return mean.size - real.size
     return int((real > 1).sum() if kind == "branch point" else (real < -1).sum())
 
 
-def _centre(place: Place) -> float:
-    """Return around which mean two pairs of multipliers have met: those that are least apart."""
-    mean = place.orbit.means
-    apart = mean[np.abs(mean.imag) > SPLIT]
+def _centre(member: Member) -> float:
+    """Return the mean at which two pairs of multipliers have met: those that are least apart."""
+    mean = member.orbit.means
+    apart = mean[np.abs(mean.imag) > LOCATION.split]
     return float(apart.real[np.abs(apart.imag).argmin()]) if apart.size else 0.0
 
 
-def _distance(kind: str, place: Place, centre: float, met: bool) -> float:
-    """Return a number that goes through zero, but for its sign, where something of this kind happens.
+def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
+    """Return the size of a number that passes zero where an event of this kind happens.
 
-    Of two pairs of multipliers that meet around a mean, it is the discriminant, before and after.
+    Of two pairs of multipliers that meet at a mean, the discriminant, whether they have `met` or
+    not.
     """
     if kind == "fold":
-        return abs(place.rate)
-    mean = place.orbit.means
+        return abs(member.rate)
+    mean = member.orbit.means
     real = np.sort(_real(mean))
     if kind == "Neimark-Sacker":
         if met:
-            apart = mean.imag[np.abs(mean.imag) > SPLIT]
+            apart = mean.imag[np.abs(mean.imag) > LOCATION.split]
             return float((4 * apart**2).min()) if apart.size else 0.0
         nearest = np.abs(real[1:] + real[:-1] - 2 * centre).argmin() if real.size > 1 else 0
         return float((np.diff(real) ** 2)[nearest]) if real.size > 1 else 0.0
@@ -115,4 +153,4 @@ def _distance(kind: str, place: Place, centre: float, met: bool) -> float:
 
 
 def _real(mean: Complex) -> Array:
-    return mean.real[np.abs(mean.imag) <= SPLIT]
+    return mean.real[np.abs(mean.imag) <= LOCATION.split]

@@ -1,4 +1,4 @@
-"""A family of periodic orbits, and its picture: energy against frequency, the linear bands behind it."""
+"""Families of periodic orbits, and their picture: energy against frequency."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^", "branch poi
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """What happens to a family at one of its orbits.
+    """A fold or a bifurcation of a family, at one of its orbits.
 
     Attributes
     ----------
     kind : "fold", "period doubling", "Neimark-Sacker" or "branch point"
-        The parameter turns back; a pair of multipliers passes -1; two pairs meet on the unit circle and leave it, or
-        come back; a pair passes 1.
+        The parameter turns back; a pair of multipliers passes -1; two pairs meet on the unit circle
+        and leave it, or come back; a pair passes 1.
     value : float
         Of the parameter.
     orbit : Orbit
@@ -38,6 +38,15 @@ class Event:
     kind: str
     value: float
     orbit: Orbit
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the numbers of the event."""
+        return {
+            "kind": self.kind,
+            "value": self.value,
+            "period_s": self.orbit.period,
+            "energy_J": self.orbit.energy,
+        }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,42 +101,38 @@ class Family(Shown):
         return np.array([orbit.stable for orbit in self.orbits])
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw energy against frequency, unstable orbits dashed, linear bands behind; returns the axes.
+        """Draw energy against frequency, unstable orbits dashed, and return the axes.
 
-        Above them stands why the family ended, if it did before the value asked for.
+        Behind them are the linear bands, above them stands why the family ended, if it did before
+        the value asked for.
         """
         from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullFormatter
 
         ax = axes_in_units(ax, "Hz", "")
-        frequency, energy, stable = 1 / self.period, self.energy, self.stable
+        frequency = 1 / self.period
+        energy = self.energy
+        stable = self.stable
         bands = self._bands()
         for number, (low, high) in enumerate(bands):
-            ax.axvspan(
-                low, high, color="0.9", lw=0, zorder=0, label="" if number else "linear waves"
-            )
-        near = (bands > 0.9 * frequency.min()) & (
-            bands < 1.1 * frequency.max()
-        )  # edges that the family can be seen beside
+            label = "" if number else "linear waves"
+            ax.axvspan(low, high, color="0.9", lw=0, zorder=0, label=label)
+        # edges of bands so near that the family can be seen beside them
+        near = (bands > 0.9 * frequency.min()) & (bands < 1.1 * frequency.max())
         span = np.append(frequency, bands[near])
         colour = COLOURS["native"]
-        for part, style, label in ((stable, "-", "stable"), (~stable, "--", "unstable")):
-            near = part | np.append(part[1:], False) if style == "--" else part
-            if part.any():
-                ax.plot(
-                    frequency,
-                    np.where(near, energy, np.nan),
-                    style,
-                    marker=".",
-                    color=colour,
-                    label=label,
-                )
+        # an unstable stretch begins at the last stable orbit
+        beside = ~stable | np.append(~stable[1:], False)
+        for chosen, style, label in ((stable, "-", "stable"), (beside, "--", "unstable")):
+            if (chosen & (stable == (style == "-"))).any():
+                height = np.where(chosen, energy, np.nan)
+                ax.plot(frequency, height, style, marker=".", color=colour, label=label)
+        ring: dict[str, Any] = {"color": COLOURS["lammps"], "mfc": "none", "ms": 4.5, "mew": 0.9}
         for kind, mark in MARKS.items():
-            here = [event.orbit for event in self.events if event.kind == kind]
-            if here:
-                ax.plot(
-                    [1 / o.period for o in here], [o.energy for o in here], mark, color=COLOURS["lammps"], mfc="none",
-                    ms=4.5, mew=0.9, label=kind,
-                )  # fmt: skip
+            events = [event.orbit for event in self.events if event.kind == kind]
+            if events:
+                x = [1 / orbit.period for orbit in events]
+                y = [orbit.energy for orbit in events]
+                ax.plot(x, y, mark, label=kind, **ring)
         margin = max(0.08 * np.ptp(span), 1e-3 * span.max())
         limits = span.min() - margin, span.max() + margin
         ax.set(xlabel="frequency", ylabel="energy above rest", xlim=limits, yscale="log")
@@ -137,13 +142,15 @@ class Family(Shown):
         ax.yaxis.set_minor_formatter(NullFormatter())
         if self.ended:
             set_title(ax, self.ended[0].upper() + self.ended[1:])
-        legend(
-            ax, frameon=True, edgecolor="none", framealpha=1.0
-        )  # it may lie on a band, whose patch is of its colour
+        # it may lie on a band, whose patch is of its colour
+        legend(ax, frameon=True, edgecolor="none", framealpha=1.0)
         return ax
 
     def _bands(self) -> Array:
-        """Return the bands of the linearised chain, (B, 2) Hz; of a chain that does not repeat, of its modes."""
+        """Return the bands of the linearised chain, (B, 2) Hz.
+
+        A chain that does not repeat has one, from its slowest to its fastest mode.
+        """
         chain = self.orbits[0].chain
         if not chain.compressed:
             return np.zeros((0, 2))
@@ -163,15 +170,7 @@ class Family(Shown):
             "period_s": self.period.tolist(),
             "energy_J": self.energy.tolist(),
             "stable": self.stable.tolist(),
-            "events": [
-                {
-                    "kind": e.kind,
-                    "value": e.value,
-                    "period_s": e.orbit.period,
-                    "energy_J": e.orbit.energy,
-                }
-                for e in self.events
-            ],
+            "events": [event.to_json() for event in self.events],
             "orbit": self.orbits[-1].to_json(),
         }
 

@@ -1,7 +1,8 @@
 """Floquet multipliers of symplectic tangent maps, in exact pairs.
 
-Multipliers come in pairs l, 1/l. The skew-Hamiltonian (A + 1/A) / 2 has their means c = (l + 1/l) / 2 as double
-eigenvalues; C. Van Loan, Linear Algebra Appl. 61, 233 (1984), brings it to a form in which each is found once.
+Multipliers come in pairs l, 1/l. The skew-Hamiltonian (A + 1/A) / 2 has their means
+c = (l + 1/l) / 2 as double eigenvalues; C. Van Loan, Linear Algebra Appl. 61, 233 (1984), brings it
+to a form that has each of them once.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def inverse(matrix: Array) -> Array:
     return np.block([[d.T, -b.T], [-c.T, a.T]])
 
 
-def there_and_back(half: Array) -> Array:
+def close(half: Array) -> Array:
     """Return the tangent map of half a period (2M, 2M) followed by the same reversed in time."""
     sign = np.repeat([1.0, -1.0], len(half) // 2)
     return sign[:, None] * inverse(half) * sign @ half
@@ -37,14 +38,14 @@ def there_and_back(half: Array) -> Array:
 @in_one_thread
 def means(matrix: Array) -> Complex:
     """Return the mean of every pair of multipliers of a symplectic matrix (2M, 2M), (M,)."""
-    return eigvals(_once((matrix + inverse(matrix)) / 2)).astype(complex)
+    return eigvals(_halve((matrix + inverse(matrix)) / 2)).astype(complex)
 
 
 @in_one_thread
 def reversible_means(half: Array) -> Complex:
-    """Return the same for an orbit at rest at t = 0 from the tangent map of half its period.
+    """Return the means of an orbit at rest at t = 0 from the tangent map of half its period.
 
-    With the blocks a, b, c, d of that map, (A + 1/A) / 2 is 1 + 2 b^T c for the displacements alone.
+    With the blocks a, b, c, d of that map, (A + 1/A) / 2 is 1 + 2 b^T c for the displacements.
     """
     _, b, c, _ = blocks(half)
     return (1 + 2 * eigvals(b.T @ c)).astype(complex)
@@ -66,9 +67,10 @@ def multipliers(mean: Complex, trivial: bool) -> Complex:
     return np.append(pairs.ravel(), [1.0, 1.0]) if trivial else pairs.ravel()
 
 
-def _once(matrix: Array) -> Array:
-    """Return an (M, M) matrix with the eigenvalues, each once, of a skew-Hamiltonian one (2M, 2M)."""
-    matrix, size = matrix.copy(), len(matrix) // 2
+def _halve(matrix: Array) -> Array:
+    """Return an (M, M) matrix that has each double eigenvalue of a skew-Hamiltonian one once."""
+    matrix = matrix.copy()
+    size = len(matrix) // 2
     for j in range(size - 1):
         rows = np.arange(j + 1, size)
         _reflect(matrix, matrix[size + rows, j], rows, size)
@@ -79,19 +81,22 @@ def _once(matrix: Array) -> Array:
 
 def _rotate(matrix: Array, row: int, column: int, size: int) -> None:
     """Rotate a displacement and its momentum so that the entry of the momentum vanishes."""
-    a, b = matrix[row, column], matrix[size + row, column]
-    if (norm := np.hypot(a, b)) > 0:
-        turn, pair = np.array([[a, b], [-b, a]]) / norm, [row, size + row]
+    pair = [row, size + row]
+    a, b = matrix[pair, column]
+    norm = np.hypot(a, b)
+    if norm > 0:
+        turn = np.array([[a, b], [-b, a]]) / norm
         matrix[pair] = turn @ matrix[pair]
         matrix[:, pair] = matrix[:, pair] @ turn.T
 
 
 def _reflect(matrix: Array, column: Array, rows: NDArray[np.intp], size: int) -> None:
-    """Reflect displacements and momenta alike so that all but the first entry of a column vanish."""
+    """Reflect displacements and momenta alike so that a column is left with its first entry."""
     normal = column.copy()
     normal[0] += np.copysign(np.linalg.norm(column), column[0])
-    if not (square := normal @ normal):
+    square = normal @ normal
+    if not square:
         return
-    for part in (rows, rows + size):
-        matrix[part] -= np.outer(2 * normal / square, normal @ matrix[part])
-        matrix[:, part] -= np.outer(matrix[:, part] @ normal, 2 * normal / square)
+    for half in (rows, rows + size):
+        matrix[half] -= np.outer(2 * normal / square, normal @ matrix[half])
+        matrix[:, half] -= np.outer(matrix[:, half] @ normal, 2 * normal / square)

@@ -22,7 +22,7 @@ METHOD = KAHAN_LI8
 
 
 class Passage(NamedTuple):
-    """What a chain does in K steps.
+    """Motion of a chain over K steps.
 
     Attributes
     ----------
@@ -65,38 +65,37 @@ class Flow:
     cycles: int = 1
 
     def __post_init__(self) -> None:
-        chain, drive = self.chain, self.drive
+        chain = self.chain
+        drive = self.drive
         if drive is not None:
             if drive.times is not None or getattr(drive, "cycles", None) is not None:
-                raise InputError(
-                    [
-                        (
-                            "drive",
-                            "must be a sine that never ends: give amplitude and frequency alone",
-                        )
-                    ]
-                )
+                message = "must be a sine that never ends: give amplitude and frequency alone"
+                raise InputError([("drive", message)])
             if faults := list(drive.faults(chain, 1.0)):
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
         elif not chain.compressed and (chain.top == "free" or chain.bottom == "free"):
-            raise InputError(
-                [("chain", "flies apart: use a top load, gravity, or walls at both ends")]
-            )
+            message = "flies apart: use a top load, gravity, or walls at both ends"
+            raise InputError([("chain", message)])
 
     @cached_property
     def links(self) -> Links:
         """The chain as the compiled loop takes it."""
         rest = Profile(velocity=np.zeros(self.chain.grains))
-        with np.errstate(all="ignore"):  # of scales of a chain at rest, which are not used
-            batch = ChainBatch(
-                [Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)], "exact"
-            )
+        # scales of a chain at rest divide by 0, but are not used
+        with np.errstate(all="ignore"):
+            scene = Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)
+            batch = ChainBatch([scene], "exact")
         batch.table[0, 2, PAD : PAD + self.held] = 0.0
         length, strength, inverse_mass = batch.table[0]
         return Links(
-            length, strength, inverse_mass, float(batch.uncompressed[0]), int(batch.forms[0]), batch.precompressed,
+            length,
+            strength,
+            inverse_mass,
+            float(batch.uncompressed[0]),
+            int(batch.forms[0]),
+            batch.precompressed,
             batch.coefficients,
-        )  # fmt: skip
+        )
 
     @cached_property
     def weight(self) -> Array:
@@ -105,7 +104,7 @@ class Flow:
 
     @property
     def held(self) -> int:
-        """How many grains the drive holds at the top: 1 or 0."""
+        """Grains at the top that the drive holds: 1 or 0."""
         return int(self.drive is not None and getattr(self.drive, "grain", 1) == 1)
 
     @property
@@ -120,18 +119,18 @@ class Flow:
 
     def canonical(self, displacement: Array, velocity: Array) -> Array:
         """Return (..., 2, M) canonical variables of states (..., N)."""
-        return np.stack(
-            (
-                self.weight * displacement[..., self.free],
-                self.weight / self.rate * velocity[..., self.free],
-            ),
-            -2,
-        )
+        q = self.weight * displacement[..., self.free]
+        p = self.weight / self.rate * velocity[..., self.free]
+        return np.stack((q, p), -2)
 
     def physical(self, state: Array) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain, (N,) each, at t = 0; a driven grain has none."""
+        """Return displacement and velocity of every grain, (N,) each, at t = 0.
+
+        A driven grain has none.
+        """
         u, v = np.zeros((2, self.chain.grains))
-        u[self.free], v[self.free] = state[0] / self.weight, state[1] / self.weight * self.rate
+        u[self.free] = state[0] / self.weight
+        v[self.free] = state[1] / self.weight * self.rate
         return u, v
 
     def run(
@@ -149,28 +148,38 @@ class Flow:
         deviation : (2, M, C) array, optional
             Deviations that are carried along.
         stretch : int
-            How many of the last of these are derivatives by log(period).
+            Number of them, the last, that are derivatives by log(period).
         """
         grains = self.chain.grains
-        given = np.zeros((2, self.size, 0)) if deviation is None else deviation
+        begin = np.zeros((2, self.size, 0)) if deviation is None else deviation
         rows = np.zeros((2, self.links.strength.size))
         rows[:, PAD : PAD + grains] = self.physical(state)
-        columns, longer = np.zeros((2, grains, given.shape[2])), np.zeros(given.shape[2])
+        columns = np.zeros((2, grains, begin.shape[2]))
         scale = np.stack((self.weight, self.weight / self.rate))[..., None]
-        columns[:, self.free] = given / scale
+        columns[:, self.free] = begin / scale
+        longer = np.zeros(begin.shape[2])
         longer[longer.size - stretch :] = 1.0
         nodes = np.zeros((2, mesh.size + 1, grains))
         march(
-            self.links, *rows, *columns, longer, np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period,
-            PAD - 1 + self.held, self._path(mesh), *nodes,
-        )  # fmt: skip
-        if self.held:
+            self.links,
+            *rows,
+            *columns,
+            longer,
+            np.array(METHOD.kicks),
+            np.array(METHOD.drifts),
+            mesh * period,
+            PAD - 1 + self.held,
+            self._path(mesh),
+            *nodes,
+        )
+        if self.held and self.drive is not None:
             turns = 2 * np.pi * self.cycles * np.concatenate(([0.0], np.cumsum(mesh)))
-            nodes[1, :, 0] = self.drive.amplitude * 2 * np.pi * self.cycles / period * np.cos(turns)  # type: ignore[union-attr]
+            rate = 2 * np.pi * self.cycles / period
+            nodes[1, :, 0] = self.drive.amplitude * rate * np.cos(turns)
         return Passage(nodes[0], nodes[1], columns[:, self.free] * scale)
 
     def _path(self, mesh: Array) -> Array:
-        """Return where the drive is at every evaluation of the force, m; nothing without a drive."""
+        """Return the position of the drive at every evaluation of the force, m."""
         if self.drive is None:
             return np.zeros(0)
         begin = np.cumsum(mesh) - mesh
@@ -188,6 +197,5 @@ class Flow:
     def energy(self, state: Array) -> tuple[float, Array]:
         """Return the energy above rest, J, and its gradient (2, M)."""
         q_rate, p_rate = self.direction(state)
-        return float(self.chain.excess_energy(*self.physical(state))), self.rate**2 * np.stack(
-            (-p_rate, q_rate)
-        )
+        energy = float(self.chain.excess_energy(*self.physical(state)))
+        return energy, self.rate**2 * np.stack((-p_rate, q_rate))

@@ -1,10 +1,12 @@
 """Steps of an orbit: fixed fractions of its period, short where contacts open and close.
 
-The force has a singular derivative where a contact opens, so that steps of one size would lose their order there.
-Steps fixed in advance keep the map symplectic, whatever their lengths.
+The force has a singular derivative where a contact opens, so that steps of one length would lose
+their order there. Steps fixed in advance keep the map symplectic, whatever their lengths.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -12,70 +14,82 @@ from scipy.interpolate import CubicHermiteSpline
 from ..util.arrays import Array
 from .flow import Flow, Passage
 
-REACH = 0.3  # step times the highest frequency of the chain at its stiffest
-GRADING = 0.35  # step over the time to the nearest opening
-CROSSING = 1e-4  # the shortest step times that frequency, around an opening: its error is far below that of the others
-MOST = 20_000  # steps
-FEWEST = 24
+
+@dataclass(frozen=True)
+class Mesh:
+    """Lengths of steps.
+
+    Attributes
+    ----------
+    reach : float
+        Step times the highest frequency of the chain at its stiffest, rad.
+    grading : float
+        Step over the time to the nearest opening.
+    crossing : float
+        Shortest step times that frequency, around an opening: its error is far below the others'.
+    most : int
+        Most steps of a period.
+    """
+
+    reach: float = 0.3
+    grading: float = 0.35
+    crossing: float = 1e-4
+    most: int = 20_000
+
+
+MESH = Mesh()
 
 
 def highest_frequency(flow: Flow, displacement: Array) -> float:
-    """Return a bound on the frequencies of the chain linearised about any of these states (K, N), rad/s."""
-    contacts, masses = flow.chain.contacts, flow.chain.masses[flow.free]
+    """Return a bound on the frequencies of the chain linearised about states (K, N), rad/s."""
+    contacts = flow.chain.contacts
     overlap = np.maximum(contacts.overlap + contacts.closer(displacement), 0.0).max(0)
     stiffness = contacts.stiffness_at(overlap)
-    return float(np.sqrt(2 * ((stiffness[:-1] + stiffness[1:])[flow.free] / masses).max()))
+    pull = (stiffness[:-1] + stiffness[1:])[flow.free]
+    return float(np.sqrt(2 * (pull / flow.chain.masses[flow.free]).max()))
 
 
 def openings(flow: Flow, passage: Passage, period: float, mesh: Array) -> Array:
     """Return when contacts open or close, as ascending fractions of the period."""
     contacts = flow.chain.contacts
     overlap = contacts.overlap + contacts.closer(passage.displacement)
-    crossing = (
-        contacts.exists & (overlap.min(0) < 0) & (overlap.max(0) > 1e-9 * np.abs(overlap).max())
-    )
+    noise = 1e-9 * np.abs(overlap).max()
+    crossing = contacts.exists & (overlap.min(0) < 0) & (overlap.max(0) > noise)
     if not crossing.any():
         return np.zeros(0)
     time = np.concatenate(([0.0], np.cumsum(mesh)))
     rate = contacts.closer(passage.velocity) * period
-    roots = CubicHermiteSpline(time, overlap[:, crossing], rate[:, crossing]).roots(
-        extrapolate=False
-    )
-    times = np.concatenate([np.asarray(each) for each in roots])
+    spline = CubicHermiteSpline(time, overlap[:, crossing], rate[:, crossing])
+    times = np.concatenate([np.asarray(roots) for roots in spline.roots(extrapolate=False)])
     return np.sort(times[np.isfinite(times)])
 
 
-def uniform(flow: Flow, period: float, displacement: Array, reach: float = REACH) -> Array:
-    """Return an even number of equal fractions that resolve a motion through these states (K, N)."""
+def uniform(flow: Flow, period: float, displacement: Array, reach: float = MESH.reach) -> Array:
+    """Return an even number of equal fractions that resolve a motion through states (K, N)."""
     count = highest_frequency(flow, displacement) * period / reach
-    half = max(FEWEST, int(np.ceil(min(count, MOST)))) // 2 + 1
+    half = max(24, int(np.ceil(min(count, MESH.most)))) // 2 + 1
     return np.full(2 * half, 0.5 / half)
 
 
 def graded(
-    flow: Flow, period: float, displacement: Array, times: Array, reach: float = REACH
+    flow: Flow, period: float, displacement: Array, times: Array, reach: float = MESH.reach
 ) -> Array:
-    """Return fractions that are symmetric in time and shrink towards openings, `times` (E,) as fractions."""
+    """Return fractions, symmetric in time, that shrink towards openings at `times` (E,)."""
     even = uniform(flow, period, displacement, reach)
     if not times.size:
         return even
-    least = CROSSING / (highest_frequency(flow, displacement) * period)
+    shortest = MESH.crossing / (highest_frequency(flow, displacement) * period)
     near = np.unique(np.concatenate((times, 1 - times, times - 1, times + 1, -times)))
-    near = near[np.append(True, np.diff(near) > least)]
-    away = np.geomspace(least / 4, 4 * even[0] / GRADING, 600)
-    places = np.concatenate(
-        (
-            np.linspace(0.0, 0.5, 8 * even.size),
-            near,
-            *(near + away[:, None]),
-            *(near - away[:, None]),
-        )
-    )
-    places = np.unique(np.concatenate(([0.0], places[(places > 0) & (places < 0.5)], [0.5])))
-    after = np.searchsorted(near, places).clip(1, near.size - 1)
-    distance = np.minimum(np.abs(near[after] - places), np.abs(near[after - 1] - places))
-    density = 1 / np.clip(GRADING * reach / REACH * distance, least, even[0])
-    count = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(places))))
-    half = int(np.ceil(min(count[-1], MOST / 2)))
-    steps = np.diff(np.interp(np.linspace(0.0, count[-1], half + 1), count, places))
+    near = near[np.append(True, np.diff(near) > shortest)]
+    # the density of steps, between close nodes on either side of every opening
+    away = np.geomspace(shortest / 4, 4 * even[0] / MESH.grading, 600)
+    beside = (*(near + away[:, None]), *(near - away[:, None]))
+    nodes = np.concatenate((np.linspace(0.0, 0.5, 8 * even.size), near, *beside))
+    nodes = np.unique(np.concatenate(([0.0], nodes[(nodes > 0) & (nodes < 0.5)], [0.5])))
+    after = np.searchsorted(near, nodes).clip(1, near.size - 1)
+    distance = np.minimum(np.abs(near[after] - nodes), np.abs(near[after - 1] - nodes))
+    density = 1 / np.clip(MESH.grading * reach / MESH.reach * distance, shortest, even[0])
+    count = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(nodes))))
+    half = int(np.ceil(min(count[-1], MESH.most / 2)))
+    steps = np.diff(np.interp(np.linspace(0.0, count[-1], half + 1), count, nodes))
     return np.concatenate((steps, steps[::-1]))

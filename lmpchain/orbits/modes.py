@@ -2,31 +2,53 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import roots_legendre
 
 from ..chain.chain import Chain
-from ..errors import InputError, RunFailed, shown
+from ..errors import InputError, RunFailed
 from ..util.arrays import Array
 from .continuation import follow
 from .family import Family
 from .orbit import Orbit
-from .search import check_positive, find, linear_mode
+from .search import check_number, check_positive, find, linear_mode
 
-STRAIN = 1e-2  # of the small orbit that a family begins with
-SLOW = 0.2  # of the band edge: below it harmonics are nearly resonant, and a family begins with smaller orbits
-HEAVY = 1e3  # factor on masses at which grains stand almost still
-POINTS = 200  # orbits after which a breather is given up
-HEAVIER = 1.001  # ratio of masses
-ALONE = (1e-4, 1e2)  # amplitudes of a grain between two that stand still, over the overlap
+
+@dataclass(frozen=True)
+class Limits:
+    """Orbits of limits in which they are known, from which families begin.
+
+    Attributes
+    ----------
+    strain : float
+        Of a small orbit.
+    slow : float
+        Frequency over the band edge, below which harmonics are nearly resonant and smaller orbits
+        are taken.
+    heavy : float
+        Factor on the masses of grains that stand almost still.
+    alone : tuple of float
+        Amplitudes of a grain between two that stand still, over the overlap.
+    """
+
+    strain: float = 1e-2
+    slow: float = 0.2
+    heavy: float = 1e3
+    alone: tuple[float, float] = (1e-4, 1e2)
+
+
+LIMITS = Limits()
 
 
 def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = False) -> Orbit:
     """Return the nonlinear normal mode that a linear one grows into at this energy.
 
-    A. F. Vakakis et al., Normal Modes and Localization in Nonlinear Systems (1996). That at the edge of a band which
-    softens becomes a breather in the gap below: G. Theocharis et al., Phys. Rev. E 82, 056604 (2010).
+    A. F. Vakakis et al., Normal Modes and Localization in Nonlinear Systems (1996). The mode at the
+    edge of a band which softens becomes a breather in the gap below: G. Theocharis et al.,
+    Phys. Rev. E 82, 056604 (2010).
 
     Parameters
     ----------
@@ -85,20 +107,20 @@ def mode_family(
         If the chain is not compressed, or there is no such mode or energy.
     """
     check_positive("energy", energy)
-    u, period = linear_mode(chain, mode, STRAIN)
-    u *= min(1.0, 2 * np.pi / period / (SLOW * chain.band_edge)) ** 2
+    displacement, period = linear_mode(chain, mode, LIMITS.strain)
+    displacement *= min(1.0, 2 * np.pi / period / (LIMITS.slow * chain.band_edge)) ** 2
     rest = np.zeros(chain.grains)
-    least = float(chain.excess_energy(u, rest))
-    small = min(1.0, float(np.sqrt(0.5 * energy / least)))
-    first = find(chain, (small * u, rest), period, energy=least * small**2)
+    linear = float(chain.excess_energy(displacement, rest))
+    small = min(1.0, float(np.sqrt(0.5 * energy / linear)))
+    first = find(chain, (small * displacement, rest), period, energy=linear * small**2)
     return follow(first, "energy", energy, events=events, progress=progress)
 
 
 def breather(chain: Chain, grain: int, period: float, *, progress: bool = False) -> Orbit:
     """Return the breather around a grain, from the limit in which all heavier grains stand still.
 
-    In that limit the grain oscillates alone; then the masses of the heavier grains come down to their own. See
-    R. S. MacKay and S. Aubry, Nonlinearity 7, 1623 (1994).
+    In that limit the grain oscillates alone; then the masses of the heavier grains come down to
+    their own. See R. S. MacKay and S. Aubry, Nonlinearity 7, 1623 (1994).
 
     Parameters
     ----------
@@ -117,7 +139,8 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     Raises
     ------
     InputError
-        If the chain is under gravity or not compressed, no neighbour is heavier, or a grain alone has no such period.
+        If the chain is under gravity or not compressed, no neighbour is heavier, or a grain alone
+        has no such period.
     RunFailed
         If the breather cannot be followed.
 
@@ -130,57 +153,37 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     (6, True)
     """
     check_positive("period", period)
-    if (
-        isinstance(grain, bool)
-        or not isinstance(grain, int | np.integer)
-        or not 1 <= grain <= chain.movable
-    ):
-        raise InputError(
-            [("grain", f"must be a whole number from 1 to {chain.movable} (got {shown(grain)})")]
-        )
-    heavier = chain.masses > HEAVIER * chain.masses[grain - 1]
+    check_number("grain", grain, chain.movable)
+    mass = chain.masses[grain - 1]
+    heavier = chain.masses > mass
     if chain.gravity > 0 or not chain.compressed:
-        raise InputError(
-            [
-                (
-                    "chain",
-                    "must be pressed by a top load, without gravity, which other masses would change",
-                )
-            ]
-        )
+        message = "must be pressed by a top load, without gravity, which other masses would change"
+        raise InputError([("chain", message)])
     if not heavier[max(grain - 2, 0) : grain + 1].any():
-        raise InputError(
-            [
-                (
-                    "grain",
-                    f"{grain} has no heavier neighbour: there is no limit in which it moves alone",
-                )
-            ]
-        )
+        message = "has no heavier neighbour: there is no limit in which it moves alone"
+        raise InputError([("grain", f"{grain} {message}")])
 
-    def eased(part: float) -> Chain:
-        return chain.replace(masses=np.where(heavier, HEAVY ** (1 - part), 1.0) * chain.masses)
+    def chain_at(share: float) -> Chain:
+        factor = np.where(heavier, LIMITS.heavy ** (1 - share), 1.0)
+        return chain.replace(masses=factor * chain.masses)
 
-    u, rest = np.zeros((2, chain.grains))
+    rest = np.zeros(chain.grains)
+    displacement = np.zeros(chain.grains)
     stiffness = float(chain.contacts.stiffness[grain - 1 : grain + 1].sum())
-    slowest = float(2 * np.pi / np.sqrt(stiffness / chain.masses[grain - 1]))
-    if (
-        linear := period < slowest
-    ):  # a gentle motion alone is too slow, but quickens as its neighbours come to give way
-        u[grain - 1] = STRAIN * chain.contacts.overlap[grain]
-        energy = float(chain.excess_energy(u, rest))
-        limit = find(eased(0.0), (u, rest), slowest, energy=energy)
+    slowest = float(2 * np.pi / np.sqrt(stiffness / mass))
+    # a gentle motion alone is too slow for a shorter period, but quickens once its neighbours move
+    gentle = period < slowest
+    if gentle:
+        displacement[grain - 1] = LIMITS.strain * chain.contacts.overlap[grain]
+        energy = float(chain.excess_energy(displacement, rest))
+        limit = find(chain_at(0.0), (displacement, rest), slowest, energy=energy)
     else:
-        u[grain - 1] = _alone(chain, grain, period)
-        limit = find(eased(0.0), (u, rest), period)
-    hold = "energy" if linear else "period"
-    family = follow(
-        limit, eased, 1.0, start=0.0, hold=hold, points=POINTS, events=False, progress=progress
-    )
-    if linear and family.reached:
-        family = follow(
-            family[-1], "period", period, points=POINTS, events=False, progress=progress
-        )
+        displacement[grain - 1] = _alone(chain, grain, period)
+        limit = find(chain_at(0.0), (displacement, rest), period)
+    hold = "energy" if gentle else "period"
+    family = follow(limit, chain_at, 1.0, start=0.0, hold=hold, events=False, progress=progress)
+    if gentle and family.reached:
+        family = follow(family[-1], "period", period, events=False, progress=progress)
     if not family.reached:
         raise RunFailed(
             f"the breather of {period:g} s does not come to the masses of the chain: {family.ended}"
@@ -189,12 +192,13 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
 
 
 def _alone(chain: Chain, grain: int, period: float) -> float:
-    """Return the amplitude at which a grain oscillates with this period while all others stand still, m."""
+    """Return the amplitude of a grain with this period while all others stand still, m."""
     unit = np.zeros(chain.grains)
     unit[grain - 1] = 1.0
-    contacts, mass = chain.contacts, chain.masses[grain - 1]
+    contacts = chain.contacts
+    mass = chain.masses[grain - 1]
     overlap = float(contacts.overlap[grain - 1 : grain + 1].max())
-    s, weight = roots_legendre(64)
+    node, weight = roots_legendre(64)
 
     def potential(x: Array | float) -> Array:
         return contacts.energy(contacts.closer(np.multiply.outer(x, unit))).sum(-1)
@@ -203,18 +207,21 @@ def _alone(chain: Chain, grain: int, period: float) -> float:
         right = overlap * np.exp(logarithm)
         top = float(potential(right))
         left = brentq(lambda x: float(potential(x)) - top, -1e3 * right, 0.0, xtol=1e-15 * right)
-        angle = np.pi / 2 * s
-        x = (right + left) / 2 + (right - left) / 2 * np.sin(angle)
+        # T = 2 int dx / speed; by x = middle + half sin(angle) the ends are no longer singular
+        half = (right - left) / 2
+        angle = np.pi / 2 * node
+        x = (right + left) / 2 + half * np.sin(angle)
         speed = np.sqrt(2 * np.maximum(top - potential(x), 1e-30 * top) / mass)
-        return float(
-            2 * ((right - left) / 2 * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1
-        )
+        return float(2 * (half * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1)
 
-    amplitudes = np.log(np.geomspace(*ALONE, 100))
-    apart = np.array([excess(a) for a in amplitudes])
-    crossing = np.flatnonzero(apart[1:] * apart[:-1] <= 0)
+    amplitudes = np.log(np.geomspace(*LIMITS.alone, 100))
+    misses = np.array([excess(amplitude) for amplitude in amplitudes])
+    crossing = np.flatnonzero(misses[1:] * misses[:-1] <= 0)
     if not crossing.size:
-        least, most = period * (1 + apart.min()), period * (1 + apart.max())
-        message = f"must be between {least:.5g} and {most:.5g} s, those of grain {grain} alone (got {period:g})"
-        raise InputError([("period", message)])
+        shortest = period * (1 + misses.min())
+        longest = period * (1 + misses.max())
+        message = (
+            f"must be between {shortest:.5g} and {longest:.5g} s, those of grain {grain} alone"
+        )
+        raise InputError([("period", f"{message} (got {period:g})")])
     return float(overlap * np.exp(brentq(excess, *amplitudes[crossing[0] : crossing[0] + 2])))

@@ -1,4 +1,4 @@
-"""A periodic orbit: initial state, energy, Floquet multipliers, stability, and scenes that run it."""
+"""A periodic orbit: state, energy, Floquet multipliers, stability, and scenes that run it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from .shooting import Equations, Point, Solution
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-STABLE = 1e-6  # of |multiplier| - 1: what round-off makes of a pair that is on the unit circle
+# |multiplier| - 1 that round-off may make of a pair on the unit circle
+STABLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,16 +39,17 @@ class Orbit(Shown):
     displacement, velocity : (N,) arrays
         At t = 0, m and m/s.
     drive : Drive or None
-        What moves grain 1 or the top wall, at this period.
+        The motion of grain 1 or the top wall, at this period.
     reversible : bool
         Whether all grains rest at t = 0, so that the motion is the same backwards.
     residual : float
-        Largest displacement or speed that is left after a period, over the largest of the orbit; below 1e-12 but where
-        the motion amplifies rounding more than that.
+        Largest change of a displacement or a velocity over a period, relative to the largest of the
+        orbit; below 1e-12 unless the motion amplifies rounding beyond that.
     error : float
-        Of the orbit and its period, relative, by steps of half the size: what the integrator leaves. Where an orbit can
-        all but slide along its neighbours, as the dip of a strong dark breather can, round-off leaves most of it along
-        that direction, along which the period hardly changes.
+        Of the orbit and its period by the integrator, relative, as steps of half the length show
+        it. Where an orbit can all but slide along its neighbours, as the dip of a strong dark
+        breather can, most of it is round-off in that direction, along which the period hardly
+        changes.
     iterations : int
         Steps of Newton's method.
     """
@@ -85,12 +87,15 @@ class Orbit(Shown):
 
     @cached_property
     def monodromy(self) -> Array:
-        """Tangent map of a period in canonical variables, symplectic, (2M, 2M); see `lmpchain.orbits.flow`."""
-        return read_only(floquet.there_and_back(self.tangent) if self.reversible else self.tangent)
+        """Tangent map of a period, (2M, 2M), symplectic in the variables of `orbits.flow`."""
+        return read_only(floquet.close(self.tangent) if self.reversible else self.tangent)
 
     @cached_property
     def means(self) -> floquet.Complex:
-        """Mean (l + 1/l) / 2 of every pair of multipliers, real in [-1, 1] if stable, (M-1,), driven (M,)."""
+        """Mean (l + 1/l) / 2 of every pair of multipliers, (M-1,), driven (M,).
+
+        It is real and from -1 to 1 if the pair is stable.
+        """
         means = (floquet.reversible_means if self.reversible else floquet.means)(self.tangent)
         return read_only(means if self.drive is not None else floquet.without_trivial(means))
 
@@ -98,7 +103,8 @@ class Orbit(Shown):
     def multipliers(self) -> floquet.Complex:
         """Floquet multipliers in pairs l, 1/l side by side, the largest first, (2M,) complex.
 
-        Unless the orbit is driven, the last pair is 1: along the orbit, and to its neighbours in the family.
+        Unless the orbit is driven, the last pair is 1: along the orbit, and to its neighbours in
+        the family.
         """
         return read_only(floquet.multipliers(self.means, self.drive is None))
 
@@ -119,13 +125,14 @@ class Orbit(Shown):
         return passage.displacement, passage.velocity
 
     def motion(self) -> tuple[Array, Array, Array]:
-        """Return times (K+1,) s, displacement and velocity (K+1, N) over a period, at the steps taken."""
+        """Return times (K+1,) s, displacement and velocity (K+1, N) at the steps of a period."""
         return np.concatenate(([0.0], np.cumsum(self.mesh))) * self.period, *self._passage
 
     def direction(self, number: int = 1) -> tuple[Array, Array]:
-        """Return displacement and velocity (N,) of an unstable direction, its largest displacement 1 m.
+        """Return displacement and velocity (N,) of an unstable direction.
 
-        For a complex multiplier it is the real part, which turns as it grows.
+        Its largest displacement is 1 m. For a complex multiplier it is the real part, which turns
+        as it grows.
 
         Parameters
         ----------
@@ -161,24 +168,24 @@ class Orbit(Shown):
         """
         u, v = self.direction(number)
         scale = size * self.amplitude
-        return self._begun(self.displacement + scale * u, self.velocity + scale * v)
+        return self._excitation(self.displacement + scale * u, self.velocity + scale * v)
 
-    def _begun(self, u: Array, v: Array) -> Profile | Drive:
-        """Return the excitation that begins with this state, (N,) m and m/s, and drives on if driven."""
+    def _excitation(self, u: Array, v: Array) -> Profile | Drive:
+        """Return the excitation that begins with a state, (N,) m and m/s, and drives if driven."""
         if self.drive is None:
             return Profile(displacement=u, velocity=v)
-        own = np.arange(u.size) >= self.flow.held
-        return self.drive.replace(start=Profile(displacement=u * own, velocity=v * own))
+        free = np.arange(u.size) >= self.flow.held
+        return self.drive.replace(start=Profile(displacement=u * free, velocity=v * free))
 
     def scene(self, periods: float = 1, samples: int = 101) -> Scene:
         """Return the scene that runs the orbit for so many periods, in any engine."""
-        excitation = self._begun(self.displacement, self.velocity)
+        excitation = self._excitation(self.displacement, self.velocity)
         return Scene(
             chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the displacements of the grains at five moments of half a period; returns the axes."""
+        """Draw the displacements at five moments of half a period, and return the axes."""
         from matplotlib import colormaps
         from matplotlib.ticker import MaxNLocator
 
@@ -214,10 +221,20 @@ def orbit_of(equations: Equations, solution: Solution, error: float) -> Orbit:
     point: Point = solution.point
     flow = equations.flow_at(point.value)
     passage = flow.run(point.state, point.period, solution.mesh)
-    u, v = passage.displacement, passage.velocity
-    residual = max(float(np.abs(x[-1] - x[0]).max() / np.abs(x).max()) for x in (u, v))
+    u = passage.displacement
+    v = passage.velocity
     drive = None if flow.drive is None else flow.drive.replace(frequency=flow.cycles / point.period)
     return Orbit(
-        flow.chain, point.period, read_only(u[0].copy()), read_only(v[0].copy()), drive, equations.reversible,
-        residual, error, solution.iterations, flow, solution.mesh, point.state,
-    )  # fmt: skip
+        chain=flow.chain,
+        period=point.period,
+        displacement=read_only(u[0].copy()),
+        velocity=read_only(v[0].copy()),
+        drive=drive,
+        reversible=equations.reversible,
+        residual=max(float(np.abs(x[-1] - x[0]).max() / np.abs(x).max()) for x in (u, v)),
+        error=error,
+        iterations=solution.iterations,
+        flow=flow,
+        mesh=solution.mesh,
+        state=point.state,
+    )

@@ -1,4 +1,4 @@
-"""Periodic orbits from a guess, and linear modes and driven motions to begin with."""
+"""Periodic orbits near a guess, a linear mode or the linear answer to a drive."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from ..util.linear_algebra import in_one_thread
 from ..util.validation import Checked
 from .flow import Flow
 from .orbit import Orbit, orbit_of
-from .shooting import Equations, Point, accurate, fixed
+from .shooting import Equations, Point, fixed, solve_accurately
 
-REST = 1e-3  # of the guess: an orbit so much smaller is the chain at rest
-RESTING = 1e-12  # of the largest speed of a linear wave with these displacements: a guess at rest
+REST = 1e-3  # of the guess: an orbit that much smaller is the chain at rest
 
 
 @in_one_thread
@@ -33,9 +32,10 @@ def find(
 ) -> Orbit:
     """Return the periodic orbit near a guess, by Newton shooting with the exact tangent map.
 
-    A guess whose grains are all at rest gives an orbit that is symmetric in time, for half of the work. The steps are
-    those of a splitting of order 8, as many in a period as their error needs, and shorter where contacts open. See
-    J. L. Marin and S. Aubry, Nonlinearity 9, 1501 (1996), for breathers by Newton's method.
+    A guess whose grains are all at rest gives an orbit that is symmetric in time, for half of the
+    work. The steps are those of a splitting of order 8, as many in a period as their error needs,
+    and shorter where contacts open. See J. L. Marin and S. Aubry, Nonlinearity 9, 1501 (1996), for
+    breathers by Newton's method.
 
     Parameters
     ----------
@@ -43,11 +43,12 @@ def find(
     guess : Profile, Orbit, or (displacement, velocity), each (N,)
         At t = 0, m and m/s. None for the answer of the linearised chain to the drive.
     period : float
-        s; of a driven orbit a whole number of periods of the drive, by default one. With an energy it is a guess.
+        s; of a driven orbit a whole number of periods of the drive, by default one. With an energy
+        it is a guess.
     energy : float, optional
         J; the period then follows.
     drive : Drive, optional
-        A harmonic motion of grain 1 or of the top wall; its `start` is the guess unless one is given.
+        A harmonic motion of grain 1 or of the top wall; its `start` is the guess by default.
 
     Returns
     -------
@@ -69,36 +70,46 @@ def find(
     (True, True, '0.613')
     """
     if isinstance(guess, Orbit):
-        period, guess = period or guess.period, (guess.displacement, guess.velocity)
+        period = period or guess.period
+        guess = (guess.displacement, guess.velocity)
     if drive is not None and drive.start is not None:
-        guess, drive = drive.start if guess is None else guess, drive.replace(start=None)
-    if period is None and drive is not None and drive.frequency is not None:
-        period = 1 / drive.frequency
-    period = check_positive("period", period)
-    turns = 1.0 if drive is None or drive.frequency is None else drive.frequency * period
-    if round(turns) < 1 or abs(turns - round(turns)) > 1e-9 * turns:
-        raise InputError(
-            [("period", f"must be a whole number of those of the drive, {period / turns:g} s")]
-        )
-    if energy is not None and drive is not None:
-        raise InputError([("energy", "is not conserved in a driven chain: give the period")])
-    flow = Flow(chain, 2 * np.pi / period, drive, round(turns))
-    state = flow.canonical(*(_answer(flow) if guess is None else _states(chain, guess)))
-    if not (size := float(np.abs(state).max())) > 0:
-        raise InputError([("guess", "is the chain at rest: give displacements or velocities")])
-    reversible = drive is None and bool(np.abs(state[1]).max() < RESTING * size)
-    equations = Equations(lambda _: flow, reversible, size)
-    constraint = fixed(equations, "period", period)
+        guess = drive.start if guess is None else guess
+        drive = drive.replace(start=None)
     if energy is not None:
-        constraint = fixed(equations, "energy", check_positive("energy", energy))
-    solution, error = accurate(
-        equations, Point(state, period), [constraint], f"a period of {period:g} s"
+        if drive is not None:
+            raise InputError([("energy", "is not conserved in a driven chain: give the period")])
+        energy = check_positive("energy", energy)
+    flow, period = _flow(chain, period, drive)
+    state = flow.canonical(*(_linear_answer(flow) if guess is None else _state(chain, guess)))
+    size = float(np.abs(state).max())
+    if not size > 0:
+        raise InputError([("guess", "is the chain at rest: give displacements or velocities")])
+    # momenta that round-off leaves, over displacements, are none
+    reversible = drive is None and bool(np.abs(state[1]).max() < 1e-12 * size)
+    equations = Equations(lambda _: flow, reversible, size)
+    key, value = ("period", period) if energy is None else ("energy", energy)
+    solution, error = solve_accurately(
+        equations, Point(state, period), [fixed(equations, key, value)], f"a period of {period:g} s"
     )
     if np.abs(solution.point.state).max() < REST * size and drive is None:
         raise RunFailed(
             "only the chain at rest is found near the guess: make it larger, or change the period"
         )
     return orbit_of(equations, solution, error)
+
+
+def _flow(chain: Chain, period: float | None, drive: Drive | None) -> tuple[Flow, float]:
+    """Return the motion over a period, and the period: by default that of the drive."""
+    frequency = None if drive is None else drive.frequency
+    if period is None and frequency is not None:
+        period = 1 / frequency
+    period = check_positive("period", period)
+    turns = 1.0 if frequency is None else frequency * period
+    if round(turns) < 1 or abs(turns - round(turns)) > 1e-9 * turns:
+        raise InputError(
+            [("period", f"must be a whole number of those of the drive, {period / turns:g} s")]
+        )
+    return Flow(chain, 2 * np.pi / period, drive, round(turns)), period
 
 
 def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, float]:
@@ -123,80 +134,64 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
         If no contact is compressed, or there is no such mode.
     """
     modes = eigenmodes(chain)
-    if (
-        isinstance(mode, bool)
-        or not isinstance(mode, int | np.integer)
-        or not 1 <= mode <= modes.frequency.size
-    ):
-        raise InputError(
-            [
-                (
-                    "mode",
-                    f"must be a whole number from 1 to {modes.frequency.size} (got {shown(mode)})",
-                )
-            ]
-        )
+    check_number("mode", mode, modes.frequency.size)
     u = np.zeros(chain.grains)
     u[: chain.movable] = modes.shape[:, mode - 1]
     contacts = chain.contacts
-    change = np.abs(contacts.closer(u))[contacts.pressed] / contacts.overlap[contacts.pressed]
-    return strain / change.max() * u, float(2 * np.pi / modes.frequency[mode - 1])
+    strains = np.abs(contacts.closer(u))[contacts.pressed] / contacts.overlap[contacts.pressed]
+    return strain / strains.max() * u, float(2 * np.pi / modes.frequency[mode - 1])
+
+
+def check_number(key: str, value: Any, most: int) -> None:
+    """Raise `InputError` for anything but a whole number from 1 to `most`."""
+    integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not integer or not 1 <= value <= most:
+        message = f"must be a whole number from 1 to {most} (got {shown(value)})"
+        raise InputError([(key, message)])
 
 
 def check_positive(key: str, value: Any) -> float:
     """Return a number above 0; raise `InputError` for anything else."""
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float | np.floating)
-        or not 0 < value < np.inf
-    ):
+    real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+    if not real or not 0 < value < np.inf:
         raise InputError([(key, f"must be a number above 0 (got {shown(value)})")])
     return float(value)
 
 
-def _states(chain: Chain, guess: Profile | tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return displacement and velocity of a guess, checked."""
+def _state(chain: Chain, guess: Profile | tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the checked displacement and velocity (N,) of a guess, m and m/s."""
     if not isinstance(guess, Checked):
         try:
             displacement, velocity = guess
         except (TypeError, ValueError):
-            raise InputError(
-                [("guess", "must be a Profile, an Orbit, or displacements and velocities")]
-            ) from None
+            message = "must be a Profile, an Orbit, or displacements and velocities"
+            raise InputError([("guess", message)]) from None
         guess = Profile(displacement=displacement, velocity=velocity)
     if faults := list(guess.faults(chain, 1.0)):
         raise InputError([(f"guess.{key}", message) for key, message in faults])
     return guess.initial(chain)
 
 
-def _answer(flow: Flow) -> tuple[Array, Array]:
-    """Return the motion at t = 0 of the linearised chain that follows the drive."""
-    chain, drive = flow.chain, flow.drive
+def _linear_answer(flow: Flow) -> tuple[Array, Array]:
+    """Return the motion at t = 0 with which the linearised chain follows the drive, m and m/s."""
+    chain = flow.chain
+    drive = flow.drive
     if drive is None:
-        raise InputError(
-            [
-                (
-                    "guess",
-                    "is missing: give displacements and velocities, such as those of a linear mode",
-                )
-            ]
-        )
+        message = "give displacements and velocities, such as those of a linear mode"
+        raise InputError([("guess", f"is missing: {message}")])
     if not chain.compressed:
-        raise InputError(
-            [
-                (
-                    "guess",
-                    "is missing, and a chain that is not compressed has no linear answer to a drive",
-                )
-            ]
-        )
-    k, m, omega = chain.contacts.stiffness, chain.masses, 2 * np.pi * drive.frequency
+        message = "a chain that is not compressed has no linear answer to a drive"
+        raise InputError([("guess", f"is missing, and {message}")])
+    stiffness = chain.contacts.stiffness
+    omega = 2 * np.pi * drive.frequency
     free = np.arange(flow.free.start, flow.free.stop)
+    # (K - m omega^2) u = k A, and all grains pass rest at t = 0 with velocities omega u
     bands = np.zeros((3, free.size))
-    bands[1] = k[free] + k[free + 1] - m[free] * omega**2
-    bands[0, 1:] = bands[2, :-1] = -k[free[1:]]
+    bands[1] = stiffness[free] + stiffness[free + 1] - chain.masses[free] * omega**2
+    bands[0, 1:] = -stiffness[free[1:]]
+    bands[2, :-1] = bands[0, 1:]
     pull = np.zeros(free.size)
-    pull[0] = k[free[0]] * drive.amplitude
-    u, v = np.zeros((2, chain.grains))
-    v[free] = omega * solve_banded((1, 1), bands, pull)
-    return u, v
+    pull[0] = stiffness[free[0]] * drive.amplitude
+    velocity = np.zeros(chain.grains)
+    velocity[free] = omega * solve_banded((1, 1), bands, pull)
+    return np.zeros(chain.grains), velocity

@@ -10,28 +10,51 @@ from warnings import catch_warnings
 
 import numpy as np
 from scipy.linalg import LinAlgError, LinAlgWarning, lstsq
-from scipy.linalg import solve as solve_linear
+from scipy.linalg import solve as solve_square
 
 from ..errors import InputError, RunFailed
+from ..integrators.halving import SAFETY, Attempt, halve
 from ..util.arrays import EPSILON, Array
 from . import mesh as meshes
 from .flow import Flow, Passage
 
-CLOSED = 1e-12  # residual over the size of the orbit
-ITERATIONS = 25
-STALLS = 0  # steps with exact derivatives that may leave half of the residual, near an orbit that is known
-USEFUL = 0.1  # factor on the residual by which old derivatives must still bring it down
-SAME = 1e-6  # relative distance over which derivatives are taken as the same
-TUNED = 4  # times that steps are laid anew around openings
-NUDGE = 1e-6  # of a parameter, for the derivative by it
-SHORTER = 0.6  # factor on the steps until their error is below CLOSED
-ROUNDS = 3
-ROUNDED = 4  # residual of half the steps over that of the steps, up to which both are round-off
-SAFETY = 2.0  # on the error that half the steps show; analysis/calibration/halved_steps.py
+
+@dataclass(frozen=True)
+class Newton:
+    """When Newton's method goes on, and when it has come to an orbit.
+
+    Attributes
+    ----------
+    closed : float
+        Residual of an orbit, and error of its steps, over the size of the orbit.
+    iterations : int
+        Most steps.
+    useful : float
+        Factor by which a step with derivatives of another point must bring the residual down.
+    same : float
+        Relative distance over which derivatives are taken as the same.
+    nudge : float
+        Change of a parameter, over its scale, for the derivative by differences.
+    rounds : int
+        How often steps are laid anew around openings, and how often they are halved, at most.
+    rounded : float
+        Residual with half the steps, over that with the steps, up to which both are round-off.
+    """
+
+    closed: float = 1e-12
+    iterations: int = 25
+    useful: float = 0.1
+    same: float = 1e-6
+    nudge: float = 1e-6
+    rounds: int = 4
+    rounded: float = 4.0
+
+
+NEWTON = Newton()
 
 
 class Point(NamedTuple):
-    """What is solved for: a state (2, M) in canonical variables, a period, s, and a parameter."""
+    """Unknowns of an orbit: a canonical state (2, M), a period in s, and a parameter."""
 
     state: Array
     period: float
@@ -65,34 +88,30 @@ class Equations:
     def pack(self, point: Point) -> Array:
         """Return the unknowns (U,): state, log(period) and parameter."""
         state = point.state[0] if self.reversible else point.state.ravel()
-        last = [point.value / self.scale] if self.scale else []
-        return np.concatenate((state / self.unit, [np.log(point.period / self.time)], last))
+        parameter = [point.value / self.scale] if self.scale else []
+        return np.concatenate((state / self.unit, [np.log(point.period / self.time)], parameter))
 
     def unpack(self, unknown: Array) -> Point:
         """Return the point of these unknowns."""
         end = self.period_at(unknown)
         state = unknown[:end] * self.unit
         state = np.stack((state, np.zeros(end))) if self.reversible else state.reshape(2, -1)
-        return Point(
-            state,
-            float(np.exp(unknown[end]) * self.time),
-            float(unknown[-1] * self.scale) if self.scale else 0.0,
-        )
+        value = float(unknown[-1] * self.scale) if self.scale else 0.0
+        return Point(state, float(np.exp(unknown[end]) * self.time), value)
 
     def period_at(self, unknown: Array) -> int:
-        """Return the place of log(period) among the unknowns, behind those of the state."""
+        """Return the index of log(period) among the unknowns, behind those of the state."""
         return unknown.size - 1 - bool(self.scale)
 
     def closure(self, point: Point, mesh: Array) -> Array:
-        """Return what keeps the orbit from closing, (R,)."""
+        """Return the change of the state over a period, or the momenta after half of one, (R,)."""
         return self._closure(self.flow_at(point.value), point, mesh)[0]
 
-    def linearised(self, point: Point, mesh: Array) -> tuple[Array, Array]:
-        """Return closure (R,) and its derivatives (R, U)."""
+    def linearise(self, point: Point, mesh: Array) -> tuple[Array, Array]:
+        """Return the closure (R,) and its derivatives (R, U) by the unknowns."""
         flow = self.flow_at(point.value)
-        size = (
-            flow.size if self.reversible else 2 * flow.size
-        )  # of the displacements alone, or with the momenta
+        # the displacements at t = 0 are unknown, and the momenta unless all grains begin at rest
+        size = flow.size if self.reversible else 2 * flow.size
         columns = np.zeros((2 * flow.size, size + 1))
         columns[:size, :size] = np.eye(size)
         residual, end = self._closure(flow, point, mesh, columns.reshape(2, flow.size, -1), 1)
@@ -100,9 +119,8 @@ class Equations:
             slopes = np.hstack((end[size:, :size], end[size:, size:] / self.unit))
         else:
             slopes = np.hstack((end[:, :size] - np.eye(size), end[:, size:] / self.unit))
-            if (
-                flow.drive is None
-            ):  # of all states of an orbit, the one across the motion from the last guess
+            if flow.drive is None:
+                # all states of an orbit close: take the one across the motion from the last guess
                 across = flow.direction(point.state).ravel()
                 slopes = np.vstack((slopes, np.append(across / np.linalg.norm(across), 0.0)))
                 residual = np.append(residual, 0.0)
@@ -115,14 +133,13 @@ class Equations:
 
     def by_value(self, point: Point, quantity: Callable[[Flow], Any]) -> Any:
         """Return the derivative of a quantity by the parameter, over its scale, by differences."""
-        for up, down in ((NUDGE, -NUDGE), (NUDGE, 0.0), (0.0, -NUDGE)):
+        nudge = NEWTON.nudge
+        for up, down in ((nudge, -nudge), (nudge, 0.0), (0.0, -nudge)):
             try:
-                above, below = (
-                    quantity(self.flow_at(point.value + step * self.scale)) for step in (up, down)
-                )
-            except (
-                InputError
-            ):  # of a chain that there is not, at the end of what the parameter may be
+                above = quantity(self.flow_at(point.value + up * self.scale))
+                below = quantity(self.flow_at(point.value + down * self.scale))
+            except InputError:
+                # at the end of what a chain allows there is one side alone
                 continue
             return (above - below) / (up - down)
         raise RunFailed(f"the parameter can be nothing but {point.value:g}")
@@ -136,20 +153,19 @@ class Equations:
         return residual / self.unit, passage.deviation.reshape(2 * flow.size, -1)
 
     def mesh(self, point: Point, reach: float, before: Array | None = None) -> tuple[Array, bool]:
-        """Return steps for a point, and whether they were laid around openings."""
+        """Return steps for a point, and whether contacts open, around which they are shorter."""
         flow = self.flow_at(point.value)
         if before is None:
+            # the stiffest state of the motion, which sets the steps, is known once it has run
             before = meshes.uniform(flow, point.period, flow.physical(point.state)[0])
-            before = meshes.uniform(
-                flow, point.period, self._passed(flow, point, before).displacement
-            )
-        passage = self._passed(flow, point, before)
+            motion = self._run(flow, point, before).displacement
+            before = meshes.uniform(flow, point.period, motion)
+        passage = self._run(flow, point, before)
         times = meshes.openings(flow, passage, point.period, self._steps(before))
-        return meshes.graded(flow, point.period, passage.displacement, times, reach), bool(
-            times.size
-        )
+        mesh = meshes.graded(flow, point.period, passage.displacement, times, reach)
+        return mesh, bool(times.size)
 
-    def _passed(self, flow: Flow, point: Point, mesh: Array) -> Passage:
+    def _run(self, flow: Flow, point: Point, mesh: Array) -> Passage:
         """Return the motion over a period, or over half of one that is symmetric in time."""
         return flow.run(point.state, point.period, self._steps(mesh))
 
@@ -158,15 +174,25 @@ class Equations:
 
 
 class Constraint(NamedTuple):
-    """A further equation: from the unknowns and their point, a residual and its derivatives (U,)."""
+    """A further equation: from unknowns and their point, a residual and its derivatives (U,)."""
 
     of: Callable[[Array, Point], tuple[float, Array]]
 
 
 class Solution(NamedTuple):
-    """A solved point, its steps, the derivatives of all equations, and what round-off leaves of them.
+    """A periodic orbit as Newton's method leaves it.
 
-    And Newton's iterations, of them those after steps were laid anew.
+    Attributes
+    ----------
+    point : Point
+    mesh : (K,) array
+        Steps, as fractions of the period.
+    slopes : (R, U) array
+        Derivatives of all equations by the unknowns.
+    residual : float
+        Largest residual, over the size of the orbit.
+    iterations, relaid : int
+        Steps of Newton's method, and those of them after the mesh was laid anew.
     """
 
     point: Point
@@ -177,7 +203,7 @@ class Solution(NamedTuple):
     relaid: int = 0
 
 
-def fixed(equations: Equations, what: str, value: float) -> Constraint:
+def fixed(equations: Equations, name: str, value: float) -> Constraint:
     """Return the constraint that "period", "energy" or "value" is this number."""
 
     def period(unknown: Array, point: Point) -> tuple[float, Array]:
@@ -191,188 +217,245 @@ def fixed(equations: Equations, what: str, value: float) -> Constraint:
         return (point.value - value) / equations.scale, row
 
     def energy(unknown: Array, point: Point) -> tuple[float, Array]:
-        here, slope = equations.flow_at(point.value).energy(point.state)
+        present, slope = equations.flow_at(point.value).energy(point.state)
         row = np.zeros(unknown.size)
         inner = slope[0] if equations.reversible else slope.ravel()
-        row[: inner.size] = inner * equations.unit / here
+        row[: inner.size] = inner * equations.unit / present
         if equations.scale:
-            row[-1] = equations.by_value(point, lambda flow: flow.energy(point.state)[0]) / here
-        return float(np.log(here / value)), row
+            change = equations.by_value(point, lambda flow: flow.energy(point.state)[0])
+            row[-1] = change / present
+        return float(np.log(present / value)), row
 
-    return Constraint({"period": period, "energy": energy, "value": parameter}[what])
+    return Constraint({"period": period, "energy": energy, "value": parameter}[name])
+
+
+class System(NamedTuple):
+    """All equations of an orbit with given steps: its closure and its constraints."""
+
+    equations: Equations
+    constraints: Sequence[Constraint]
+    mesh: Array
+
+    def evaluate(self, unknown: Array, slopes: Array | None = None) -> tuple[Array, Array]:
+        """Return all residuals (R,) and their derivatives (R, U).
+
+        Derivatives of the closure cost as much as M motions: given ones are kept as they are.
+        """
+        point = self.equations.unpack(unknown)
+        pairs = [constraint.of(unknown, point) for constraint in self.constraints]
+        if slopes is None:
+            residual, slopes = self.equations.linearise(point, self.mesh)
+        else:
+            residual = self.equations.closure(point, self.mesh)
+            slopes = slopes[: len(slopes) - len(pairs)]
+        # the row that selects one state of an orbit leaves nothing
+        phase = np.zeros(len(slopes) - residual.size)
+        residual = np.concatenate((residual, phase, [left for left, _ in pairs]))
+        return residual, np.vstack((slopes, *(row[None] for _, row in pairs)))
+
+    def size(self, residual: Array, unknown: Array) -> float:
+        """Return the largest residual over the size of the orbit."""
+        state = unknown[: self.equations.period_at(unknown)]
+        return float(np.abs(residual).max() / np.abs(state).max())
+
+
+class Descent(NamedTuple):
+    """Newton steps with the same derivatives.
+
+    Attributes
+    ----------
+    unknown : (U,) array
+        Where the residual is least, the start included.
+    residual : float
+        That residual, over the size of the orbit.
+    slopes : (R, U) array
+    first : (U,) array or None
+        The unknowns after the first step; None if that leads nowhere.
+    steps : int
+    """
+
+    unknown: Array
+    residual: float
+    slopes: Array
+    first: Array | None
+    steps: int
 
 
 def solve(
     equations: Equations,
     guess: Point,
     constraints: Sequence[Constraint],
-    reach: float = meshes.REACH,
+    reach: float = meshes.MESH.reach,
     near: Solution | None = None,
     exact: bool = False,
 ) -> Solution | None:
     """Return the orbit near a guess, or None where Newton's method does not find one.
 
-    Steps are laid anew around the openings of what was found until these stay where they are; with `exact` derivatives
-    these are taken at the last ones, else they may be off by the error of the steps. A solution nearby saves work: its
-    derivatives may serve, and its steps show where contacts open.
+    Steps are laid anew around the openings of contacts until these stay where they are. With
+    `exact`, derivatives are those with the last steps, else they may be off by the error of the
+    steps. A solution nearby saves work: its derivatives may serve, and its steps show where
+    contacts open.
     """
     mesh, _ = equations.mesh(guess, reach, near and near.mesh)
-    slopes, taken, stalls = near and near.slopes, None, STALLS if near else ITERATIONS
-    found, point, iterations, relaid = None, guess, 0, 0
-    for again in range(TUNED):
-        found = _newton(equations, point, constraints, mesh, slopes, taken, stalls)
-        if found is None:
+    unknown = equations.pack(guess)
+    slopes = None if near is None else near.slopes
+    origin = None
+    iterations = 0
+    relaid = 0
+    for number in range(NEWTON.rounds):
+        system = System(equations, constraints, mesh)
+        orbit = _newton(system, unknown, slopes, origin, near is not None)
+        if orbit is None:
             return None
-        point, slopes, iterations = found.point, found.slopes, iterations + found.iterations
-        taken, relaid = equations.pack(point), relaid + (found.iterations if again else 0)
-        if found.iterations <= 1:
+        solution = orbit
+        unknown = origin = equations.pack(solution.point)
+        slopes = solution.slopes
+        iterations += solution.iterations
+        relaid += solution.iterations if number else 0
+        if solution.iterations <= 1:
             break
-        tuned, open_ = equations.mesh(point, reach, mesh)
-        if not open_:
+        mesh, opens = equations.mesh(solution.point, reach, mesh)
+        if not opens:
             break
-        mesh = tuned
-    if exact and found and again:
-        rows = [constraint.of(equations.pack(point), point)[1][None] for constraint in constraints]
-        found = found._replace(
-            slopes=np.vstack((equations.linearised(point, found.mesh)[1], *rows))
-        )
-    return found and found._replace(iterations=iterations, relaid=relaid)
+    if exact and number:
+        solution = solution._replace(slopes=system.evaluate(unknown)[1])
+    return solution._replace(iterations=iterations, relaid=relaid)
 
 
 def _newton(
-    equations: Equations,
-    guess: Point,
-    constraints: Sequence[Constraint],
-    mesh: Array,
-    slopes: Array | None,
-    taken: Array | None,
-    stalls: int,
+    system: System, unknown: Array, slopes: Array | None, origin: Array | None, near: bool
 ) -> Solution | None:
-    """Return the solution at given steps; derivatives are taken anew only where old ones no longer serve.
+    """Return the orbit with given steps; derivatives are taken anew where old ones do not serve.
 
-    Old ones cost nothing, new ones as much as M motions, so those of an orbit nearby, `slopes`, are tried first; they
-    are exact where they were `taken`. After so many `stalls` of exact ones it is given up.
+    Given `slopes` are exact at `origin`, if at all. Where an orbit is known to be `near`, new
+    derivatives must halve the residual, or it is given up.
     """
-    unknown, last = equations.pack(guess), np.inf
-    best, least = unknown, np.inf  # where the residual was the least
-    size, period_at, steps = np.abs(unknown).max(), equations.period_at(unknown), 0
-    before, exactly = (
-        unknown,
-        np.inf,
-    )  # where the last step began, and the last residual with exact slopes
-    taken = np.full(unknown.size, np.inf) if taken is None else taken
-    closed, settled = (
-        False,
-        None,
-    )  # whether old derivatives led to round-off, and that orbit with exact ones
-    while steps < ITERATIONS:
-        point = equations.unpack(unknown)
-        more = [constraint.of(unknown, point) for constraint in constraints]
-        rows = [row[None] for _, row in more]
-        if fresh := slopes is None:
-            residual, slopes = equations.linearised(point, mesh)
-            slopes, taken = np.vstack((slopes, *rows)), unknown
-        else:
-            residual = equations.closure(point, mesh)
-            slopes = np.vstack((slopes[: len(slopes) - len(rows)], *rows))
-        residual = np.concatenate(
-            (residual, np.zeros(len(slopes) - residual.size - len(more)), [r for r, _ in more])
-        )
-        here = float(np.abs(residual).max() / np.abs(unknown[:period_at]).max())
-        exact = np.abs(unknown - taken).max() < SAME * np.abs(unknown).max()
-        lost = not np.isfinite(here) or here > 1e3 * max(last, 1.0)
-        if here < least:
-            best, least = unknown, here
-        done = here > last / 4 and least < CLOSED  # round-off is what is left
-        if exact and done:
-            return Solution(equations.unpack(best), mesh, slopes, least, steps)
-        if (
-            settled and not here <= settled.residual
-        ):  # where derivatives are all but singular a step more leads away
-            return settled
-        if fresh and closed:
-            settled = Solution(point, mesh, slopes, here, steps)
-        if not fresh and (lost or done or here > USEFUL * last):
-            worse = (lost or here > last) and before is not taken  # old derivatives led astray
-            slopes, unknown, last, closed = (
-                None,
-                best if done else before if worse else unknown,
-                np.inf,
-                done,
-            )
-            continue
-        if fresh:
-            stalls, exactly = stalls - (here > max(exactly / 2, CLOSED)), here
-        if lost or stalls < 0:
+    closed = NEWTON.closed
+    steps = 0
+    before = np.inf
+    if slopes is not None:
+        descent = _descend(system, unknown, slopes)
+        unknown = descent.unknown
+        steps = descent.steps
+        exact = origin is not None and _distance(unknown, origin) < NEWTON.same
+        if exact and descent.residual < closed:
+            return _solution(system, descent, steps)
+    while steps < NEWTON.iterations:
+        residual, slopes = system.evaluate(unknown)
+        size = system.size(residual, unknown)
+        if near and size > max(before / 2, closed):
             return None
-        last = here
-        change = solved(slopes, residual)
-        wild = np.abs(change[period_at]) > 1 or not np.isfinite(change).all()
-        if not wild:
-            before, unknown, steps = unknown, unknown - change, steps + 1
-            wild = bool(np.abs(unknown).max() > 1e3 * size)
-        if wild and fresh:
+        before = size
+        descent = _descend(system, unknown, slopes, residual)
+        steps += descent.steps
+        if descent.first is None:
+            return _solution(system, descent, steps) if descent.residual < closed else None
+        # where the motion amplifies rounding no residual is that small, but a step is next to none
+        still = _distance(descent.first, unknown) < 4 * EPSILON
+        exact = _distance(descent.unknown, unknown) < NEWTON.same
+        if exact and (still or descent.residual < closed):
+            return _solution(system, descent, steps)
+        # far from an orbit a step may lead up before the next ones lead down
+        unknown = descent.first if descent.unknown is unknown else descent.unknown
+    return None
+
+
+def _descend(
+    system: System, unknown: Array, slopes: Array, residual: Array | None = None
+) -> Descent:
+    """Take Newton steps with the same derivatives while each divides the residual by ten."""
+    period_at = system.equations.period_at(unknown)
+    best = unknown
+    first = None
+    smallest = np.inf
+    last = np.inf
+    steps = 0
+    while True:
+        if residual is None:
+            residual, slopes = system.evaluate(unknown, slopes)
+        size = system.size(residual, unknown)
+        if size < smallest:
+            best = unknown
+            smallest = size
+        if not np.isfinite(size) or size >= NEWTON.useful * last:
             break
-        if wild:
-            slopes = None
-        elif fresh and np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
-            return Solution(point, mesh, slopes, least, steps)
-    return settled
+        change = solve_step(slopes, residual)
+        # no orbit is near where the period would change by a factor of more than e
+        if not np.isfinite(change).all() or abs(change[period_at]) > 1:
+            break
+        unknown = unknown - change
+        if first is None:
+            first = unknown
+        steps += 1
+        last = size
+        residual = None
+    return Descent(best, smallest, slopes, first, steps)
 
 
-def solved(slopes: Array, residual: Array) -> Array:
+def _distance(unknown: Array, other: Array) -> float:
+    """Return the largest difference of two sets of unknowns, relative to the largest of them."""
+    return float(np.abs(unknown - other).max() / np.abs(unknown).max())
+
+
+def _solution(system: System, descent: Descent, steps: int) -> Solution:
+    point = system.equations.unpack(descent.unknown)
+    return Solution(point, system.mesh, descent.slopes, descent.residual, steps)
+
+
+def solve_step(slopes: Array, residual: Array) -> Array:
     """Solve the linear equations of a Newton step, by least squares if they are singular."""
     if slopes.shape[0] == slopes.shape[1]:
         with (
             suppress(LinAlgError, LinAlgWarning),
             catch_warnings(action="error", category=LinAlgWarning),
         ):
-            return np.asarray(solve_linear(slopes, residual))
+            return np.asarray(solve_square(slopes, residual))
     return np.asarray(lstsq(slopes, residual, cond=1e-13, lapack_driver="gelsy")[0])
 
 
-def discretisation(
+def estimate_error(
     equations: Equations, solution: Solution, constraints: Sequence[Constraint]
 ) -> tuple[float, bool]:
-    """Return how far, in relative terms, the orbit and its period move if all steps are halved.
+    """Return the relative error of an orbit and its period by the steps, and if it is round-off.
 
-    And whether that is no more than round-off moves them.
+    One Newton step shows how far half the steps would move them.
     """
-    point, unknown = solution.point, equations.pack(solution.point)
-    half = np.repeat(solution.mesh, 2) / 2
-    residual = equations.closure(point, half)
+    unknown = equations.pack(solution.point)
+    residual = equations.closure(solution.point, np.repeat(solution.mesh, 2) / 2)
     rows = len(solution.slopes) - residual.size
-    change = solved(solution.slopes, np.append(residual, np.zeros(rows)))
+    change = solve_step(solution.slopes, np.append(residual, np.zeros(rows)))
     end = equations.period_at(unknown)
     size = np.abs(unknown[:end]).max()
     error = SAFETY * float(max(np.abs(change[:end]).max() / size, *np.abs(change[end:])))
-    return error, float(np.abs(residual).max() / size) < ROUNDED * solution.residual
+    return error, float(np.abs(residual).max() / size) < NEWTON.rounded * solution.residual
 
 
-def accurate(
-    equations: Equations, guess: Point, constraints: Sequence[Constraint], what: str
+def solve_accurately(
+    equations: Equations, guess: Point, constraints: Sequence[Constraint], name: str
 ) -> tuple[Solution, float]:
-    """Return an orbit whose steps err by less than `CLOSED`, if round-off lets them, and that error.
+    """Return an orbit whose steps err by less than 1e-12, if round-off lets them, and that error.
 
     Raises
     ------
     RunFailed
         If Newton's method finds no orbit.
     """
-    reach, best, error, iterations = meshes.REACH, None, np.inf, 0
-    for _ in range(ROUNDS):
-        solution = solve(equations, guess, constraints, reach)
+    start = guess
+    iterations = 0
+
+    def attempt(halvings: int) -> Attempt[Solution | None]:
+        nonlocal start, iterations
+        solution = solve(equations, start, constraints, meshes.MESH.reach / 2**halvings)
         if solution is None:
-            break
+            return Attempt(None, np.inf, True)
+        start = solution.point
         iterations += solution.iterations
-        left, rounded = discretisation(equations, solution, constraints)
-        if best is None or left < error:
-            best, error = solution, left
-        if rounded or error < CLOSED / 4:
-            break
-        guess, reach = solution.point, reach * SHORTER
-    if best is None:
+        error, rounded = estimate_error(equations, solution, constraints)
+        return Attempt(solution, error / NEWTON.closed, rounded)
+
+    solution, excess, _ = halve(attempt, NEWTON.rounds)
+    if solution is None:
         raise RunFailed(
-            f"no periodic orbit found near {what}: give a guess or a period closer to one"
+            f"no periodic orbit found near {name}: give a guess or a period closer to one"
         )
-    return best._replace(iterations=iterations), error
+    return solution._replace(iterations=iterations), excess * NEWTON.closed

@@ -1,5 +1,6 @@
 """Families of orbits: folds, bifurcations, ways there and back."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -132,13 +133,13 @@ def test_from_a_linear_mode_through_two_folds_and_back():
 def test_an_orbit_of_a_family_takes_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
     """Also where round-off is far above the last digit, as in the slow modes of a long column."""
     taken = []
-    linearised = Equations.linearised
+    linearise = Equations.linearise
 
     def counted(self, *arguments):
         taken.append(1)
-        return linearised(self, *arguments)
+        return linearise(self, *arguments)
 
-    monkeypatch.setattr(Equations, "linearised", counted)
+    monkeypatch.setattr(Equations, "linearise", counted)
     chain = Chain(grains=40, diameter=1e-3)
     family = orbits.mode_family(chain, 1, chain.length_scale * chain.masses[0] * 9.81, events=False)
     assert family.reached
@@ -234,8 +235,8 @@ def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(
     chain, first, until = column()
     seen: list = []
 
-    def recorded(equations, place):
-        seen.append([equations.unpack(aspect.unknown) for aspect in aspects(equations, place)])
+    def recorded(equations, member):
+        seen.append([equations.unpack(aspect.unknown) for aspect in aspects(equations, member)])
         return []
 
     monkeypatch.setattr(continuation, "aspects", recorded)
@@ -259,12 +260,12 @@ def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytes
     assert family.ended.startswith("its first 3 orbits end at energy")
     assert "ended='its first 3 orbits" in repr(family)
     assert family.plot().get_title("left").startswith("Its first 3 orbits end at energy")
-    monkeypatch.setattr(continuation, "STILL", np.inf)
-    monkeypatch.setattr(continuation, "PATIENCE", 2)
+    hasty = replace(continuation.STEPS, still=np.inf, patience=2)
+    monkeypatch.setattr(continuation, "STEPS", hasty)
     family = orbits.follow(first, "energy", until, events=False)
     assert (len(family), family.ended[:31]) == (3, "it hardly moves on from energy ")
     monkeypatch.setattr(continuation.Curve, "along", lambda *_: None)
-    monkeypatch.setattr(continuation, "PATIENCE", 60)
+    monkeypatch.setattr(continuation, "STEPS", replace(hasty, patience=60))
     family = orbits.follow(first, "energy", until, events=False)
     assert (len(family), family.ended[:34]) == (1, "it cannot be followed beyond energ")
 
@@ -273,7 +274,7 @@ def test_a_family_whose_events_crowd_ends_with_those_that_were_located(
     monkeypatch: pytest.MonkeyPatch,
 ):
     whole = resonance()
-    monkeypatch.setattr(continuation, "CROWDED", 3)
+    monkeypatch.setattr(continuation, "STEPS", replace(continuation.STEPS, crowded=3))
     family = orbits.follow(orbits.find(CHAIN, drive=whole[0].drive), "period", 2 * np.pi / OMEGA)
     assert (len(family.events), family.reached) == (1, False)
     assert family.events[0].value == pytest.approx(whole.events[0].value, rel=1e-12)
@@ -284,10 +285,8 @@ def test_a_family_whose_events_crowd_ends_with_those_that_were_located(
 @pytest.mark.soak
 def test_a_long_column_in_a_resonance_is_given_up_soon(monkeypatch: pytest.MonkeyPatch):
     taken = []
-    linearised = Equations.linearised
-    monkeypatch.setattr(
-        Equations, "linearised", lambda *given: taken.append(1) or linearised(*given)
-    )
+    linearise = Equations.linearise
+    monkeypatch.setattr(Equations, "linearise", lambda *given: taken.append(1) or linearise(*given))
     chain = Chain(grains=100, diameter=1e-3)
     family = orbits.mode_family(
         chain, 2, 1e4 * chain.length_scale * chain.masses[0] * 9.81, events=False

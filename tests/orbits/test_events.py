@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lmpchain.orbits.events import between
+from lmpchain.orbits.events import locate
 
 
 def place(means: list[complex], rate: float = 1.0, turning: float = 1.0) -> SimpleNamespace:
-    """Return what `between` reads of a place."""
+    """Return what `locate` reads of a place."""
     return SimpleNamespace(
         orbit=SimpleNamespace(means=np.array(means, complex)), rate=rate, turning=turning
     )
@@ -30,7 +30,7 @@ def located(
     here, there = at(0.0), at(1.0)
     assert here is not None
     assert there is not None
-    event = between(kind, here, there, counted)
+    event = locate(kind, here, there, counted)
     assert len(taken) <= most
     return event
 
@@ -96,7 +96,7 @@ def test_a_pair_that_passes_1_at_a_turn_is_no_branch_point():
 
         assert (located("branch point", at) is not None) == passes
         crossing = place([0.7, 0.1], turning=turning[0]), place([-1.7, 0.1], turning=turning[1])
-        assert between("period doubling", *crossing, lambda _: None) is crossing[1]
+        assert locate("period doubling", *crossing, lambda _: None) is crossing[1]
 
 
 def test_what_does_not_happen_is_not_located():
@@ -104,9 +104,9 @@ def test_what_does_not_happen_is_not_located():
     for kind in ("fold", "period doubling", "branch point", "Neimark-Sacker"):
         assert located(kind, lambda _: same) is None
     split = place([0.3, 0.5 + 0.9e-6j, 0.5 - 0.9e-6j]), place([0.3, 0.5, 0.5])
-    assert between("Neimark-Sacker", *split, lambda _: None) is None  # round-off of a double mean
+    assert locate("Neimark-Sacker", *split, lambda _: None) is None  # round-off of a double mean
     split = place([0.3, 0.5 + 1.1e-6j, 0.5 - 1.1e-6j]), place([0.3, 0.5, 0.5])
-    assert between("Neimark-Sacker", *split, lambda _: None) is split[1]
+    assert locate("Neimark-Sacker", *split, lambda _: None) is split[1]
 
 
 def test_where_no_orbit_is_found_the_last_one_known_is_given():

@@ -25,7 +25,7 @@ def test_half_a_period_gives_the_multipliers_of_the_whole():
     size = 5
     symmetric = rng.normal(size=(2 * size, 2 * size))
     half = expm(0.2 * np.kron([[0, 1], [-1, 0]], np.eye(size)) @ (symmetric + symmetric.T))
-    whole = floquet.there_and_back(half)
+    whole = floquet.close(half)
     mirror = np.diag(np.repeat([1.0, -1.0], size))
     assert whole == pytest.approx(mirror @ np.linalg.inv(half) @ mirror @ half, abs=1e-12)
     means = np.sort_complex(floquet.reversible_means(half))

@@ -1,0 +1,61 @@
+"""Shorter steps until an answer is accurate enough, as answers with other steps show.
+
+Richardson's formula: with steps h and q h a method of order p gives answers that differ by
+
+    x(q h) - x(h) = (q^p - 1) C h^p + ...,    so    |x(h) - x| = |x(q h) - x(h)| / |q^p - 1|.
+
+Here nothing is divided: where a contact opens the force is not smooth, and the order is lost. The
+difference itself, times `SAFETY`, is the bound. L. F. Richardson, Phil. Trans. R. Soc. A 210, 307
+(1911); E. Hairer, S. P. Norsett and G. Wanner, Solving Ordinary Differential Equations I, sec. II.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, NamedTuple, TypeVar
+
+Answer = TypeVar("Answer")
+
+# factor on the difference to answers with other steps; analysis/calibration/halved_steps.py
+SAFETY = 2.5
+
+
+class Attempt(NamedTuple, Generic[Answer]):
+    """An answer with steps of one length, and how accurate it is.
+
+    Attributes
+    ----------
+    answer : any
+    excess : float
+        Its error, `SAFETY` times a difference, over the error that is allowed.
+    rounded : bool
+        Whether round-off is all that is left, so that shorter steps are of no use.
+    """
+
+    answer: Answer
+    excess: float
+    rounded: bool = False
+
+
+def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]:
+    """Return the most accurate answer as steps are halved until the error is allowed.
+
+    Parameters
+    ----------
+    solve : function
+        Of how many times the first steps are halved, from 0.
+    most : int
+        Most answers.
+
+    Examples
+    --------
+    >>> halve(lambda halvings: Attempt(0.5**halvings, 100 * 0.25**halvings), 12)
+    Attempt(answer=0.0625, excess=0.390625, rounded=False)
+    """
+    best = attempt = solve(0)
+    for halvings in range(1, most):
+        if attempt.excess <= 1 or attempt.rounded:
+            break
+        attempt = solve(halvings)
+        best = min(best, attempt, key=lambda one: one.excess)
+    return best
