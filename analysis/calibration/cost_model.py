@@ -33,12 +33,9 @@ from lmpchain.simulation.api import simulate
 
 FACTOR = 3.0  # between machines, and between a time and its estimate
 PARTS = {  # of `work`: names of its literals, in their order
-    "modes": ("6e-8 N^2", "1e-10 N^3", "5e-7 a look", "3e-8 N a look", "6e-10 N^2 a look", "1e-8 a value"),
-    "chebyshev": (
-        "3e-6 a series", "7e-8 a polynomial", "1.7e-9 N a polynomial", "3e-7 a look", "5e-10 N polynomials a look",
-        "2e-9 N a look", "1e-8 a value",
-    ),
-}  # fmt: skip
+    "modes": ("5.5e-11 N^3", "6e-8 N a look"),
+    "chebyshev": ("7e-10 (N + 100) a polynomial", "1.3e-8 N a look"),
+}
 
 
 def shaken(grains: int, periods: float, samples: int = 11) -> Scene:
@@ -105,21 +102,17 @@ def _fitted(features: np.ndarray, times: np.ndarray, shipped: np.ndarray) -> np.
     return shipped * np.exp(least_squares(off, np.zeros(shipped.size), loss="soft_l1").x)
 
 
-def _features(name: str, scene: Scene, samples: int, values: int) -> tuple[float, ...]:
+def _features(name: str, scene: Scene) -> tuple[float, ...]:
     """Return what the literals of `work` stand in front of."""
-    grains, looks = (
-        scene.chain.grains,
-        samples + (0 if samples and dense(scene) else evaluations(scene)),
-    )
+    grains = scene.chain.grains
+    looks = scene.samples + (0 if dense(scene) else evaluations(scene))
     if name == "modes":
-        return grains**2, grains**3, looks, looks * grains, looks * grains**2, values
-    z = scene.chain.band_edge * scene.duration
-    series = min(looks, max(1.0, z / SPAN))
-    orders, reached = terms(z / series), min(grains, z / 4 + 30)
-    return (
-        series, 2 * series * orders, 2 * series * orders * reached, looks, looks * reached * orders, looks * reached,
-        values,
-    )  # fmt: skip
+        return grains**3, grains * looks
+    radians = scene.chain.band_edge * scene.duration
+    series = min(looks, max(1.0, radians / SPAN))
+    polynomials = series * terms(radians / series)
+    reached = min(grains, 30 + radians / 4)
+    return polynomials * (reached + 100), looks * grains
 
 
 def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
@@ -130,16 +123,15 @@ def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
         grains, periods = int(10 ** rng.uniform(0.5, math.log10(most))), 10 ** rng.uniform(0.5, 3)
         samples = int(10 ** rng.uniform(0.5, 3))
         scene = struck(grains, periods, samples)
-        values = samples * grains
 
         def run(scene: Scene = scene) -> None:
             running = engine.start([scene], engine.candidate(scene, 1.0))
             for _ in running.blocks():
                 pass
 
-        features.append(_features(engine.name, scene, samples, values))
+        features.append(_features(engine.name, scene))
         times.append(best(run, 3))
-        told.append(engine.work(scene, samples, values))
+        told.append(engine.work(scene))
     table, measured = np.array(features, dtype=float), np.array(times)
     scaled = table / np.array(told)[:, None]
     own = np.linalg.lstsq(scaled / scaled.max(0), np.ones(len(told)), rcond=None)[0] / scaled.max(0)
@@ -222,7 +214,7 @@ def main(quick: bool = False) -> list[Row]:
 def _formula(quick: bool) -> Row:
     """Return the row of the closed forms: seconds a value."""
     engine, scene = Bessel(), struck(300, 50.0, 31 if quick else 101)
-    shipped = engine.work(scene, 31, 1) - engine.work(scene, 31, 0) - 1e-8
+    shipped = (engine.work(scene) - Chebyshev().work(scene)) / (scene.samples * scene.chain.grains)
     took = best(lambda: engine.wave(scene, scene.time), 3) / (scene.samples * scene.chain.grains)
     return supported(
         "ClosedForm.work: 1e-6 a value", shipped, took, "s a value of the engine bessel"

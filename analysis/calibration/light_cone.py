@@ -1,9 +1,8 @@
-"""Measure when a cut at the light cone pays: WORTH of the cut and of a closer look, and WINDOW_MIN.
+"""Measure when a cut at the light cone pays: WORTH of the cut, and WINDOW_MIN.
 
-WORTH of the light cone: the time to answer a scene with the grains that the wave reaches over that with all of them,
-for cuts that leave more and more; the largest part that saves anything is measured. WORTH of a look: engines whose
-look and answer should cost a part of the native answer are timed; the estimate must be right to that part in nine
-scenes of ten. WINDOW_MIN: chains up to which computing all grains is no slower than following the wave.
+WORTH: the time to answer a scene with the grains that the wave reaches over that with all of them, for cuts that leave
+more and more; the largest part that saves anything is measured. WINDOW_MIN: chains up to which computing all grains is
+no slower than following the wave.
 
     python analysis/calibration/light_cone.py           # a minute
     python analysis/calibration/light_cone.py --quick   # seconds
@@ -14,19 +13,17 @@ from __future__ import annotations
 import math
 from unittest import mock
 
-import numpy as np
-from common import Row, best, command, quantile
+from common import Row, best, command
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.base import Candidate, Engine
 from lmpchain.engines.lammps.engine import Lammps
-from lmpchain.engines.linear.engine import Chebyshev, Modes
+from lmpchain.engines.linear.engine import Modes
 from lmpchain.engines.native import Native
 from lmpchain.integrators import batch
 from lmpchain.integrators.kernels.splitting import PAD
 from lmpchain.scene import light_cone
 from lmpchain.scene.light_cone import WORTH as WORTH_OF_CUT
-from lmpchain.simulation.selection import WORTH as WORTH_OF_LOOK
 
 
 def struck(grains: int, periods: float, strike_number: float = 0.01, samples: int = 11) -> Scene:
@@ -80,39 +77,6 @@ def fresh(engine: Engine, scene: Scene) -> None:
     through(engine, part, engine.candidate(part, 1e-4))
 
 
-def _look(quick: bool) -> Row:
-    """Return the row of WORTH of a closer look: times over their estimates, linear engine over native."""
-    rng, off, repeats = np.random.default_rng(91), [], 3
-    native, linear = Native(), Chebyshev()
-    for _ in range(10 if quick else 60):
-        scene = struck(
-            int(10 ** rng.uniform(1.5, 3)),
-            10 ** rng.uniform(0.7, 2),
-            samples=int(10 ** rng.uniform(1, 2.5)),
-        )
-        scene = scene.reached
-        ours, theirs = (
-            linear.candidate(scene, 1.0),
-            native.candidate(scene, 10 ** rng.uniform(-9, -3)),
-        )
-        expected = (ours.sharper.cost_s + ours.cost_s) / theirs.cost_s
-        looked = best(lambda scene=scene, ours=ours: linear.bound_model_error(scene, ours), repeats)  # type: ignore[misc]
-        took = best(lambda scene=scene, ours=ours: through(linear, scene, ours._replace()), repeats)  # type: ignore[misc]
-        other = best(lambda scene=scene, theirs=theirs: through(native, scene, theirs), repeats)  # type: ignore[misc]
-        off.append((looked + took) / other / expected)
-    low, middle, high = (quantile(off, part) for part in (0.1, 0.5, 0.9))
-    return Row(
-        "WORTH (look)",
-        WORTH_OF_LOOK,
-        1 / max(middle, 1.0),
-        1 / max(high, 1.0),
-        1.0,
-        f"measured ratio of times over the expected one: 10 % {low:.2g}, "
-        f"half {middle:.2g}, 90 % {high:.2g}; a ratio below 1 over "
-        "that is sure to pay",
-    )
-
-
 def _short(quick: bool) -> Row:
     """Return the row of WINDOW_MIN: time with the window over that without, by the number of bodies."""
     ratios, repeats = {}, 5 if quick else 25
@@ -148,7 +112,6 @@ def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     return [
         *(_cut(engine, quick) for engine in (Native(), Modes(), Lammps())),
-        _look(quick),
         _short(quick),
     ]
 

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 
 from lmpchain import Chain
 from lmpchain.engines.linear.engine import Chebyshev
-from lmpchain.engines.linear.model_error import bounds
+from lmpchain.engines.linear.model_error import expected_error
 from lmpchain.scene.excitation import Impulse
 from lmpchain.scene.scene import Scene
 from lmpchain.stability.linear_theory import LINEAR, linear_law, strike_number_at
@@ -48,10 +48,8 @@ def measure(quick: bool) -> dict[str, Any]:
         "strike number": numbers.tolist(),
         "norms": {norm: [error.get(norm, np.nan) for error in norms] for norm in LINEAR},
         "estimate": {
-            "most": [bounds(scene)[1] for scene in scenes],
-            "look": [
-                engine.bound_model_error(scene, engine.candidate(scene, 1e-6)) for scene in scenes
-            ],
+            "most": [expected_error(scene) for scene in scenes],
+            "look": [engine.look(scene).at_most for scene in scenes],
             "after": [theory(scene, "chebyshev").error_estimate.model for scene in scenes],
         },
     }
@@ -143,7 +141,7 @@ def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
 
 def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
     numbers, own = data["strike number"], data["estimate"]
-    axes.plot(numbers, own["most"], color="0.7", label="bound from the strike alone")
+    axes.plot(numbers, own["most"], color="0.7", label="expected from the strike alone")
     axes.plot(
         numbers, own["look"], "--", color=COLOURS["lammps"], label="bound from the linear solution"
     )

@@ -11,7 +11,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -23,14 +22,6 @@ from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost, ErrorEstimate
 from ..util.arrays import Array
-
-
-@dataclass(frozen=True)
-class SharperBound:
-    """What a sharper bound on the model error of a candidate can reach, and what it costs to compute."""
-
-    least: float
-    cost_s: float
 
 
 class Candidate(NamedTuple):
@@ -60,8 +51,6 @@ class Candidate(NamedTuple):
         The method that steps through time, if one does.
     choices : mapping
         What the engine chose on the user's behalf, for the record and for `Engine.start`.
-    sharper : SharperBound, optional
-        If the engine can bound the model error more sharply than `model_error` says, at some cost.
     """
 
     step: float
@@ -76,7 +65,6 @@ class Candidate(NamedTuple):
     coarse_openings: bool = False
     integrator: str = ""
     choices: Mapping[str, str] = {}
-    sharper: SharperBound | None = None
 
     def schedule(self) -> StepSchedule:
         """Return where its steps land; samples between are interpolated."""
@@ -260,18 +248,6 @@ class Engine(ABC):
     @abstractmethod
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return what shapes the answer besides the choices of a candidate, such as versions, for the record."""
-
-    def least_model_error(self, scene: Scene) -> float:
-        """Return a bound below `Candidate.model_error`, known at once; infinite where that will not be known."""
-        return 0.0
-
-    def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
-        """Return a sharper bound on what the equation leaves out of this scene; see `Candidate.sharper`."""
-        return candidate.model_error
-
-    def estimate_model_error(self, scene: Scene) -> float:
-        """Estimate before the run what the equation leaves out, as the run will; NaN if that is not known."""
-        return float("nan")
 
     def options(self) -> dict[str, Any]:
         """Return the constructor arguments that make an equal engine in another process.

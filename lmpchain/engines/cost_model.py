@@ -1,10 +1,11 @@
 """The cost model: how long an answer is expected to take on this machine.
 
-An engine knows how its work grows with the scene; two numbers turn that into time: what every answer takes
-(`Engine.start_up_s`), and how many times slower this machine is than the one on which the engine was timed, 1 unless it
-was measured. `lmpchain.simulation.calibration` measures both, once, when a user asks for it (`lmpchain plan
---calibrate`), and keeps them in the user's cache folder; never by itself, since planning should be reproducible.
-Without it the shipped numbers serve: engines differ by factors of ten where the choice matters, machines by two.
+An engine knows how its work grows with the scene; two numbers turn that into time: what every
+answer takes (`Engine.start_up_s`), and how many times slower this machine is than the one on which
+the engine was timed, 1 unless it was measured. `lmpchain.simulation.calibration` measures both,
+once, when a user asks for it (`lmpchain plan --calibrate`), and keeps them in the user's cache
+folder; never by itself, since planning should be reproducible. Without it the shipped numbers
+serve: engines differ by factors of ten where the choice matters, machines by two.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def seconds(engine: str, start_up_s: float, work_s: float) -> float:
 
 
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:
-    """Return start-up time, s, and slowness relative to the reference machine, measured or as shipped."""
+    """Return start-up time, s, and slowness over the reference machine, measured or as shipped."""
     shipped = start_up_s, 1.0
     kept = measured().get(engine)
     return kept if kept and all(map(_plausible, kept, shipped)) else shipped
@@ -38,7 +39,7 @@ def _plausible(value: float, shipped: float) -> bool:
 
 @cache
 def measured() -> Mapping[str, tuple[float, float]]:
-    """Return what was measured on this machine and kept, by engine: start-up time, s, and slowness."""
+    """Return start-up time, s, and slowness of engines as measured on this machine, by name."""
     try:
         kept = json.loads(cache_file().read_text(encoding="utf-8"))
         pairs = {

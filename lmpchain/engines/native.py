@@ -61,8 +61,8 @@ class Native(TimeSteppingEngine):
     batches: ClassVar[bool] = True
     twin: ClassVar[bool] = False
     dense: ClassVar[bool] = True
-    start_up_s: ClassVar[float] = 8e-4
-    seconds_per_grain_step: ClassVar[float] = 1.2e-9  # with the companions that show the error
+    start_up_s: ClassVar[float] = 1e-4
+    seconds_per_grain_step: ClassVar[float] = 8e-10  # with the companions that show the error
 
     def __init__(
         self,

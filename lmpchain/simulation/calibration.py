@@ -17,8 +17,12 @@ from ..scene.scene import Scene
 from ..util.files import replacing
 from .api import simulate
 
-REPEATS, TOLERANCE = 5, 1e-9  # of the answers that are timed
-SMALL, LARGE = (2, 1), (60, 40)  # grains, and tens of time units
+# of the answers that are timed
+REPEATS = 5
+TOLERANCE = 1e-9
+# grains, and tens of time units
+SMALL = (2, 1)
+LARGE = (60, 40)
 
 
 def calibrate() -> tuple[Path, float]:
@@ -76,7 +80,7 @@ def _scene(grains: int, periods: int) -> Scene:
 
 
 def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
-    """Return the shortest measured time of an answer, s, and its expected work on the reference machine."""
+    """Return the shortest time of an answer, s, and its work on the reference machine, s."""
     scene = _scene(grains, periods)
     start, slowness = speed(engine.name, engine.start_up_s)
     work = (engine.candidate(engine.part(scene), TOLERANCE).cost_s - start) / slowness

@@ -13,12 +13,12 @@ from ..scene.scene import Scene
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
 from ..util.tables import align, number
-from .selection import Proposal, cheapest, estimated, propose_all, reason
+from .selection import Proposal, cheapest, propose, reason
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-HEAD = ("", "engine", "Eq.", "model error, at most", "solver error", "grains", "step", "cost", "")
+HEAD = ("", "engine", "Eq.", "model error", "solver error", "grains", "step", "cost", "")
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,7 +33,7 @@ class Plan(Shown):
     step : float
         s; of an exact solution, the time between two samples.
     expected_error : float
-        Of equation and solver together, a bound.
+        Of equation and solver together; the run says how far off the equation was.
     expected_cost_s : float
         Time for setting up, integrating and estimating the error, s.
     why : str
@@ -67,9 +67,10 @@ class Plan(Shown):
             yield "*" if proposal.engine == self.engine else "", *_cells(proposal)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw expected error against cost of every candidate, with the tolerance; returns the axes.
+        """Draw expected error against cost of all candidates, with the tolerance; returns the axes.
 
-        Filled markers stand for candidates that are expected to meet the tolerance; the ring is the one taken.
+        Filled markers stand for candidates that are expected to meet the tolerance; the ring is the
+        one taken.
         """
         from matplotlib.ticker import EngFormatter
 
@@ -80,10 +81,8 @@ class Plan(Shown):
         for proposal in self.candidates:
             error = max(proposal.model_error + proposal.solver_error, LEAST_ERROR)
             if np.isfinite([error, proposal.cost_s]).all():
-                colour, marker = (
-                    COLOURS.get(proposal.engine, "k"),
-                    MARKERS.get(proposal.engine, "x"),
-                )
+                colour = COLOURS.get(proposal.engine, "k")
+                marker = MARKERS.get(proposal.engine, "x")
                 inside, said = (colour, "") if proposal.kept else ("none", ", dropped")
                 label = f"{proposal.engine}{said}"
                 ax.plot(
@@ -140,7 +139,7 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     'native'
     """
     check_tolerance(tolerance)
-    proposals = estimated(propose_all(scene, tolerance), scene)
+    proposals = propose(scene, tolerance, every=True)
     best = cheapest(proposals)
     assert best.active_grains is not None
     return Plan(

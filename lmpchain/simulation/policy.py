@@ -14,13 +14,13 @@ from ..scene.scene import Scene
 from ..util.compilation import clock, compiled_s
 from ..util.provenance import versions
 from ..util.suggestions import not_among
-from .selection import Proposal, cheapest, propose_all, propose_hopeful, reason
+from .selection import Proposal, cheapest, propose, reason
 
 AUTO = "auto"
 
 
 class Policy(Protocol):
-    """Which engine answers a scene, and which one if the run shows that its equation leaves out too much."""
+    """The engine that answers a scene, and one for Eq. (1) where that leaves out too much."""
 
     @property
     def name(self) -> str:
@@ -37,13 +37,13 @@ class Policy(Protocol):
         """Return why no engine can do this scene, as (key, reason); empty if one can."""
 
     def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
-        """Return the first attempt; raises `ToleranceNotMet` if none is expected to meet the tolerance."""
+        """Return the first attempt; raises `ToleranceNotMet` if none will meet the tolerance."""
 
     def engine(self, attempt: Attempt) -> Engine:
         """Return the engine of an attempt."""
 
     def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
-        """Return an attempt with an engine for Eq. (1) if the measured model error exceeds the tolerance.
+        """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
 
         Raises
         ------
@@ -105,9 +105,11 @@ class Auto:
         return faults
 
     def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
-        """Return the first attempt of the cheapest engine; `best_effort` loosens the tolerance if need be."""
-        began, compiled = clock(), compiled_s()
-        choose, refusal = partial(_cheapest, scene), ""
+        """Return the first attempt of the cheapest engine; `best_effort` loosens the tolerance."""
+        began = clock()
+        compiled = compiled_s()
+        choose = partial(_cheapest, scene)
+        refusal = ""
         if best_effort:
             attempt, _, refusal = loosened(choose, tolerance)
         else:
@@ -121,15 +123,17 @@ class Auto:
         return engines.plain(attempt.engine)
 
     def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
-        """Return an attempt with the cheapest engine for Eq. (1) if another equation takes the answer too far."""
-        before, tolerance = self.engine(attempt), attempt.tolerance
+        """Return an attempt with Eq. (1) if the equation of this one is too far off."""
+        before = self.engine(attempt)
+        tolerance = attempt.tolerance
         if before.equation == 1 or (error.bound <= tolerance and not error.remark):
             return None
         began = clock()
-        left_out = f"Eq. ({before.equation}) leaves out up to {max(error.model, error.model_bound):.1g} of the answer"
+        most = max(error.model, error.model_bound)
+        left_out = f"Eq. ({before.equation}) leaves out up to {most:.1g} of the answer"
         left_out = f"{left_out}, {error.remark}" if error.remark else left_out
         exact = [
-            proposal for proposal in propose_all(scene, tolerance) if proposal.equation in (1, None)
+            proposal for proposal in propose(scene, tolerance) if proposal.equation in (1, None)
         ]
         if not any(proposal.kept for proposal in exact):
             why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
@@ -137,24 +141,29 @@ class Auto:
                 f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}"
             )
         best = cheapest(exact)
-        planned = f"the bound before the run was {attempt.candidate.model_error:.1g}"
-        told = f"{left_out} along the run of {before.name}, {planned}: run again with {best.engine}, Eq. (1)"
-        attempt = _attempt(scene, best, tolerance, plan=f"{best.engine}: {told}", redone=told)
+        expected = f"expected were {attempt.candidate.model_error:.1g}"
+        redone = (
+            f"{left_out} along the run of {before.name}, {expected}: "
+            f"run again with {best.engine}, Eq. (1)"
+        )
+        attempt = _attempt(scene, best, tolerance, plan=f"{best.engine}: {redone}", redone=redone)
         return attempt._replace(planned_s=clock() - began)
 
 
 def _cheapest(scene: Scene, tolerance: float) -> Attempt:
-    """Return the first attempt of the cheapest engine; raises `ToleranceNotMet` if none is good enough."""
-    proposals = propose_hopeful(scene, tolerance)
+    """Return the first attempt of the cheapest engine, or raise `ToleranceNotMet`."""
+    proposals = propose(scene, tolerance)
     best = cheapest(proposals)
-    return _attempt(scene, best, tolerance, plan=f"{best.engine}: {reason(best, proposals)}")
+    why = reason(best, proposals)
+    return _attempt(scene, best, tolerance, plan=f"{best.engine}: {why}")
 
 
 def _attempt(scene: Scene, proposal: Proposal, tolerance: float, **why: str) -> Attempt:
     """Return the first attempt of a proposal, which keeps on record why it was chosen."""
     assert proposal.candidate
     choices = {**proposal.candidate.choices, **why}
-    candidate, engine = proposal.candidate._replace(choices=choices), engines.plain(proposal.engine)
+    candidate = proposal.candidate._replace(choices=choices)
+    engine = engines.plain(proposal.engine)
     return to_begin_with(engine, engine.part(scene), candidate, tolerance)
 
 

@@ -27,7 +27,6 @@ import time
 import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -306,8 +305,6 @@ class RunFolder:
         assert self.attempt
         attempt = self.attempt._asdict()
         candidate = self.attempt.candidate._asdict()
-        if sharper := self.attempt.candidate.sharper:
-            candidate["sharper"] = asdict(sharper)
         return {
             "attempt": attempt | {"candidate": candidate},
             "samples": self.samples,

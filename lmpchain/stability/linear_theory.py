@@ -1,8 +1,8 @@
 """Where linear theory fails: laws for its error after a strike on the top of a column.
 
-They are for columns of equal grains, in the paper's variables: tau, depths h in grains, strike numbers v0*. They give
-relative errors, each in the norm that it names. `laws.theory_errors` measures the same. Constants are
-not fitted, unless a law says so.
+They are for columns of equal grains, in the paper's variables: tau, depths h in grains, strike
+numbers v0*. They give relative errors, each in the norm that it names. `laws.theory_errors`
+measures the same. Constants are not fitted, unless a law says so.
 """
 
 from __future__ import annotations
@@ -10,44 +10,47 @@ from __future__ import annotations
 import numpy as np
 
 from ..engines.linear.engine import Chebyshev
-from ..engines.linear.model_error import COLUMN, struck_column
+from ..engines.linear.model_error import passage, unlike
 from ..errors import shown
 from ..scene.scene import Scene
 from ..theory.domain import exponents, require
 
-WEAK, SEARCH = (
-    1e-6,
-    20,
-)  # strike number at which no contact comes near to opening; iterations from there
-# norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates
-# analysis/calibration/linear_model_error.py
+# strike number at which no contact comes near to opening; iterations from there
+WEAK = 1e-6
+SEARCH = 20
+# norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates;
+# largest exponent for which the first holds: analysis/calibration/linear_model_error.py
 LINEAR = {
     "velocity": (0.54, 2**0.5),
     "displacement": (0.186, 0.45),
-    "package": (COLUMN, 0.69),
+    "package": (0.272, 0.69),
     "peak": (0.134, 0.3),
 }
+STEEPEST = 2.2
 
 
 def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
-    """Return the error of Eq. (3) after a strike on the top, x / (1 + x / limit), x = c (delta - 1) v0*.
+    """Return the error of Eq. (3) after a strike on the top of a column.
 
-    A contact that is compressed by the fraction s of its overlap is stiffer, and the wave faster by (delta - 1) s / 4.
-    The strain falls faster than 1/h, so that the lead is won at the first grains and stays: for tau above 6 the error
-    depends neither on gravity nor on time, as long as the wave is on its way down. The constants c are those of
-    perturbation theory to second order in v0*, right within 10 % for delta from 1.1 to 2.2; the limits are fitted to
-    errors up to 0.1. A fixed bottom keeps a compression one, the free top turns it around: in ten passages of the
-    column the error stays within a factor of 2.
+    It is x / (1 + x / limit), with x = c (delta - 1) v0*.
+
+    A contact that is compressed by the fraction s of its overlap is stiffer, and the wave faster by
+    (delta - 1) s / 4. The strain falls faster than 1/h, so that the lead is won at the first grains
+    and stays: for tau above 6 the error depends neither on gravity nor on time, as long as the wave
+    is on its way down. The constants c are those of perturbation theory to second order in v0*,
+    right within 10 % for delta from 1.1 to 2.2; the limits are fitted to errors up to 0.1. A fixed
+    bottom keeps a compression one, the free top turns it around: in ten passages of the column the
+    error stays within a factor of 2.
 
     Parameters
     ----------
     strike_number : float
         v0*.
     norm : str
-        "velocity": root of the sum of squares over grains, at the end of the run; "displacement": largest over all
-        samples and grains, relative to the largest there; "package": the same, of displacement or velocity, as
-        everywhere in this package; "peak": largest velocity of a grain, from grain 3 on, with x ~ w^(-3/2), w being
-        the width of the front.
+        "velocity": root of the sum of squares over grains, at the end of the run; "displacement":
+        largest over all samples and grains, relative to the largest there; "package": the same, of
+        displacement or velocity, as everywhere in this package; "peak": largest velocity of a
+        grain, from grain 3 on, with x ~ w^(-3/2), w being the width of the front.
     exponent : float
         Delta, of the contact force.
     grain : int
@@ -96,7 +99,8 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
 def strike_number_where(error: float, scene: Scene) -> float:
     """Return the strike number at which Eq. (3) would have this error, in a scene like this one.
 
-    By `linear_law` for a column struck at its top, for any other scene by the estimate from its linear wave.
+    By `linear_law` for a column struck at its top, for any other scene by the estimate from its
+    linear wave.
 
     Parameters
     ----------
@@ -116,11 +120,22 @@ def strike_number_where(error: float, scene: Scene) -> float:
         given = scene.given() | {
             "excitation": scene.excitation.scaled(number / (scene.strike_number or 1.0))
         }
-        estimate = Chebyshev().estimate_model_error(Scene(**given).reached)
+        estimate = Chebyshev().look(Scene(**given).reached).error
         if not estimate:
             return np.inf
         number *= error / estimate  # which grows with the strike, or with its square
     return number
+
+
+def struck_column(scene: Scene) -> bool:
+    """Whether it is a uniform column under gravity alone, struck at its top, for ten passages."""
+    chain = scene.chain
+    strike = scene.excitation
+    if chain.grains == 1 or not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
+        return False
+    if chain.top != "free" or chain.exponent > STEEPEST or any(unlike(chain).values()):
+        return False
+    return bool(scene.duration <= 10 * passage(scene).sum())
 
 
 def _linear_constants(norm: str, exponent: float, grain: int) -> tuple[float, float]:

@@ -7,9 +7,8 @@ import pytest
 from helpers.independent_integrators import relative_error
 from scipy.integrate import solve_ivp
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Packet, Profile, Scene, simulate
+from lmpchain import Chain, Drive, Force, Impulse, Packet, Profile, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
-from lmpchain.engines.linear import engine as linear
 from lmpchain.engines.linear import model_error
 from lmpchain.engines.linear.resonance import Resonance
 from lmpchain.theory.modes import eigenmodes
@@ -293,85 +292,31 @@ def struck(velocity: float = 1e-6, **chain) -> Scene:
     return Scene(chain=made, excitation=Impulse(velocity=velocity), duration=5e-5, samples=11)
 
 
-def test_the_bounds_of_linear_theory_go_like_the_strike_and_the_curvature():
-    """Of a chain under load: in proportion to the strike, to the exponent less one, and above to the time."""
+def test_the_expected_error_of_linear_theory_goes_like_the_strike_and_the_curvature():
+    """In proportion to both, and to the root of the time; to the time where something acts."""
     scene = struck(1e-7, gravity=0.0, top_load=1e-2)
-    least, most = model_error.bounds(scene)
-    assert least < most < 1
-    twice = model_error.bounds(scene.replace(excitation=Impulse(velocity=2e-7)))
-    np.testing.assert_allclose(twice, (2 * least, 2 * most), rtol=1e-9, atol=0)
-    later = scene.replace(duration=3 * scene.duration)
-    periods = scene.chain.band_edge * scene.duration
-    assert model_error.bounds(later)[0] == least
-    assert model_error.bounds(later)[1] / most == pytest.approx(
-        (1 + 3 * periods) / (1 + periods), rel=1e-9
-    )
-    assert most / least == pytest.approx(
-        (1 + periods) * scene.linear_strain / scene.strike_number, rel=1e-9
-    )
+    expected = model_error.expected_error(scene)
+    assert 0 < expected < 1
+    twice = model_error.expected_error(scene.replace(excitation=Impulse(velocity=2e-7)))
+    assert twice == pytest.approx(2 * expected, rel=1e-9)
+    radians = scene.chain.band_edge * scene.duration
+    later = model_error.expected_error(scene.replace(duration=3 * scene.duration))
+    growth = (1 + np.sqrt(3 * radians)) / (1 + np.sqrt(radians))
+    assert later / expected == pytest.approx(growth, rel=1e-9)
+    excess = scene.chain.exponent - 1
+    walk = excess * scene.linear_strain * (1 + np.sqrt(radians))
+    factors = model_error.FACTORS
+    assert expected == pytest.approx(factors.doubt * factors.strays * walk, rel=1e-9)
+    driven = scene.replace(excitation=Drive(amplitude=1e-16, frequency=0.1 * HZ))
+    radians = model_error.fastest(driven) * driven.duration
+    walk = excess * driven.linear_strain * (1 + radians)
+    assert model_error.expected_error(driven) == pytest.approx(0.6 * walk, rel=1e-9)
     springs = struck(1e-7, gravity=0.0, top_load=1e-2, exponent=1.0)
-    assert model_error.bounds(springs) == (0.0, 0.0)
-    assert model_error.bounds(scene.replace(excitation=Impulse(velocity=10.0)))[1] == 1.0
-    assert model_error.least_error(scene.replace(excitation=Impulse(velocity=1.0))) == 1.0
-    assert model_error.may_open(
-        scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 1.001))
-    )
-    assert not model_error.may_open(
-        scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 0.999))
-    )
-
-
-def test_the_least_that_linear_theory_leaves_out_is_what_one_swing_does():
-    """A grain that is struck turns after a quarter of a period: the truth there is no less, and not far above."""
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-2)
-    strike = Impulse(velocity=1e-3 * chain.length_scale / chain.time_scale)
-    scene = Scene(chain=chain, excitation=strike, duration=np.pi / 2 / chain.band_edge, samples=51)
-    one, other = simulate(scene, "modes", 0.9), simulate(scene, "native", 1e-11)
-    left_out = relative_error(one.displacement, one.velocity, other.displacement, other.velocity)
-    assert 0.5 < model_error.least_error(scene) / left_out < 1.6
-
-
-def test_the_bound_of_a_struck_column_is_three_times_its_law():
-    """A uniform column under gravity, struck at its top; the law is the error over (delta - 1) times the strike."""
-    scene = struck(1e-6)
-    law = model_error.bounds(scene)[1] / ((scene.chain.exponent - 1) * scene.strike_number) / 3
-    for speed in (1e-7, 1e-6):
-        scene = Scene(
-            chain=Chain(grains=120, diameter=1e-3),
-            excitation=Impulse(velocity=speed),
-            duration=1e-4,
-            samples=101,
-        )
-        one, other = simulate(scene, "chebyshev", 0.9), simulate(scene, "native", 1e-10)
-        left_out = relative_error(
-            one.displacement, one.velocity, other.displacement, other.velocity
-        )
-        assert left_out / (0.5 * scene.strike_number) == pytest.approx(law, rel=0.12)
-
-
-def test_what_is_a_struck_column():
-    scene = struck()
-    passage = float(model_error.passage(scene).sum())
-    chain = scene.chain
-    assert passage == pytest.approx(
-        np.sqrt(chain.masses[:-1] / chain.linear_stiffness).sum(), rel=1e-12
-    )
-    assert model_error.struck_column(scene)
-    assert model_error.struck_column(scene.replace(duration=9.99 * passage))
-    assert model_error.struck_column(struck(exponent=2.2))
-    for other in (
-        scene.replace(duration=10.01 * passage),
-        scene.replace(excitation=Impulse(velocity=1e-6, grain=2)),
-        scene.replace(excitation=Displacement(displacement=1e-12)),
-        struck(exponent=2.21),
-        struck(gravity=0.0, top_load=1e-3),
-        struck(top_load=1e-6),
-        struck(top="wall", top_load=1e-6),
-        struck(masses=chain.masses * np.linspace(1, 1.1, 40)),
-        struck(contact_constants=chain.contact_constants * np.linspace(1, 1.1, 39)),
-        struck(grains=1, bottom="wall"),
-    ):
-        assert not model_error.struck_column(other)
+    assert model_error.expected_error(springs) == 0.0
+    assert model_error.expected_error(scene.replace(excitation=Impulse(velocity=10.0))) == 1.0
+    for part, opens in ((1.001, True), (0.999, False)):
+        strike = Impulse(velocity=1e-7 / scene.linear_strain * part)
+        assert model_error.may_open(scene.replace(excitation=strike)) == opens
 
 
 def test_how_much_grains_differ():
@@ -429,7 +374,7 @@ def test_where_a_solution_is_looked_at_between_its_samples():
     gaps = np.diff(times[times > calm.duration / 10])
     assert gaps.max() < 2 * calm.duration / 64
     assert gaps.std() > 0.2 * gaps.mean()
-    assert abs(times.size - model_error.evaluations(calm)) <= 24
+    assert times.size == model_error.evaluations(calm)
     open_ = calm.replace(excitation=Impulse(velocity=1e-8 / calm.linear_strain * 1.5))
     close = model_error.evaluation_times(open_)
     np.testing.assert_allclose(np.diff(close), close[1], rtol=1e-9)
@@ -452,7 +397,7 @@ def test_samples_may_be_close_enough_to_need_no_other_look():
     long = wild.replace(duration=1e7 / scene.chain.band_edge, samples=2)
     assert not model_error.decidable(long)
     assert model_error.decidable(scene.replace(duration=1e7 / scene.chain.band_edge, samples=2))
-    assert Modes().candidate(long, 0.9).sharper is None
+    assert Modes().candidate(long, 0.9).model_error == 1.0
 
 
 # --- closed forms
@@ -477,39 +422,29 @@ def test_what_closed_forms_know_beforehand():
     for made in (Bessel(), Continuum()):
         candidate = made.candidate(column, 0.9)
         assert np.isnan(candidate.model_error)
-        assert candidate.sharper is None
         assert candidate.active_grains == 40
-        assert made.least_model_error(column) == np.inf
-        assert np.isnan(made.estimate_model_error(column))
         assert made.part(column) is column.fine  # the whole, not the light cone
         assert not made.batches
     loaded = struck(1e-9, grains=400, gravity=0.0, top_load=1e-2).replace(duration=2e-5)
     series = Chebyshev().candidate(loaded.reached, 0.9)
     candidate = Bessel().candidate(loaded, 0.9)
     assert (candidate.model_error, candidate.active_grains) == (series.model_error, 400)
-    assert Bessel().least_model_error(loaded) == model_error.least_error(loaded)
-    assert Bessel().estimate_model_error(loaded) == pytest.approx(
-        Chebyshev().estimate_model_error(loaded), rel=0.3
-    )
     back = loaded.replace(duration=5e-3)
     assert np.isnan(Bessel().candidate(back, 0.9).model_error)
 
 
-def test_the_sharper_bound_of_a_look_lies_between_the_two_before_it():
+def test_a_look_finds_less_than_was_expected_before_it():
     scene = struck(1e-8, gravity=0.0, top_load=1e-2)
     for made in (Modes(), Chebyshev()):
         candidate = made.candidate(scene, 1e-6)
-        least, most = model_error.bounds(scene)
-        assert candidate.model_error == most
-        assert candidate.sharper.least == least
-        assert candidate.sharper.cost_s > 0
+        assert candidate.model_error == model_error.expected_error(scene)
         assert candidate.step == pytest.approx(scene.duration / 10, rel=1e-12)
         assert candidate.active_grains == 40
         assert candidate.solver_error == made.round_off(scene)
-        estimate, bound = made.estimate_model_error(scene), made.bound_model_error(scene, candidate)
-        assert least <= estimate <= bound <= most
+        look = made.look(scene)
+        assert 0 < look.error <= look.at_most <= candidate.model_error
         assert made.refine(candidate, None, 1e-6) is None
-    assert linear.Modes().look(scene).remark == ""
+    assert look.remark == ""
 
 
 ACTING = {

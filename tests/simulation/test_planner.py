@@ -210,7 +210,7 @@ def test_what_a_driven_chain_costs_does_not_depend_on_grains_out_of_reach():
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize("seed", range(1, 61, 4))
 def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
-    """Beforehand from the strike, closer from the linear wave, afterwards from the run: never below half the truth."""
+    """Beforehand from the strike, afterwards from the linear wave: never below half the truth."""
     scene, modes = struck(seed), Modes()
     if modes.refuses(scene):
         return
@@ -218,14 +218,15 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     t, (u, v, _) = simulate(scene, modes, 0.9, on_miss="warn"), extended_reference(scene)
     true = relative_error(t.displacement, t.velocity, u, v) - t.error_estimate.solver
     assert true < 2 * candidate.model_error + 1e-15
-    assert true < 2 * modes.bound_model_error(scene, candidate) + 1e-15
+    assert true < 2 * modes.look(scene).at_most + 1e-15
 
 
 def test_plans_of_the_paper_scenes():
     """A strike number of 8.5 leaves no room for linear theory; a weak strike is left to the cheapest."""
     strong = lmpchain.plan(paper("fig5 g"))
     assert strong.engine == "native"
-    assert "strike number 8.5: linear theory, a priori bound reaches 100 %" in strong.why
+    why = {proposal.engine: proposal.why for proposal in strong.candidates}
+    assert why["modes"] == "strike number 8.5: linear theory leaves out up to 100 %"
     weak = lmpchain.plan(Scene.from_toml(SCENES / "weak.toml"), 0.1)
     assert {proposal.engine for proposal in weak.candidates if proposal.kept} == {
         "native",
@@ -237,18 +238,18 @@ def test_plans_of_the_paper_scenes():
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 def test_a_weak_strike_is_answered_by_linear_theory_where_that_is_right():
-    """At 1 µm/s linear theory is 1.36e-3 off; at a tenth of that, within 1e-3 and cheaper than Eq. (1)."""
+    """At 1 um/s linear theory is 1.36e-3 off; a long run is answered by it where that will do."""
     weak = Scene.from_toml(SCENES / "weak.toml")
     u, v, _ = extended_reference(weak)
     t = simulate(weak, "chebyshev", 0.5)
-    assert relative_error(t.displacement, t.velocity, u, v) == pytest.approx(
-        1.36e-3, rel=0.01, abs=0
-    )
-    assert lmpchain.plan(weak, 1e-3).engine == "native"
-    assert lmpchain.plan(weak, 1e-2).engine == "chebyshev"
-    gentle = Scene(**weak.given() | {"excitation": Impulse(velocity=1e-7)})
+    off = relative_error(t.displacement, t.velocity, u, v)
+    assert off == pytest.approx(1.36e-3, rel=0.01, abs=0)
+    assert lmpchain.plan(weak, 1e-2).engine == "native"  # so short a run costs least so
+    gentle = weak.replace(excitation=Impulse(velocity=1e-9), duration=1e-2, samples=11)
+    assert lmpchain.plan(gentle, 1e-9).engine == "native"
     plan = lmpchain.plan(gentle, 1e-3)
-    assert plan.engine == simulate(gentle, tolerance=1e-3).engine == "chebyshev"
+    assert plan.engine == simulate(gentle, tolerance=1e-3).engine
+    assert plan.engine in ("modes", "chebyshev")
     assert plan.expected_cost_s < next(p.cost_s for p in plan.candidates if p.engine == "native")
 
 
@@ -257,30 +258,15 @@ def test_linear_theory_where_it_is_cheaper():
     plan, t = lmpchain.plan(scene), simulate(scene)
     assert plan.engine == t.engine == "modes"
     assert t.equation == 3
-    assert t.provenance["plan"].startswith("modes: solves Eq. (3), the cheapest of")
+    assert t.provenance["plan"].startswith("modes: solves Eq. (3), the cheapest within")
     native = next(proposal for proposal in plan.candidates if proposal.engine == "native")
     assert plan.expected_cost_s < native.cost_s / 10
     assert t.error_estimate.total < 1e-6
 
 
-def test_a_sharper_bound_is_computed_only_where_it_may_pay(monkeypatch: pytest.MonkeyPatch):
-    bounded = []
-    honest = linear.LinearEngine.bound_model_error
-    monkeypatch.setattr(
-        linear.LinearEngine, "bound_model_error", lambda *args: bounded.append(1) or honest(*args)
-    )
-    lmpchain.plan(paper("fig5 g"))  # the strike number decides
-    lmpchain.plan(paper("weak"), 1e-3)  # a native run costs less than the bound
-    assert not bounded
-    plan = lmpchain.plan(periodic(1e-9, duration=2e4))
-    assert bounded == [1]  # for modes and chebyshev, which leave out the same
-    assert plan.engine == "modes"
-
-
 def hopeful(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Let linear engines think that they leave out nothing, and return a scene where they leave out much."""
-    monkeypatch.setattr(linear, "bounds", lambda _: (0.0, 0.0))
-    monkeypatch.setattr(linear, "least_error", lambda _: 0.0)
+    monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
     return periodic(0.1, duration=30.0)
@@ -383,10 +369,7 @@ def test_table_and_json(tmp_path: Path, capsys):
     assert said[0].split()[:2] == ["engine", "Eq."]
     assert said[1].startswith("*  native rkn4  (1)")
     assert (
-        sum(
-            "dropped: strike number 8.5: linear theory, a priori bound reaches 100 %" in x
-            for x in said
-        )
+        sum("dropped: strike number 8.5: linear theory leaves out up to 100 %" in x for x in said)
         == 2
     )
     found = json.loads(json_file.read_text())
@@ -494,20 +477,14 @@ def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_engines_that_are_not_even_asked_would_not_be_taken(seed: int):
-    """Nor does what was asked of the others change."""
+def test_a_run_takes_what_its_plan_says(seed: int):
+    """Though engines that begin too late to be the cheapest are asked by the plan only."""
     rng = np.random.default_rng(33_000_000 + seed)
     scene, tolerance = trial_scene(rng), 10 ** rng.uniform(-9, -0.1)
-    every = {proposal.engine: proposal for proposal in selection.propose_all(scene, tolerance)}
-    hopeful = {
-        proposal.engine: proposal for proposal in selection.propose_hopeful(scene, tolerance)
-    }
-    assert not any(proposal.kept for name, proposal in every.items() if name not in hopeful)
-    for name, proposal in hopeful.items():
-        asked = every[name]
-        assert (
-            (not asked.kept and proposal.why) if proposal.hopeless else proposal.kept == asked.kept
-        )
-    if any(proposal.kept for proposal in every.values()):
-        best, hoped = selection.cheapest([*every.values()]), selection.cheapest([*hopeful.values()])
-        assert (best.engine, best.candidate) == (hoped.engine, hoped.candidate)
+    every = {each.engine: each for each in selection.propose(scene, tolerance, every=True)}
+    asked = selection.propose(scene, tolerance)
+    for proposal in asked:
+        assert proposal == every.pop(proposal.engine)
+    if any(proposal.kept for proposal in asked):
+        best, plan = selection.cheapest(asked), lmpchain.plan(scene, tolerance)
+        assert (best.engine, selection.reason(best, asked)) == (plan.engine, plan.why)

@@ -258,7 +258,7 @@ def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
     for error in (1e-3, 0.01):
         number = strike_number_where(error, loaded)
         stronger = loaded.excitation.scaled(number / loaded.strike_number)
-        there = Chebyshev().estimate_model_error(loaded.replace(excitation=stronger).reached)
+        there = Chebyshev().look(loaded.replace(excitation=stronger).reached).error
         assert there == pytest.approx(error, rel=0.02)
     still = loaded.replace(excitation=Impulse(velocity=0.0))
     assert strike_number_where(0.01, still) == np.inf

@@ -20,9 +20,9 @@ from laws.theory_errors import (
     uniform_error,
 )
 
-from lmpchain import InputError
+from lmpchain import Chain, Displacement, Impulse, InputError, Scene
 from lmpchain.engines.linear.engine import Chebyshev
-from lmpchain.engines.linear.model_error import bounds
+from lmpchain.engines.linear.model_error import expected_error, passage
 from lmpchain.stability import linear_theory
 from lmpchain.theory import bessel, continuum, front
 
@@ -160,15 +160,41 @@ def front_grains(scene) -> np.ndarray:
 
 
 def test_the_package_foresees_the_error_of_linear_theory():
-    """Bounds from the strike alone, the bound after a look, and the estimate after the run, at g over strikes."""
-    engine = Chebyshev()
+    """What the strike lets expect, the bound of a look, and the estimate of the run, at g."""
     for strike in (1e-3, 1e-2, 0.1, 1.0, 8.48):
         scene = column(strike, TAU, 60)
-        true, (least, most) = linear_error(scene)["package"], bounds(scene)
-        bound = engine.bound_model_error(scene, engine.candidate(scene, 1e-6))
-        assert least <= bound
-        assert true < bound <= most
+        true = linear_error(scene)["package"]
+        assert true < Chebyshev().look(scene).at_most <= expected_error(scene)
         assert true / 2 < theory(scene, "chebyshev").error_estimate.model < 2 * true
+
+
+def struck(duration: float = 5e-5, **chain) -> Scene:
+    made = Chain(**{"grains": 40, "diameter": 1e-3} | chain)
+    return Scene(chain=made, excitation=Impulse(velocity=1e-6), duration=duration, samples=11)
+
+
+def test_what_is_a_struck_column():
+    scene = struck()
+    chain = scene.chain
+    lasts = float(passage(scene).sum())
+    hops = np.sqrt(chain.masses[:-1] / chain.linear_stiffness)
+    assert lasts == pytest.approx(hops.sum(), rel=1e-12)
+    assert linear_theory.struck_column(scene)
+    assert linear_theory.struck_column(struck(9.99 * lasts))
+    assert linear_theory.struck_column(struck(exponent=2.2))
+    for other in (
+        struck(10.01 * lasts),
+        scene.replace(excitation=Impulse(velocity=1e-6, grain=2)),
+        scene.replace(excitation=Displacement(displacement=1e-12)),
+        struck(exponent=2.21),
+        struck(gravity=0.0, top_load=1e-3),
+        struck(top_load=1e-6),
+        struck(top="wall", top_load=1e-6),
+        struck(masses=chain.masses * np.linspace(1, 1.1, 40)),
+        struck(contact_constants=chain.contact_constants * np.linspace(1, 1.1, 39)),
+        struck(grains=1, bottom="wall"),
+    ):
+        assert not linear_theory.struck_column(other)
 
 
 @pytest.mark.parametrize(

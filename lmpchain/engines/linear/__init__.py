@@ -1,1 +1,1 @@
-"""Solutions of the linearised chain, Eq. (3), and of the homogeneous and continuous ones, as engines."""
+"""Engines for the linearised chain, Eq. (3), and for the homogeneous and continuous ones."""

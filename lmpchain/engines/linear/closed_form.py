@@ -24,17 +24,20 @@ UNIFORM = 1e-12  # relative difference of masses and constants that still counts
 class ClosedForm(LinearEngine):
     """A formula for the linear wave in a uniform column, held against the exact linear solution.
 
-    Its model error is what it differs by from Eq. (3), which is solved beside it, and what Eq. (3) leaves out.
+    Its model error is what it differs by from Eq. (3), which is solved beside it, and what Eq. (3)
+    leaves out.
     """
 
     batches: ClassVar[bool] = False
+    start_up_s: ClassVar[float] = 1e-3
     whole = True
     _beside = Chebyshev()
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
         reached = scene.reached
-        chain, reasons = reached.chain, super().refuses(reached)
+        chain = reached.chain
+        reasons = super().refuses(reached)
         for key, difference in unlike(chain).items():
             if difference > UNIFORM:
                 reasons.append(
@@ -55,30 +58,18 @@ class ClosedForm(LinearEngine):
         return reasons
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
-        """Propose the formula; only where it is the exact solution is its error known before the run."""
+        """Propose the formula, whose error is known before the run only where it is exact."""
         candidate = super().candidate(scene.reached, tolerance)
         candidate = candidate._replace(active_grains=scene.chain.grains)
-        return (
-            candidate
-            if self.exact(scene)
-            else candidate._replace(model_error=math.nan, sharper=None)
-        )
-
-    def least_model_error(self, scene: Scene) -> float:
-        """Say that it will not be known, unless the formula is exact."""
-        return super().least_model_error(scene) if self.exact(scene) else math.inf
-
-    def estimate_model_error(self, scene: Scene) -> float:
-        """Say that it is not known, unless the formula is exact."""
-        return super().estimate_model_error(scene) if self.exact(scene) else math.nan
+        return candidate if self.exact(scene) else candidate._replace(model_error=math.nan)
 
     def exact(self, scene: Scene) -> bool:
         """Say whether the formula solves Eq. (3) for this scene."""
         return False
 
-    def work(self, scene: Scene, samples: int, values: int) -> float:
+    def work(self, scene: Scene) -> float:
         """Return the time for the exact solution beside it, and for the formula."""
-        return self._beside.work(scene, samples, values) + 1e-6 * values
+        return self._beside.work(scene) + 1e-6 * scene.samples * scene.recorded.size
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the exact solution beside the formula."""
@@ -101,7 +92,7 @@ class ClosedForm(LinearEngine):
 
 
 class Bessel(ClosedForm):
-    """The homogeneous chain, Eqs. (4) and (13): all contacts as stiff as the first, and no bottom."""
+    """The homogeneous chain, Eqs. (4) and (13): contacts as stiff as the first, and no bottom."""
 
     name: ClassVar[str] = "bessel"
     equation: ClassVar[int] = 4
@@ -115,13 +106,15 @@ class Bessel(ClosedForm):
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
         from ...theory import bessel
 
-        unit, strike = scene.chain.time_scale, scene.excitation.strike_velocity
-        n, T = scene.recorded, times[:, None] / unit
+        unit = scene.chain.time_scale
+        strike = scene.excitation.strike_velocity
+        n = scene.recorded
+        T = times[:, None] / unit
         return strike * unit * bessel.free_end_impulse(n, T), strike * bessel.free_end(n, T)
 
 
 class Continuum(ClosedForm):
-    """The column as a continuum, Eq. (27): its impulse response, Eq. (35), averaged over each grain."""
+    """The column as a continuum, Eq. (27): its impulse response, Eq. (35), averaged over grains."""
 
     name: ClassVar[str] = "continuum"
     equation: ClassVar[int] = 27
@@ -139,7 +132,8 @@ class Continuum(ClosedForm):
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
         from ...theory import continuum
 
-        unit, strike = scene.chain.time_scale, scene.excitation.strike_velocity
+        unit = scene.chain.time_scale
+        strike = scene.excitation.strike_velocity
         phi, speed = continuum.impulse_of_grain(
             scene.recorded, times[:, None] / unit, scene.chain.exponent
         )
@@ -153,7 +147,9 @@ class ClosedFormRun(Run):
         self, engine: ClosedForm, scenes: Sequence[Scene], exact: Run, state: Mapping[str, Array]
     ):
         assert isinstance(exact, LinearRun)
-        self._engine, self._scenes, self._exact = engine, scenes, exact
+        self._engine = engine
+        self._scenes = scenes
+        self._exact = exact
         self._times = scenes[0].time
         # largest difference of displacement and velocity
         self._apart = np.array(state.get("apart", np.zeros((2, len(scenes)))))

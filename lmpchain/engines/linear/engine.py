@@ -10,46 +10,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...integrators.kernels.chebyshev import SPAN, terms
+from ...integrators.kernels.phase_error import Evaluations
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import EPSILON, Array
 from ...util.compilation import clock
-from ..base import Candidate, Engine, ErrorBudget, Run, SharperBound
+from ..base import Candidate, Engine, ErrorBudget, Run
 from ..cost_model import seconds
-from .model_error import (
-    PhaseError,
-    bounds,
-    decidable,
-    dense,
-    evaluation_times,
-    evaluations,
-    least_error,
-)
+from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
 from .solutions import ChebyshevSolution, ModalSolution, Solution
 
 BLOCK = 16  # samples a block, if so many fit
-BLOCK_VALUES, SMALL = (
-    2**22,
-    2**14,
-)  # values that are at hand at a time, and that take no time worth speaking of
+# values that are at hand at a time, and that take no time worth speaking of
+BLOCK_VALUES = 2**22
+SMALL_BLOCK = 2**14
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
+# digits in the last place that a burst loses in modes, at the lowest of its frequencies:
 # analysis/calibration/roundoff.py
-CANCELS = (
-    40.0  # digits in the last place that a burst loses in modes, at the lowest of its frequencies
-)
-LOOK_VALUES = 2**18  # a contact that opens ends a look: values at a time
+CANCELS = 40.0
 
 
 class LinearEngine(Engine):
     """An engine for the linearised chain, Eq. (3), exact to round-off."""
 
     equation: ClassVar[int] = 3
-    # timings of `work`: analysis/calibration/cost_model.py; of `round_off`: analysis/calibration/roundoff.py
+    # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene."""
-        contacts, reasons = scene.chain.contacts, []
+        contacts = scene.chain.contacts
+        reasons = []
         if not scene.chain.compressed:
             reasons.append(
                 (
@@ -75,48 +66,32 @@ class LinearEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the one way there is."""
-        (least, most), values = bounds(scene), scene.samples * scene.recorded.size
-        look = SharperBound(least, self._seconds(self.work(scene, 0, 0)) - self._seconds(0.0))
         return Candidate(
             step=scene.duration / (scene.samples - 1),
             active_grains=scene.chain.grains,
-            model_error=most,
+            model_error=expected_error(scene),
             solver_error=self.round_off(scene),
-            cost_s=self._seconds(self.work(scene, scene.samples, values)),
-            sharper=look if decidable(scene) else None,
+            cost_s=seconds(self.name, self.start_up_s, self.work(scene)),
         )
-
-    def _seconds(self, work_s: float) -> float:
-        return seconds(self.name, self.start_up_s, work_s)
-
-    def least_model_error(self, scene: Scene) -> float:
-        """Return a bound below the model error, from the strike alone."""
-        return least_error(scene)
-
-    def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
-        """Bound the model error from the linear solution, evaluated between the samples too."""
-        return self.look(scene).at_most
-
-    def estimate_model_error(self, scene: Scene) -> float:
-        """Estimate the model error from the linear solution, as a run does."""
-        return self.look(scene).error
 
     def look(self, scene: Scene) -> PhaseError:
         """Follow the linear solution and what it leaves out; end where a contact opens."""
-        times, error = np.append(evaluation_times(scene), scene.duration), PhaseError(scene)
-        size, every = max(64, LOOK_VALUES // scene.chain.grains), np.ones(times.size, bool)
-        for _ in _followed(self.solve(scene, {}), error, times, every, size):
+        times = np.append(evaluation_times(scene), scene.duration)
+        error = PhaseError(scene)
+        every = np.ones(times.size, bool)
+        size = max(1, BLOCK_VALUES // scene.chain.grains)
+        for _ in _follow(self.solve(scene, {}), error, times, every, size):
             if error.remark:
                 break
         return error
 
     def round_off(self, scene: Scene) -> float:
-        """Return the relative error that rounding makes: that of the frequencies, times the periods."""
+        """Return the relative error by rounding: that of the frequencies, times the periods."""
         return EPSILON * (10 + scene.chain.band_edge * scene.duration)
 
     @abstractmethod
-    def work(self, scene: Scene, samples: int, values: int) -> float:
-        """Return the time for samples and evaluations between them on the reference machine, s."""
+    def work(self, scene: Scene) -> float:
+        """Return the time for all evaluations on the reference machine, s."""
 
     @abstractmethod
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
@@ -144,11 +119,12 @@ class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
-    start_up_s: ClassVar[float] = 2e-4
+    start_up_s: ClassVar[float] = 1.7e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene, or no such series of it."""
-        reasons, given = super().refuses(scene), scene.excitation
+        reasons = super().refuses(scene)
+        given = scene.excitation
         if (
             given.linear
             and given.does_work
@@ -162,18 +138,14 @@ class Chebyshev(LinearEngine):
             )
         return reasons
 
-    def work(self, scene: Scene, samples: int, values: int) -> float:
-        """Return the time for the polynomials from one evaluation to the next."""
-        z, moments = scene.chain.band_edge * scene.duration, _moments(scene, samples)
-        series = min(moments, max(1.0, z / SPAN))
-        orders, grains = (
-            terms(z / series),
-            min(scene.chain.grains, z / 4 + 30),
-        )  # on average in a growing light cone
-        a_series = 3e-6 + 2 * orders * (7e-8 + 1.7e-9 * grains)
-        return (
-            series * a_series + moments * (3e-7 + grains * (5e-10 * orders + 2e-9)) + 1e-8 * values
-        )
+    def work(self, scene: Scene) -> float:
+        """Return the time for the polynomials from one evaluation to the next, s."""
+        radians = scene.chain.band_edge * scene.duration
+        count = _evaluations(scene)
+        series = min(count, max(1.0, radians / SPAN))
+        polynomials = series * terms(radians / series)
+        reached = min(scene.chain.grains, 30 + radians / 4)  # on average, as the light cone grows
+        return 7e-10 * polynomials * (reached + 100) + 1.3e-8 * count * scene.chain.grains
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, from the start or from a kept state."""
@@ -184,6 +156,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
+    start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene, or no room for its modes."""
@@ -200,12 +173,11 @@ class Modes(LinearEngine):
     def round_off(self, scene: Scene) -> float:
         """Return the relative error that rounding makes; eigenvectors have their part in it.
 
-        A burst is the sum of three sines whose transients all but cancel, the more the sooner after its beginning.
+        A burst is the sum of three sines whose transients all but cancel, the more the sooner after
+        its beginning.
         """
-        rounding, wave = (
-            super().round_off(scene) + EPSILON * 4 * scene.chain.grains,
-            scene.excitation.waveform,
-        )
+        rounding = super().round_off(scene) + EPSILON * 4 * scene.chain.grains
+        wave = scene.excitation.waveform
         if wave and wave.envelope:
             begun = min(1.0, wave.envelope * scene.duration)
             rounding += (
@@ -216,33 +188,29 @@ class Modes(LinearEngine):
             )
         return rounding
 
-    def work(self, scene: Scene, samples: int, values: int) -> float:
-        """Return the time for the diagonalisation, and for sums over modes at every evaluation."""
-        grains, moments = scene.chain.grains, _moments(scene, samples)
-        once, a_moment = (
-            6e-8 * grains**2 + 1e-10 * grains**3,
-            5e-7 + 3e-8 * grains + 6e-10 * grains**2,
-        )
-        return once + a_moment * moments + 1e-8 * values
+    def work(self, scene: Scene) -> float:
+        """Return the time for the diagonalisation, and for sums over modes, s."""
+        grains = scene.chain.grains
+        return 5.5e-11 * grains**3 + 6e-8 * grains * _evaluations(scene)
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, whose start is all that is needed."""
         return ModalSolution(scene)
 
 
-def _moments(scene: Scene, samples: int) -> int:
-    """Return how often a solution is evaluated for so many samples, 0 for a look at it alone."""
-    return samples + (0 if samples and dense(scene) else evaluations(scene))
+def _evaluations(scene: Scene) -> int:
+    """Return how often a solution is evaluated, in samples and between them."""
+    return scene.samples + (0 if dense(scene) else evaluations(scene))
 
 
-def _followed(
+def _follow(
     solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], size: int
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Evaluate a solution at all times, add to its model error, and yield it, so many times at a time."""
+    """Evaluate a solution, add to its model error, and yield it, so many times at a time."""
     for begin in range(0, times.size, size):
         part = slice(begin, begin + size)
         u, v, reach = solution.at(times[part])
-        error.add(times[part], recorded[part], u, v, reach)
+        error.add(Evaluations(times[part], recorded[part], u, v, reach))
         yield part, u, v
 
 
@@ -258,7 +226,8 @@ class LinearRun(Run):
         began = clock()
         if len({(s.chain.grains, s.samples, s.duration, s.grains) for s in scenes}) != 1:
             raise ValueError("a batch needs chains of one length, recorded alike")
-        self._engine, self._scene = engine, scenes[0]
+        self._engine = engine
+        self._scene = scenes[0]
         self._sample = int(state.get("sample", 0))
         self._phase_errors = [
             PhaseError(scene, state.get(f"{i}.phase_error")) for i, scene in enumerate(scenes)
@@ -279,40 +248,42 @@ class LinearRun(Run):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer."""
-        times, grains = self._scene.time, self._scene.chain.grains
-        size = max(1, min(max(BLOCK, SMALL // grains), BLOCK_VALUES // grains))
+        grains = self._scene.chain.grains
+        size = max(1, min(max(BLOCK, SMALL_BLOCK // grains), BLOCK_VALUES // grains))
         while self._sample < self._scene.samples:
             began = clock()
-            here = slice(self._sample, min(self._sample + size, self._scene.samples))
-            before = times[self._sample - 1] if self._sample else -1.0
-            shape = (len(self._solutions), here.stop - here.start, self._rows.size)
-            block, evaluated = Block(here, np.empty(shape), np.empty(shape)), 0
-            for real, (solution, error) in enumerate(
-                zip(self._solutions, self._phase_errors, strict=True)
-            ):
-                extra = self._between[real]
-                extra = extra[(extra > before) & (extra < times[here.stop - 1])]
-                moments = np.union1d(times[here], extra) if extra.size else times[here]
-                wanted = (
-                    np.isin(moments, times[here], assume_unique=True)
-                    if extra.size
-                    else np.ones(moments.size, bool)
-                )
-                place, evaluated = 0, evaluated + moments.size
-                for part, u, v in _followed(
-                    solution, error, moments, wanted, max(1, BLOCK_VALUES // grains)
-                ):
-                    which, into = (
-                        np.ix_(wanted[part], self._rows),
-                        slice(place, place + int(wanted[part].sum())),
-                    )
-                    block.displacement[real, into], block.velocity[real, into] = u[which], v[which]
-                    place = into.stop
-            self._sample = here.stop
-            took, asked = clock() - began, (here.stop - here.start) * len(self._solutions)
-            self._integration_s += took * asked / evaluated
-            self._estimate_s += took * (1 - asked / evaluated)
+            samples = slice(self._sample, min(self._sample + size, self._scene.samples))
+            count = samples.stop - samples.start
+            realisations = len(self._solutions)
+            shape = (realisations, count, self._rows.size)
+            block = Block(samples, np.empty(shape), np.empty(shape))
+            evaluated = sum(self._fill(block, real) for real in range(realisations))
+            self._sample = samples.stop
+            took = clock() - began
+            integration_s = took * count * realisations / evaluated
+            self._integration_s += integration_s
+            self._estimate_s += took - integration_s
             yield block
+
+    def _fill(self, block: Block, real: int) -> int:
+        """Fill a block with one realisation, and return how often that was evaluated."""
+        times = self._scene.time
+        before = times[block.samples.start - 1] if block.samples.start else -1.0
+        between = self._between[real]
+        between = between[(between > before) & (between < times[block.samples.stop - 1])]
+        moments = np.union1d(times[block.samples], between)
+        recorded = np.isin(moments, times[block.samples], assume_unique=True)
+        size = max(1, BLOCK_VALUES // self._scene.chain.grains)
+        filled = 0
+        for part, u, v in _follow(
+            self._solutions[real], self._phase_errors[real], moments, recorded, size
+        ):
+            rows = np.ix_(recorded[part], self._rows)
+            into = slice(filled, filled + rows[0].size)
+            block.displacement[real, into] = u[rows]
+            block.velocity[real, into] = v[rows]
+            filled = into.stop
+        return moments.size
 
     @property
     def progress(self) -> float:
@@ -353,7 +324,7 @@ class LinearRun(Run):
         for i, (solution, error) in enumerate(
             zip(self._solutions, self._phase_errors, strict=True)
         ):
-            kept |= {f"{i}.phase_error": error.state.copy()} | {
+            kept |= {f"{i}.phase_error": error.state} | {
                 f"{i}.{key}": value for key, value in solution.state().items()
             }
         return kept

@@ -19,7 +19,7 @@ class Solution(Protocol):
 
     @property
     def work(self) -> int:
-        """How often the matrix of the chain has been applied so far, or how many modes there are."""
+        """Applications of the matrix of the chain so far, or the number of modes."""
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return displacement and velocity at these times, later and later ones, (T, N) m and m/s.
@@ -35,16 +35,20 @@ class ChebyshevSolution:
     """The propagator, from one time to the next."""
 
     def __init__(self, scene: Scene, state: Mapping[str, Array]):
-        chain, drive = scene.chain, scene.drive
-        stiffness, mobility = chain.contacts.stiffness, 1 / chain.masses
+        chain = scene.chain
+        drive = scene.drive
+        stiffness = chain.contacts.stiffness
+        mobility = 1 / chain.masses
         mobility[chain.movable :] = 0.0
         mobility[: scene.excitation.driven] = 0.0
         u, v = (np.array(state[key]) for key in "uv") if state else scene.initial()
         self._walls = int(scene.excitation.wall is not None)
         if scene.excitation.wall:  # a wall that moves is one more body at the top
-            stiffness, mobility = np.append(0.0, stiffness), np.append(0.0, mobility)
+            stiffness = np.append(0.0, stiffness)
+            mobility = np.append(0.0, mobility)
             if not state:
-                u, v = np.append(0.0, u), np.append(scene.excitation.wall.at(0.0, 1), v)
+                u = np.append(0.0, u)
+                v = np.append(scene.excitation.wall.at(0.0, 1), v)
         self._chain = Propagator(stiffness, mobility, drive.waveform.omega if drive else 0.0, u, v)
         self._time = float(state.get("time", 0.0))
 
@@ -55,7 +59,8 @@ class ChebyshevSolution:
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return the solution at these times."""
-        before, self._time = self._time, float(times[-1])
+        before = self._time
+        self._time = float(times[-1])
         u, v, reach = self._chain.advance(times - before)
         return u[:, self._walls :], v[:, self._walls :], np.maximum(reach - self._walls, 0)
 
@@ -70,13 +75,16 @@ class ModalSolution:
     def __init__(self, scene: Scene):
         from ...theory.modes import between
 
-        chain, given = scene.chain, scene.excitation
-        first, last = given.driven, chain.movable
+        chain = scene.chain
+        given = scene.excitation
+        first = given.driven
+        last = chain.movable
         stiffness = chain.contacts.stiffness
         self._modes = between(stiffness[first : last + 1], chain.masses[first:last])
         u, v = scene.initial()
         self._initial = u[first:last], v[first:last]
-        self._wave, self._drive = given.waveform, scene.drive if first else None
+        self._wave = given.waveform
+        self._drive = scene.drive if first else None
         moved = bool(scene.drive)  # or pushed
         place = 0 if moved else given.reach(chain)[0] - 1
         self._pull = (stiffness[first] if moved else 1.0) * self._modes.shape[place]
@@ -93,17 +101,20 @@ class ModalSolution:
         top = np.empty((2, times.size, 0))
         if self._wave:
             forced = self._forced(times[:, None])
-            u, v = u + forced[0] @ self._modes.shape.T, v + forced[1] @ self._modes.shape.T
+            u = u + forced[0] @ self._modes.shape.T
+            v = v + forced[1] @ self._modes.shape.T
         if self._drive:
             top = np.array(self._drive.motion(times))[..., None]
         rest = np.zeros((times.size, self._held))
-        u, v = np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest))
+        u = np.hstack((top[0], u, rest))
+        v = np.hstack((top[1], v, rest))
         return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
     def _forced(self, t: Array) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion when they have ended."""
+        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion after them."""
         assert self._wave
-        w, end = self._modes.frequency, self._wave.end
+        w = self._modes.frequency
+        end = self._wave.end
         q, p = np.sum(
             [self._by_sine(np.minimum(t, end), *sine) for sine in self._wave.sines], axis=0
         )
@@ -113,11 +124,13 @@ class ModalSolution:
         return q * np.cos(free) + p / w * np.sin(free), p * np.cos(free) - q * w * np.sin(free)
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form for w = W and short t."""
-        w, drive = self._modes.frequency, abs(omega)
-        m, h = (w + drive) / 2 * t, (w - drive) / 2 * t
+        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
+        w = self._modes.frequency
+        drive = abs(omega)
+        m = (w + drive) / 2 * t
+        h = (w - drive) / 2 * t
         f = self._pull * np.copysign(amplitude, amplitude * omega) / (w + drive)
-        # sin(m) cos(h) - m cos(m) sin(h) / h is all but nothing for short t; the spherical Bessel function j_1 is exact
+        # sin(m) cos(h) - m cos(m) sin(h) / h cancels for short t; spherical Bessel functions do not
         q = f / w * m * (m * spherical_jn(1, m) * np.cos(h) - h * spherical_jn(1, h) * np.cos(m))
         return q, f * drive * np.sin(m) * t * np.sinc(h / np.pi)
 

@@ -1,104 +1,222 @@
-"""Phase error of a linear solution, accumulated over its evaluation times.
-
-The state of the accumulation: time, strain and phase shift (s) by then; largest strain, displacement, velocity and
-acceleration; largest effect of the shift on displacement and velocity in samples; the first contact that opens, if any;
-pull of open contacts by then, and the velocity that it has given; integral of the squared strain.
-"""
+"""Phase error of a linear solution, accumulated over its evaluation times."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
 
-(
-    TIME,
-    STRAIN,
-    SHIFT,
-    MOST_STRAIN,
-    MOST_DISPLACEMENT,
-    MOST_VELOCITY,
-    MOST_ACCELERATION,
-    OFF_DISPLACEMENT,
-    OFF_VELOCITY,
-    OPENED,
-    PULL,
-    PULLED,
-    SQUARED_STRAIN,
-) = range(13)
+compiled = compiled_once("the phase error of linear theory", 3)
+# Of the accumulation: time of the last evaluation, s, and the strain of largest size in it; phase
+# shift by then, s, and integral of the squared strain, s; largest strain, displacement, velocity
+# and acceleration at any time; largest effect of the shift on displacement and velocity in samples;
+# the first contact that opened, or NaN; largest acceleration, m/s2, by open contacts, which pull in
+# linear theory, in the last evaluation, and the velocity that it has given by then, m/s.
+STATE = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "time",
+            "strain",
+            "shift",
+            "squared_strain",
+            "largest_strain",
+            "displacement",
+            "velocity",
+            "acceleration",
+            "displacement_error",
+            "velocity_error",
+            "opened",
+            "pull",
+            "pulled",
+        )
+    ]
+)
 
 
-def start() -> Array:
-    """Return the state at t = 0."""
-    state = np.zeros(13)
-    state[OPENED] = np.nan
+class Links(NamedTuple):
+    """The linear chain; contact n lies above grain n, from 0, and the last one below all grains.
+
+    Attributes
+    ----------
+    stiffness, inverse_overlap : (N+1,) arrays
+        N/m and 1/m; 0 where nothing is pressed.
+    inverse_mass : (N,) array
+        1/kg; 0 for a grain that is held or moved.
+    """
+
+    stiffness: Array
+    inverse_overlap: Array
+    inverse_mass: Array
+
+
+class Evaluations(NamedTuple):
+    """The linear solution at some times.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    recorded : (T,) array
+        Whether they are samples: errors are those of samples.
+    displacement, velocity : (T, N) arrays
+        m and m/s.
+    reach : (T, 2) array
+        First grain, from 0, and the one after the last that moves.
+    """
+
+    time: Array
+    recorded: NDArray[np.bool_]
+    displacement: Array
+    velocity: Array
+    reach: NDArray[np.intp]
+
+
+class Imposed(NamedTuple):
+    """What acts on a chain at these times.
+
+    Attributes
+    ----------
+    wall : (T, 3) array
+        Position, velocity and acceleration of the top wall, m, m/s and m/s2.
+    grain : int
+        The grain, from 0, that has accelerations besides those by its contacts.
+    acceleration : (T,) array
+        These, m/s2.
+    """
+
+    wall: Array
+    grain: int
+    acceleration: Array
+
+
+class Law(NamedTuple):
+    """How strain becomes an error.
+
+    Attributes
+    ----------
+    lead : float
+        Gain of the speed of a wave over its strain.
+    near : float
+        s; a contact that turns around within this time is followed there by a parabola.
+    opening : float
+        Strain from which on a contact counts as open.
+    """
+
+    lead: float
+    near: float
+    opening: float
+
+
+def start() -> NDArray[np.void]:
+    """Return the state at t = 0, (1,) of type `STATE`."""
+    state = np.zeros(1, STATE)
+    state["opened"] = np.nan
     return state
 
 
-@compiled_once("the phase error of linear theory", 3)
-def accumulate(
-    times, recorded, us, vs, reach, walls, place, given, inverse_overlap, stiffness, inverse_mass,
-    faster, near, open_at, state,
-):  # fmt: skip
-    """Take in the solution (T, N) at these times, with the motion (T, 3) of the top wall.
+@compiled
+def _largest(x):
+    """Return the largest |x| of an array in one dimension."""
+    largest = 0.0
+    for n in range(x.size):
+        largest = max(largest, abs(x[n]))
+    return largest
 
-    The grain at the index `place` has the accelerations `given` (T,) besides those by its contacts. A contact that
-    turns around within the time `near` is followed there by a parabola; one that comes below the strain `open_at` is
-    open.
+
+@compiled
+def _fill(bodies, i, links, solution, imposed):
+    """Fill displacement, velocity and acceleration, (3, n+2), of the grains that move at time i.
+
+    Above them is the top wall, or a grain at rest, and below a body at rest.
     """
-    acceleration = np.zeros(us.shape[1] + 2)  # between the top wall and a body that stands still
-    for i in range(times.size):
-        first, last = reach[i]
-        u, v, a = us[i, first:last], vs[i, first:last], acceleration[first : last + 2]
-        wall = wall_speed = a[0] = a[-1] = 0.0
-        if first == 0:
-            wall, wall_speed, a[0] = walls[i, 0], walls[i, 1], walls[i, 2]
-        above = stiffness[first] * (wall - u[0]) if u.size else 0.0
-        for n in range(u.size):  # beyond these grains is one at rest
-            below = stiffness[first + n + 1] * (u[n] - (u[n + 1] if n + 1 < u.size else 0.0))
-            a[n + 1] = (above - below) * inverse_mass[first + n]
-            above = below
-        if first <= place < last:
-            a[place - first + 1] += given[i]
-        largest = displacement = velocity = fastest = pull = before = 0.0
-        for n in range(u.size + 1):  # contacts
-            x, y = (u[n - 1] if n > 0 else wall), (u[n] if n < u.size else 0.0)
-            p, q = (v[n - 1] if n > 0 else wall_speed), (v[n] if n < u.size else 0.0)
-            strain, bend = (
-                (x - y) * inverse_overlap[first + n],
-                (a[n] - a[n + 1]) * inverse_overlap[first + n],
-            )
-            rate, lowest = (p - q) * inverse_overlap[first + n], strain
-            if bend > 0 and abs(rate) < near * bend:
-                lowest = strain - rate * rate / (2 * bend)
-            if abs(strain) > abs(largest):
-                largest = strain
-            if lowest <= open_at and np.isnan(state[OPENED]):
-                state[OPENED] = first + n
-            held = (
-                stiffness[first + n] / inverse_overlap[first + n] * (-1.0 - lowest)
-                if lowest < -1.0
-                else 0.0
-            )
-            if n > 0:
-                displacement, velocity = (
-                    max(displacement, abs(u[n - 1])),
-                    max(velocity, abs(v[n - 1])),
-                )
-                fastest = max(fastest, abs(a[n]))
-                pull = max(pull, abs(before - held) * inverse_mass[first + n - 1])
-            before = held
-        span = times[i] - state[TIME]
-        state[SHIFT] += faster * (state[STRAIN] + largest) / 2 * span
-        state[SQUARED_STRAIN] += (state[STRAIN] ** 2 + largest**2) / 2 * span
-        state[PULLED] += (state[PULL] + pull) / 2 * span
-        state[TIME], state[STRAIN], state[PULL] = times[i], largest, pull
-        state[MOST_STRAIN] = max(state[MOST_STRAIN], abs(largest))
-        state[MOST_DISPLACEMENT] = max(state[MOST_DISPLACEMENT], displacement)
-        state[MOST_VELOCITY] = max(state[MOST_VELOCITY], velocity)
-        state[MOST_ACCELERATION] = max(state[MOST_ACCELERATION], fastest)
-        if recorded[i]:
-            shift = abs(state[SHIFT])
-            state[OFF_DISPLACEMENT] = max(state[OFF_DISPLACEMENT], shift * velocity)
-            state[OFF_VELOCITY] = max(state[OFF_VELOCITY], shift * fastest)
+    first, last = solution.reach[i]
+    for k in range(3):
+        bodies[k, 0] = imposed.wall[i, k] if first == 0 else 0.0
+        bodies[k, last - first + 1] = 0.0
+    x, v, a = bodies
+    for n in range(first, last):
+        x[n - first + 1] = solution.displacement[i, n]
+        v[n - first + 1] = solution.velocity[i, n]
+    above = links.stiffness[first] * (x[0] - x[1])
+    for n in range(first, last):
+        below = links.stiffness[n + 1] * (x[n - first + 1] - x[n - first + 2])
+        a[n - first + 1] = (above - below) * links.inverse_mass[n]
+        above = below
+    if first <= imposed.grain < last:
+        a[imposed.grain - first + 1] += imposed.acceleration[i]
+
+
+@compiled
+def _strain(bodies, inverse_overlap, law):
+    """Return the strain of largest size, and the first contact that opens, -1 if none does."""
+    x, v, a = bodies
+    largest = 0.0
+    opened = -1
+    for n in range(inverse_overlap.size):
+        strain = (x[n] - x[n + 1]) * inverse_overlap[n]
+        rate = (v[n] - v[n + 1]) * inverse_overlap[n]
+        bend = (a[n] - a[n + 1]) * inverse_overlap[n]
+        lowest = strain
+        if bend > 0 and abs(rate) < law.near * bend:
+            lowest -= rate * rate / (2 * bend)
+        if abs(strain) > abs(largest):
+            largest = strain
+        if lowest <= law.opening and opened < 0:
+            opened = n
+    return largest, opened
+
+
+@compiled
+def _pull(x, links, first):
+    """Return the largest acceleration of a grain by contacts that are open, m/s2."""
+    largest = 0.0
+    above = 0.0
+    for n in range(x.size - 1):
+        contact = first + n
+        below = 0.0
+        if (x[n] - x[n + 1]) * links.inverse_overlap[contact] < -1.0:
+            apart = x[n + 1] - x[n] - 1 / links.inverse_overlap[contact]
+            below = links.stiffness[contact] * apart
+        if n > 0:
+            largest = max(largest, abs(above - below) * links.inverse_mass[contact - 1])
+        above = below
+    return largest
+
+
+@compiled
+def accumulate(state, links, solution, imposed, law):
+    """Take in the solution at later times."""
+    now = state[0]
+    room = np.empty((3, links.inverse_mass.size + 2))
+    for i in range(solution.time.size):
+        first, last = solution.reach[i]
+        bodies = room[:, : last - first + 2]
+        _fill(bodies, i, links, solution, imposed)
+        strain, opened = _strain(bodies, links.inverse_overlap[first : last + 1], law)
+        if opened >= 0 and np.isnan(now.opened):
+            now.opened = first + opened
+        pull = 0.0 if np.isnan(now.opened) else _pull(bodies[0], links, first)
+        span = solution.time[i] - now.time
+        now.shift += law.lead * (now.strain + strain) / 2 * span
+        now.squared_strain += (now.strain**2 + strain**2) / 2 * span
+        now.pulled += (now.pull + pull) / 2 * span
+        now.time = solution.time[i]
+        now.strain = strain
+        now.pull = pull
+        x, v, a = bodies[:, 1:-1]
+        displacement = _largest(x)
+        velocity = _largest(v)
+        acceleration = _largest(a)
+        now.largest_strain = max(now.largest_strain, abs(strain))
+        now.displacement = max(now.displacement, displacement)
+        now.velocity = max(now.velocity, velocity)
+        now.acceleration = max(now.acceleration, acceleration)
+        if solution.recorded[i]:
+            shift = abs(now.shift)
+            now.displacement_error = max(now.displacement_error, shift * velocity)
+            now.velocity_error = max(now.velocity_error, shift * acceleration)
