@@ -23,14 +23,13 @@ from .origin import UNKNOWN
 from .panels import Panel
 
 Rows = Sequence[Sequence[str]]
-DRAWN: dict[str, Callable[[Trajectory], Panel]] = {
+PANELS: dict[str, Callable[[Trajectory], Panel]] = {
     "Waveforms": panels.waveforms,
     "The front": panels.arrival,
     "Spectra": panels.spectra,
     "Contacts": panels.forces,
     "Energy": panels.balance,
 }
-PARTS = len(DRAWN) + 2  # that take time: the wave and the fits, too
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,8 @@ def page(
     """
     script = render("report.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    with ProgressBar(PARTS, "report", " parts", shown=progress) as bar:
+    steps = len(PANELS) + 2  # the wave and the fits take time, too
+    with ProgressBar(steps, "report", " parts", shown=progress) as bar:
         bar.describe("The wave in space and time")
         still = panels.wave(trajectory)
         numbers = live.numbers(trajectory)
@@ -102,25 +102,23 @@ def page(
         facts=list(_facts(trajectory)),
         provenance=list(trajectory.provenance.items()),
         scene=trajectory.scene.to_text(),
-        script=Markup(
-            script
-        ),  # ours, and the only one that the policy of the page lets a browser run
+        script=Markup(script),  # ours, and the only one that the policy of the page allows
         digest=digest,
     )
 
 
 def title(trajectory: Trajectory) -> str:
-    """Return a title that tells this run from others: chain, excitation, duration and engine."""
+    """Return the title of a run: chain, excitation, duration and engine."""
     scene = trajectory.scene
     chain = scene.chain
     weight = f"g = {chain.gravity:g} m/s²" if chain.gravity else "no gravity"
     load = f", load {chain.top_load:g} N" if chain.top_load else ""
-    how = f"{scene.excitation.label}, {si(scene.duration, 's')}, {trajectory.engine}"
-    return f"{chain.grains} grains, {weight}{load}, {how}"
+    run = f"{scene.excitation.label}, {si(scene.duration, 's')}, {trajectory.engine}"
+    return f"{chain.grains} grains, {weight}{load}, {run}"
 
 
 def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
-    for name, draw in DRAWN.items():
+    for name, draw in PANELS.items():
         bar.describe(name)
         try:
             yield Section(name, draw(trajectory))
@@ -134,28 +132,15 @@ def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[
     scene = trajectory.scene
     error = trajectory.error_estimate
     cost = trajectory.cost
-    strike = f"strike number {scene.strike_number:.3g}"
-    yield (
-        "Scene",
-        f"{scene.chain.grains} grains, {scene.excitation.label}",
-        f"{strike}; linear theory needs far below 1",
-    )
+    strike = f"strike number {scene.strike_number:.3g}; linear theory needs far below 1"
+    yield "Scene", f"{scene.chain.grains} grains, {scene.excitation.label}", strike
     yield "Engine", trajectory.engine, f"solves Eq. ({trajectory.equation}) {cost.integrator}"
-    yield (
-        "Tolerance",
-        trajectory.provenance.get("tolerance", "not recorded"),
-        "largest relative error asked for",
-    )
-    yield (
-        "Error",
-        f"{error.total:.2g}",
-        f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)",
-    )
-    yield (
-        "Cost",
-        f"{cost.total_s:.3g} s",
-        f"{cost.steps} steps, {cost.active_grains} grains computed",
-    )
+    tolerance = trajectory.provenance.get("tolerance", "not recorded")
+    yield "Tolerance", tolerance, "largest relative error asked for"
+    estimate = f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
+    yield "Error", f"{error.total:.2g}", estimate
+    work = f"{cost.steps} steps, {cost.active_grains} grains computed"
+    yield "Cost", f"{cost.total_s:.3g} s", work
     yield "Date", origin["date"], ""
     yield "Command", origin["command"], ""
 
@@ -164,32 +149,19 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     scene = trajectory.scene
     cost = trajectory.cost
     chain = scene.chain
-    yield (
-        "chain",
-        (
-            f"{chain.grains} grains, top {chain.top}, bottom {chain.bottom}, exponent "
-            f"{chain.exponent:g}"
-        ),
-    )
+    ends = f"top {chain.top}, bottom {chain.bottom}"
+    yield "chain", f"{chain.grains} grains, {ends}, exponent {chain.exponent:g}"
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N"
-    given = ((key, value) for key, value in scene.excitation.given().items() if value is not None)
-    yield (
-        "excitation",
-        f"{scene.excitation.kind}: "
-        + ", ".join(
-            f"{key} {value:g}"
-            if isinstance(value, int | float)
-            else f"{key} of {np.size(value)} values"
-            for key, value in given
-        ),
+    values = ", ".join(
+        f"{key} {value:g}"
+        if isinstance(value, int | float)
+        else f"{key} of {np.size(value)} values"
+        for key, value in scene.excitation.given().items()
+        if value is not None
     )
-    yield (
-        "recorded",
-        (
-            f"{trajectory.grains.size} grains at {trajectory.time.size} times up to "
-            f"{scene.duration:g} s"
-        ),
-    )
+    yield "excitation", f"{scene.excitation.kind}: {values}"
+    samples = f"{trajectory.time.size} times up to {scene.duration:g} s"
+    yield "recorded", f"{trajectory.grains.size} grains at {samples}"
     yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
     for key, value in cost._asdict().items():

@@ -1,10 +1,10 @@
-"""The numbers behind the live view of a page: the velocities of the grains that move, in 16 bits."""
+"""Numbers of the live view of a page: velocities of the grains that move, in 16 bits."""
 
 from __future__ import annotations
 
 import base64
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,66 +15,81 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.plotting import thin_rows
 
-# shown; of more, every so many
-MOST_TIMES = 240
-MOST_GRAINS = 160
-MARGIN = 4  # grains at rest on either side of those that move
-FULL = 2**15 - 1
+
+class ViewSizes(NamedTuple):
+    """Sizes of the live view.
+
+    Attributes
+    ----------
+    times, grains : int
+        Most rows of both; of more, some are shown.
+    margin : int
+        Grains at rest that are shown on either side of those that move.
+    """
+
+    times: int = 240
+    grains: int = 160
+    margin: int = 4
 
 
-def moving_part(trajectory: Trajectory) -> Trajectory:
+VIEW = ViewSizes()
+
+
+def crop(trajectory: Trajectory) -> Trajectory:
     """Return the grains that ever leave rest and a few beside them; pictures show no others."""
     u = np.asarray(trajectory.displacement)
     v = np.asarray(trajectory.velocity)
-    there = trajectory.grains[leaves_rest(u, v)]
-    if not there.size:
+    grains = trajectory.grains
+    moving = grains[leaves_rest(u, v)]
+    if not moving.size:
         return trajectory
-    near = (trajectory.grains >= there.min() - MARGIN) & (trajectory.grains <= there.max() + MARGIN)
-    columns = as_slice(np.flatnonzero(near))
-    grains = trajectory.grains[columns]
+    first = moving.min() - VIEW.margin
+    last = moving.max() + VIEW.margin
+    columns = as_slice(np.flatnonzero((grains >= first) & (grains <= last)))
+    grains = grains[columns]
     scene = trajectory.scene.replace(grains=grains.tolist())
     return replace(
         trajectory, scene=scene, grains=grains, displacement=u[:, columns], velocity=v[:, columns]
     )
 
 
-def moving(trajectory: Trajectory) -> tuple[int, int]:
+def extent(trajectory: Trajectory) -> tuple[int, int]:
     """Return the first and the last grain to show: those that move, and a few beside them."""
     largest = np.abs(trajectory.velocity).max(0)
-    there = trajectory.grains[largest > MOVING * largest.max(initial=0.0)]
-    if not there.size:
-        return int(trajectory.grains.min()), int(trajectory.grains.max())
-    first = trajectory.grains.min()
-    last = trajectory.grains.max()
-    return max(int(there.min()) - MARGIN, int(first)), min(int(there.max()) + MARGIN, int(last))
+    first = int(trajectory.grains.min())
+    last = int(trajectory.grains.max())
+    moving = trajectory.grains[largest > MOVING * largest.max(initial=0.0)]
+    if not moving.size:
+        return first, last
+    return max(int(moving.min()) - VIEW.margin, first), min(int(moving.max()) + VIEW.margin, last)
 
 
 def numbers(trajectory: Trajectory) -> dict[str, Any]:
-    """Return what the script of the page draws, in plain numbers and text."""
-    trajectory = moving_part(trajectory)
-    first, last = moving(trajectory)
+    """Return the numbers for the script of the page."""
+    trajectory = crop(trajectory)
+    first, last = extent(trajectory)
     order = np.argsort(trajectory.grains)
     grains = trajectory.grains[order]
-    shown = order[(grains >= first) & (grains <= last)]
-    rows = np.unique(np.linspace(0, trajectory.time.size - 1, MOST_TIMES).round().astype(int))
-    velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[rows][:, shown])
-    kept, drawn = thin_rows(trajectory.grains[shown], velocity.T, MOST_GRAINS)
+    columns = order[(grains >= first) & (grains <= last)]
+    rows = np.unique(np.linspace(0, trajectory.time.size - 1, VIEW.times).round().astype(int))
+    velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[rows][:, columns])
+    grains, drawn = thin_rows(trajectory.grains[columns], velocity.T, VIEW.grains)
     largest = float(np.abs(drawn).max(initial=0.0)) or 1.0
-    data = np.round(drawn.T / largest * FULL).astype("<i2")
+    data = np.round(drawn.T / largest * np.iinfo(np.int16).max).astype("<i2")
     return {
         "time": trajectory.time[rows].tolist(),
-        "grains": kept.tolist(),
+        "grains": grains.tolist(),
         "largest": largest,
         "limit": scale(velocity),
         "data": base64.b64encode(data.tobytes()).decode("ascii"),
-        "law": _law(trajectory, kept),
+        "law": _law(trajectory, grains),
     }
 
 
 def _law(trajectory: Trajectory, grains: np.ndarray) -> list[float]:
-    """Return when a long weak wave reaches each grain, s; nothing where there is no such wave."""
+    """Return the arrival times of a long weak wave at grains, s; nothing without such a wave."""
     chain = trajectory.scene.chain
     source = getattr(trajectory.scene.excitation, "grain", None)
     if not chain.compressed or source is None:
         return []
-    return [float(t) for t in travel_time(chain, max(1, source))[grains - 1]]
+    return travel_time(chain, max(1, source))[grains - 1].tolist()

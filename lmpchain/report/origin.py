@@ -1,4 +1,4 @@
-"""When, by which command and to which tolerance a saved run was made, as far as it says so."""
+"""Date and command of a saved run, as far as it says so."""
 
 from __future__ import annotations
 
@@ -15,36 +15,34 @@ UNKNOWN = {"date": "not recorded", "command": "not recorded"}
 
 def origin(path: str | PathLike[str] | None) -> dict[str, str]:
     """Return date and command of a saved run, a file or a folder; the date of a file that does not say."""
-    found = dict(UNKNOWN)
+    known = dict(UNKNOWN)
     if path is None:
-        return found
+        return known
     path = Path(path)
     with suppress(OSError, ValueError):
-        found["date"] = (
-            f"{datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(' ', 'minutes')[:16]} "
-            "UTC (file)"
-        )
-    # whatever else it may hold
+        written = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+        known["date"] = f"{_in_minutes(written)} (file)"
+    # whatever else the file may hold
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         date, command = _of_folder(path) if path.is_dir() else _of_file(path)
-        found |= {"date": date, "command": command}
-    return found
+        known = {"date": _in_minutes(datetime.fromisoformat(date)), "command": command}
+    return known
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
     check_readable(path / "run.json", LARGEST_JSON)
     first = json.loads((path / "run.json").read_bytes())["sessions"][0]
-    return _readable(str(first["began"])), str(first["command"])
+    return str(first["began"]), str(first["command"])
 
 
 def _of_file(path: Path) -> tuple[str, str]:
-    """Return what the attribute `history` of a NetCDF file says."""
+    """Return the date and the command in the attribute `history` of a NetCDF file."""
     import h5py
 
     with h5py.File(path, "r") as file:
         date, _, command = str(file.attrs["history"]).partition(" ")
-    return _readable(date), command
+    return date, command
 
 
-def _readable(date: str) -> str:
-    return f"{datetime.fromisoformat(date).astimezone(UTC).isoformat(' ', 'minutes')[:16]} UTC"
+def _in_minutes(date: datetime) -> str:
+    return f"{date.astimezone(UTC).isoformat(' ', 'minutes')[:16]} UTC"

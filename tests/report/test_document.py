@@ -17,7 +17,7 @@ from lmpchain import Chain, Drive, Impulse, Profile, Scene, Trajectory, simulate
 from lmpchain.report import document, origin, page, write
 from lmpchain.report import live as live_view
 from lmpchain.report.document import title
-from lmpchain.report.live import moving, moving_part, numbers
+from lmpchain.report.live import crop, extent, numbers
 from lmpchain.trajectory.record import ErrorEstimate
 
 CHAIN = Chain(grains=40, diameter=1e-3)
@@ -61,7 +61,7 @@ class Rows(HTMLParser):
 
 @pytest.fixture
 def rows(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.setattr(document, "DRAWN", {})
+    monkeypatch.setattr(document, "PANELS", {})
     origin = {"date": "yesterday", "command": "lmpchain run"}
     return lambda run: Rows(page(run, origin=origin))
 
@@ -135,8 +135,10 @@ def test_the_bar_counts_every_part(run: Trajectory, monkeypatch: pytest.MonkeyPa
         def advance(self) -> None:
             steps.append(1)
 
-    empty = {name: (lambda t, name=name: document.Panel(name, name, "")) for name in document.DRAWN}
-    monkeypatch.setattr(document, "DRAWN", empty)
+    empty = {
+        name: (lambda t, name=name: document.Panel(name, name, "")) for name in document.PANELS
+    }
+    monkeypatch.setattr(document, "PANELS", empty)
     monkeypatch.setattr(document, "ProgressBar", Bar)
     page(run, progress=True)
     names = ["The wave in space and time", *empty, "Fits"]
@@ -148,7 +150,7 @@ def test_the_bar_counts_every_part(run: Trajectory, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_page_is_written_whole(run: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(document, "DRAWN", {})
+    monkeypatch.setattr(document, "PANELS", {})
     write(run, tmp_path / "page.html", origin={"date": "yesterday", "command": "é"})
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert text == page(run, origin={"date": "yesterday", "command": "é"})
@@ -173,17 +175,17 @@ def moved(first: int, last: int, samples: int = 11, grains: int = 400) -> Trajec
 def test_grains_at_rest_are_left_out_but_for_four_on_either_side():
     for first, last, shown in ((20, 30, (16, 34)), (3, 5, (1, 9)), (390, 399, (386, 400))):
         t = moved(first, last)
-        part = moving_part(t)
+        part = crop(t)
         assert (part.grains[0], part.grains[-1]) == shown
-        assert moving(t) == moving(part) == shown
+        assert extent(t) == extent(part) == shown
         columns = slice(shown[0] - 1, shown[1])
         assert np.array_equal(part.velocity, t.velocity[:, columns])
         assert np.array_equal(part.displacement, t.displacement[:, columns])
         assert part.scene.recorded.tolist() == part.grains.tolist()
         assert numbers(t)["grains"] == list(range(shown[0], shown[1] + 1))
     still = replace(moved(3, 5), velocity=np.zeros((11, 400)), displacement=np.zeros((11, 400)))
-    assert moving_part(still) is still
-    assert moving(still) == (1, 400)
+    assert crop(still) is still
+    assert extent(still) == (1, 400)
     data = numbers(still)
     assert data["largest"] == 1.0
     assert not any(base64.b64decode(data["data"]))
@@ -196,8 +198,8 @@ def test_grains_that_hardly_move_are_left_out_of_the_range():
     largest = np.abs(velocity).max()
     velocity[5, 39], velocity[5, 49] = 1.01e-3 * largest, 0.99e-3 * largest
     slow = replace(t, velocity=velocity)
-    assert moving(slow) == (16, 44)
-    assert moving_part(slow).grains[-1] == 54
+    assert extent(slow) == (16, 44)
+    assert crop(slow).grains[-1] == 54
     assert numbers(slow)["grains"] == list(range(16, 45))
 
 

@@ -74,7 +74,7 @@ def text(run: Trajectory) -> str:
 @pytest.fixture
 def no_panels(monkeypatch: pytest.MonkeyPatch):
     """Leave out the pictures that take time, where a test is about something else."""
-    monkeypatch.setattr(document, "DRAWN", {})
+    monkeypatch.setattr(document, "PANELS", {})
 
 
 def test_a_whole_page(run: Trajectory, text: str):

@@ -147,14 +147,14 @@ class Column:
     @cached_property
     def types(self) -> list[int]:
         """Type of every grain, from 1."""
-        return self._assign_types[0]
+        return self._types_and_constants[0]
 
     @cached_property
     def coefficients(self) -> list[str]:
         """Arguments of the pair_coeff commands."""
         if self.pair_style != "granular":
             return ["* *"]
-        pairs = self._assign_types[1]
+        pairs = self._types_and_constants[1]
         lines = [f"* * {self.model} {next(iter(pairs.values()), 1.0)!r} {LOSSLESS}"]
         if len(pairs) > 1:
             lines += [
@@ -167,10 +167,12 @@ class Column:
         """Argument of the pair_style command."""
         if self.pair_style == "granular":
             return "granular"
-        return f"{self.pair_style} {self._assign_types[1].get((1, 1), 1.0)!r} 0.0 0.0 0.0 0.0 0"
+        return (
+            f"{self.pair_style} {self._types_and_constants[1].get((1, 1), 1.0)!r} 0.0 0.0 0.0 0.0 0"
+        )
 
     @cached_property
-    def _assign_types(self) -> tuple[list[int], dict[tuple[int, int], float]]:
+    def _types_and_constants(self) -> tuple[list[int], dict[tuple[int, int], float]]:
         """Types of the grains, and the constant of each pair of types that touches.
 
         A grain takes a type whose pair with the grain above has the right constant already; or else

@@ -221,21 +221,21 @@ def test_a_step_is_cut_where_what_acts_ends():
     """At 7 us, in the eighth step of 1 us and a half; not at one of its ends."""
     wave, reach = ACTS["half-sine"].waveform, np.array([0.0, *SPLITTINGS["kahan-li6"].reach])
     made = plan(wave, step=1.5e-6, pushed=1)
-    ((h, times),) = made.parts(3)
+    ((h, times),) = made.intervals(3)
     assert h == 1.5e-6
     np.testing.assert_allclose(times, (3 + reach) * 1.5e-6, rtol=1e-12, atol=0)
-    (first, early), (second, late) = made.parts(4)
+    (first, early), (second, late) = made.intervals(4)
     assert first == pytest.approx(1e-6, rel=1e-9)
     assert second == pytest.approx(0.5e-6, rel=1e-9)
     np.testing.assert_allclose(early, 6e-6 + reach * 1e-6, rtol=1e-9, atol=0)
     np.testing.assert_allclose(late, 7e-6 + reach * 0.5e-6, rtol=1e-9, atol=0)
     assert (
-        len(plan(wave, step=1e-6, pushed=1).parts(6))
-        == len(plan(wave, step=1e-6, pushed=1).parts(7))
+        len(plan(wave, step=1e-6, pushed=1).intervals(6))
+        == len(plan(wave, step=1e-6, pushed=1).intervals(7))
         == 1
     )
-    assert len(plan(None).parts(3)) == 1
-    assert len(plan(ACTS["points"].waveform, driven=True).parts(3)) == 1
+    assert len(plan(None).intervals(3)) == 1
+    assert len(plan(ACTS["points"].waveform, driven=True).intervals(3)) == 1
     assert plan(ACTS["burst"].waveform).walled
     assert not plan(ACTS["burst"].waveform, driven=True).walled
     assert not plan(ACTS["burst"].waveform, pushed=2).walled
@@ -370,7 +370,9 @@ def test_options_that_are_refused():
     for options in ({"keep": "x"}, {"keep": "x", "include": __file__}):
         kept = Lammps("verlet", **options)
         assert kept.whole
-        with pytest.raises(InputError, match="LAMMPS cannot go on after a stop") as refused:
+        with pytest.raises(
+            InputError, match="LAMMPS cannot go on with that after a stop"
+        ) as refused:
             kept.options()
         assert [key for key, _ in refused.value.faults] == list(options)
     assert not Lammps().whole
@@ -422,7 +424,7 @@ def test_who_runs_a_column(monkeypatch):
 def test_the_last_words_of_ranks(tmp_path, lines, reason):
     ranks = SubprocessRanks.__new__(SubprocessRanks)
     with open(tmp_path / "said", "w+b") as said:
-        ranks._said = said
+        ranks._output = said
         said.write(lines.encode())
         assert ranks._last_words() == reason
 
