@@ -20,17 +20,35 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 # all else is imported by the check that needs it, as it may be broken
 from .errors import LmpchainError
 from .util import mpi
 
-MPIEXEC_S = 20.0  # longest time for two ranks to answer
-# for the wave, and for frequencies
-TOLERANCE = 1e-6
-ROUNDED = 1e-12
-SCARCE = 1.0  # GB of memory below which a warning is due
+
+class Limits(NamedTuple):
+    """Limits of the checks.
+
+    Attributes
+    ----------
+    answer_s : float
+        Longest wait for an answer of two ranks, s.
+    error : float
+        Largest error of a wave.
+    rounding : float
+        Largest relative error of a frequency.
+    memory_gb : float
+        Free memory below which a warning is due, GB.
+    """
+
+    answer_s: float = 20.0
+    error: float = 1e-6
+    rounding: float = 1e-12
+    memory_gb: float = 1.0
+
+
+LIMITS = Limits()
 SIZES_SEEN = (
     "from lmpchain.util import mpi; w = mpi.library().COMM_WORLD; s = w.gather(w.size); w.rank "
     "or print(s)"
@@ -62,9 +80,8 @@ class Finding:
     cure: str = ""
 
     def __str__(self) -> str:
-        return f"{self.state:<8} {self.name:<17} {self.found}" + (
-            f"\n{'':27}cure: {self.cure}" if self.cure else ""
-        )
+        cure = f"\n{'':27}cure: {self.cure}" if self.cure else ""
+        return f"{self.state:<8} {self.name:<17} {self.found}{cure}"
 
 
 @dataclass(frozen=True)
@@ -75,18 +92,15 @@ class Diagnosis:
 
     @property
     def counts(self) -> Counter[str]:
-        """How many findings are in each state."""
+        """Number of findings in each state."""
         return Counter(finding.state for finding in self.findings)
 
     @property
     def summary(self) -> str:
         """The diagnosis in one line."""
-        told = [
-            f"{n} {state}{'s' * (n > 1)}"
-            for state in ("fault", "warning")
-            if (n := self.counts[state])
-        ]
-        return " and ".join(told) or "all is well"
+        counts = ((self.counts[state], state) for state in ("fault", "warning"))
+        texts = [f"{count} {state}{'s' * (count > 1)}" for count, state in counts if count]
+        return " and ".join(texts) or "all is well"
 
     def __str__(self) -> str:
         return "\n".join([*map(str, self.findings), self.summary])
@@ -130,15 +144,11 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
             for finding in run():
                 findings.append(finding)
         except Exception as error:
-            text = (
-                str(error)
-                if isinstance(error, LmpchainError)
-                else f"{type(error).__name__}: {error}"
-            )
-            said = text.split(": pip install")[0]  # some errors name a cure themselves
+            kind = "" if isinstance(error, LmpchainError) else f"{type(error).__name__}: "
+            text = f"{kind}{error}".split(": pip install")[0]  # some errors name a cure themselves
             if isinstance(error, ImportError) and error.name:
                 cure = f"pip install --force-reinstall {error.name.partition('.')[0]}"
-            findings.append(Finding(name, "fault", textwrap.shorten(said, 300), cure))
+            findings.append(Finding(name, "fault", textwrap.shorten(text, 300), cure))
     return findings + [Finding(name, "warning", str(warning.message), cure) for warning in warned]
 
 
@@ -151,17 +161,22 @@ def _check(name: str, cure: str) -> Callable[[Check], None]:
 def _versions() -> Iterator[Finding]:
     yield Finding("lmpchain", "ok", version("lmpchain"))
     for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
-        # requirements of extras contain a ;
-        if parts := re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need):
-            name = parts[1]
-            least = parts[2] or "0"
-            installed = _version(name)
-            have, must = (
-                [int(number) for number in re.findall(r"\d+", text)] for text in (installed, least)
-            )
-            said = f"{installed} (must be {least} or later)"
-            cure = f"use a newer {need}" if name == "python" else f'pip install "{need}"'
-            yield Finding(name, "fault", said, cure) if have < must else Finding(name, "ok", said)
+        match = re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need)
+        if not match:  # of an extra, whose requirements contain a ;
+            continue
+        name = match[1]
+        required = match[2] or "0"
+        installed = _version(name)
+        text = f"{installed} (must be {required} or later)"
+        cure = f"use a newer {need}" if name == "python" else f'pip install "{need}"'
+        if _numbers(installed) < _numbers(required):
+            yield Finding(name, "fault", text, cure)
+        else:
+            yield Finding(name, "ok", text)
+
+
+def _numbers(version: str) -> list[int]:
+    return [int(number) for number in re.findall(r"\d+", version)]
 
 
 def _version(name: str) -> str:
@@ -181,10 +196,14 @@ def _mpiexec() -> Iterator[Finding]:
     command = [path, "-n", "2", sys.executable, "-c", SIZES_SEEN]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=MPIEXEC_S
+            command,
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            timeout=LIMITS.answer_s,
         )
     except subprocess.TimeoutExpired:
-        raise LmpchainError(f"{path} gave no answer within {MPIEXEC_S:g} s") from None
+        raise LmpchainError(f"{path} gave no answer within {LIMITS.answer_s:g} s") from None
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if re.search(r"\w", line)] or [
             "it does not say why"
@@ -237,7 +256,7 @@ def _memory() -> Iterator[Finding]:
     kilobytes = dict(re.findall(r"(\w+): +(\d+) kB", Path("/proc/meminfo").read_text()))
     free, total = (int(kilobytes[key]) * 1.024e-6 for key in ("MemAvailable", "MemTotal"))
     yield Finding("memory", "ok", f"{free:.1f} of {total:.1f} GB are free")
-    if free < SCARCE:
+    if free < LIMITS.memory_gb:
         warnings.warn("memory is scarce", stacklevel=1)
 
 
@@ -278,11 +297,11 @@ def _eigenmodes() -> Iterator[Finding]:
     from .theory.modes import eigenmodes
 
     chain = Chain(grains=20, diameter=1e-3)
-    apart = abs(float(eigenmodes(chain).frequency[-1]) / chain.band_edge - 1)
-    said = f"the highest is {apart:.0e} from the band edge (must be {ROUNDED:.0e} or less)"
-    if not apart <= ROUNDED:
-        raise LmpchainError(said)
-    yield Finding("eigenmodes", "ok", said)
+    error = abs(float(eigenmodes(chain).frequency[-1]) / chain.band_edge - 1)
+    text = f"the highest is {error:.0e} from the band edge (must be {LIMITS.rounding:.0e} or less)"
+    if not error <= LIMITS.rounding:
+        raise LmpchainError(text)
+    yield Finding("eigenmodes", "ok", text)
 
 
 def _engine(name: str) -> Iterator[Finding]:
@@ -296,13 +315,13 @@ def _engine(name: str) -> Iterator[Finding]:
     chain = Chain(grains=20, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=20e-6, samples=11)
     start = time.perf_counter()
-    answer = simulate(scene, name, TOLERANCE)
-    took = time.perf_counter() - start
+    answer = simulate(scene, name, LIMITS.error)
+    time_s = time.perf_counter() - start
     wrong = error(answer, reference(scene))
-    said = f"error {wrong:.1e} (must be {TOLERANCE:g} or less) in {took:.2g} s"
-    if not wrong <= TOLERANCE:
-        raise LmpchainError(said)
-    yield Finding(f"{name} engine", "ok", said)
+    text = f"error {wrong:.1e} (must be {LIMITS.error:g} or less) in {time_s:.2g} s"
+    if not wrong <= LIMITS.error:
+        raise LmpchainError(text)
+    yield Finding(f"{name} engine", "ok", text)
 
 
 _check("native engine", "pip install --force-reinstall numba")(partial(_engine, "native"))

@@ -1,9 +1,10 @@
-"""Measure what fits call a solitary wave, STEADY and NEAR, and a weak strike, WEAK.
+"""Measure what fits call a solitary wave, SOLITARY, and a weak strike, WEAK_STRIKE.
 
 Exact solitary waves of several exponents and speeds, under a load and without, run through uniform chains, recorded at
-few and many samples; so do strikes of loaded chains that are too weak to make one. STEADY and NEAR are supported from
+few and many samples; so do strikes of loaded chains that are too weak to make one. SOLITARY is supported, for the
+scatter of the height and for the errors of speed and width, from
 the largest values that a solitary wave has to the smallest of what is none (the larger of them: one is enough to tell).
-WEAK: the strike number at which linear theory errs by a hundredth in the largest velocity at a grain, from the first to
+WEAK_STRIKE: the strike number at which linear theory errs by a hundredth in the largest velocity at a grain, from the first to
 the deepest.
 
     python analysis/calibration/fit_thresholds.py           # a minute
@@ -19,8 +20,8 @@ from common import Row, command
 
 from lmpchain import Chain, Impulse, LmpchainError, Scene, Trajectory, simulate
 from lmpchain.measure.fit import solitary
-from lmpchain.measure.fit.overview import WEAK
-from lmpchain.measure.fit.solitary import NEAR, STEADY
+from lmpchain.measure.fit.overview import WEAK_STRIKE
+from lmpchain.measure.fit.solitary import SOLITARY
 from lmpchain.theory import soliton
 
 GRAINS, START, END = (
@@ -34,7 +35,7 @@ DEPTHS = slice(1, 60)
 
 def told(trajectory: Trajectory) -> tuple[float, float] | None:
     """Return the scatter of the height, and how far speed and width are from the exact ones; None if nothing passes."""
-    with mock.patch.multiple(solitary, STEADY=np.inf, NEAR=np.inf):
+    with mock.patch.object(solitary, "SOLITARY", np.inf):
         try:
             fit = solitary.fit_soliton(trajectory)
         except LmpchainError:
@@ -95,7 +96,7 @@ def other_waves(quick: bool) -> list[float]:
 
 
 def weak(quick: bool) -> Row:
-    """Return the row of WEAK."""
+    """Return the row of WEAK_STRIKE."""
     chain, errors = Chain(grains=120, diameter=1e-3), {}
     for number in np.geomspace(0.05, 2.0, 5 if quick else 17):
         strike = Impulse(velocity=float(number) * chain.length_scale / chain.time_scale)
@@ -111,17 +112,24 @@ def weak(quick: bool) -> Row:
         for each in np.array(list(errors.values())).T
     ]
     says = f"strike number at which a peak velocity is off by 1 %: median, least and most of {len(places)} depths"
-    return Row("WEAK", WEAK, float(np.median(places)), float(min(places)), float(max(places)), says)
+    return Row(
+        "WEAK_STRIKE",
+        WEAK_STRIKE,
+        float(np.median(places)),
+        float(min(places)),
+        float(max(places)),
+        says,
+    )
 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     waves, others = solitary_waves(quick), other_waves(quick)
     rows = []
-    for name, shipped, column in (("STEADY", STEADY, 0), ("NEAR", NEAR, 1)):
+    for name, column in (("SOLITARY (height)", 0), ("SOLITARY (speed, width)", 1)):
         low = max(one[column] for one in waves)
         says = f"most of {len(waves)} solitary waves; of {len(others)} other waves the larger of the two is more"
-        rows.append(Row(name, shipped, low, low, min(others, default=np.inf), says))
+        rows.append(Row(name, SOLITARY, low, low, min(others, default=np.inf), says))
     return [*rows, weak(quick)]
 
 

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 DASHES = ("-", "--", "-.", ":")
-MARGIN = 4  # grains at rest drawn below the wave
-WHAT = "a sum over the grains of one chain, weighted by D_m(kappa_n): no average over disorder"
+MEANING = "a sum over the grains of one chain, weighted by D_m(kappa_n): no average over disorder"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,41 +87,25 @@ class DysonSums(Shown):
         unit = "m/s" if self.unit == 1 else f"v0 = {self.unit:g} m/s"
         lines = [
             f"t = {self.time[-1]:.6g} s (tau = {self.tau[-1]:.4g}); velocities in {unit}",
-            f"Eq. (22): {WHAT}",
+            f"Eq. (22): {MEANING}",
             f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains "
             "with kappa_n zeta_n, its standard error and grain",
         ]
-        rows = [
-            [
-                "m",
-                "as printed",
-                "sum of weights",
-                "normalised",
-                "random chains",
-                "standard error",
-                "grain",
-            ]
-        ]
+        equation = ["as printed", "sum of weights", "normalised"]
+        rows = [["m", *equation, "random chains", "standard error", "grain"]]
         for row in self._rows(ensembles):
             mean = row["random_chains"]
-            values = (
-                row["as_printed"],
-                row["weights"],
-                row["normalised"],
-                mean["largest"],
-                mean["standard_error"],
-            )
-            rows.append(
-                [f"{row['m']:g}", *(number(value, ".5g") for value in values), str(mean["grain"])]
-            )
-        at = int(np.abs(ordered).argmax())
-        rows.append(
-            ["ordered", "", "", "", number(ordered[at] / self.unit, ".5g"), "", str(at + 1)]
-        )
+            values = [row[key] for key in ("as_printed", "weights", "normalised")]
+            values += [mean["largest"], mean["standard_error"]]
+            texts = [number(value, ".5g") for value in values]
+            rows.append([f"{row['m']:g}", *texts, str(mean["grain"])])
+        peak = int(np.abs(ordered).argmax())
+        velocity = number(ordered[peak] / self.unit, ".5g")
+        rows.append(["ordered", "", "", "", velocity, "", str(peak + 1)])
         lines += align(rows)
-        largest = max(each.model_error for each in ensembles)
+        largest = max(ensemble.model_error for ensemble in ensembles)
         lines.append(f"model error of Eq. (3) in random chains: up to {largest:.2g}")
-        if squeezed := sum(each.squeezed for each in ensembles):
+        if squeezed := sum(ensemble.squeezed for ensemble in ensembles):
             lines.append(
                 f"in {squeezed} chains a contact is so soft that Hertz's law would no longer "
                 "hold at rest"
@@ -130,19 +113,19 @@ class DysonSums(Shown):
         return "\n".join(lines)
 
     def to_json(self, ordered: Array, ensembles: Sequence[Ensemble]) -> dict[str, Any]:
-        """Return what the table shows and the curves behind it; arguments as for `table`."""
+        """Return the numbers of the table and its curves; arguments as for `table`."""
         rows = self._rows(ensembles)
-        for row, printed, normalised, each in zip(
+        for row, printed, normalised, ensemble in zip(
             rows, self.as_printed, self.normalised, ensembles, strict=True
         ):
             row["as_printed_over_time"] = (printed / self.unit).tolist()
             row["normalised_over_time"] = (normalised / self.unit).tolist()
             row["random_chains"] |= {
-                "mean_velocity": (each.velocity[-1] / self.unit).tolist(),
-                "standard_errors": (each.velocity_error[-1] / abs(self.unit)).tolist(),
+                "mean_velocity": (ensemble.velocity[-1] / self.unit).tolist(),
+                "standard_errors": (ensemble.velocity_error[-1] / abs(self.unit)).tolist(),
             }
         return {
-            "what": f"Eq. (22) is {WHAT}",
+            "what": f"Eq. (22) is {MEANING}",
             "velocity_unit_m_per_s": self.unit,
             "time_s": self.time.tolist(),
             "tau": self.tau.tolist(),
@@ -156,20 +139,20 @@ class DysonSums(Shown):
     def _rows(self, ensembles: Sequence[Ensemble]) -> list[dict[str, Any]]:
         """Return the values of each m at the last sample, in the unit."""
         rows = []
-        for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
-            at = int(np.abs(each.velocity[-1]).argmax())
+        for row, (m, ensemble) in enumerate(zip(self.m, ensembles, strict=True)):
+            peak = int(np.abs(ensemble.velocity[-1]).argmax())
             rows.append(
                 {
                     "m": float(m),
-                    "as_printed": float(self.as_printed[place, -1] / self.unit),
-                    "weights": float(self.weight[place].sum()),
-                    "normalised": float(self.normalised[place, -1] / self.unit),
+                    "as_printed": float(self.as_printed[row, -1] / self.unit),
+                    "weights": float(self.weight[row].sum()),
+                    "normalised": float(self.normalised[row, -1] / self.unit),
                     "random_chains": {
-                        "largest": float(each.velocity[-1, at] / self.unit),
-                        "standard_error": float(each.velocity_error[-1, at] / abs(self.unit)),
-                        "grain": int(each.grains[at]),
-                        "model_error": each.model_error,
-                        "squeezed_chains": each.squeezed,
+                        "largest": float(ensemble.velocity[-1, peak] / self.unit),
+                        "standard_error": float(ensemble.velocity_error[-1, peak] / abs(self.unit)),
+                        "grain": int(ensemble.grains[peak]),
+                        "model_error": ensemble.model_error,
+                        "squeezed_chains": ensemble.squeezed,
                     },
                 }
             )
@@ -178,7 +161,7 @@ class DysonSums(Shown):
     def plot(
         self, ordered: Array, ensembles: Sequence[Ensemble], ax: Axes | Sequence[Axes] | None = None
     ) -> Axes:
-        """Draw means over random chains and terms of Eq. (22) against grain number, at the last sample.
+        """Draw means over random chains and terms of Eq. (22) over grains, at the last sample.
 
         Parameters
         ----------
@@ -194,44 +177,45 @@ class DysonSums(Shown):
         """
         from ..util.plotting import COLOURS, legend, panels, set_title, window
 
-        true, *others = panels(window(7.0, 8.0).subplots(2, sharex=True) if ax is None else ax)
+        means, *terms_axes = panels(window(7.0, 8.0).subplots(2, sharex=True) if ax is None else ax)
         colours = list(COLOURS.values())
         grains = np.arange(1, ordered.size + 1)
-        true.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
-        for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
+        means.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
+        for row, (m, ensemble) in enumerate(zip(self.m, ensembles, strict=True)):
             # colours repeat before dashes do, so that no two lines look alike
-            dash = DASHES[(place + place // len(colours)) % len(DASHES)]
-            style: dict[str, Any] = {"color": colours[place % len(colours)], "ls": dash, "lw": 1.6}
-            mean = each.velocity[-1] / self.unit
-            band = 2 * each.velocity_error[-1] / abs(self.unit)
-            true.plot(each.grains, mean, label=f"m = {m:g}", **style)
-            true.fill_between(
-                each.grains, mean - band, mean + band, color=style["color"], alpha=0.2, lw=0
-            )
-            terms = self.weight[place] * self.velocity[-1] / self.unit
-            total = self.as_printed[place, -1] / self.unit
-            for weighted in others:
-                weighted.plot(grains, terms, label=f"m = {m:g}: sum {total:.4g}", **style)
+            dash = DASHES[(row + row // len(colours)) % len(DASHES)]
+            style: dict[str, Any] = {"color": colours[row % len(colours)], "ls": dash, "lw": 1.6}
+            mean = ensemble.velocity[-1] / self.unit
+            band = 2 * ensemble.velocity_error[-1] / abs(self.unit)
+            means.plot(ensemble.grains, mean, label=f"m = {m:g}", **style)
+            low = mean - band
+            high = mean + band
+            colour = style["color"]
+            means.fill_between(ensemble.grains, low, high, color=colour, alpha=0.2, lw=0)
+            terms = self.weight[row] * self.velocity[-1] / self.unit
+            total = self.as_printed[row, -1] / self.unit
+            for ax in terms_axes:
+                ax.plot(grains, terms, label=f"m = {m:g}: sum {total:.4g}", **style)
         unit = r"$v_0$" if self.unit != 1 else "m/s"
-        true.set_ylabel(f"mean velocity ({unit})")
+        means.set_ylabel(f"mean velocity ({unit})")
         set_title(
-            true, f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors"
+            means,
+            f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors",
         )
-        for weighted in others:
-            weighted.set_ylabel(rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({unit})")
-            set_title(
-                weighted,
-                f"Terms of Eq. (22), one chain weighted over depth, tau = {self.tau[-1]:.4g}",
-            )
-        shown = np.abs([ordered, self.velocity[-1]]).max(0)
-        moving = np.flatnonzero(shown > 1e-3 * shown.max())
-        last = int(moving[-1]) + 1 + MARGIN if moving.size else grains.size
-        for panel in (true, *others):
+        for ax in terms_axes:
+            ax.set_ylabel(rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({unit})")
+            title = "Terms of Eq. (22), one chain weighted over depth"
+            set_title(ax, f"{title}, tau = {self.tau[-1]:.4g}")
+        largest = np.abs([ordered, self.velocity[-1]]).max(0)
+        moving = np.flatnonzero(largest > 1e-3 * largest.max())
+        # a few grains at rest are drawn below the wave
+        last = int(moving[-1]) + 5 if moving.size else grains.size
+        for panel in (means, *terms_axes):
             panel.set_xlim(0.5, min(last, grains.size) + 0.5)
             panel.axhline(0, color="0.8", lw=0.8, zorder=0)
             legend(panel)
         panel.set_xlabel("grain number n, from the top")
-        return true
+        return means
 
 
 def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
@@ -259,8 +243,10 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=60, diameter=1e-3)
     >>> strike = lmpchain.Impulse(velocity=1e-12)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=15 * chain.time_scale, samples=2)
-    >>> print(sums(lmpchain.simulate(scene, engine="modes"), [1, 5]).as_printed[:, -1].round(16) / 1e-12)
+    >>> duration = 15 * chain.time_scale
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=duration, samples=2)
+    >>> run = lmpchain.simulate(scene, engine="modes")
+    >>> print(sums(run, [1, 5]).as_printed[:, -1].round(16) / 1e-12)
     [ 0.1523 -0.0241]
     """
     chain = trajectory.scene.chain
@@ -303,12 +289,12 @@ def orders(text: str) -> list[float]:
     [1.0, 2.5]
     """
     values = []
-    for part in dict.fromkeys(part.strip() for part in text.split(",")):
+    for word in dict.fromkeys(word.strip() for word in text.split(",")):
         try:
-            values.append(float(part))
+            values.append(float(word))
         except ValueError:
             raise InputError.at(
-                "m", f"must be numbers with commas between them (got {shown(part)})"
+                "m", f"must be numbers with commas between them (got {shown(word)})"
             ) from None
     if wrong := [m for m in values if not 0 < m < np.inf]:
         raise InputError.at("m", f"must be above 0 (got {wrong[0]:g})")

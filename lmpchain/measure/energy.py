@@ -1,4 +1,4 @@
-"""Energy of grains, contacts and parts of a chain; balance of energy and momentum."""
+"""Energy of grains and contacts; balance of energy and momentum."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class EnergyLedger(Shown):
 
     @property
     def drift(self) -> Array:
-        """Energy change not explained by the work done on the chain, (T,) J; 0 for the exact motion."""
+        """Energy change beyond the work done on the chain, (T,) J; 0 for the exact motion."""
         return self.total - self.total[0] - self.drive
 
     @property
@@ -85,7 +85,7 @@ class EnergyLedger(Shown):
         return self.momentum - self.momentum[0] - self.impulse
 
     def virial_ratio(self, start: float = 0.0, end: float | None = None) -> float:
-        """Return the time mean of the kinetic over that of the total energy, from `start` to `end` in s.
+        """Return the mean kinetic over the mean total energy from `start` to `end`, s.
 
         In a sonic vacuum between walls it tends to (delta + 1) / (delta + 3), 5/9 for Hertz, as 1
         over the time (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no
@@ -98,19 +98,14 @@ class EnergyLedger(Shown):
         return float(kinetic / total) if total else np.nan
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw total, kinetic and potential energy, and the work of a driver, over time; returns the axes."""
+        """Draw total, kinetic and potential energy and the work of a driver; returns the axes."""
         ax = axes_in_units(ax, "s", "J")
         ax.plot(self.time, self.total, label="total")
         ax.plot(self.time, self.kinetic, label="kinetic")
         ax.plot(self.time, self.total - self.kinetic, label="potential")
         if self.drive.any():
-            ax.plot(
-                self.time,
-                self.total[0] + self.drive,
-                "k--",
-                lw=1,
-                label="given by strike and driver",
-            )
+            work = self.total[0] + self.drive
+            ax.plot(self.time, work, "k--", lw=1, label="given by strike and driver")
         ax.set(xlabel="time", ylabel="energy above rest")
         largest = np.abs(self.total).max() or 1.0
         set_title(
@@ -188,7 +183,8 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=20, diameter=1e-3)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5, samples=3)
+    >>> strike = lmpchain.Impulse(velocity=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=2e-5, samples=3)
     >>> energy = shares(lmpchain.simulate(scene, engine="native", tolerance=1e-9))
     >>> (energy.part(1, 20) / scene.energy).round(8).tolist()
     [1.0, 1.0, 1.0]
@@ -200,30 +196,40 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     fast = between.known_error("velocity")
     contact = known_contacts(trajectory)
     u, _ = motion(trajectory, np.stack([contact, contact + 1]))
-    these = chain.contacts.of(contact)
+    contacts = chain.contacts.of(contact)
     closer = u[:, 0] - u[:, 1]
     speed = np.abs(trajectory.velocity)
-    steepest = np.maximum(
-        *(np.abs(these.force_change(closer + side)) for side in (-2 * off, 2 * off))
+    # the largest force above that at rest, anywhere within the error
+    force = np.maximum(
+        np.abs(contacts.force_change(closer - 2 * off)),
+        np.abs(contacts.force_change(closer + 2 * off)),
     )
-    kinetic = (
-        chain.masses[grain - 1] * speed**2 / 2,
-        chain.masses[grain - 1] * fast * (speed + fast / 2),
+    mass = chain.masses[grain - 1]
+    kinetic = mass * speed**2 / 2
+    kinetic_error = mass * fast * (speed + fast / 2)
+    elastic = contacts.energy(closer)
+    elastic_error = 2 * off * force
+    return EnergyShares(
+        time=trajectory.time,
+        grain=grain,
+        contact=contact,
+        kinetic=kinetic,
+        elastic=elastic,
+        of_grain=kinetic + _share_out(chain, contact, elastic, grain),
+        kinetic_error=kinetic_error,
+        elastic_error=elastic_error,
+        of_grain_error=kinetic_error + _share_out(chain, contact, elastic_error, grain),
     )
-    elastic = these.energy(closer), 2 * off * steepest
-    of_grain = [
-        k + _beside(chain, contact, e, grain) for k, e in zip(kinetic, elastic, strict=True)
-    ]
-    values, errors = zip(kinetic, elastic, of_grain, strict=True)
-    return EnergyShares(trajectory.time, grain, contact, *values, *errors)
 
 
-def _beside(chain: Chain, contact: NDArray[np.intp], held: Array, grain: NDArray[np.intp]) -> Array:
-    """Return what grains have of what their contacts hold, (T, G): half, or all where it is with a wall."""
-    every = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((len(held), 1))
-    every[:, contact] = held
-    every[:, 1:-1] /= 2
-    return every[:, grain - 1] + every[:, grain]
+def _share_out(
+    chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
+) -> Array:
+    """Return the share of grains in the energy of their contacts, (T, G): half, or all at a wall."""
+    shares = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((len(energy), 1))
+    shares[:, contact] = energy
+    shares[:, 1:-1] /= 2
+    return shares[:, grain - 1] + shares[:, grain]
 
 
 def ledger(trajectory: Trajectory) -> EnergyLedger:
@@ -247,7 +253,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=20, diameter=1e-3)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5)
+    >>> strike = lmpchain.Impulse(velocity=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=2e-5)
     >>> energy = ledger(lmpchain.simulate(scene, engine="native", tolerance=1e-9))
     >>> bool(abs(energy.drift).max() < 1e-8 * energy.total[0])
     True
@@ -269,23 +276,23 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         power = push.force * speed
         change = push.rate * speed + push.force * push.acceleration
         work, drive_error = _integral(time, power, change)
-        given, error = _integral(time, push.force, push.rate)
+        push_impulse, error = _integral(time, push.force, push.rate)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
         if push.on_grain:
-            impulse = impulse + given + push.inertia * (speed - speed[0])
+            impulse = impulse + push_impulse + push.inertia * (speed - speed[0])
             impulse_error += error
-    if trajectory.scene.chain.bottom != "free":
-        given, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
-        impulse = impulse - given
-        impulse_error = impulse_error + error
-    held = chain.contacts.energy(closer).sum(1)
+    if chain.bottom != "free":
+        bottom, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
+        impulse = impulse - bottom
+        impulse_error += error
+    elastic = chain.contacts.energy(closer).sum(1)
     return EnergyLedger(
         time=time,
         kinetic=v**2 @ chain.masses / 2,
-        contact=held + closer @ chain.contacts.force,
+        contact=elastic + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
         load=-chain.top_load * (u[:, 0] * (chain.top == "free") if top is None else top),
-        total=(chain.masses * v**2).sum(1) / 2 + held,  # as Chain.excess_energy
+        total=(chain.masses * v**2).sum(1) / 2 + elastic,  # as Chain.excess_energy
         drive=drive,
         momentum=momentum,
         impulse=impulse,
@@ -302,7 +309,7 @@ def _contact_forces(contacts: Contacts, closer: Array, closing: Array) -> tuple[
 
 
 def _integral(time: Array, value: Array, slope: Array) -> tuple[Array, float]:
-    """Integrate samples of known slope up to each, (T,); and the shift when every second is used."""
+    """Return the integral of samples up to each, (T,), and its shift with every second one."""
     fine, coarse = (
         CubicHermiteSpline(time[::n], value[::n], slope[::n]).antiderivative()(time[::n])
         if len(value) > n

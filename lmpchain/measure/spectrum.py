@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-FEWEST_GRAINS = 8  # least to resolve wavenumbers
-DECADES = 3  # spanned by the colours of a spectrum
+FEWEST_GRAINS = 8  # least number that resolves wavenumbers
 # vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
 LINE = "#D55E00"
 
@@ -64,13 +63,8 @@ class Spectrum(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over frequency and depth, with the local bands; returns the axes."""
         ax = axes_in_units(ax, "Hz", "")
-        _logarithmic(
-            ax,
-            self.frequency,
-            self.grain,
-            self.amplitude.T,
-            f"{self.field} ({UNITS[self.field]} per Hz)",
-        )
+        label = f"{self.field} ({UNITS[self.field]} per Hz)"
+        _draw_logarithmic(ax, self.frequency, self.grain, self.amplitude.T, label)
         if self.cut_off.any():
             ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
             for number, edge in enumerate(self.bands[:, :-1, 1].T):
@@ -119,18 +113,12 @@ class Dispersion(Shown):
         return self.frequency[self.amplitude.argmax(0)]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the amplitude over wavenumber and frequency, with the local relation; returns the axes."""
+        """Draw the amplitude over wavenumber and frequency with the relation; returns the axes."""
         ax = axes_in_units(ax, "", "Hz")
-        _logarithmic(
-            ax,
-            self.wavenumber,
-            self.frequency,
-            self.amplitude,
-            f"{self.field} ({UNITS[self.field]} per Hz)",
-        )
-        for number, relation, style in zip(
-            self.grain, self.relation, (":", "-", "--"), strict=True
-        ):
+        label = f"{self.field} ({UNITS[self.field]} per Hz)"
+        _draw_logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, label)
+        styles = (":", "-", "--")
+        for number, relation, style in zip(self.grain, self.relation, styles, strict=True):
             if relation.any():
                 ax.plot(self.wavenumber, relation[0], style, color=LINE, label=f"grain {number}")
                 ax.plot(self.wavenumber, relation[1:].T, style, color=LINE)
@@ -140,7 +128,7 @@ class Dispersion(Shown):
         return ax
 
 
-def _sorted(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
+def _sort(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
     """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
     check(trajectory, field)
     order = as_slice(np.argsort(trajectory.grains))
@@ -174,12 +162,13 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=30, diameter=1e-3)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=1e-3, samples=1001)
+    >>> strike = lmpchain.Impulse(velocity=1e-6)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=1e-3, samples=1001)
     >>> spectra = spectrum(lmpchain.simulate(scene, engine="native"))
     >>> spectra.amplitude.shape, f"{spectra.frequency[-1]:.0f} Hz", f"{spectra.cut_off[0]:.0f} Hz"
     ((501, 30), '499500 Hz', '46332 Hz')
     """
-    grain, motion = _sorted(trajectory, field)
+    grain, motion = _sort(trajectory, field)
     step = trajectory.time[1]
     samples = trajectory.time.size
     amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
@@ -211,7 +200,7 @@ def dispersion(
         If grains are too few or were not recorded, samples too few, or there is no such field or
         window.
     """
-    grains, motion = _sorted(trajectory, field)
+    grains, motion = _sort(trajectory, field)
     chosen = np.arange(first, last + 1)
     if chosen.size < FEWEST_GRAINS:
         raise InputError.at(
@@ -227,15 +216,20 @@ def dispersion(
     samples = trajectory.time.size
     windowed = motion[:, np.isin(grains, chosen)] * _window(window, chosen.size)
     windowed *= _window(window, samples)[:, None]
-    both = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
+    # over time the transform has exp(-2 pi i f t), over grains exp(i k n)
+    transform = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
     wavenumber = 2 * np.pi * np.fft.fftshift(np.fft.fftfreq(chosen.size))
-    three = np.array([first, (first + last) // 2, last])
-    period = repeating(trajectory.scene.chain, first, last)
-    relation = np.array(
-        [_branches(trajectory.scene.chain, grain, period, wavenumber) for grain in three]
+    chain = trajectory.scene.chain
+    places = np.array([first, (first + last) // 2, last])
+    period = repeating(chain, first, last)
+    return Dispersion(
+        field=field,
+        frequency=np.fft.rfftfreq(samples, step),
+        wavenumber=wavenumber,
+        amplitude=np.abs(np.fft.fftshift(transform, axes=1)),
+        grain=places,
+        relation=np.array([_branches(chain, grain, period, wavenumber) for grain in places]),
     )
-    amplitude = np.abs(np.fft.fftshift(both, axes=1))
-    return Dispersion(field, np.fft.rfftfreq(samples, step), wavenumber, amplitude, three, relation)
 
 
 def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array:
@@ -294,17 +288,16 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
         )
     if not 1 <= source <= chain.grains:
         raise InputError.at("source", f"grains are numbered 1 to {chain.grains} (got {source})")
-    apart = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
-    time = np.concatenate(([0.0], np.cumsum(apart)))
-    return np.abs(time - time[source - 1]) + (
-        apart[:1].sum() / 2 if source == 1 and chain.top == "free" else 0.0
-    )
+    delay = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
+    time = np.concatenate(([0.0], np.cumsum(delay)))
+    surface = delay[:1].sum() / 2 if source == 1 and chain.top == "free" else 0.0
+    return np.abs(time - time[source - 1]) + surface
 
 
 def space_time(
     trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False
 ) -> Axes:
-    """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
+    """Draw the motion over time and depth, downward red, upward blue; returns the axes.
 
     It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or
     driven.
@@ -327,13 +320,8 @@ def space_time(
     if law:
         chain = trajectory.scene.chain
         source = getattr(trajectory.scene.excitation, "grain", 1)
-        ax.plot(
-            travel_time(chain, source),
-            np.arange(1, chain.grains + 1),
-            "k--",
-            lw=1,
-            label="long weak wave",
-        )
+        grains = np.arange(1, chain.grains + 1)
+        ax.plot(travel_time(chain, source), grains, "k--", lw=1, label="long weak wave")
         legend(ax, loc="lower left", frameon=True)
     return ax
 
@@ -350,14 +338,13 @@ def _window(name: str, size: int) -> Array:
         ) from None
 
 
-def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:
-    """Draw values (Y, X) as colours, with their bar."""
+def _draw_logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:
+    """Draw values (Y, X) as colours over three decades, with their bar."""
     from matplotlib.colors import LogNorm
 
     largest = values.max() or 1.0
-    smallest = largest / 10**DECADES
+    smallest = largest / 1e3
     scale = LogNorm(smallest, largest)
-    shown = ax.pcolorfast(
-        edges(x), edges(y), np.maximum(values, smallest), norm=scale, cmap="cividis"
-    )
-    colour_bar(ax, shown, label, extend="min")
+    values = np.maximum(values, smallest)
+    mesh = ax.pcolorfast(edges(x), edges(y), values, norm=scale, cmap="cividis")
+    colour_bar(ax, mesh, label, extend="min")

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..measure import contact, energy, front, spectrum
+from ..measure.fit.column_front import is_uniform
 from ..simulation.api import simulate
 from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
@@ -194,10 +195,7 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     """Return the power with which the peak velocity falls with depth, and the kind of wave."""
     chain = run.scene.chain
     excitation = run.scene.excitation
-    uniform = chain.grains > 1 and all(
-        np.ptp(values) < 1e-9 * values[0] for values in (chain.masses, chain.contact_constants)
-    )
-    if not uniform or not excitation.strike_velocity:
+    if chain.grains == 1 or not is_uniform(chain) or not excitation.strike_velocity:
         return None, ""
     if not chain.compressed:
         return 0.0, "solitary wave of the sonic vacuum"

@@ -61,6 +61,17 @@ def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Arra
     return rows[first], values[largest]
 
 
+def choose_few(count: int, few: int = 4) -> Array:
+    """Return the indices of a few of many things, evenly spaced.
+
+    Examples
+    --------
+    >>> choose_few(10).tolist(), choose_few(2).tolist()
+    ([0, 3, 6, 9], [0, 1])
+    """
+    return np.unique(np.linspace(0, count - 1, few).round().astype(int))
+
+
 def edges(middles: Array) -> Array:
     """Return the edges of cells around these centres.
 

@@ -135,7 +135,7 @@ def no_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
 
 
 def slow_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    monkeypatch.setattr(doctor, "MPIEXEC_S", 0.3)
+    monkeypatch.setattr(doctor, "LIMITS", doctor.LIMITS._replace(answer_s=0.3))
     mpiexec("exec sleep inf")(monkeypatch, folder)
 
 
@@ -305,7 +305,13 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
     [
         ("LAMMPS", old_lammps, "20230802 is older"),
         ("LAMMPS", serial_lammps, "without MPI"),
-        ("memory", lambda monkeypatch, _: monkeypatch.setattr(doctor, "SCARCE", 1e9), "scarce"),
+        (
+            "memory",
+            lambda monkeypatch, _: monkeypatch.setattr(
+                doctor, "LIMITS", doctor.LIMITS._replace(memory_gb=1e9)
+            ),
+            "scarce",
+        ),
         ("numba cache", other_cache, "cannot be written to"),
         ("numba cache", no_compiler, "not compiled"),
     ],
@@ -363,7 +369,7 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     (tmp_path / "mpiexec").chmod(0o755)
     script = (
         "import sys; from lmpchain import doctor; from lmpchain.cli import main; from lmpchain.util import mpi\n"
-        f"doctor.MPIEXEC_S = 1e6; mpi.launcher = lambda: '{tmp_path}/mpiexec'\n"
+        f"doctor.LIMITS = doctor.LIMITS._replace(answer_s=1e6); mpi.launcher = lambda: '{tmp_path}/mpiexec'\n"
         f"sys.exit(main(['doctor', '--json', '{tmp_path}/d.json']))"
     )
     process = subprocess.Popen(

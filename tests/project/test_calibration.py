@@ -23,7 +23,7 @@ SHOWN = {
     "between_samples": ["RESOLVED", "RESOLVED_BY_DIFFERENCES", "SAFETY (samples)"],
     "chaos_test": ["STALLS", "ATTEMPTS", "ERRATIC", "CHAOS_ERROR"],
     "error_constants": ["rkn4.error_constant", "kahan-li8.error_constant", "dop853.error_constant"],
-    "fit_thresholds": ["STEADY", "NEAR", "WEAK"],
+    "fit_thresholds": ["SOLITARY (height)", "SOLITARY (speed, width)", "WEAK_STRIKE"],
     "halved_steps": ["SAFETY (orbits)"],
     "linear_model_error": [
         "LINEAR[package][0]",

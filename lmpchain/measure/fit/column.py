@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -20,16 +20,29 @@ from ...util.arrays import Array
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend
 from ..front import FEWEST, PowerLaw, asymptotic
-from .column_front import bottom, front_before_echo, struck_at_the_top
+from .column_front import bottom, front_before_echo, strike_at_top
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-INSIDE = 0.5  # travel time over tau up to which the continuum describes the grains
-# tau between which this region begins
-EARLIEST = 5.0
-LATEST = 50.0
-FORERUNNER = 10.0  # widths of the front by which an echo precedes its arrival time
+
+class FarRegion(NamedTuple):
+    """Region far behind the front, where the continuum describes the grains.
+
+    Attributes
+    ----------
+    earliest, latest : float
+        Times between which it begins, in units of tau.
+    forerunner : float
+        Time by which an echo precedes its arrival, in widths of the front.
+    """
+
+    earliest: float = 5.0
+    latest: float = 50.0
+    forerunner: float = 10.0
+
+
+FAR = FarRegion()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,20 +154,13 @@ class ContinuumFit(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw C from every sample against tau^2 - chi^2, with fit and theory; returns the axes."""
         ax = axes_in_units(ax, "", "")
-        each = self.values * self.cone**self.power
-        ax.plot(
-            self.cone,
-            each,
-            ".",
-            markersize=3,
-            label=f"samples of {np.unique(self.grain).size} grains",
-        )
-        ax.axhline(
-            self.amplitude, color="k", lw=1, label=f"C = {self.amplitude:.8g} ± {self.error:.1g}"
-        )
-        ax.axhline(
-            self.expected, color="0.5", lw=1, ls="--", label=f"Eq. (35): {self.expected:.8g}"
-        )
+        amplitudes = self.values * self.cone**self.power
+        label = f"samples of {np.unique(self.grain).size} grains"
+        ax.plot(self.cone, amplitudes, ".", markersize=3, label=label)
+        label = f"C = {self.amplitude:.8g} ± {self.error:.1g}"
+        ax.axhline(self.amplitude, color="k", lw=1, label=label)
+        label = f"Eq. (35): {self.expected:.8g}"
+        ax.axhline(self.expected, color="0.5", lw=1, ls="--", label=label)
         ax.set(
             xscale="log",
             xlabel="tau² − chi²",
@@ -164,7 +170,7 @@ class ContinuumFit(Shown):
         return ax
 
 
-def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSIDE) -> ContinuumFit:
+def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) -> ContinuumFit:
     """Fit amplitude and front law of the continuum, Eqs. (27) and (35), to a struck column.
 
     The amplitude rests on samples with ``chi <= inside tau`` that no echo from below has reached,
@@ -193,13 +199,14 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=150, diameter=1e-3)
     >>> duration = 80 * chain.time_scale
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=5e-10), duration=duration, samples=401)
+    >>> strike = lmpchain.Impulse(velocity=5e-10)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=duration, samples=401)
     >>> fit = fit_continuum(lmpchain.simulate(scene, engine="chebyshev"))
     >>> f"{fit.amplitude:.4f}", f"{fit.front.exponent:.2f}"
     ('1.1551', '0.83')
     """
     chain = trajectory.scene.chain
-    strike = struck_at_the_top(trajectory)
+    strike = strike_at_top(trajectory)
     if not 0 < inside < 1:
         raise InputError.at("inside", f"must be between 0 and 1 (got {shown(inside)})")
     delta = chain.exponent
@@ -207,13 +214,13 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     tau = trajectory.time / chain.time_scale
     travel = chi(trajectory.grains - 0.5, delta)
     end, lag = bottom(chain.grains, delta)
-    known = tau[:, None] <= 2 * end - travel - FORERUNNER * lag
-    behind = known & (travel <= inside * tau[:, None])
+    quiet = tau[:, None] <= 2 * end - travel - FAR.forerunner * lag
+    behind = quiet & (travel <= inside * tau[:, None])
     latest = tau[behind.any(1)].max(initial=0.0)
-    since = min(LATEST, latest / 2)
+    since = min(FAR.latest, latest / 2)
     behind &= tau[:, None] >= since
-    if since < EARLIEST or behind.sum() < 3:
-        need = 2.2 * EARLIEST * chain.time_scale
+    if since < FAR.earliest or behind.sum() < 3:
+        need = 2.2 * FAR.earliest * chain.time_scale
         cure = f"record {need:.2g} s or more, grains near the top, and use more grains"
         raise InputError.at(
             "duration", f"nothing lies far behind the front and before the echo: {cure}"
@@ -223,9 +230,9 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     values = trajectory.displacement[behind] / (strike * chain.time_scale)
     shape = peaked(grain - 0.5, clock, 0.0, 1.0, 0.0, delta)
 
-    def regress(part: np.ndarray) -> tuple[float, float]:
-        x = shape[part]
-        y = values[part]
+    def regress(chosen: np.ndarray) -> tuple[float, float]:
+        x = shape[chosen]
+        y = values[chosen]
         slope = float(x @ y / (x @ x))
         return slope, float(np.sqrt(((y - slope * x) ** 2).sum() / max(1, x.size - 1) / (x @ x)))
 
@@ -315,7 +322,7 @@ class ExponentFit(Shown):
     expected: Mapping[str, float]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the deviations from the expected exponents, with their intervals; returns the axes."""
+        """Draw the deviations from the expected exponents with their intervals; returns the axes."""
         ax = axes_in_units(ax, "", "")
         above = [law.exponent - self.expected[key] for key, law in self.laws.items()]
         ax.axvline(0, color="0.5", lw=1, ls="--")
@@ -358,7 +365,7 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         If the scene is not a uniform column struck at its free top, or fewer than 6 grains show the
         front.
     """
-    struck_at_the_top(trajectory)
+    strike_at_top(trajectory)
     delta = trajectory.scene.chain.exponent
     xi, eta, _ = exponents(delta)
     p, q = theory.decay(delta)

@@ -1,4 +1,4 @@
-"""The front of a struck column, as far as no echo from below reaches it."""
+"""Front of a struck column, as far as no echo from below reaches it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...chain.chain import Chain
 from ...errors import InputError
 from ...theory.domain import chi
 from ...trajectory.trajectory import Trajectory
@@ -37,11 +38,18 @@ def bottom(grains: int, delta: float) -> tuple[float, float]:
     return float(chi(depth, delta)), float(np.cbrt(depth**power / (8 * power)))
 
 
-def struck_at_the_top(trajectory: Trajectory) -> float:
+def is_uniform(chain: Chain) -> bool:
+    """Return whether the grains of a chain, two or more, and its contacts are equal."""
+    return all(
+        np.ptp(values) <= 1e-9 * values[0] for values in (chain.masses, chain.contact_constants)
+    )
+
+
+def strike_at_top(trajectory: Trajectory) -> float:
     """Return the velocity of the strike, m/s; raise `InputError` if the scene is another."""
     scene = trajectory.scene
-    chain = trajectory.scene.chain
-    given = scene.excitation
+    chain = scene.chain
+    excitation = scene.excitation
     faults = []
     if not chain.gravity or chain.top_load:
         faults.append(("gravity", "takes a column under gravity alone, without a top load"))
@@ -53,10 +61,10 @@ def struck_at_the_top(trajectory: Trajectory) -> float:
         )
     if chain.grains == 1:
         faults.append(("grains", "takes several: a single one has no wave"))
-    elif any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):
+    elif not is_uniform(chain):
         faults.append(("material", "takes equal grains, as the column of the paper has"))
-    if not given.strikes_top or not given.strike_velocity:
+    if not excitation.strikes_top or not excitation.strike_velocity:
         faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
     if faults:
         raise InputError(faults)
-    return given.strike_velocity
+    return excitation.strike_velocity

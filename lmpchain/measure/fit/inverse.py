@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -17,7 +17,7 @@ from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
-from ...util.plotting import axes_in_units, legend, set_title
+from ...util.plotting import axes_in_units, choose_few, legend, set_title
 from ..bodies import motion
 from ..contact import sensor
 
@@ -33,9 +33,6 @@ UNITS = {
     "top_load": "N",
     "youngs_modulus": "Pa",
 }
-TRIES = 9  # values tried for the start of the fit
-STEP = 1e-3  # relative, for finite differences: far above the noise that a tolerance leaves
-DRAWN = 4  # traces in a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,61 +69,44 @@ class Trace:
         field: Field = "velocity",
     ):
         try:
-            clock = np.array(time, float)
+            times = np.array(time, float)
             rows = np.array(values, float)
-            numbers = np.atleast_1d(np.array(grain))
+            grains = np.atleast_1d(np.array(grain))
         except (TypeError, ValueError):
             raise InputError.at("values", "time and values must be numbers, without gaps") from None
         rows = rows[:, None] if rows.ndim == 1 else rows
-        faults = []
-        if field not in get_args(Field):
-            faults.append(
-                ("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})")
-            )
-        increasing = (
-            clock.ndim == 1
-            and clock.size > 2
-            and np.isfinite(clock).all()
-            and np.diff(clock).min() > 0
-        )
-        if not increasing or clock[0] < 0:
-            faults.append(
-                (
-                    "time",
-                    "must be three or more finite times, 0 or later, each above the one before",
-                )
-            )
-        if (
-            not np.issubdtype(numbers.dtype, np.integer)
-            or numbers.ndim != 1
-            or np.unique(numbers).size < numbers.size
-        ):
-            faults.append(("grain", "must be the number of a grain, or a list of different ones"))
-        if rows.shape != (clock.size, numbers.size):
-            shape = f"({clock.size}, {numbers.size})"
-            faults.append(
-                (
-                    "values",
-                    f"must have one row a time and one column a grain, {shape}, not {rows.shape}",
-                )
-            )
-        elif not np.isfinite(rows).all() or not rows.any():
-            faults.append(
-                ("values", "must be finite, and not all 0: leave out what was not measured")
-            )
-        if faults:
+        if faults := list(_trace_faults(times, grains, rows, field)):
             raise InputError(faults)
-        for key, value in {"time": clock, "grain": numbers, "values": rows, "field": field}.items():
+        for key, value in {"time": times, "grain": grains, "values": rows, "field": field}.items():
             object.__setattr__(self, key, value)
 
     @classmethod
     def of(
         cls, trajectory: Trajectory, grains: Sequence[int] | None = None, field: Field = "velocity"
     ) -> Trace:
-        """Return the trace of some grains of a trajectory; by default of all recorded ones that move."""
+        """Return the trace of grains of a trajectory, by default of all recorded that move."""
         if grains is None:
             grains = [int(n) for n in trajectory.grains if n <= trajectory.scene.chain.movable]
-        return cls(trajectory.time, grains, _seen(trajectory, np.array(grains), field), field)
+        return cls(trajectory.time, grains, _select(trajectory, np.array(grains), field), field)
+
+
+def _trace_faults(
+    time: Array, grains: np.ndarray, values: Array, field: Any
+) -> Iterator[tuple[str, str]]:
+    """Yield the faults of a trace; values are (T, G)."""
+    if field not in get_args(Field):
+        yield "field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})"
+    finite = time.ndim == 1 and time.size > 2 and np.isfinite(time).all()
+    if not finite or time[0] < 0 or np.diff(time).min() <= 0:
+        yield "time", "must be three or more finite times, 0 or later, each above the one before"
+    whole = grains.ndim == 1 and np.issubdtype(grains.dtype, np.integer)
+    if not whole or np.unique(grains).size < grains.size:
+        yield "grain", "must be the number of a grain, or a list of different ones"
+    if values.shape != (time.size, grains.size):
+        shape = f"({time.size}, {grains.size}), not {values.shape}"
+        yield "values", f"must have one row a time and one column a grain, {shape}"
+    elif not np.isfinite(values).all() or not values.any():
+        yield "values", "must be finite, and not all 0: leave out what was not measured"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -164,22 +144,16 @@ class ParameterFit(Shown):
 
         trace = self.trace
         ax = axes_in_units(ax, "s", UNITS[trace.field])
-        for i in np.unique(np.linspace(0, trace.grain.size - 1, DRAWN).round().astype(int)):
-            (points,) = ax.plot(
-                trace.time, trace.values[:, i], ".", markersize=4, label=f"grain {trace.grain[i]}"
-            )
+        for i in choose_few(trace.grain.size):
+            label = f"grain {trace.grain[i]}"
+            (points,) = ax.plot(trace.time, trace.values[:, i], ".", markersize=4, label=label)
             ax.plot(trace.time, self.model[:, i], color=points.get_color(), lw=1)
-        ax.set(
-            xlabel="time",
-            ylabel="force above rest" if trace.field == "force" else f"{trace.field}, downward",
-        )
-        shown = EngFormatter(UNITS[self.parameter], places=4)
+        field = "force above rest" if trace.field == "force" else f"{trace.field}, downward"
+        ax.set(xlabel="time", ylabel=field)
+        unit = UNITS[self.parameter]
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
-        title = (
-            f"{name} {shown(self.value)} ± "
-            f"{EngFormatter(UNITS[self.parameter], places=1)(self.error)} (lines)"
-        )
-        set_title(ax, title)
+        value = EngFormatter(unit, places=4)(self.value)
+        set_title(ax, f"{name} {value} ± {EngFormatter(unit, places=1)(self.error)} (lines)")
         legend(ax)
         return ax
 
@@ -227,9 +201,10 @@ def fit_parameter(
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=12, diameter=1e-3)
-    >>> seen = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=8e-4), duration=2e-5, samples=41)
-    >>> guess = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5)
-    >>> trace = Trace.of(lmpchain.simulate(seen, engine="native", tolerance=1e-9), grains=[5])
+    >>> strike = lmpchain.Impulse(velocity=8e-4)
+    >>> true = lmpchain.Scene(chain=chain, excitation=strike, duration=2e-5, samples=41)
+    >>> guess = true.replace(excitation=lmpchain.Impulse(velocity=1e-3))
+    >>> trace = Trace.of(lmpchain.simulate(true, engine="native", tolerance=1e-9), grains=[5])
     >>> fit = fit_parameter(trace, guess, "velocity", lmpchain.simulate)
     >>> f"{fit.value:.5e} m/s"
     '8.00000e-04 m/s'
@@ -239,35 +214,19 @@ def fit_parameter(
     scale = float(np.sqrt(np.mean(trace.values**2)))
     runs = 0
 
-    def model(x: float) -> Array:
+    def residuals(x: Array) -> Array:
         nonlocal runs
         runs += 1
-        return _answer(make(first * float(x)), trace, simulate)
+        predicted = _predict(make(first * float(x[0])), trace, simulate)
+        return ((predicted - trace.values) / scale).ravel()
 
-    def off(x: Array) -> Array:
-        return ((model(x[0]) - trace.values) / scale).ravel()
-
-    tries = np.geomspace(1 / span, span, TRIES) if span > 1 else np.ones(1)
-    misfit = []
-    faults = []
-    for x in tries:
-        try:
-            misfit.append(float(np.sum(off(np.array([x])) ** 2)))
-        except InputError as error:  # such as a load that crushes the grains
-            misfit.append(np.inf)
-            faults = error.faults
-    if not np.isfinite(misfit).any():
-        raise InputError(
-            faults
-            or [("simulate", "gives nothing that is finite: choose another value to begin with")]
-        )
-    start = tries[int(np.argmin(misfit))]
+    start = _find_start(residuals, np.geomspace(1 / span, span, 9) if span > 1 else np.ones(1))
     bounds = (start / (2 * span), start * 2 * span)
     solution = least_squares(
-        off,
+        residuals,
         [start],
         jac="3-point",
-        diff_step=STEP,
+        diff_step=1e-3,  # far above the noise that a tolerance leaves
         bounds=bounds,
         x_scale=[start],
         xtol=1e-12,
@@ -281,23 +240,35 @@ def fit_parameter(
             parameter, "the trace does not depend on it: choose another parameter or another grain"
         )
     if min(x / bounds[0], bounds[1] / x) < 1 + 1e-6:
-        ends = [first * x for x in bounds]
         cure = "start from a value closer to the true one, or use a larger span"
-        raise InputError.at(
-            parameter, f"no value between {ends[0]:.4g} and {ends[1]:.4g} fits: {cure}"
-        )
-    spread = float(np.sqrt(2 * solution.cost / (trace.values.size - 1)) / slope)
-    fitted = trace.values + scale * solution.fun.reshape(trace.values.shape)
+        ends = f"{first * bounds[0]:.4g} and {first * bounds[1]:.4g}"
+        raise InputError.at(parameter, f"no value between {ends} fits: {cure}")
+    deviation = float(np.sqrt(2 * solution.cost / (trace.values.size - 1)) / slope)
     return ParameterFit(
         parameter=parameter,
         value=first * x,
-        error=abs(first) * spread,
+        error=abs(first) * deviation,
         trace=trace,
-        model=fitted,
+        model=trace.values + scale * solution.fun.reshape(trace.values.shape),
         residual=float(np.sqrt(2 * solution.cost / trace.values.size)),
         scene=make(first * x),
         runs=runs,
     )
+
+
+def _find_start(residuals: Callable[[Array], Array], values: Array) -> float:
+    """Return the value with the smallest residuals; raises `InputError` if none has an answer."""
+    misfits = []
+    faults = [("simulate", "gives nothing that is finite: choose another value to begin with")]
+    for value in values:
+        try:
+            misfits.append(float(np.sum(residuals(np.array([value])) ** 2)))
+        except InputError as error:  # such as a load that crushes the grains
+            misfits.append(np.inf)
+            faults = error.faults
+    if not np.isfinite(misfits).any():
+        raise InputError(faults)
+    return float(values[int(np.argmin(misfits))])
 
 
 def _parameter(
@@ -305,35 +276,16 @@ def _parameter(
 ) -> tuple[float, Callable[[float], Scene]]:
     """Return the value of the parameter in the scene, and a function that replaces it."""
     chain = scene.chain
-    given = scene.excitation
-    faults = []
-    value = 0.0
-    if parameter == "velocity" and isinstance(given, Impulse):
-        value = given.velocity
-    elif parameter == "velocity":
-        faults.append(("excitation", "only an impulse has a velocity to fit: give the scene one"))
-    elif parameter == "top_load":
-        value = chain.top_load
-    elif parameter != "youngs_modulus":
+    if parameter not in get_args(Parameter):
         known = ", ".join(get_args(Parameter))
         raise InputError.at("parameter", f"must be one of {known} (got {shown(parameter)})")
-    elif not isinstance(chain.material, Material):
-        faults.append(
-            ("material", "the grains have materials of their own: give the chain one for all")
-        )
-    elif chain.given().get("contact_constants") is not None:
-        faults.append(
-            (
-                "contact_constants",
-                "are given, so that Young's modulus changes nothing: leave them out",
-            )
-        )
-    else:
-        value = chain.material.youngs_modulus
-    if not value and not faults:
-        faults.append(
-            (parameter, "is 0 in the scene: give it a value of the right size to begin with")
-        )
+    value = 0.0
+    faults = list(_parameter_faults(scene, parameter))
+    if not faults:
+        value = _value(scene, parameter)
+        if not value:
+            cure = "give it a value of the right size to begin with"
+            faults.append((parameter, f"is 0 in the scene: {cure}"))
     if not np.isfinite(span) or span < 1:
         faults.append(("span", f"must be 1 or more (got {shown(span)})"))
     if trace.grain.min() < 1 or trace.grain.max() > chain.movable:
@@ -342,54 +294,72 @@ def _parameter(
         )
     if faults:
         raise InputError(faults)
+    # a force on a grain takes its neighbours, too
     near = np.unique(np.clip([trace.grain - 1, trace.grain, trace.grain + 1], 1, chain.grains))
     time = _times(scene, trace.time)
     recording = {"duration": float(time[-1]), "samples": time.size, "grains": near.tolist()}
-    whole = {"chain": chain, "excitation": given} | recording
-    return float(value), lambda x: Scene(**whole | _changed(scene, parameter, x))
+    fields = {"chain": chain, "excitation": scene.excitation} | recording
+    return float(value), lambda x: Scene(**fields | _change(scene, parameter, x))
 
 
-def _changed(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:
-    """Return the part of the scene that has the parameter, with this value."""
-    chain = scene.chain
-    given = scene.excitation
-    if parameter == "velocity":
-        grain = given.grain  # type: ignore[attr-defined]
-        return {"excitation": Impulse(velocity=value, grain=grain)}
-    changed: dict[str, Any] = {"top_load": value}
+def _parameter_faults(scene: Scene, parameter: Parameter) -> Iterator[tuple[str, str]]:
+    """Yield why a scene does not have a parameter."""
+    if parameter == "velocity" and not isinstance(scene.excitation, Impulse):
+        yield "excitation", "only an impulse has a velocity to fit: give the scene one"
     if parameter == "youngs_modulus":
-        material = chain.material.replace(youngs_modulus=value)  # type: ignore[union-attr]
-        changed = {"material": material}
-    return {"chain": chain.replace(**changed)}
+        if not isinstance(scene.chain.material, Material):
+            yield "material", "the grains have materials of their own: give the chain one for all"
+        elif scene.chain.given().get("contact_constants") is not None:
+            fault = "are given, so that Young's modulus changes nothing: leave them out"
+            yield "contact_constants", fault
 
 
-def _times(scene: Scene, wanted: Array) -> Array:
-    """Return evenly spaced times from 0: those wanted, or close enough to interpolate between."""
-    even = np.arange(wanted.size) * wanted[-1] / (wanted.size - 1)
-    if np.abs(even - wanted).max() <= 1e-9 * wanted[-1]:
+def _value(scene: Scene, parameter: Parameter) -> float:
+    holders: dict[str, Any] = {
+        "velocity": scene.excitation,
+        "top_load": scene.chain,
+        "youngs_modulus": scene.chain.material,
+    }
+    return getattr(holders[parameter], parameter)
+
+
+def _change(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:
+    """Return the field of the scene that holds the parameter, with this value."""
+    if parameter == "velocity":
+        return {"excitation": scene.excitation.replace(velocity=value)}
+    change: dict[str, Any] = {"top_load": value}
+    if parameter == "youngs_modulus":
+        material: Any = scene.chain.material
+        change = {"material": material.replace(youngs_modulus=value)}
+    return {"chain": scene.chain.replace(**change)}
+
+
+def _times(scene: Scene, times: Array) -> Array:
+    """Return evenly spaced times from 0: these, or close enough to interpolate between."""
+    even = np.arange(times.size) * times[-1] / (times.size - 1)
+    if np.abs(even - times).max() <= 1e-9 * times[-1]:
         return even
     edge = scene.chain.band_edge
-    apart = min(0.1 / edge, wanted[-1] / 200) if edge else wanted[-1] / 2000
-    return np.linspace(0, wanted[-1], int(np.ceil(wanted[-1] / apart)) + 1)
+    interval = min(0.1 / edge, times[-1] / 200) if edge else times[-1] / 2000
+    return np.linspace(0, times[-1], int(np.ceil(times[-1] / interval)) + 1)
 
 
-def _answer(scene: Scene, trace: Trace, simulate: Callable[[Scene], Trajectory]) -> Array:
+def _predict(scene: Scene, trace: Trace, simulate: Callable[[Scene], Trajectory]) -> Array:
     """Return the trace that the engine predicts, (T, G)."""
     trajectory = simulate(scene)
-    seen = _seen(trajectory, trace.grain, trace.field)
-    wanted = trace.time
-    if len(seen) == wanted.size and np.abs(trajectory.time - wanted).max() <= 1e-9 * wanted[-1]:
-        return seen
-    return make_interp_spline(trajectory.time, seen, k=5)(wanted)
+    values = _select(trajectory, trace.grain, trace.field)
+    times = trace.time
+    if len(values) == times.size and np.abs(trajectory.time - times).max() <= 1e-9 * times[-1]:
+        return values
+    return make_interp_spline(trajectory.time, values, k=5)(times)
 
 
-def _seen(trajectory: Trajectory, grains: np.ndarray, field: Field) -> Array:
+def _select(trajectory: Trajectory, grains: np.ndarray, field: Field) -> Array:
     """Return a field of some grains, (T, G)."""
     if field == "force":
         return np.stack([sensor(trajectory, int(n)).change for n in grains], axis=1)
     if field not in get_args(Field):
-        raise InputError.at(
-            "field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})"
-        )
+        known = ", ".join(get_args(Field))
+        raise InputError.at("field", f"must be one of {known} (got {shown(field)})")
     u, v = motion(trajectory, grains)
     return v if field == "velocity" else u

@@ -30,7 +30,7 @@ from .waves import fit_bessel as fit_bessel
 from .waves import fit_modes as fit_modes
 
 # strike number up to which linear theory is right to about 1 % in peak velocities
-WEAK = 0.3  # analysis/calibration/fit_thresholds.py
+WEAK_STRIKE = 0.3  # analysis/calibration/fit_thresholds.py
 MOST_MODES = 3000  # grains up to which all eigenmodes take seconds only
 
 
@@ -83,9 +83,9 @@ class Summary(Shown):
         for _, rows in groupby(self.rows, key=lambda row: row.fit):
             for first, row in enumerate(rows):
                 numbers = (
-                    _rounded(row.value, row.error),
+                    _round(row.value, row.error),
                     number(row.error, ".1g"),
-                    _rounded(row.expected, row.error),
+                    _round(row.expected, row.error),
                 )
                 yield "" if first else row.fit, row.quantity, *numbers, row.unit
 
@@ -93,7 +93,11 @@ class Summary(Shown):
         """Return the numbers as text."""
         lines = align(self._summary()) if self.rows else []
         lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
-        remark = "" if self.strike_number <= WEAK else ", so linear theory is not expected to hold"
+        remark = (
+            ""
+            if self.strike_number <= WEAK_STRIKE
+            else ", so linear theory is not expected to hold"
+        )
         return "\n".join([*lines, f"strike number {self.strike_number:.3g}{remark}"])
 
 
@@ -115,7 +119,8 @@ def summary(trajectory: Trajectory) -> Summary:
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=0.1)
     >>> duration = 20 * chain.time_scale
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-7), duration=duration)
+    >>> strike = lmpchain.Impulse(velocity=1e-7)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=duration)
     >>> fits = summary(lmpchain.simulate(scene, engine="native"))
     >>> sorted({row.fit for row in fits.rows}), [fit for fit, _ in fits.left_out]
     (['bessel', 'modes'], ['continuum', 'exponents', 'soliton'])
@@ -146,24 +151,14 @@ def _modes(trajectory: Trajectory) -> list[Row]:
     fit = fit_modes(trajectory)
     if not fit.energy.any():
         raise InputError.at("excitation", "nothing moves")
-    most = int(fit.energy.argmax())
+    mode = int(fit.energy.argmax())
+    total = float(fit.energy.sum())
+    share = f"share of mode {mode + 1}, the strongest"
+    frequency = float(fit.frequency[mode] / (2 * np.pi))
     return [
-        Row("modes", "energy of all modes", float(fit.energy.sum()), math.nan, scene.energy, "J"),
-        Row(
-            "modes",
-            f"share of mode {most + 1}, the strongest",
-            fit.share[most],
-            fit.share_error[most],
-            math.nan,
-        ),
-        Row(
-            "modes",
-            "its frequency",
-            float(fit.frequency[most] / (2 * np.pi)),
-            math.nan,
-            math.nan,
-            "Hz",
-        ),
+        Row("modes", "energy of all modes", total, math.nan, scene.energy, "J"),
+        Row("modes", share, fit.share[mode], fit.share_error[mode], math.nan),
+        Row("modes", "its frequency", frequency, math.nan, math.nan, "Hz"),
         Row("modes", "residual of the linear motion", float(fit.residual.max()), math.nan, 0.0),
     ]
 
@@ -210,32 +205,22 @@ def _exponents(trajectory: Trajectory) -> list[Row]:
 def _soliton(trajectory: Trajectory) -> list[Row]:
     fit = fit_soliton(trajectory)
     unknown = math.nan
+    _, speed, width = fit.expected.tolist()
+    formula = "speed by the long-wave formula"
     return [
         Row("soliton", "largest velocity", fit.amplitude, float(fit.error[0]), unknown, "m/s"),
-        Row("soliton", "speed", fit.speed, float(fit.error[1]), float(fit.expected[1]), "grains/s"),
-        Row("soliton", "width", fit.width, float(fit.error[2]), float(fit.expected[2]), "grains"),
-        Row(
-            "soliton",
-            "speed by the long-wave formula",
-            fit.formula,
-            unknown,
-            float(fit.expected[1]),
-            "grains/s",
-        ),
+        Row("soliton", "speed", fit.speed, float(fit.error[1]), speed, "grains/s"),
+        Row("soliton", "width", fit.width, float(fit.error[2]), width, "grains"),
+        Row("soliton", formula, fit.formula, unknown, speed, "grains/s"),
     ]
 
 
-def _rounded(value: float, error: float = math.nan) -> str:
+def _round(value: float, error: float = math.nan) -> str:
     """Return a number rounded to the digits that its error leaves significant."""
     if math.isnan(value):
         return ""
     if not error > 0 or not math.isfinite(error) or value == 0:
-        return (
-            f"{value:.6g}"
-            if math.isnan(error) and abs(value) > 0
-            else f"{value:.2g}"
-            if value
-            else "0"
-        )
+        # six digits of a number whose error is unknown; two where all are significant or none
+        return f"{value:.6g}" if math.isnan(error) else f"{value:.2g}"
     digits = max(2, min(12, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error))))
     return f"{value:.{digits}g}"

@@ -1,4 +1,4 @@
-"""A solitary wave recognised in a trajectory: speed, amplitude and width against the exact ones."""
+"""Fit of a solitary wave: speed, amplitude and width beside those of the exact one."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ from ...util.arrays import Array
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend
 from ..front import FEWEST, track
+from .column_front import is_uniform
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-EVEN = 1e-9  # relative differences of masses and contacts up to which a chain counts as uniform
-END = 5  # grains at an end, where a wave that comes back meets itself
-# analysis/calibration/fit_thresholds.py
-STEADY = 0.02  # relative scatter of the peak velocities of a wave that does not change
-NEAR = 0.02  # relative differences of speed and width from the exact ones
+END_GRAINS = 5  # at an end a wave meets its own reflection
+# relative scatter of the height, and errors of speed and width, up to which a wave is solitary
+SOLITARY = 0.02  # analysis/calibration/fit_thresholds.py
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,29 +62,16 @@ class SolitonFit(Shown):
     formula: float
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw peak velocity and local speed of every grain over the exact ones; returns the axes."""
+        """Draw peak velocity and local speed of the grains over the exact; returns the axes."""
         ax = axes_in_units(ax, "", "")
         local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
-        ax.plot(
-            self.grain,
-            self.velocity / self.amplitude - 1,
-            ".",
-            label="largest velocity, over its mean",
-        )
-        ax.plot(
-            self.grain,
-            local / self.expected[1] - 1,
-            ".",
-            label="local speed, over that of the solitary wave",
-        )
-        name = "Coste" if self.wave.loaded else "Nesterenko"
-        ax.axhline(
-            self.formula / self.expected[1] - 1,
-            color="0.4",
-            lw=1,
-            ls="--",
-            label=f"speed by {name}'s formula",
-        )
+        height = self.velocity / self.amplitude - 1
+        speed = local / self.expected[1] - 1
+        formula = self.formula / self.expected[1] - 1
+        author = "Coste" if self.wave.loaded else "Nesterenko"
+        ax.plot(self.grain, height, ".", label="largest velocity, over its mean")
+        ax.plot(self.grain, speed, ".", label="local speed, over that of the solitary wave")
+        ax.axhline(formula, color="0.4", lw=1, ls="--", label=f"speed by {author}'s formula")
         ax.axhline(0, color="k", lw=1)
         ax.set(xlabel="grain, from the top", ylabel="relative difference")
         legend(ax)
@@ -95,7 +81,7 @@ class SolitonFit(Shown):
 def fit_soliton(
     trajectory: Trajectory, first: int | None = None, last: int | None = None
 ) -> SolitonFit:
-    """Recognise a solitary wave in a uniform chain by its speed and width, which its height decides.
+    """Recognise a solitary wave by speed and width, which its height decides.
 
     Parameters
     ----------
@@ -117,16 +103,17 @@ def fit_soliton(
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=40, diameter=1e-3, gravity=0.0)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=0.1), duration=1e-4, samples=601)
+    >>> strike = lmpchain.Impulse(velocity=0.1)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=1e-4, samples=601)
     >>> fit = fit_soliton(lmpchain.simulate(scene, engine="native"))
-    >>> f"{fit.amplitude:.5f} m/s", f"{fit.speed / fit.expected[1] - 1:.0e}", f"{fit.width:.3f} grains"
-    ('0.06816 m/s', '-5e-08', '1.579 grains')
+    >>> f"{fit.amplitude:.5f} m/s, {fit.speed / fit.expected[1] - 1:.0e}, {fit.width:.3f} grains"
+    '0.06816 m/s, -5e-08, 1.579 grains'
     """
     chain = trajectory.scene.chain
-    _fits(chain)
+    _check_chain(chain)
     front = track(trajectory, "velocity")
     if first is None and last is None:
-        front = front.between(1 + END, chain.grains - END)
+        front = front.between(1 + END_GRAINS, chain.grains - END_GRAINS)
         later = front.grain[np.argsort(front.time)[front.grain.size // 2 :]]
         first = int(later.min(initial=chain.grains))
         last = int(later.max(initial=1))
@@ -140,42 +127,40 @@ def fit_soliton(
     if (front.amplitude * line.slope <= 0).any():
         raise InputError.at("front", "grains move against it: no solitary wave under compression")
     amplitude = float(np.abs(front.amplitude).mean())
-    if (scatter := float(np.ptp(np.abs(front.amplitude))) / amplitude) > STEADY:
-        between = f"from grain {front.grain[0]} to {front.grain[-1]}"
+    scatter = float(np.ptp(np.abs(front.amplitude))) / amplitude
+    if scatter > SOLITARY:
+        grains = f"from grain {front.grain[0]} to {front.grain[-1]}"
         raise InputError.at(
-            "front", f"its height changes by {scatter:.1%} {between}: no solitary wave"
+            "front", f"its height changes by {scatter:.1%} {grains}: no solitary wave"
         )
     wave, time = _exact(chain, amplitude)
     speed = float(1 / np.abs(line.slope))
     width = float(front.width[whole].mean() * speed)
     expected = np.array([amplitude, wave.speed / time, wave.width])
-    fast, wide = np.array([speed, width]) / expected[1:]
-    if max(abs(fast - 1), abs(wide - 1)) > NEAR:
+    ratios = np.array([speed, width]) / expected[1:]
+    if np.abs(ratios - 1).max() > SOLITARY:
         raise InputError.at(
-            "front", f"has {fast:.3g} times the speed and {wide:.3g} the width of a solitary wave"
+            "front",
+            f"has {ratios[0]:.3g} times the speed and {ratios[1]:.3g} the width of a solitary wave",
         )
     if wave.loaded:
-        formula = (
-            float(coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)) / time
-        )
+        formula = coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)
     else:
-        formula = float(nesterenko_speed(amplitude, chain.exponent)) / time
-    sure = stats.t.ppf(0.975, whole.sum() - 2)
-    # the slope of a line through times that are each off by e, over the length L, is off by up to 3
-    # e / L
-    sampled = np.array(
+        formula = nesterenko_speed(amplitude, chain.exponent)
+    quantile = stats.t.ppf(0.975, whole.sum() - 2)
+    # a line through times that are each off by e, over the length L, has a slope off by 3 e / L
+    sampling = np.array(
         [
             front.amplitude_error.max(),
             3 * front.time_error.max() / np.ptp(front.grain) * speed**2,
             front.width_error[whole].max() * speed,
         ]
     )
-    # from the residuals themselves: linregress takes them from 1 - r^2, of which rounding leaves no
-    # digit here
+    # from the residuals, as linregress takes the error from 1 - r^2, which is lost in rounding here
     distance = front.grain - front.grain.mean()
     residual = front.time - front.time.mean() - line.slope * distance
     slope_error = float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
-    spread = np.array(
+    deviation = np.array(
         [stats.sem(front.amplitude), slope_error * speed**2, stats.sem(front.width[whole]) * speed]
     )
     return SolitonFit(
@@ -185,30 +170,29 @@ def fit_soliton(
         amplitude=amplitude,
         speed=speed,
         width=width,
-        error=sure * spread + sampled,
+        error=quantile * deviation + sampling,
         wave=wave,
         expected=expected,
-        formula=formula,
+        formula=float(formula) / time,
     )
 
 
-def _fits(chain: Chain) -> None:
-    """Raise InputError unless solitary waves travel unchanged in this chain."""
+def _check_chain(chain: Chain) -> None:
+    """Raise `InputError` unless solitary waves travel unchanged in this chain."""
     if chain.gravity > 0:
         raise InputError.at("gravity", "must be 0: contacts that stiffen with depth change a wave")
     if chain.exponent == 1:
         raise InputError.at("exponent", "must be above 1: springs have no solitary wave")
     if chain.grains == 1:
         raise InputError.at("grains", "must be several: a single one has no wave")
-    if any(np.ptp(x) > EVEN * x[0] for x in (chain.masses, chain.contact_constants)):
+    if not is_uniform(chain):
         raise InputError.at("chain", "must be uniform")
 
 
 def _exact(chain: Chain, velocity: float) -> tuple[Soliton, float]:
     """Return the solitary wave whose grains reach this velocity, m/s, and its unit of time, s."""
     if chain.compressed:
-        return struck(
-            velocity * chain.time_scale / chain.length_scale, chain.exponent
-        ), chain.time_scale
+        speed = velocity * chain.time_scale / chain.length_scale
+        return struck(speed, chain.exponent), chain.time_scale
     unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent))
     return solve(chain.exponent, velocity=velocity), float(unit)

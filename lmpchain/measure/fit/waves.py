@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,20 +17,39 @@ from ...trajectory.picture import UNITS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
-from ...util.plotting import axes_in_units, legend, set_title
+from ...util.plotting import axes_in_units, choose_few, legend, set_title
 from ..bodies import motion
 from ..recorded import Field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-EVEN = 0.05  # relative differences of masses and stiffnesses up to which a chain counts as uniform
-FORERUNNER = 7.4  # J_m(m - 7.4 m^(1/3)) is below 1e-10: no echo has arrived
-FEWEST = 12  # values for three parameters and their errors
-# values that are fitted: of longer chains and recordings, those of every so many grains
-MOST = 2**18
-ARRIVED = 1e-3  # of the strike: the recorded wave must be larger
-DRAWN = 4  # grains in a picture
+
+class BesselRegion(NamedTuple):
+    """Samples to which the solution of a uniform chain is fitted.
+
+    Attributes
+    ----------
+    unevenness : float
+        Relative differences of masses and stiffnesses up to which a chain counts as uniform.
+    forerunner : float
+        Echoes have not arrived where 2 s = m - 7.4 m^(1/3): there J_m(2 s) is below 1e-10.
+    fewest : int
+        Least number of values for three parameters and their errors.
+    most : int
+        Largest number of values; of more, those of some of the grains are fitted.
+    arrival : float
+        Size of a wave that has arrived, over that of the strike.
+    """
+
+    unevenness: float = 0.05
+    forerunner: float = 7.4
+    fewest: int = 12
+    most: int = 2**18
+    arrival: float = 1e-3
+
+
+REGION = BesselRegion()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,11 +90,11 @@ class ModeFit(Shown):
 
     @property
     def share_error(self) -> Array:
-        """Standard deviation of the energy of each mode over time, relative to the total at t = 0, (M,)."""
+        """Standard deviation of the energy of each mode over the total at t = 0, (M,)."""
         return self.energy_error / (self.energy.sum() or 1.0)
 
     def plot(self, ax: Axes | None = None, what: Literal["share", "residual"] = "share") -> Axes:
-        """Draw the energy fractions against frequency with their variation, or the residual over time."""
+        """Draw the shares of energy over frequency, or the residual over time; returns the axes."""
         if what == "residual":
             ax = axes_in_units(ax, "s", "")
             ax.plot(self.time, self.residual)
@@ -83,14 +102,9 @@ class ModeFit(Shown):
             return ax
         ax = axes_in_units(ax, "Hz", "")
         hertz = self.frequency / (2 * np.pi)
-        ax.errorbar(
-            hertz,
-            100 * self.share,
-            yerr=100 * self.share_error,
-            fmt=".",
-            markersize=4,
-            elinewidth=1,
-        )
+        percent = 100 * self.share
+        error = 100 * self.share_error
+        ax.errorbar(hertz, percent, yerr=error, fmt=".", markersize=4, elinewidth=1)
         ax.set(xlabel="frequency of the mode", ylabel="share of the energy at t = 0 (%)")
         set_title(ax, f"Linear motion from t = 0: off by at most {self.residual.max():.1e}")
         return ax
@@ -117,7 +131,8 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=20, diameter=1e-3)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-10), duration=2e-5)
+    >>> strike = lmpchain.Impulse(velocity=1e-10)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=2e-5)
     >>> fit = fit_modes(lmpchain.simulate(scene, engine="chebyshev"))
     >>> fit.amplitude.shape, f"{fit.share.sum():.9f}", bool(fit.residual.max() < 1e-9)
     ((101, 19), '1.000000000', True)
@@ -137,17 +152,17 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     rate = v @ weight
     energy = (rate**2 + (modes.frequency * amplitude) ** 2) / 2
     linear = modes.response(trajectory.time, u[0], v[0])
-    off = [
+    residuals = [
         np.abs(x - y).max(1) / (np.abs(x).max() or 1.0) for x, y in zip((u, v), linear, strict=True)
     ]
     return ModeFit(
-        modes.frequency,
-        trajectory.time,
-        amplitude,
-        rate,
-        energy[0],
-        energy.std(0),
-        np.maximum(off[0], off[1]),
+        frequency=modes.frequency,
+        time=trajectory.time,
+        amplitude=amplitude,
+        rate=rate,
+        energy=energy[0],
+        energy_error=energy.std(0),
+        residual=np.maximum(*residuals),
     )
 
 
@@ -198,7 +213,7 @@ class BesselFit(Shown):
     residual: float
 
     def front_time(self, grain: int) -> float:
-        """Return when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, s.
+        """Return the time when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, s.
 
         Here ``m = 2 |n - p|``, which must be large.
         """
@@ -206,21 +221,18 @@ class BesselFit(Shown):
         return self.delay + (m + 0.8086 * np.cbrt(m)) / (2 * self.rate)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the motion of some of the grains as points and the fit as lines; returns the axes."""
+        """Draw the motion of some grains as points and the fit as lines; returns the axes."""
         ax = axes_in_units(ax, "s", UNITS[self.field])
-        present = np.unique(self.grain[np.abs(self.values) > 0.05 * np.abs(self.values).max()])
-        chosen = present[np.unique(np.linspace(0, present.size - 1, DRAWN).round().astype(int))]
-        for number in chosen:
-            here = self.grain == number
-            (points,) = ax.plot(
-                self.time[here], self.values[here], ".", markersize=4, label=f"grain {number}"
-            )
-            ax.plot(self.time[here], self.model[here], color=points.get_color(), lw=1)
+        moving = np.unique(self.grain[np.abs(self.values) > 0.05 * np.abs(self.values).max()])
+        for grain in moving[choose_few(moving.size)]:
+            rows = self.grain == grain
+            time = self.time[rows]
+            label = f"grain {grain}"
+            (points,) = ax.plot(time, self.values[rows], ".", markersize=4, label=label)
+            ax.plot(time, self.model[rows], color=points.get_color(), lw=1)
         ax.set(xlabel="time", ylabel=f"{self.field}, downward")
-        set_title(
-            ax,
-            f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}, residual {self.residual:.1e} (lines)",
-        )
+        kappa = f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}"
+        set_title(ax, f"{kappa}, residual {self.residual:.1e} (lines)")
         legend(ax)
         return ax
 
@@ -259,15 +271,21 @@ def fit_bessel(
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=40, diameter=1e-3, gravity=0.0, top_load=0.1)
     >>> duration = 20 * chain.time_scale
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-7), duration=duration)
+    >>> strike = lmpchain.Impulse(velocity=1e-7)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=duration)
     >>> fit = fit_bessel(lmpchain.simulate(scene, engine="native", tolerance=1e-9))
     >>> f"{fit.amplitude:.4g} m/s, kappa {fit.kappa:.4f}", bool(fit.residual < 1e-4)
     ('1e-07 m/s, kappa 1.0000', True)
     """
-    scene = trajectory.scene
     chain = trajectory.scene.chain
-    given = scene.excitation
-    if not isinstance(given, Impulse | Displacement):
+    strike = trajectory.scene.excitation
+    field: Field = "velocity"
+    if isinstance(strike, Impulse):
+        size = strike.velocity
+    elif isinstance(strike, Displacement):
+        field = "displacement"
+        size = strike.displacement
+    else:
         raise InputError.at(
             "excitation", "takes an impulse or displacement of one grain: strike one"
         )
@@ -275,45 +293,40 @@ def fit_bessel(
         raise InputError.at(
             "chain", "carries no force at rest: nothing is linear without gravity or a top load"
         )
-    field: Field = "velocity" if isinstance(given, Impulse) else "displacement"
-    size = given.velocity if isinstance(given, Impulse) else given.displacement
     if not size:
         raise InputError.at("excitation", "nothing moves: give a strike other than 0")
-    p = given.grain
+    p = strike.grain
     stiffness = chain.contacts.stiffness
-    near = stiffness[p] or stiffness[p - 1]
-    rate = float(np.sqrt(near / chain.masses[p - 1]))
-    inside = _thinned(_window(trajectory, p, rate, grains, until), trajectory, p, rate)
+    rate = float(np.sqrt((stiffness[p] or stiffness[p - 1]) / chain.masses[p - 1]))
+    inside = _thin(_window(trajectory, p, rate, grains, until), trajectory, p, rate)
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
-    # at t = 0 it is prescribed
-    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(size):
+    largest = np.abs(values[time > 0]).max(initial=0.0)  # at t = 0 it is prescribed
+    if n.size < REGION.fewest or largest < REGION.arrival * abs(size):
+        fault = f"{n.size} values lie where the solution can hold, too few, or without the wave"
         cure = "record more often or for longer, more grains near it, or give grains and until"
-        reason = (
-            f"{n.size} values lie where the solution can hold, too few, or without the wave: {cure}"
-        )
-        raise InputError.at("samples", reason)
+        raise InputError.at("samples", f"{fault}: {cure}")
     orders = [2 * np.abs(n - p)] + [2 * (n + p - 1)] * (chain.top == "free")
 
-    def off(x: Array) -> Array:
+    def residuals(x: Array) -> Array:
         z = 2 * (x[1] * rate * time - x[2])
         return x[0] * sum(jv(m, z) for m in orders) - values / size
 
     def slope(x: Array) -> Array:
         z = 2 * (x[1] * rate * time - x[2])
-        steep = x[0] * sum(jv(m - 1, z) - jv(m + 1, z) for m in orders)
-        return np.stack([sum(jv(m, z) for m in orders), steep * rate * time, -steep], axis=1)
+        change = x[0] * sum(jv(m - 1, z) - jv(m + 1, z) for m in orders)
+        return np.stack([sum(jv(m, z) for m in orders), change * rate * time, -change], axis=1)
 
     solution = least_squares(
-        off, [1.0, 1.0, 0.0], jac=slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+        residuals, [1.0, 1.0, 0.0], jac=slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
     )
-    spread = 2 * solution.cost / (n.size - 3) * np.linalg.pinv(solution.jac.T @ solution.jac)
+    scatter = 2 * solution.cost / (n.size - 3) * np.linalg.pinv(solution.jac.T @ solution.jac)
     # from the fitted numbers to amplitude, rate and delay = x_2 / (x_1 rate)
     share, factor, angle = solution.x
     change = np.diag([size, rate, 1 / (factor * rate)])
     change[2, 1] = -angle / (factor**2 * rate)
-    covariance = change @ spread @ change.T
+    covariance = change @ scatter @ change.T
     error = np.sqrt(np.diag(covariance))
     unit = chain.time_scale
     kappa = (factor * rate * unit) ** 2
@@ -338,13 +351,13 @@ def fit_bessel(
 def _window(
     trajectory: Trajectory, p: int, rate: float, grains: tuple[int, int] | None, until: float | None
 ) -> np.ndarray:
-    """Return which samples of which grains the uniform solution can describe, (T, G) bool."""
+    """Return where the solution of the uniform chain can hold, (T, G) bool."""
     chain = trajectory.scene.chain
     n = trajectory.grains
     time = trajectory.time[:, None]
     if chain.grains == 1:
         raise InputError.at("grains", "takes a chain of several: a single one has no wave")
-    first, last = _uniform(chain, p)
+    first, last = _uniform_part(chain, p)
     if grains is not None:
         first, last = grains
         if not 1 <= first <= p <= last <= chain.grains:
@@ -352,43 +365,45 @@ def _window(
                 "grains", f"must be (first, last) with 1 <= first <= {p} <= last (got {grains})"
             )
     elif last - first < 2:
+        fault = f"is not uniform within {REGION.unevenness:.0%} around grain {p}"
         cure = "strike a grain further down, or give grains and until"
-        raise InputError.at("chain", f"is not uniform within {EVEN:.0%} around grain {p}: {cure}")
-    here = (n >= first) & (n <= last)
+        raise InputError.at("chain", f"{fault}: {cure}")
+    inside = (n >= first) & (n <= last)
     if until is not None:
-        return here & (time <= until)
+        return inside & (time <= until)
+    # orders of the Bessel functions of the echoes from both ends
     order = 2.0 * (2 * last - n - p)
     if first > 1 or chain.top == "wall":
         order = np.minimum(order, 2.0 * (n + p - 2 * first))
     order = np.maximum(order, 0.0)
-    return here & (2 * rate * time <= order - FORERUNNER * np.cbrt(order))
+    return inside & (2 * rate * time <= order - REGION.forerunner * np.cbrt(order))
 
 
-def _thinned(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np.ndarray:
-    """Of too many values, leave out grains that the wave has not reached, then all but every so many."""
-    if np.count_nonzero(inside) <= MOST:
+def _thin(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np.ndarray:
+    """Leave out grains at rest where there are too many values, and then some of the others."""
+    if np.count_nonzero(inside) <= REGION.most:
         return inside
     reach = 2 * rate * float(trajectory.time[-1])
     # beyond, J_m(z) is below 1e-17
     near = 2 * np.abs(trajectory.grains - p) <= reach + 12 * np.cbrt(reach) + 20
     columns = np.flatnonzero(near & inside.any(0))
-    kept = np.zeros(inside.shape[1], dtype=bool)
-    kept[columns[:: max(1, -(-np.count_nonzero(inside[:, columns]) // MOST))]] = True
-    return inside & kept
+    stride = max(1, -(-np.count_nonzero(inside[:, columns]) // REGION.most))
+    chosen = np.zeros(inside.shape[1], dtype=bool)
+    chosen[columns[::stride]] = True
+    return inside & chosen
 
 
-def _uniform(chain: Chain, p: int) -> tuple[int, int]:
+def _uniform_part(chain: Chain, p: int) -> tuple[int, int]:
     """Return first and last grain of the uniform part around grain p."""
     k = chain.linear_stiffness
     m = chain.masses
-    held = chain.bottom == "fixed"
-    own = k[min(p, k.size) - 1]
-    alike = np.abs(k / own - 1) <= EVEN  # contact n between grains n and n + 1
-    heavy = np.abs(m / m[p - 1] - 1) <= EVEN
-    heavy[-1] |= held
+    # contact n between grains n and n + 1
+    equal_contact = np.abs(k / k[min(p, k.size) - 1] - 1) <= REGION.unevenness
+    equal_mass = np.abs(m / m[p - 1] - 1) <= REGION.unevenness
+    equal_mass[-1] |= chain.bottom == "fixed"
     first = last = p
-    while first > 1 and alike[first - 2] and heavy[first - 2]:
+    while first > 1 and equal_contact[first - 2] and equal_mass[first - 2]:
         first -= 1
-    while last < chain.grains and alike[last - 1] and heavy[last]:
+    while last < chain.grains and equal_contact[last - 1] and equal_mass[last]:
         last += 1
     return first, last
