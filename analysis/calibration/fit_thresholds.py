@@ -1,11 +1,11 @@
 """Measure what fits call a solitary wave, SOLITARY, and a weak strike, WEAK_STRIKE.
 
-Exact solitary waves of several exponents and speeds, under a load and without, run through uniform chains, recorded at
-few and many samples; so do strikes of loaded chains that are too weak to make one. SOLITARY is supported, for the
-scatter of the height and for the errors of speed and width, from
-the largest values that a solitary wave has to the smallest of what is none (the larger of them: one is enough to tell).
-WEAK_STRIKE: the strike number at which linear theory errs by a hundredth in the largest velocity at a grain, from the first to
-the deepest.
+Exact solitary waves of several exponents and speeds, under a load and without, run through uniform
+chains, recorded at few and many samples; so do strikes of loaded chains that are too weak to make
+one. SOLITARY is supported, for the scatter of the height and for the errors of speed and width,
+from the largest values that a solitary wave has to the smallest of what is none (the larger of
+them: one is enough to tell). WEAK_STRIKE: the strike number at which linear theory errs by a
+hundredth in the largest velocity at a grain, from the first to the deepest.
 
     python analysis/calibration/fit_thresholds.py           # a minute
     python analysis/calibration/fit_thresholds.py --quick   # seconds

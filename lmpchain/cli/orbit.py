@@ -59,9 +59,9 @@ def _picture(family: Family) -> Figure:
     from ..util.plotting import COLOURS, figure
 
     picture = figure(11.0, 4.2)
-    left, right = picture.subplots(1, 2)
-    for ax in (left, right):
+    first, right = picture.subplots(1, 2)
+    for ax in (first, right):
         ax.set_prop_cycle(color=list(COLOURS.values()))
-    family.plot(left)
+    family.plot(first)
     family[-1].plot(right)
     return picture

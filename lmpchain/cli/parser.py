@@ -17,13 +17,13 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Complain of unknown arguments here, where the options of the verb are known."""
-        known, unknown = super().parse_known_args(args, namespace)
+        arguments, unknown = super().parse_known_args(args, namespace)
         if unknown:
             options = self._option_string_actions
             cures = [did_you_mean(name.partition("=")[0], options) for name in unknown]
             cure = next(filter(None, cures), "")
             self.error(f"unrecognized arguments: {' '.join(unknown)}{cure}")
-        return known, unknown
+        return arguments, unknown
 
     def print_help(self, file: Any = None) -> None:
         """Print the help; a closed pipe is an error here, which argparse may ignore."""

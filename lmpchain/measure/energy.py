@@ -225,7 +225,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
 def _share_out(
     chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
 ) -> Array:
-    """Return the share of grains in the energy of their contacts, (T, G): half, or all at a wall."""
+    """Return the part of grains in the energy of their contacts, (T, G): half, all at a wall."""
     shares = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((len(energy), 1))
     shares[:, contact] = energy
     shares[:, 1:-1] /= 2

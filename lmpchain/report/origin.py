@@ -14,19 +14,19 @@ UNKNOWN = {"date": "not recorded", "command": "not recorded"}
 
 
 def origin(path: str | PathLike[str] | None) -> dict[str, str]:
-    """Return date and command of a saved run, a file or a folder; the date of a file that does not say."""
-    known = dict(UNKNOWN)
+    """Return date and command of a saved run; the date of the file where it does not say."""
+    answer = dict(UNKNOWN)
     if path is None:
-        return known
+        return answer
     path = Path(path)
     with suppress(OSError, ValueError):
         written = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-        known["date"] = f"{_in_minutes(written)} (file)"
+        answer["date"] = f"{_in_minutes(written)} (file)"
     # whatever else the file may hold
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         date, command = _of_folder(path) if path.is_dir() else _of_file(path)
-        known = {"date": _in_minutes(datetime.fromisoformat(date)), "command": command}
-    return known
+        answer = {"date": _in_minutes(datetime.fromisoformat(date)), "command": command}
+    return answer
 
 
 def _of_folder(path: Path) -> tuple[str, str]:

@@ -152,7 +152,8 @@ def arrival(run: Trajectory) -> Panel:
         law = values[-1] * (depth / depth[-1]) ** -power
         label = f"{name}: power -{power:.3g}" if power else f"{name}: constant"
         height.plot(depth, law, "--", lw=1, label=label)
-    height.set(xscale="log", yscale="log", xlabel="depth h = n − 1/2 (grains)", ylabel="peak (m/s)")
+    height.set(xscale="log", yscale="log")
+    height.set(xlabel="depth h = n − 1/2 (grains)", ylabel="peak (m/s)")
     for axis in (height.xaxis, height.yaxis):
         axis.set(
             major_locator=LogLocator(subs=(1, 2, 3, 5)),

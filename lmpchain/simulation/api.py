@@ -195,7 +195,7 @@ def _solve(
 ) -> tuple[Outcome[Any], dict[str, Array]]:
     """Solve a scene with one engine; return the outcome, and the quantities of the scene."""
     scene = task.scene
-    part = engine.part(scene)
+    scene_part = engine.part(scene)
     # a run that gathers quantities yields samples of the whole scene itself
     cone = None if engine.whole or scene.quantities else scene.light_cone
     state: Mapping[str, Array] = {}
@@ -209,13 +209,13 @@ def _solve(
     def collect(run: Run) -> Any:
         nonlocal gathering
         if scene.quantities:
-            run = gathering = GatheringRun(run, engine, [scene], [part], state)
+            run = gathering = GatheringRun(run, engine, [scene], [scene_part], state)
         if not progress:
             return output.collect(run, _expand(run.blocks(), cone))
         with closing(_show_progress(run, engine.name, scene.samples, output.samples)) as blocks:
             return output.collect(run, _expand(blocks, cone))
 
-    outcome = solve_to_tolerance(engine, [part], attempt, collect, begin, task.best_effort)
+    outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, task.best_effort)
     return outcome, gathering.found([outcome.error.total])[0] if gathering else {}
 
 

@@ -150,7 +150,7 @@ def _split(scenes: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator
 def _solve(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
-    """Run scenes together; return answer, next attempt, and reason of a missed tolerance of each."""
+    """Run scenes together; return answer, next attempt, and reason of a miss for each."""
     candidate = attempts[0].candidate
     parts = [scene.fine for scene in scenes]
     run: Run = engine.start(parts, candidate)

@@ -312,7 +312,7 @@ class RunFolder:
         }
 
     def _spent(self, cost: Cost) -> dict[str, float]:
-        """Return the times that all sessions took for this attempt, s; wall time for all of them."""
+        """Return the times of all sessions for this attempt, s; wall time for all attempts."""
         session = cost._asdict() | {"wall_s": time.monotonic() - self._began}
         return {key: value + session[key] for key, value in self._before.items()}
 

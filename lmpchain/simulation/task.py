@@ -120,8 +120,8 @@ def check_policy(policy: Policy) -> None:
     """Raise `InputError` if an engine cannot work in a run folder."""
     if isinstance(policy, Named):
         name = policy.name
-        known = engines.names()
-        if name not in known or type(policy.chosen) is not type(engines.get(name)):
+        names = engines.names()
+        if name not in names or type(policy.chosen) is not type(engines.get(name)):
             raise InputError.at(
                 "engine", "a run folder knows engines by name only, and this is none of lmpchain's"
             )

@@ -105,36 +105,36 @@ class Sweep:
 
     def key(self, number: int) -> bytes:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""
-        place = self.place(number)
+        position = self.place(number)
         laws = [
-            (each.key, type(each.law).__name__, each.law.given(), each.seed, index)
-            for axis, index in zip(self.axes, place, strict=True)
-            for each in axis.arrays
+            (law.key, type(law.law).__name__, law.law.given(), law.seed, index)
+            for axis, index in zip(self.axes, position, strict=True)
+            for law in axis.arrays
         ]
         options = (self.engine, self.tolerance, self.keep)
-        causes = (self.tables_at(place), laws, self.source["files"], options)
+        causes = (self.tables_at(position), laws, self.source["files"], options)
         text = json.dumps(causes, sort_keys=True, default=plain)
         return hashlib.sha256(text.encode()).digest()[:16]
 
-    def tables_at(self, place: Place) -> dict[str, Any]:
+    def tables_at(self, position: Place) -> dict[str, Any]:
         """Return the tables of one scene, without what is drawn for every grain."""
         tables = self.tables
-        for axis, index in zip(self.axes, place, strict=True):
+        for axis, index in zip(self.axes, position, strict=True):
             for key, values in axis.columns.items():
                 tables = _set_value(tables, key.split("."), values[index], key)
         return tables
 
-    def drawn(self, place: Place, grains: int) -> dict[str, Array]:
+    def draw_values(self, position: Place, grains: int) -> dict[str, Array]:
         """Return the numbers that are drawn for each grain of one scene, by key."""
         return {
-            each.key: each.values(index, grains)
-            for axis, index in zip(self.axes, place, strict=True)
-            for each in axis.arrays
+            law.key: law.values(index, grains)
+            for axis, index in zip(self.axes, position, strict=True)
+            for law in axis.arrays
         }
 
-    def grains(self, place: Place) -> int:
+    def grains(self, position: Place) -> int:
         """Return the number of grains that the table of a scene gives; raises `InputError`."""
-        tables = self.tables_at(place)
+        tables = self.tables_at(position)
         chain = tables.get("chain")
         count = chain.get("grains") if isinstance(chain, dict) else None
         if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_GRAINS:
@@ -144,30 +144,30 @@ class Sweep:
             )
         return count
 
-    def ordered(self, place: Place) -> Scene:
+    def regular_scene(self, position: Place) -> Scene:
         """Make a scene with all but the random contacts of its chain; raises `InputError`."""
-        tables = self.tables_at(place)
+        tables = self.tables_at(position)
         if any(axis.arrays for axis in self.axes):
-            grains = self.grains(place)
-            for key, values in self.drawn(place, grains).items():
+            grains = self.grains(position)
+            for key, values in self.draw_values(position, grains).items():
                 tables = _set_each_grain(tables, key, values)
         tables = {key: table for key, table in tables.items() if key != "disorder"}
         return _make_scene(json.dumps((tables, self.source["files"]), default=plain), self.folder)
 
-    def scene(self, place: Place) -> Scene:
+    def scene(self, position: Place) -> Scene:
         """Make a scene; raises `InputError`."""
-        ordered = self.ordered(place)
-        disorder = self.disorder(place)
+        scene = self.regular_scene(position)
+        disorder = self.disorder(position)
         if not disorder:
-            return ordered
+            return scene
         try:
-            return realisation(ordered, **disorder.given())
+            return realisation(scene, **disorder.given())
         except InputError as error:
             raise InputError(error.under("disorder")) from None
 
-    def disorder(self, place: Place) -> Disorder | None:
+    def disorder(self, position: Place) -> Disorder | None:
         """Return the options of the random contacts of a scene, if any; raises `InputError`."""
-        table = self.tables_at(place).get("disorder")
+        table = self.tables_at(position).get("disorder")
         try:
             return None if table is None else Disorder(**table)
         except InputError as error:
@@ -185,14 +185,14 @@ class Sweep:
         lengths = (min(len(axis), DRAWS_TRIED) if axis.drawn else len(axis) for axis in self.axes)
         usable: set[tuple[int, int]] = set()
         faults: dict[tuple[int, int], list[Fault]] = {}
-        for place in itertools.product(*map(range, lengths)):
+        for position in itertools.product(*map(range, lengths)):
             if len(usable) == count:
                 break
-            values = {(n, 0 if self.axes[n].drawn else index) for n, index in enumerate(place)}
+            values = {(n, 0 if self.axes[n].drawn else index) for n, index in enumerate(position)}
             if values <= usable:
                 continue
             try:
-                scene = self._trial(place)
+                scene = self._trial(position)
             except InputError as error:
                 for value in values:
                     faults.setdefault(value, error.faults)
@@ -203,9 +203,9 @@ class Sweep:
         if unusable:
             raise InputError(dict.fromkeys(fault for value in unusable for fault in faults[value]))
 
-    def _trial(self, place: Place) -> Scene:
+    def _trial(self, position: Place) -> Scene:
         """Make a scene that the engine can answer; raises `InputError`."""
-        scene = with_forces(self.scene(place), self.keep)
+        scene = with_forces(self.scene(position), self.keep)
         if reasons := engines.get(self.engine).refuses(scene):
             raise InputError(reasons)
         return scene
@@ -304,26 +304,26 @@ def _contact_options(table: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _take_scene(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
+def _take_scene(source: Any, folder: Path) -> tuple[dict[str, Any], Path]:
     """Return the tables that all scenes start from, and the folder of their CSV files."""
-    if isinstance(given, Scene):
-        return given.to_dict(), folder
-    if isinstance(given, str):
-        path = folder / given
-        given = parse(path)
+    if isinstance(source, Scene):
+        return source.to_dict(), folder
+    if isinstance(source, str):
+        path = folder / source
+        source = parse(path)
         folder = path.parent
-    if not isinstance(given, dict):
+    if not isinstance(source, dict):
         raise InputError.at(
             "scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ..."
         )
     cure = f"they are {', '.join(SECTIONS)}"
     if faults := [
         (f"scene.{key}", f"unknown section{did_you_mean(key, SECTIONS)}; {cure}")
-        for key in given
+        for key in source
         if key not in SECTIONS
     ]:
         raise InputError(faults)
-    return dict(given), folder
+    return dict(source), folder
 
 
 def _take_engine(name: Any) -> str:
@@ -336,11 +336,11 @@ def _take_engine(name: Any) -> str:
 
 
 def _take_names(names: Any) -> list[str]:
-    known = ", ".join((*QUANTITIES, "peak_force:40"))
+    options = ", ".join((*QUANTITIES, "peak_force:40"))
     if not isinstance(names, list) or not names:
-        raise InputError.at("keep", f"must be a list of some of {known}")
+        raise InputError.at("keep", f"must be a list of some of {options}")
     if faults := [
-        ("keep", f"there is no {shown(name)}{did_you_mean(name, QUANTITIES)}; use {known}")
+        ("keep", f"there is no {shown(name)}{did_you_mean(name, QUANTITIES)}; use {options}")
         for name in names
         if not isinstance(name, str) or not (name in QUANTITIES or of_contact(name))
     ]:

@@ -49,10 +49,10 @@ def make_labels(plan: Sweep) -> Labels:
     """Return the labels of a sweep; scenes that cannot be made have none."""
     swept = [range(len(axis)) if _shapes(axis) else range(1) for axis in plan.axes]
     shapes = set()
-    for place in itertools.product(*swept):
+    for position in itertools.product(*swept):
         # warnings are those of the trial scenes
         with suppress(InputError), warnings.catch_warnings(action="ignore"):
-            shapes.add(_find_shape(plan, place))
+            shapes.add(_find_shape(plan, position))
     times = {(shape.samples, shape.duration) for shape in shapes}
     recordings = {shape.recorded for shape in shapes}
     samples = max(shape.samples for shape in shapes)
@@ -72,9 +72,9 @@ def make_labels(plan: Sweep) -> Labels:
     return Labels(samples, time, np.array(grains), extra)
 
 
-def find_recorded(plan: Sweep, place: Place, size: int) -> np.ndarray:
+def find_recorded(plan: Sweep, position: Place, size: int) -> np.ndarray:
     """Return the grains that a scene with a chain of this size records, (G,)."""
-    return _read_recording(json.dumps(plan.tables_at(place).get("recording")), size)[1]
+    return _read_recording(json.dumps(plan.tables_at(position).get("recording")), size)[1]
 
 
 def _shapes(axis: Axis) -> bool:
@@ -90,9 +90,9 @@ class _Shape(NamedTuple):
     grains: int
 
 
-def _find_shape(plan: Sweep, place: Place) -> _Shape:
-    tables: dict[str, Any] = plan.tables_at(place)
-    size = plan.scene(place).chain.grains if "file" in tables["chain"] else plan.grains(place)
+def _find_shape(plan: Sweep, position: Place) -> _Shape:
+    tables: dict[str, Any] = plan.tables_at(position)
+    size = plan.scene(position).chain.grains if "file" in tables["chain"] else plan.grains(position)
     recording, numbers = _read_recording(json.dumps(tables.get("recording")), size)
     return _Shape(recording.samples, recording.duration, tuple(numbers.tolist()), size)
 

@@ -74,7 +74,10 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
     numbers = range(first, first + count)
     places = [plan.place(number) for number in numbers]
     try:
-        common, disorder = _wider(plan.ordered(places[0]), plan.keep), plan.disorder(places[0])
+        common, disorder = (
+            _wider(plan.regular_scene(places[0]), plan.keep),
+            plan.disorder(places[0]),
+        )
         chain = common.chain
         apart = (
             common.reached.chain.grains < chain.grains or chain.grains == 1
@@ -90,7 +93,7 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
             change = drawn_constants(chain, indices=[place[-1] for place in places], **given)
     except InputError:
         return [_alone(plan, number) for number in numbers]
-    drawn = [plan.drawn(place, chain.grains) for place in places]
+    drawn = [plan.draw_values(place, chain.grains) for place in places]
     columns = {key: np.array([each[key] for each in drawn]) for key in drawn[0]}
     with np.errstate(all="ignore"):  # what is not sound is made alone, which says why
         parts = _chains(chain, columns, change, count)

@@ -243,8 +243,8 @@ class _Work:
         }
         # first scene of each missing batch, and the scenes that are done
         self.firsts = [first for firsts in self._missing.values() for first in sorted(firsts)]
-        left = sum(min(layout.batch, layout.count - first) for first in self.firsts)
-        self.scenes = layout.count - left
+        missing = sum(min(layout.batch, layout.count - first) for first in self.firsts)
+        self.scenes = layout.count - missing
 
     def do(
         self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int

@@ -98,12 +98,12 @@ def answer(task: Task) -> None:
     # warnings were given when the sweep began; the error of an answer stands in the result
     with warnings.catch_warnings(action="ignore"):
         columns = _make_columns(task)
-        left = dict(enumerate(scenes(plan, task.first, task.count, alike)))
-        batch = {row: scene for row, scene in left.items() if isinstance(scene, Scene)}
+        remaining = dict(enumerate(scenes(plan, task.first, task.count, alike)))
+        batch = {row: scene for row, scene in remaining.items() if isinstance(scene, Scene)}
         for row, result in in_batches(engine, batch, plan.tolerance):
-            del left[row]
+            del remaining[row]
             _put(columns, row, result, plan, task)
-        for row, scene in left.items():
+        for row, scene in remaining.items():
             _put(columns, row, _answer_alone(scene, engine, plan.tolerance), plan, task)
     columns["reason"] = np.array(columns["reason"], dtype=str)
     write_part(task.folder, task.first, _insert_earlier(columns, task))
@@ -151,9 +151,9 @@ def _put(
     if isinstance(result, LmpchainError):
         columns["reason"][row] = str(result)
         return
-    place = plan.place(task.first + row)
+    position = plan.place(task.first + row)
     scene = result.scene
-    grains = find_recorded(plan, place, scene.chain.grains)
+    grains = find_recorded(plan, position, scene.chain.grains)
     spots = _find_spots(grains.tobytes(), task.grains.tobytes())
     for name, values in measured(motion_of(result), plan.keep, grains, result.gathered).items():
         if values.ndim == 2:
@@ -168,7 +168,7 @@ def _put(
     columns["solver_error"][row] = result.error_estimate.solver
     if "time" in columns:
         columns["time"][row, : scene.samples] = scene.time
-    for key, values in plan.drawn(place, scene.chain.grains).items():
+    for key, values in plan.draw_values(position, scene.chain.grains).items():
         columns[key][row, : len(values)] = values
 
 

@@ -25,9 +25,9 @@ def space_time(
 
     ax = axes_in_units(ax, "s", "")
     order = as_slice(np.argsort(trajectory.grains))
-    every = -(-trajectory.time.size // 4000)  # a picture has fewer columns
-    time = trajectory.time[::every]
-    motion = np.asarray(getattr(trajectory, field)[::every])[:, order]
+    stride = -(-trajectory.time.size // 4000)  # a picture has fewer columns
+    time = trajectory.time[::stride]
+    motion = np.asarray(getattr(trajectory, field)[::stride])[:, order]
     rows, drawn = thin_rows(trajectory.grains[order], motion.T)
     limit = scale(motion)
     shown = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
@@ -40,6 +40,6 @@ def space_time(
 
 
 def scale(motion: Array) -> float:
-    """Return the median peak of the grains that move, where colours of a motion, (T, G), saturate."""
+    """Return the median peak of the grains that move, where colours of a motion saturate."""
     largest = np.abs(motion).max(0)
     return float(np.median(largest[largest > MOVING * largest.max()])) if largest.any() else 1.0

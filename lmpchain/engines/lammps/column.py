@@ -184,7 +184,7 @@ class Column:
         if self.model == "hertz":
             d = self.diameters
             constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
-        most = MOST_TYPES if self.pair_style == "granular" else 1
+        limit = MOST_TYPES if self.pair_style == "granular" else 1
         pairs: dict[tuple[int, int], float] = {}
         # of each type: the types it touches, and the constants
         partners: dict[int, dict[int, float]] = {1: {}}
@@ -201,13 +201,13 @@ class Column:
             else:
                 free = (key for key in partners if key not in partners[above])
                 below = min(free, key=lambda key: len(partners[key]), default=len(partners) + 1)
-            if below > most:
+            if below > limit:
                 cure = (
-                    "the engine native" if most > 1 else "pair_style granular or the engine native"
+                    "the engine native" if limit > 1 else "pair_style granular or the engine native"
                 )
                 raise InputError.at(
                     "contact_constants",
-                    f"contact {len(types)} differs from those above it, and {most} grain type(s) "
+                    f"contact {len(types)} differs from those above it, and {limit} grain type(s) "
                     f"cannot express that in pair_style {self.pair_style}; use {cure}",
                 )
             partners.setdefault(below, {})

@@ -236,7 +236,7 @@ class Lammps(TimeSteppingEngine):
     ) -> Candidate | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
         gauge = float(candidate.choices.get("gauge_m", 0.0))
-        free = self.diameter == "auto" and gauge and not _drawn_diameter(candidate)
+        free = self.diameter == "auto" and gauge and not _gauge_of(candidate)
         if free and error and error.roundoff > 0.5 * tolerance:
             reason = f"the physical diameter left {error.roundoff:.1g}"
             return candidate._replace(choices=_choices(gauge, reason))
@@ -284,7 +284,7 @@ class Lammps(TimeSteppingEngine):
             *([remark] if remark else []),
         )
         return Column(
-            scene, _drawn_diameter(candidate), self.pair_style, remarks, self.template, self.include
+            scene, _gauge_of(candidate), self.pair_style, remarks, self.template, self.include
         )
 
     def options(self) -> dict[str, Any]:
@@ -357,14 +357,14 @@ class Lammps(TimeSteppingEngine):
 
 def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
     """Raise `InputError` unless these options are right."""
-    for key, value, known in (
+    for key, value, names in (
         ("diameter", diameter, DIAMETERS),
         ("pair_style", pair_style, PAIR_STYLES),
     ):
-        if value not in known:
-            raise InputError.at(key, not_among(value, known))
-    whole = isinstance(ranks, int) and not isinstance(ranks, bool)
-    if ranks is not None and not (whole and ranks >= 1):
+        if value not in names:
+            raise InputError.at(key, not_among(value, names))
+    integer = isinstance(ranks, int) and not isinstance(ranks, bool)
+    if ranks is not None and not (integer and ranks >= 1):
         raise InputError.at("ranks", f"must be a whole number from 1 (got {shown(ranks)})")
 
 
@@ -394,5 +394,5 @@ def _choices(gauge: float, reason: str) -> dict[str, str]:
     return {"diameter": "gauge" if gauge else "physical", "drawn_m": repr(gauge), "why": reason}
 
 
-def _drawn_diameter(candidate: Candidate) -> float:
+def _gauge_of(candidate: Candidate) -> float:
     return float(candidate.choices["drawn_m"])

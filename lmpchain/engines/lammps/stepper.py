@@ -119,7 +119,7 @@ class LammpsStepper:
             raise RunFailed("LAMMPS: the column has buckled sideways; use the physical diameter")
 
     def _check(self) -> None:
-        """Raise `RunFailed` if grains passed through each other; at samples, whatever the pauses."""
+        """Raise `RunFailed` if grains passed through each other; at samples, not at pauses."""
         if not (self._z[:-1] - self._z[1:] > 0.5 * self._column.diameters[1:]).all():
             raise RunFailed("LAMMPS: a grain has passed into another; use a shorter step")
 

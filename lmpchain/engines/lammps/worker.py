@@ -73,7 +73,7 @@ class StepPlan:
 
 
 class LocalState(NamedTuple):
-    """Heights and velocities of one rank: of grains from `start`, and whether they lie on the axis."""
+    """Heights and velocities of grains from `start`, and whether they lie on the axis."""
 
     start: int
     z: Array
@@ -138,7 +138,7 @@ class Worker:
         self._pushed = row if 0 <= row < self._vz.size else None
 
     def _first_grain(self, count: int) -> int:
-        """Return the first grain of this rank, counted from 0, after checking all `count` of them."""
+        """Return the first grain of this rank, counted from 0, after checking all of them."""
         total = self._lammps.get_natoms()
         if total != self._plan.grains:  # all ranks see this
             raise RunFailed(f"LAMMPS has lost grains: {total:.0f} of {self._plan.grains} are left")

@@ -322,7 +322,7 @@ class ExponentFit(Shown):
     expected: Mapping[str, float]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the deviations from the expected exponents with their intervals; returns the axes."""
+        """Draw deviations from the expected exponents with their intervals; returns the axes."""
         ax = axes_in_units(ax, "", "")
         above = [law.exponent - self.expected[key] for key, law in self.laws.items()]
         ax.axvline(0, color="0.5", lw=1, ls="--")

@@ -99,8 +99,8 @@ def _trace_faults(
     finite = time.ndim == 1 and time.size > 2 and np.isfinite(time).all()
     if not finite or time[0] < 0 or np.diff(time).min() <= 0:
         yield "time", "must be three or more finite times, 0 or later, each above the one before"
-    whole = grains.ndim == 1 and np.issubdtype(grains.dtype, np.integer)
-    if not whole or np.unique(grains).size < grains.size:
+    integers = grains.ndim == 1 and np.issubdtype(grains.dtype, np.integer)
+    if not integers or np.unique(grains).size < grains.size:
         yield "grain", "must be the number of a grain, or a list of different ones"
     if values.shape != (time.size, grains.size):
         shape = f"({time.size}, {grains.size}), not {values.shape}"
@@ -277,8 +277,8 @@ def _parameter(
     """Return the value of the parameter in the scene, and a function that replaces it."""
     chain = scene.chain
     if parameter not in get_args(Parameter):
-        known = ", ".join(get_args(Parameter))
-        raise InputError.at("parameter", f"must be one of {known} (got {shown(parameter)})")
+        names = ", ".join(get_args(Parameter))
+        raise InputError.at("parameter", f"must be one of {names} (got {shown(parameter)})")
     value = 0.0
     faults = list(_parameter_faults(scene, parameter))
     if not faults:
@@ -359,7 +359,7 @@ def _select(trajectory: Trajectory, grains: np.ndarray, field: Field) -> Array:
     if field == "force":
         return np.stack([sensor(trajectory, int(n)).change for n in grains], axis=1)
     if field not in get_args(Field):
-        known = ", ".join(get_args(Field))
-        raise InputError.at("field", f"must be one of {known} (got {shown(field)})")
+        names = ", ".join(get_args(Field))
+        raise InputError.at("field", f"must be one of {names} (got {shown(field)})")
     u, v = motion(trajectory, grains)
     return v if field == "velocity" else u

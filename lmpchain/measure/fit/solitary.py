@@ -119,9 +119,9 @@ def fit_soliton(
         last = int(later.max(initial=1))
     front = front.between(first or 1, last or chain.grains)
     # the recording may end within the wave
-    whole = np.isfinite(front.width) & np.isfinite(front.width_error)
-    if whole.sum() < FEWEST:
-        need = f"must pass {FEWEST} or more recorded grains as a whole, not {whole.sum()}"
+    complete = np.isfinite(front.width) & np.isfinite(front.width_error)
+    if complete.sum() < FEWEST:
+        need = f"must pass {FEWEST} or more recorded grains as a whole, not {complete.sum()}"
         raise InputError.at("front", f"{need}: record for longer, or more grains")
     line = stats.linregress(front.grain, front.time)
     if (front.amplitude * line.slope <= 0).any():
@@ -135,7 +135,7 @@ def fit_soliton(
         )
     wave, time = _exact(chain, amplitude)
     speed = float(1 / np.abs(line.slope))
-    width = float(front.width[whole].mean() * speed)
+    width = float(front.width[complete].mean() * speed)
     expected = np.array([amplitude, wave.speed / time, wave.width])
     ratios = np.array([speed, width]) / expected[1:]
     if np.abs(ratios - 1).max() > SOLITARY:
@@ -147,13 +147,13 @@ def fit_soliton(
         formula = coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)
     else:
         formula = nesterenko_speed(amplitude, chain.exponent)
-    quantile = stats.t.ppf(0.975, whole.sum() - 2)
+    quantile = stats.t.ppf(0.975, complete.sum() - 2)
     # a line through times that are each off by e, over the length L, has a slope off by 3 e / L
     sampling = np.array(
         [
             front.amplitude_error.max(),
             3 * front.time_error.max() / np.ptp(front.grain) * speed**2,
-            front.width_error[whole].max() * speed,
+            front.width_error[complete].max() * speed,
         ]
     )
     # from the residuals, as linregress takes the error from 1 - r^2, which is lost in rounding here
@@ -161,7 +161,11 @@ def fit_soliton(
     residual = front.time - front.time.mean() - line.slope * distance
     slope_error = float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
     deviation = np.array(
-        [stats.sem(front.amplitude), slope_error * speed**2, stats.sem(front.width[whole]) * speed]
+        [
+            stats.sem(front.amplitude),
+            slope_error * speed**2,
+            stats.sem(front.width[complete]) * speed,
+        ]
     )
     return SolitonFit(
         grain=front.grain,

@@ -1,0 +1,356 @@
+"""Verbs of the command line, with their arguments as `argparse` takes them."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from ..errors import shown
+from . import commands
+
+
+def _duration(text: str) -> float:
+    """Return H:MM:SS, or seconds, as seconds."""
+    match = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
+    hours, minutes, seconds = match.groups() if match else (None, None, 0)
+    total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
+    if not total or (hours and float(seconds) >= 60):
+        raise argparse.ArgumentTypeError(
+            f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})"
+        )
+    return total
+
+
+Argument = tuple[tuple[str, ...], dict[str, Any]]
+
+
+class Verb(NamedTuple):
+    """A command: its function, a summary, its arguments, and options of which one may be given."""
+
+    command: Callable[[argparse.Namespace], int]
+    summary: str
+    arguments: Sequence[Argument]
+    choice: Sequence[Argument] = ()
+
+
+def _argument(*names: str, **options: Any) -> Argument:
+    """Return an argument as `argparse` takes it."""
+    return names, options
+
+
+SCENE = _argument("scene", metavar="SCENE.toml", help="scene file")
+TOLERANCE = _argument(
+    "--tolerance",
+    metavar="X",
+    type=float,
+    default=1e-6,
+    help="largest relative error (default: 1e-6)",
+)
+PICTURE = _argument(
+    "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
+)
+NUMBERS = _argument("--json", metavar="FILE", help="file for the numbers")
+RANKS = _argument(
+    "--ranks",
+    metavar="P",
+    type=int,
+    help="LAMMPS only: MPI processes that share the chain (not under mpirun)",
+)
+MAX_WALL = _argument(
+    "--max-wall",
+    metavar="H:MM:SS",
+    type=_duration,
+    help="run folders only: after this time (or so many seconds), save and stop with exit code 75; "
+    "lmpchain resume continues. Leave some seconds to the time limit of the queue",
+)
+TEMPLATES = (
+    _argument(
+        "--template", metavar="FILE", help="LAMMPS only: your own deck, with placeholders (Jinja2)"
+    ),
+    _argument("--include", metavar="FILE", help="LAMMPS only: your own fixes, computes and dumps"),
+)
+# a saved run, or a dump with its scene
+RUN = (
+    _argument(
+        "run",
+        metavar="RUN.nc",
+        help="file that lmpchain run saved, or a dump such as column.lammpstrj",
+    ),
+    _argument("--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for"),
+    _argument(
+        "--axis",
+        choices=["x", "y", "z"],
+        help="for a dump: along which the column stands (default: seen)",
+    ),
+)
+VERBS = {
+    "run": Verb(
+        commands.run,
+        "solve a scene and save the trajectory, in a file or a run folder",
+        (
+            SCENE,
+            _argument(
+                "-o",
+                "--output",
+                metavar="RUN.nc|FOLDER/",
+                help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at "
+                "its end, a run folder, in which the output grows on the disk and which `lmpchain "
+                "resume` continues after a stop of any kind",
+            ),
+            _argument(
+                "--force",
+                action="store_true",
+                help="replace the file or the run that is there already",
+            ),
+            _argument("--engine", metavar="E", default="auto", help="engine (default: auto)"),
+            TOLERANCE,
+            _argument(
+                "--integrator",
+                metavar="I",
+                help="rkn6, kahan-li6 or verlet (default: what the engine prefers)",
+            ),
+            _argument(
+                "--step",
+                metavar="S",
+                type=float,
+                help="longest time step, s; then no tolerance is enforced",
+            ),
+            _argument(
+                "--diameter",
+                choices=["auto", "physical", "gauge"],
+                help="LAMMPS only: positions from the real diameters, or from a far smaller one, "
+                "which reduces round-off",
+            ),
+            _argument(
+                "--threads",
+                metavar="P",
+                type=int,
+                help="native only: threads that share a long chain",
+            ),
+            RANKS,
+            *TEMPLATES,
+            MAX_WALL,
+        ),
+    ),
+    "resume": Verb(
+        commands.resume,
+        "continue the run in a folder, bit-identical to a run without the stop",
+        (
+            _argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made"),
+            RANKS,
+            MAX_WALL,
+        ),
+    ),
+    "compare": Verb(
+        commands.compare,
+        "solve a scene with several engines, compare with a reference",
+        (
+            SCENE,
+            _argument(
+                "--engines",
+                metavar="A,B,...",
+                help="engines (default: all that can solve the scene)",
+            ),
+            TOLERANCE,
+            PICTURE,
+            NUMBERS,
+        ),
+    ),
+    "plan": Verb(
+        commands.plan,
+        "show which engine solves a scene at the lowest cost, and why",
+        (
+            _argument("scene", metavar="SCENE.toml", nargs="?", help="scene file"),
+            TOLERANCE,
+            NUMBERS,
+            _argument(
+                "--calibrate",
+                action="store_true",
+                help="measure the speed of the engines on this machine and store it for the cost "
+                "model",
+            ),
+        ),
+    ),
+    "orbit": Verb(
+        commands.orbit,
+        "periodic orbit of the chain: a linear mode followed up to an energy",
+        (
+            SCENE,
+            _argument(
+                "--mode",
+                metavar="K",
+                type=int,
+                required=True,
+                help="number of the mode, the lowest is 1",
+            ),
+            _argument(
+                "--energy", metavar="E", type=float, required=True, help="energy above rest, J"
+            ),
+            PICTURE,
+            NUMBERS,
+        ),
+    ),
+    "sensitivity": Verb(
+        commands.sensitivity,
+        "what an answer of a saved run depends on, grain by grain",
+        (
+            _argument("run", metavar="RUN.nc", help="saved run, or a scene file"),
+            _argument(
+                "--of",
+                metavar="ANSWER",
+                required=True,
+                help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS "
+                "(such as 3-9) or arrival_time:GRAIN@VELOCITY",
+            ),
+            *(
+                _argument(
+                    f"--{name}",
+                    metavar="PART",
+                    type=float,
+                    help=f"uncertainty of each {name}, as a part of it",
+                )
+                for name in commands.UNCERTAIN
+            ),
+            _argument(
+                "--tolerance",
+                metavar="X",
+                type=float,
+                default=1e-4,
+                help="of the derivatives (default: 1e-4)",
+            ),
+            PICTURE,
+            NUMBERS,
+        ),
+    ),
+    "deck": Verb(
+        commands.deck,
+        "write a LAMMPS input that runs by itself",
+        (
+            SCENE,
+            _argument(
+                "-o",
+                "--output",
+                metavar="FOLDER",
+                required=True,
+                help="folder for in.column and column.data",
+            ),
+            TOLERANCE,
+            _argument(
+                "--step",
+                metavar="S",
+                type=float,
+                help="longest time step, s (default: from the tolerance)",
+            ),
+            _argument("--diameter", choices=["physical", "gauge", "auto"], default="physical"),
+            _argument("--integrator", choices=["verlet", "kahan-li6"], default="verlet"),
+            _argument(
+                "--pair-style", choices=["granular", "gran/hertz/history"], default="granular"
+            ),
+            *TEMPLATES,
+        ),
+    ),
+    "dyson": Verb(
+        commands.dyson,
+        "weighted velocities of Eq. (22), beside the mean over random chains",
+        (
+            *RUN,
+            _argument(
+                "--m",
+                metavar="M,M,...",
+                required=True,
+                help="orders of Dyson's distribution, such as 1,2,5,20",
+            ),
+            _argument(
+                "--realisations",
+                metavar="R",
+                type=int,
+                default=200,
+                help="random chains each (default: 200)",
+            ),
+            _argument(
+                "--seed",
+                metavar="S",
+                type=int,
+                default=1,
+                help="seed of the random chains (default: 1)",
+            ),
+            PICTURE,
+            NUMBERS,
+        ),
+    ),
+    "fit": Verb(
+        commands.fit,
+        "fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front",
+        (*RUN, NUMBERS),
+    ),
+    "report": Verb(
+        commands.report,
+        "write a page about a saved run: pictures, fits, errors, provenance",
+        (
+            *RUN,
+            _argument(
+                "-o",
+                "--output",
+                metavar="REPORT.html",
+                help="file to write (default: RUN.html beside the run)",
+            ),
+        ),
+    ),
+    "workprec": Verb(
+        commands.workprec,
+        "work-precision chart of every engine and integrator on a scene",
+        (
+            SCENE,
+            _argument(
+                "--budget",
+                metavar="S",
+                type=float,
+                default=60.0,
+                help="about how long it may take, s (default: 60)",
+            ),
+            _argument(
+                "-o",
+                "--output",
+                metavar="CHART.png",
+                help="picture to write (.png, .pdf or .svg), with its numbers beside it",
+            ),
+            _argument("--json", metavar="FILE", help="file for the numbers (default: CHART.json)"),
+        ),
+    ),
+    "stability": Verb(
+        commands.stability,
+        "find where methods fail on a scene: steps, round-off, chaos, theories",
+        (SCENE, PICTURE, NUMBERS),
+    ),
+    "sweep": Verb(
+        commands.sweep,
+        "solve many scenes: a grid, a list, random draws, disordered chains",
+        (
+            _argument("sweep", metavar="SWEEP.toml", help="sweep file"),
+            _argument(
+                "-o", "--output", metavar="FOLDER", required=True, help="folder for the results"
+            ),
+        ),
+        (
+            _argument(
+                "--workers",
+                metavar="P",
+                type=int,
+                help="processes of this machine (default: one a core)",
+            ),
+            _argument(
+                "--scheduler",
+                metavar="ADDRESS",
+                help="of a Dask scheduler whose workers solve the scenes",
+            ),
+        ),
+    ),
+    "doctor": Verb(
+        commands.doctor,
+        "check the installation: LAMMPS, MPI, versions, cores, engines",
+        (_argument("--json", metavar="FILE", help="file for the findings"),),
+    ),
+    "docs": Verb(commands.docs, "open the pages of the documentation", ()),
+}
