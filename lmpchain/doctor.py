@@ -145,7 +145,8 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
                 findings.append(finding)
         except Exception as error:
             kind = "" if isinstance(error, LmpchainError) else f"{type(error).__name__}: "
-            text = f"{kind}{error}".split(": pip install")[0]  # some errors name a cure themselves
+            # some errors name a cure themselves
+            text = f"{kind}{error}".split(": pip install")[0]
             if isinstance(error, ImportError) and error.name:
                 cure = f"pip install --force-reinstall {error.name.partition('.')[0]}"
             findings.append(Finding(name, "fault", textwrap.shorten(text, 300), cure))
@@ -162,7 +163,8 @@ def _versions() -> Iterator[Finding]:
     yield Finding("lmpchain", "ok", version("lmpchain"))
     for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
         match = re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need)
-        if not match:  # of an extra, whose requirements contain a ;
+        if not match:
+            # of an extra, whose requirements contain a ;
             continue
         name = match[1]
         required = match[2] or "0"

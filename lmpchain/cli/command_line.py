@@ -59,16 +59,20 @@ def _run(argv: Sequence[str] | None) -> int:
     try:
         code = _main(argv)
         for stream in (sys.stdout, sys.stderr):
-            if stream is not None:  # as it is where it was closed
+            if stream is not None:
+                # as it is where it was closed
                 stream.flush()
         return code
     except BrokenPipeError:
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        for stream in (sys.stdout, sys.stderr):  # what is left in them is flushed at exit
+        for stream in (sys.stdout, sys.stderr):
+            # what is left in them is flushed at exit
             with suppress(AttributeError, OSError, ValueError):
                 os.dup2(nowhere, stream.fileno())
-        return 128 + signal.SIGPIPE  # as a shell says of a tool that SIGPIPE ends
-    except OSError as error:  # such as a full disk behind stdout
+        # as a shell says of a tool that SIGPIPE ends
+        return 128 + signal.SIGPIPE
+    except OSError as error:
+        # such as a full disk behind stdout
         with suppress(OSError, ValueError):
             sys.stdout.close()
         complain(str(error))

@@ -105,6 +105,7 @@ def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: An
 
         from ..util.plotting import save
 
-        matplotlib.use("agg")  # a command opens no window
+        # a command opens no window
+        matplotlib.use("agg")
         save(result.plot(*arguments), picture)
         print(f"picture: {picture}")

@@ -98,7 +98,8 @@ def _solve(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Traje
     failures = []
     for name in names:
         try:
-            with warnings.catch_warnings(action="ignore"):  # the table shows the errors
+            with warnings.catch_warnings(action="ignore"):
+                # the table shows the errors
                 answer = simulate(scene, name, tolerance, progress=on_terminal())
                 if answer.cost.total_s < SHORT_S:
                     quickest = _quickest(scene, name, tolerance)
@@ -130,7 +131,8 @@ def _reference(scene: Scene, tolerance: float) -> Reference:
 
     if expected_seconds(scene) <= REFERENCE_S:
         return reference(scene)
-    tight = max(tolerance / 100, 1e-11)  # which the native engine reaches on ordinary scenes
+    # which the native engine reaches on ordinary scenes
+    tight = max(tolerance / 100, 1e-11)
     all_grains = Scene(
         chain=scene.chain,
         excitation=scene.excitation,

@@ -139,9 +139,11 @@ def _report(
     missed = ""
     try:
         trajectory = answer()
-    except Stopped as stopped:  # by --max-wall; signals are handled elsewhere
+    except Stopped as stopped:
+        # by --max-wall; signals are handled elsewhere
         print(stopped, file=sys.stderr)
-        return os.EX_TEMPFAIL  # try again later
+        # try again later
+        return os.EX_TEMPFAIL
     except ToleranceNotMet as error:
         if error.trajectory is None:
             raise

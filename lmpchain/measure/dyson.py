@@ -67,7 +67,8 @@ class DysonSums(Shown):
     unit: float
 
     def _picture(self) -> str:
-        return ""  # it takes random chains
+        # it takes random chains
+        return ""
 
     @property
     def unit_name(self) -> str:

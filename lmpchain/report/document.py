@@ -80,7 +80,8 @@ def page(
     """
     script = render("report.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    steps = len(PANELS) + 2  # the wave and the fits take time, too
+    # the wave and the fits take time, too
+    steps = len(PANELS) + 2
     with ProgressBar(steps, "report", " parts", shown=progress) as bar:
         bar.describe("The wave in space and time")
         still = panels.wave(trajectory)

@@ -92,7 +92,8 @@ def waveforms(run: Trajectory) -> Panel:
     for moment, shade in MOMENTS.items():
         row = round(moment * (run.time.size - 1))
         label = si(run.time[row], "s")
-        dense = run.grains.size > 2000  # then the picture is smaller as pixels
+        # then the picture is smaller as pixels
+        dense = run.grains.size > 2000
         above.plot(
             run.grains,
             run.velocity[row],
@@ -130,7 +131,8 @@ def waveforms(run: Trajectory) -> Panel:
 def _linear(run: Trajectory) -> Array | None:
     """Return the velocity by linear theory, (T, G) m/s, None where it does not apply."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # the difference is drawn
+        with warnings.catch_warnings(action="ignore"):
+            # the difference is drawn
             return simulate(run.scene, "chebyshev").velocity
     except InputError:
         return None

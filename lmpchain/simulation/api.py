@@ -253,8 +253,10 @@ class _Memory:
     """Gathers the blocks of a run in memory."""
 
     attempt: Attempt | None = None
-    samples = 0  # done before
-    requests: AbstractContextManager[Any] = nullcontext()  # to stop are none: signals act at once
+    # done before
+    samples = 0
+    # to stop are none: signals act at once
+    requests: AbstractContextManager[Any] = nullcontext()
 
     def __init__(self, task: Task):
         self._task = task

@@ -65,5 +65,6 @@ def _unpack(content: memoryview) -> Checkpoint | None:
             if name.startswith(STATE)
         }
         return Checkpoint(dict(notes), state)
-    except Exception:  # whatever it is, it is no checkpoint, though it bears its hash
+    except Exception:
+        # whatever it is, it is no checkpoint, though it bears its hash
         return None

@@ -110,7 +110,8 @@ def in_batches(
     """
     attempts: dict[int, Attempt] = {}
     if not engine.batches or engine.equation != 1:
-        return  # linear engines take one scene after the other anyway
+        # linear engines take one scene after the other anyway
+        return
     keep_freed()
     for number, scene in scenes.items():
         with suppress(LmpchainError):
@@ -129,7 +130,8 @@ def in_batches(
             batch = [scenes[number] for number in numbers]
             try:
                 results = _solve(engine, batch, [attempts[n] for n in numbers], tolerance)
-            except RunFailed:  # one of them; alone it will show which
+            except RunFailed:
+                # one of them; alone it will show which
                 continue
             for number, (answer, later, missed) in zip(numbers, results, strict=True):
                 if later:

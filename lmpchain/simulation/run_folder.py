@@ -99,7 +99,8 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
 
 def _find_kill(path: Path) -> dict[str, str]:
     """Return the state in place of "running" if no process is at work any more."""
-    with suppress(OSError):  # perhaps it may be read only
+    with suppress(OSError):
+        # perhaps it may be read only
         if lock := _lock(path.parent):
             try:
                 # it may have come to its end just now
@@ -154,7 +155,8 @@ class RunFolder:
         self.attempt: Attempt | None = None
         self.samples = 0
         self._state: Mapping[str, Array] = {}
-        self._before = dict.fromkeys(("wall_s", *SPENT), 0.0)  # spent by the sessions before, s
+        # spent by the sessions before, s
+        self._before = dict.fromkeys(("wall_s", *SPENT), 0.0)
         self._estimate: float | None = None
         self._began = time.monotonic()
 
@@ -171,7 +173,8 @@ class RunFolder:
                 path.unlink()
             if self._new:
                 self.task = self._new
-                tasks.check_new(self.path)  # another may have been faster
+                # another may have been faster
+                tasks.check_new(self.path)
                 self._write_status("running")
                 tasks.write(self.path, self.task)
             else:
@@ -223,7 +226,8 @@ class RunFolder:
             shutil.rmtree(self.path, ignore_errors=True)
         elif error:
             stopped = isinstance(error, Stopped) or not isinstance(error, Exception)
-            with suppress(OSError):  # the disk may be full
+            with suppress(OSError):
+                # the disk may be full
                 reason = str(error) or self.requests.reason or "interrupted"
                 self._write_status("stopped" if stopped else "failed", reason)
         self._lock.release()
@@ -332,7 +336,8 @@ class RunFolder:
         attempt = self.attempt
         estimate = self._estimate
         if estimate is not None and not math.isfinite(estimate):
-            estimate = None  # JSON knows no infinity
+            # JSON knows no infinity
+            estimate = None
         report = {
             "state": state,
             "reason": reason,

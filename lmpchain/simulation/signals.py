@@ -34,7 +34,8 @@ class Requests:
         self._number: int | None = None
 
     def __enter__(self) -> Requests:
-        if threading.current_thread() is threading.main_thread():  # signals reach no other
+        if threading.current_thread() is threading.main_thread():
+            # signals reach no other
             handlers = {number: signal.getsignal(number) for number in NAMES}
             self._before = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
             for number in self._before:

@@ -76,7 +76,8 @@ def check_new(folder: str | PathLike[str]) -> Path:
     if is_run(path):
         cure = f"go on with it, {resume_command(folder)}, or choose another folder"
         raise InputError.at(str(folder), f"holds a run already: {cure}")
-    leftovers = {STATUS, RUN, LOCK}  # of a run that was killed before it wrote its scene
+    # of a run that was killed before it wrote its scene
+    leftovers = {STATUS, RUN, LOCK}
     names = (
         [p.name for p in path.iterdir() if ".partial" not in p.suffixes] if path.exists() else []
     )
@@ -145,10 +146,12 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         if order["sha256"] != _seal(order, text):
             raise ValueError("they are not those that the run began with")
         parallel = "ranks" in options
-        if parallel and (ranks is not None or mpi.joined_world()):  # those of mpirun serve
+        if parallel and (ranks is not None or mpi.joined_world()):
+            # those of mpirun serve
             options["ranks"] = ranks
         policy = policy_for(str(order["engine"]), **options)
-        check_policy(policy)  # no commands of whoever wrote this folder
+        # no commands of whoever wrote this folder
+        check_policy(policy)
         check_tolerance(order["tolerance"])
         if not isinstance(order["best_effort"], bool) or not isinstance(order["sessions"], list):
             raise ValueError("they do not say what was asked")

@@ -79,7 +79,8 @@ def _read_labels(results: Path, layout: Layout) -> dict[str, Any]:
             for name, array in store.arrays()
             if name not in layout.columns
         }
-    except Exception as error:  # whatever a damaged file makes zarr raise
+    except Exception as error:
+        # whatever a damaged file makes zarr raise
         raise InputError.at(
             str(results), f"is damaged ({short(error)}): remove it, and sweep again"
         ) from None

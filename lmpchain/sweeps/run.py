@@ -105,7 +105,8 @@ def sweep(
         ):
             tasks = (Task(results, plan.folder, layout, grains, first) for first in work.firsts)
             faults = work.do(chosen, tasks, bar, pending)
-        clean(results, layout)  # of workers that died on the way
+        # of workers that died on the way
+        clean(results, layout)
     if faults:
         warnings.warn(
             f"some scenes could not be done this time; of the first: {faults[0]}", stacklevel=2
@@ -213,7 +214,8 @@ def dask(address: str) -> Iterator[Executor]:
         from distributed import Client
     except ImportError:
         raise InputError.at("scheduler", 'needs Dask: pip install "lmpchain[cluster]"') from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is told by exceptions
+    # what fails is told by exceptions
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=TASKS.scheduler_s)
     except (OSError, ValueError) as error:

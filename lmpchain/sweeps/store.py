@@ -278,7 +278,8 @@ def read_part(path: Path, name: str, column: Column) -> Array:
         return values
     except FileNotFoundError:
         raise
-    except Exception as error:  # whatever a damaged file makes numpy and zipfile raise
+    except Exception as error:
+        # whatever a damaged file makes numpy and zipfile raise
         raise InputError.at(
             str(path), f"cannot be read ({error}): remove it, and sweep again"
         ) from None
@@ -290,11 +291,13 @@ def gather(folder: Path, layout: Layout, shard: int) -> None:
     if not complete(folder, shard):
         try:
             store = open_store(folder, writing=True)
-            for name, column in layout.columns.items():  # reason is the last
+            for name, column in layout.columns.items():
+                # reason is the last
                 values: Any = np.concatenate([read_part(path, name, column) for path in parts])
                 values = values.astype(object) if column.dtype is str else values
                 store[name][shard * layout.shard : shard * layout.shard + len(values)] = values
-        except FileNotFoundError:  # another process was faster
+        except FileNotFoundError:
+            # another process was faster
             if not complete(folder, shard):
                 raise
     for path in parts:
@@ -339,12 +342,14 @@ def read(
     """Return an array at these scenes and entries, NaN where there are no results yet."""
     array = open_store(folder)[name]
     rows: Any = numbers
-    if (np.diff(numbers) == 1).all():  # a slice is read much faster
+    if (np.diff(numbers) == 1).all():
+        # a slice is read much faster
         first = int(numbers[0]) if numbers.size else 0
         rows = slice(first, first + numbers.size)
     try:
         values = np.array(array.oindex[(rows, *entries)] if entries else array.oindex[rows])
-    except Exception as error:  # whatever a damaged file makes zarr raise
+    except Exception as error:
+        # whatever a damaged file makes zarr raise
         raise InputError.at(
             str(folder / RESULTS / name), f"is damaged ({error}): remove it, and sweep again"
         ) from None

@@ -27,7 +27,8 @@ def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None
     """Write the results of an earlier sweep for these scenes, if both have the same arrays."""
     try:
         old_plan, old_layout = read_results(earlier)
-    except InputError:  # damaged, or of another version
+    except InputError:
+        # damaged, or of another version
         return
     if _shapes(layout) != _shapes(old_layout) or old_plan.keep != plan.keep:
         return

@@ -68,7 +68,8 @@ def is_dump(path: str | PathLike[str]) -> bool:
     """Return whether a file, possibly compressed by gzip, is a LAMMPS dump."""
     path = Path(path)
     try:
-        check_readable(path, sys.maxsize)  # reading a pipe would block
+        # reading a pipe would block
+        check_readable(path, sys.maxsize)
         with _open(path) as opened:
             return opened.read(len(BEGIN)) == BEGIN
     except (OSError, EOFError, ValueError, zlib.error):

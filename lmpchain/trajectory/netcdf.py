@@ -25,7 +25,8 @@ def write(record: Record, path: str | PathLike[str]) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
     import h5netcdf  # xarray writes the same, but its import takes longer than most runs
 
-    memory = BytesIO()  # HDF5 crashes the process when a disk is full
+    # HDF5 crashes the process when a disk is full
+    memory = BytesIO()
     with h5netcdf.File(memory, "w") as file:
         fine = {TIME: record.gathered[TIME].size} if TIME in record.gathered else {}
         file.dimensions = dict(zip(DIMENSIONS, record.displacement.shape, strict=True)) | fine

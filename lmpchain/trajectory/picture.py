@@ -25,7 +25,8 @@ def space_time(
 
     ax = axes_in_units(ax, "s", "")
     order = as_slice(np.argsort(trajectory.grains))
-    stride = -(-trajectory.time.size // 4000)  # a picture has fewer columns
+    # a picture has fewer columns
+    stride = -(-trajectory.time.size // 4000)
     time = trajectory.time[::stride]
     motion = np.asarray(getattr(trajectory, field)[::stride])[:, order]
     rows, drawn = thin_rows(trajectory.grains[order], motion.T)

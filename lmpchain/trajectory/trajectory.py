@@ -203,7 +203,8 @@ class Trajectory(Shown, Record):
         from . import netcdf, zarr_store
 
         path = Path(path)
-        folder = os.path.isdir(path)  # never raises
+        # never raises
+        folder = os.path.isdir(path)
         if folder and not (path / zarr_store.NAME).is_dir():
             raise InputError.at(
                 str(path), "is a folder without a run in it, or with one that has no samples yet"
@@ -230,7 +231,8 @@ class Trajectory(Shown, Record):
                 gathered=select_gathered(scene, arrays),
                 **read_result(attributes),
             )
-        except Exception as error:  # whatever a damaged file makes the readers raise
+        except Exception as error:
+            # whatever a damaged file makes the readers raise
             raise InputError.at(
                 str(path),
                 f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})",

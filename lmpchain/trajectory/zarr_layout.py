@@ -134,7 +134,8 @@ def _check_codecs(name: str, codecs: Any, chunk: Piece) -> list[str]:
 def _check_claims(chunks: Path, length: int, blosc: bool) -> None:
     """Raise `ValueError` if a chunk claims to hold more numbers than it should or can."""
     for path in chunks.glob("[0-9]*"):
-        if not path.name.isdecimal():  # being written
+        if not path.name.isdecimal():
+            # being written
             continue
         with open(path, "rb") as opened:
             head = opened.read(8)

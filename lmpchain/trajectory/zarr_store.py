@@ -91,7 +91,8 @@ class Writer:
         self._first = self._end = first
         self._buffers.fill(math.nan)
         if first < self._known:
-            with suppress(ValueError):  # damaged samples to come are written anew
+            with suppress(ValueError):
+                # damaged samples to come are written anew
                 for buffer, array in zip(self._buffers, self._fields, strict=True):
                     samples = array[first : first + self._rows]
                     buffer[: len(samples)] = samples
@@ -149,7 +150,8 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
         first = samples - samples % group[FIELDS[0]].shards[0]
         arrays = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
         return all(bool(np.isfinite(array).all()) for array in arrays)
-    except Exception:  # whatever damaged files make zarr raise
+    except Exception:
+        # whatever damaged files make zarr raise
         return False
 
 
@@ -242,6 +244,7 @@ class OnDisk(NDArrayOperatorsMixin):
         return getattr(ufunc, method)(*read, **options)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "variable":  # asked for during construction
+        if name.startswith("_") or name == "variable":
+            # asked for during construction
             raise AttributeError(name)
         return getattr(np.asarray(self), name)

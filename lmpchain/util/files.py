@@ -84,7 +84,8 @@ def check_tree(folder: Path) -> None:
         for name in (*folders, *files):
             try:
                 mode = os.lstat(os.path.join(at, name)).st_mode
-            except FileNotFoundError:  # just renamed, by a run that goes on
+            except FileNotFoundError:
+                # just renamed, by a run that goes on
                 continue
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
                 raise OSError(
@@ -108,7 +109,8 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
             raise InputError.at(str(path), "is a folder or a device; name a file")
         with replacing(path) as aside:
             yield aside
-    except (OSError, RuntimeError) as error:  # HDF5 reports a full disk as either
+    except (OSError, RuntimeError) as error:
+        # HDF5 reports a full disk as either
         reason = getattr(error, "strerror", None) or error
         raise InputError.at(str(path), f"cannot be written: {reason}") from error
 

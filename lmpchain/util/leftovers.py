@@ -39,7 +39,8 @@ def sweep() -> None:
     leftovers = []
     for names in (SHARED / NAMES, SHARED / "ucx_shm_posix_", TEMPORARY / "hydra_hwloc_xmlfile_"):
         for path in names.parent.glob(f"{names.name}*"):
-            with suppress(OSError):  # gone by now
+            with suppress(OSError):
+                # gone by now
                 status = path.lstat()
                 if status.st_uid == os.getuid() and status.st_mtime < time.time() - OLD_S:
                     leftovers.append(path)
@@ -54,7 +55,8 @@ def _names_in_use(processes: Iterable[Path]) -> set[str]:
     """Return the names of the shared memory that these processes have attached to."""
     names = set()
     for process in processes:
-        with suppress(OSError):  # ended by now, or that of another user
+        with suppress(OSError):
+            # ended by now, or that of another user
             lines = (process / "maps").read_text().splitlines()
             names |= {
                 Path(line.split(maxsplit=5)[-1]).name for line in lines if f"{SHARED}/" in line
@@ -64,6 +66,7 @@ def _names_in_use(processes: Iterable[Path]) -> set[str]:
 
 def end_with_parent() -> None:
     """Have the kernel end this process as soon as its parent is gone."""
-    death_signal = 1  # PR_SET_PDEATHSIG of linux/prctl.h
+    # PR_SET_PDEATHSIG of linux/prctl.h
+    death_signal = 1
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(ctypes.c_int(death_signal), ctypes.c_ulong(signal.SIGKILL))

@@ -14,7 +14,8 @@ T = TypeVar("T")
 
 @cache
 def _controller() -> ThreadpoolController:
-    return ThreadpoolController()  # which finds the libraries that are loaded, in 5 ms
+    # which finds the libraries that are loaded, in 5 ms
+    return ThreadpoolController()
 
 
 def in_one_thread(function: Callable[P, T]) -> Callable[P, T]:

@@ -46,7 +46,8 @@ def join() -> Any:
 
 def settle(world: Any) -> None:
     """Make sure that a kill leaves no shared memory of these ranks behind."""
-    world.Barrier()  # all have attached to it
+    # all have attached to it
+    world.Barrier()
     unname_shared_memory()
 
 
@@ -89,4 +90,5 @@ def abort(world: Any, message: str) -> NoReturn:
     print(f"error: {message}", file=sys.stderr, flush=True)
     time.sleep(MESSAGE_S)
     world.Abort(1)
-    raise SystemExit(1)  # not reached
+    # not reached
+    raise SystemExit(1)

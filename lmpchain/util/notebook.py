@@ -43,7 +43,8 @@ class Shown:
         picture = figure(4.8, 3.0)
         try:
             draw(ax=picture.subplots())
-        except LmpchainError:  # not for this one
+        except LmpchainError:
+            # not for this one
             return ""
         buffer = BytesIO()
         picture.savefig(buffer, format="png", dpi=150)

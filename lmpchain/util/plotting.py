@@ -154,7 +154,8 @@ def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
 
 def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
     """Explain the colours of axes beside them, in letters of the same size."""
-    narrow = _inches(ax) < NARROW  # before the bar takes its share of the width
+    # before the bar takes its share of the width
+    narrow = _inches(ax) < NARROW
     bar = ax.figure.figure.colorbar(shown, ax=ax, label=label, **keys)
     bar.ax.yaxis.label.set_fontsize(ax.yaxis.label.get_fontsize())
     if narrow:

@@ -58,7 +58,8 @@ class ProgressBar:
         if self._bar is not None:
             if error is None:
                 self._bar.n = self._bar.total
-                self._bar.refresh()  # a fast one has shown nothing since its beginning
+                # a fast one has shown nothing since its beginning
+                self._bar.refresh()
             self._bar.close()
 
     def advance(self, amount: float = 1) -> None:

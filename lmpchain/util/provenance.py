@@ -72,7 +72,8 @@ def _packages() -> Iterable[tuple[str, str]]:
     for name in PACKAGES:
         try:
             yield name, version(name)
-        except PackageNotFoundError:  # such as a self-built LAMMPS
+        except PackageNotFoundError:
+            # such as a self-built LAMMPS
             yield name, "not installed by pip"
 
 

@@ -81,7 +81,8 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
         raise InputError.at(
             key, f"asks for something that is closed to it: {cure}, nothing else"
         ) from None
-    except Exception as error:  # whatever the expressions of a template raise
+    except Exception as error:
+        # whatever the expressions of a template raise
         raise InputError.at(key, f"cannot be filled in: {short(error)}") from None
     cure = f"there are {', '.join(sorted(values))}"
     raise InputError(

@@ -78,7 +78,8 @@ class Checked(Shown, BaseModel):
         if faults:
             raise InputError(faults)
         for remark in self._remarks():
-            warnings.warn(remark, stacklevel=1)  # from one line, so that Python says each once
+            # from one line, so that Python says each once
+            warnings.warn(remark, stacklevel=1)
 
     def _remarks(self) -> Iterator[str]:
         """Yield warnings of values that are allowed but hardly meant."""
@@ -168,7 +169,8 @@ class Checked(Shown, BaseModel):
     def __setstate__(self, state: dict[Any, Any]) -> None:
         super().__setstate__(state)
         for value in self.__dict__.values():
-            read_only(value)  # which pickle does not keep
+            # which pickle does not keep
+            read_only(value)
 
     def given(self) -> dict[str, Any]:
         """Return the fields that the user gave, by name."""
@@ -238,7 +240,8 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
     for fault in error.errors():
         key = ".".join(map(str, fault["loc"]))
         cause = fault.get("ctx", {}).get("error")
-        if isinstance(cause, InputError):  # a value inside this one
+        if isinstance(cause, InputError):
+            # a value inside this one
             yield from cause.under(key)
         elif fault["type"] == "value_error":
             yield key, str(cause)

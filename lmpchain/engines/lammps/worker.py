@@ -140,7 +140,8 @@ class Worker:
     def _first_grain(self, count: int) -> int:
         """Return the first grain of this rank, counted from 0, after checking all of them."""
         total = self._lammps.get_natoms()
-        if total != self._plan.grains:  # all ranks see this
+        if total != self._plan.grains:
+            # all ranks see this
             raise RunFailed(f"LAMMPS has lost grains: {total:.0f} of {self._plan.grains} are left")
         if not count:
             return 0
@@ -184,7 +185,8 @@ class Worker:
                 for n, drift in enumerate(a * h for a in plan.splitting.drifts):
                     if kicks:
                         self._kick_grains(kicks[n] * h, imposed[n])
-                    if drives:  # with the speed that takes it to its height at the end
+                    if drives:
+                        # with the speed that takes it to its height at the end
                         self._v[0, 2] = (plan.rest - imposed[n + 1] - self._x[0, 2]) / drift
                     if plan.walled:
                         self._move_wall(times[n + 1])

@@ -266,7 +266,8 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     h = n - 0.5
     time = front.time / chain.time_scale
     shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
-    if not (time > shift).all():  # noise
+    if not (time > shift).all():
+        # noise
         return None
     order = 1 / 3 + 1 / chain.exponent
     step = 1 / chain.exponent - 1 / 3
@@ -285,7 +286,8 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         start = np.polyfit(x, y, 1)[::-1]
         parameters, covariance = curve_fit(law, x, y, [*start, 0.0])
         further, _ = curve_fit(law, x, y, [*parameters, 0.0])
-    except RuntimeError:  # after so strong a strike there is no such law
+    except RuntimeError:
+        # after so strong a strike there is no such law
         return None
     error = stats.t.ppf(0.975, n.size - 3) * np.sqrt(np.diag(covariance)) + 2 * np.abs(
         further[:3] - parameters
@@ -377,7 +379,8 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         )
         raise InputError.at("front", f"{need}: record longer")
     fronts = {"velocity": ("amplitude", velocity)}
-    with suppress(InputError):  # behind a strong wave the displacement has no maximum
+    with suppress(InputError):
+        # behind a strong wave the displacement has no maximum
         fronts["displacement"] = (
             "amplitude",
             front_before_echo(trajectory, "displacement", first, last),

@@ -263,7 +263,8 @@ def _find_start(residuals: Callable[[Array], Array], values: Array) -> float:
     for value in values:
         try:
             misfits.append(float(np.sum(residuals(np.array([value])) ** 2)))
-        except InputError as error:  # such as a load that crushes the grains
+        except InputError as error:
+            # such as a load that crushes the grains
             misfits.append(np.inf)
             faults = error.faults
     if not np.isfinite(misfits).any():

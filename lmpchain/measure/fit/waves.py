@@ -302,7 +302,8 @@ def fit_bessel(
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
-    largest = np.abs(values[time > 0]).max(initial=0.0)  # at t = 0 it is prescribed
+    # at t = 0 it is prescribed
+    largest = np.abs(values[time > 0]).max(initial=0.0)
     if n.size < REGION.fewest or largest < REGION.arrival * abs(size):
         fault = f"{n.size} values lie where the solution can hold, too few, or without the wave"
         cure = "record more often or for longer, more grains near it, or give grains and until"
