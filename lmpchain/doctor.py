@@ -240,6 +240,7 @@ def _lammps() -> Iterator[Finding]:
             warnings.warn("LAMMPS was built without MPI, so it runs on one rank only", stacklevel=1)
     finally:
         instance.close()
+    # two libraries of one name in one process, as of two MPIs, fail in strange ways
     loaded = Path("/proc/self/maps").read_text()
     for name in ("liblammps", "libmpi"):
         paths = sorted(set(re.findall(rf"/\S*/{name}(?:_(?!cxx)\w+)?\.so\S*", loaded)))
@@ -289,6 +290,7 @@ def _cache() -> Iterator[Finding]:
 @_check("temporary folder", "set TMPDIR to a folder that you may write to and that has room")
 def _temporary_folder() -> Iterator[Finding]:
     with tempfile.TemporaryFile() as opened:
+        # a full disk lets a file be made, but not be filled
         opened.write(bytes(2**20))
     yield Finding("temporary folder", "ok", tempfile.gettempdir())
 

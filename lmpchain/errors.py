@@ -29,6 +29,7 @@ def shown(value: object) -> str:
     >>> shown(1.5), shown("a"), shown(list(range(10**6)))
     ('1.5', "'a'", '[0, 1, 2, 3, 4, 5, ...]')
     """
+    # lists of a million numbers must not be written out to show six
     brief = reprlib.Repr()
     brief.maxstring = brief.maxlong = brief.maxother = SHOWN_LETTERS
     try:

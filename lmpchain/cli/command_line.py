@@ -45,6 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     from ..engines.lammps.communicators import shutdown_workers, worker_loop
 
+    # ranks beyond the first only serve LAMMPS
     if world.rank > 0:
         worker_loop(world)
         return 0
@@ -64,6 +65,7 @@ def _run(argv: Sequence[str] | None) -> int:
                 stream.flush()
         return code
     except BrokenPipeError:
+        # Python flushes its streams at exit, into the closed pipe
         nowhere = os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
             # what is left in them is flushed at exit

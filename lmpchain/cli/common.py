@@ -35,6 +35,7 @@ def gather(*checks: Callable[[], Any]) -> list[Any]:
     """Return what the checks return; raise one `InputError` with the faults of all of them."""
     results = []
     faults = []
+    # all of them, so that the user corrects all faults at once
     for check in checks:
         try:
             results.append(check())

@@ -72,6 +72,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
 
     load = Trajectory.load
     run = load(path) if scene is None else Trajectory.from_dump(path, read(scene), axis=axis)
+    # a run folder whose run has just begun
     if run.time.size < 2:
         raise InputError.at(
             path, "has too few samples yet: go on with the run, or run the scene anew"

@@ -335,6 +335,7 @@ def relative_stiffness(chain: Chain) -> Array:
     force = chain.contacts.force
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]
+        # K and its force follow from those above: the last contact would carry one more weight
         stiffness[-1] = stiffness[-2] * chain.contacts.stiffness_for_force(1 + weight / force[-2])
     return stiffness / stiffness[0]
 

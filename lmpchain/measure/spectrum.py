@@ -171,6 +171,7 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     grain, motion = _sort(trajectory, field)
     step = trajectory.time[1]
     samples = trajectory.time.size
+    # the sum times the step is the integral over time
     amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
     bands = local_bands(trajectory.scene.chain)[grain - 1] / (2 * np.pi)
     return Spectrum(field, np.fft.rfftfreq(samples, step), grain, bands, amplitude)
@@ -236,6 +237,7 @@ def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array
     """Return the branches (B, K), Hz, of a chain that repeats the grains from this one on."""
     if period == 1 or not chain.compressed:
         return cut_off(chain)[grain - 1] * np.abs(np.sin(wavenumber / 2))[None]
+    # the cell that begins here, or the last whole one above the end
     start = min(grain, chain.grains - period)
     cell = Cell(chain.masses[start - 1 :][:period], chain.linear_stiffness[start - 1 :][:period])
     return branches(cell, period * wavenumber).frequency / (2 * np.pi)

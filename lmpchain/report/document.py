@@ -79,6 +79,7 @@ def page(
     str
     """
     script = render("report.js")
+    # the policy of the page names the script by its hash, so that no other runs
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     # the wave and the fits take time, too
     steps = len(PANELS) + 2

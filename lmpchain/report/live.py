@@ -75,6 +75,7 @@ def numbers(trajectory: Trajectory) -> dict[str, Any]:
     velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[rows][:, columns])
     grains, drawn = thin_rows(trajectory.grains[columns], velocity.T, VIEW.grains)
     largest = float(np.abs(drawn).max(initial=0.0)) or 1.0
+    # 16 bits have more levels than a screen
     data = np.round(drawn.T / largest * np.iinfo(np.int16).max).astype("<i2")
     return {
         "time": trajectory.time[rows].tolist(),

@@ -60,6 +60,7 @@ def _panel(ax: Axes, caption: str, alt: str = "", map: bool = False) -> Panel:
     import matplotlib
 
     buffer = BytesIO()
+    # equal runs give equal pages, byte by byte
     with matplotlib.rc_context({"svg.hashsalt": "lmpchain"}):
         metadata = {"Date": None, "Creator": None}
         ax.figure.figure.savefig(buffer, format="svg", transparent=True, metadata=metadata, dpi=200)

@@ -181,6 +181,7 @@ def _answer(
             if not following:
                 break
             cost = outcome.cost
+            # the time of a dismissed engine counts for the answer, too
             attempt = following._replace(
                 refusal=attempt.refusal,
                 planned_s=cost.setup_s + following.planned_s,
@@ -324,6 +325,7 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
     """
     if 2 * moving > shape[1] or shape[1] < mmap.PAGESIZE:
         return np.zeros(shape)
+    # memory that is never written takes no pages: most grains of a long chain stay at rest
     pages = mmap.mmap(-1, 8 * shape[0] * shape[1])
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         pages.madvise(mmap.MADV_NOHUGEPAGE)

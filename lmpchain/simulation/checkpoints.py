@@ -30,6 +30,7 @@ class Checkpoint(NamedTuple):
 
 def save(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> None:
     """Write a checkpoint; at every moment a complete one is on the disk."""
+    # packed in memory first, so that the hash is of what is written
     packed = io.BytesIO()
     arrays = {STATE + name: values for name, values in state.items()}
     np.savez(packed, notes=np.array(json.dumps(notes)), **arrays)  # type: ignore[arg-type]
@@ -39,6 +40,7 @@ def save(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> 
         with open(aside, "wb") as opened:
             opened.write(HASH(content).digest())
             opened.write(content)
+        # renamed before the new one is moved into place: a kill leaves one of them whole
         if newest.exists():
             os.replace(newest, before)
 

@@ -112,6 +112,7 @@ def in_batches(
     if not engine.batches or engine.equation != 1:
         # linear engines take one scene after the other anyway
         return
+    # batches free and take the same memory again and again
     keep_freed()
     for number, scene in scenes.items():
         with suppress(LmpchainError):

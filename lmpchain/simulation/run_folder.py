@@ -231,6 +231,7 @@ class RunFolder:
                 reason = str(error) or self.requests.reason or "interrupted"
                 self._write_status("stopped" if stopped else "failed", reason)
         self._lock.release()
+        # only now that all is on the disk does Ctrl-C end the program
         self.requests.pass_on()
         if isinstance(error, OSError | EngineUnavailable):
             fault = str(error)
@@ -278,6 +279,7 @@ class RunFolder:
         """
         request = math.inf
         for block in blocks:
+            # a block without samples gives control while the engine is at work
             fresh = block.samples.stop > block.samples.start or block.resumable
             if fresh:
                 self._writer.put(block)
@@ -298,6 +300,7 @@ class RunFolder:
         self._writer.flush()
         error = run.errors()[0]
         self._estimate = error.total
+        # the samples are on the disk before the checkpoint says so
         self._writer.note(error.estimate)
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
         self._write_status("running")
@@ -327,6 +330,7 @@ class RunFolder:
         self._estimate = outcome.error.total
         self._writer.conclude(outcome.error.estimate, cost, gathered)
         with replacing(self.path / SUMS) as aside:
+            # files that a later look may change are left out
             sums = checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES})
             aside.write_text(sums, encoding="utf-8")
         self._write_status("finished", outcome.missed)
@@ -370,6 +374,7 @@ def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attem
         if not 0 < attempt.tolerance < 1:
             raise ValueError("it has no tolerance")
         fields = notes["attempt"]["candidate"].keys()
+        # another version may have more fields, or fewer
         if candidate._asdict().keys() != fields or times.keys() != spent.keys():
             raise ValueError("it has other fields")
         if attempt.engine not in engines.names():

@@ -36,6 +36,7 @@ class Requests:
     def __enter__(self) -> Requests:
         if threading.current_thread() is threading.main_thread():
             # signals reach no other
+            # handlers that ignore a signal, as of nohup, stay
             handlers = {number: signal.getsignal(number) for number in NAMES}
             self._before = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
             for number in self._before:

@@ -92,6 +92,7 @@ def remove(folder: Path) -> None:
 
     try:
         with FileLock(check_run(folder) / LOCK, timeout=0):
+            # under its lock, so that no process writes to it meanwhile
             shutil.rmtree(folder)
     except Timeout:
         raise InputError.at(str(folder), AT_WORK) from None
@@ -143,6 +144,7 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         scene = Scene.from_text(text)
         options = dict(order["options"])
         old_versions = dict(order["sessions"][-1]["packages"])
+        # a folder may come from elsewhere: what it asks for must be what lmpchain wrote
         if order["sha256"] != _seal(order, text):
             raise ValueError("they are not those that the run began with")
         parallel = "ranks" in options

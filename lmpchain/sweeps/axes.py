@@ -219,6 +219,7 @@ def _random(table: dict[str, Any]) -> list[Axis]:
     ranges = {key: law for key, law in laws.items() if key not in by_grain}
     columns = {}
     if ranges:
+        # a Latin hypercube: each range is divided evenly, and each part drawn once
         rng = np.random.default_rng(options.seed)
         shares = qmc.LatinHypercube(len(ranges), seed=rng).random(options.draws)
         columns = {

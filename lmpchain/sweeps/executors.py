@@ -65,6 +65,7 @@ class Processes(Executor):
         try:
             return pool.submit(function, *values, **named).result()
         except BrokenExecutor:
+            # the pool is broken for good: the next task of this thread starts another
             self._own.pool = None
             self._pools.remove(pool)
             pool.shutdown()
@@ -91,6 +92,7 @@ def _end_with(line: Connection) -> None:
 
     def wait() -> None:
         line.poll(None)
+        # even in the middle of a run: no parent waits for it any more
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()

@@ -188,6 +188,7 @@ class Sweep:
         for position in itertools.product(*map(range, lengths)):
             if len(usable) == count:
                 break
+            # drawn values count as one: there is none of them that the user could correct
             values = {(n, 0 if self.axes[n].drawn else index) for n, index in enumerate(position)}
             if values <= usable:
                 continue
@@ -285,6 +286,7 @@ def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
             faults += error.faults
     if faults:
         raise InputError(faults)
+    # all checks ran, so that every fault is reported at once
     (tables, folder), engine, _, keep, axes = results
     folder = folder.absolute()
     tolerance = float(tolerance)
@@ -354,6 +356,7 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
         return value
     first = path[0]
     rest = path[1:]
+    # a single constant of a named material can be swept
     if isinstance(table, str) and table in MATERIALS:
         table = {
             name: getattr(MATERIALS[table], name)

@@ -66,6 +66,7 @@ class Normal(Checked):
         from scipy.special import ndtri
 
         if self.log:
+            # the normal distribution whose exponential has this mean and deviation
             variance = math.log1p((self.deviation / self.mean) ** 2)
             return self.mean * np.exp(math.sqrt(variance) * ndtri(share) - variance / 2)
         return self.mean + self.deviation * ndtri(share)
@@ -99,6 +100,7 @@ class GrainLaw:
 
     def values(self, index: int, grains: int) -> Array:
         """Return the numbers of a scene, one for each grain or contact."""
+        # numbers of one key depend on no other key, nor on the order of the axes
         mark = int.from_bytes(hashlib.sha256(self.key.encode()).digest()[:4], "big")
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index, mark)))
         return self.law.at(rng.random(grains - self.of_contacts))

@@ -60,6 +60,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
             values = read(results, layout, name, np.arange(layout.count)).reshape(plan.shape)
             data[name] = swept, values.astype(object) if column.dtype is str else values, attributes
             continue
+        # larger arrays stay in their files until they are used
         array = indexing.LazilyIndexedArray(_Stored(results, layout, name, plan.shape))
         inner = column.dimensions
         # where scenes differ in their times, samples are numbered and the times a coordinate
@@ -138,6 +139,7 @@ class _Stored(BackendArray):
     def _read(self, key: tuple) -> Array:
         chosen = [np.arange(size)[index] for size, index in zip(self.shape, key, strict=True)]
         rows = [np.atleast_1d(indices) for indices in chosen]
+        # numbers of the scenes at all combinations of the indices
         outer = np.ix_(*rows[: len(self._swept)])
         inner = rows[len(self._swept) :]
         numbers = np.ravel_multi_index(outer, self._swept).ravel()

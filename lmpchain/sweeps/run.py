@@ -267,6 +267,7 @@ class _Work:
                     job = pending.pop(future)
                     error = _find_error(future)
                     if isinstance(error, BrokenExecutor):
+                        # the cause may pass, as a lack of memory does
                         deaths[job] += 1
                         if deaths[job] < TASKS.deaths:
                             self._submit(executor, job, pending)
@@ -275,6 +276,7 @@ class _Work:
                         faults.append(_describe(error))
                     if isinstance(job, Task):
                         bar.advance(job.count)
+                        # a shard is gathered once all of its batches are on the disk
                         if error is None and self._completes_shard(job):
                             self._submit(executor, job.first // self._layout.shard, pending)
         finally:

@@ -78,6 +78,7 @@ class Layout:
     def shard(self) -> int:
         """Scenes in a shard, a whole number of batches."""
         largest = 8 * max(math.prod(column.shape) for column in self.columns.values())
+        # few large files: file systems of clusters are slow with many small ones
         scenes = min(STORE.shard_scenes * len(self.columns), max(1, STORE.shard_bytes // largest))
         return self.batch * math.ceil(min(scenes, self.count) / self.batch)
 
@@ -201,6 +202,7 @@ def create(
                 dimension_names=dimensions,
                 attributes=dict(attributes),
             )[:] = array.astype(object) if text else array
+        # a kill before this leaves a folder that `clean` removes
         os.replace(aside, folder / RESULTS)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
@@ -300,6 +302,7 @@ def gather(folder: Path, layout: Layout, shard: int) -> None:
             # another process was faster
             if not complete(folder, shard):
                 raise
+    # only now that the shard is whole
     for path in parts:
         path.unlink(missing_ok=True)
 

@@ -85,6 +85,7 @@ def _check_array(node: Path, array: dict[str, Any]) -> None:
     dimensions = array["dimension_names"]
     sizes = shape and all(type(length) is int and length > 0 for length in shape)
     require(sizes and len(shape) == len(dimensions), "has a shape that lmpchain does not use")
+    # labels go into pages and tables
     labels = (*dimensions, *array["attributes"].values())
     require(
         all(isinstance(label, str) for label in labels), "has labels that lmpchain does not use"

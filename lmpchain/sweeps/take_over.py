@@ -35,6 +35,7 @@ def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None
     keys, old_numbers = _done(old_plan, old_layout, earlier)
     if not keys.size:
         return
+    # equal keys stand for equal answers, wherever the scenes lie in both sweeps
     wanted = np.array([plan.key(number) for number in range(plan.count)])
     spots = np.searchsorted(keys, wanted).clip(max=keys.size - 1)
     present = keys[spots] == wanted

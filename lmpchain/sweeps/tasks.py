@@ -99,6 +99,7 @@ def answer(task: Task) -> None:
     with warnings.catch_warnings(action="ignore"):
         columns = _make_columns(task)
         remaining = dict(enumerate(scenes(plan, task.first, task.count, alike)))
+        # scenes that cannot be made are errors already
         batch = {row: scene for row, scene in remaining.items() if isinstance(scene, Scene)}
         for row, result in in_batches(engine, batch, plan.tolerance):
             del remaining[row]

@@ -18,6 +18,7 @@ def write(record: Record, path: str | PathLike[str]) -> None:
     grains = record.grains
     rest = -chain.depths[grains - 1]
     radii = chain.diameters[grains - 1] / 2
+    # viewers need a box: a column with a grain of room around it
     side = 2 * float(radii.max())
     low = float(rest.min()) - side
     high = float(rest.max()) + side

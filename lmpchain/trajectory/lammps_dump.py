@@ -195,6 +195,7 @@ def _orient(
     z, vz, v_phi = columns
     faults = []
     for down in directions:
+        # grains are numbered from the top, whatever the numbers of the atoms
         order = np.argsort(down * z[0], kind="stable")
         if v_phi is not None:
             displacement = v_phi[:, order]
@@ -202,6 +203,7 @@ def _orient(
             displacement = down * (z[:, order] - rest)
         else:
             displacement = down * (z[:, order] - z[0, order])
+            # the first frame is not at rest if the scene begins with a displacement
             displacement += scene.initial()[0]
         motion = _Motion(down, order, displacement, down * vz[:, order])
         fault = _find_misfit(scene, motion, rounding=1e-15 * np.abs(z).max())
@@ -215,6 +217,7 @@ def _find_axis(name: str, first: Sequence[Array]) -> str:
     """Return the axis on which the grains of the first frame lie far apart."""
     spread = [float(np.ptp(positions)) for positions in first]
     longest = int(np.argmax(spread))
+    # a column that leans has no axis
     if not spread[longest] > 2 * sorted(spread)[-2]:
         raise InputError.at(
             "axis",
@@ -297,6 +300,7 @@ def _read_columns(path: Path, grains: int) -> list[str]:
             name, f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for"
         )
     columns = head[8].split()[2:]
+    # periodic boxes wrap x, y and z; xu, yu and zu go on
     unwrapped = not set(AXES) <= set(columns) and set(UNWRAPPED) <= set(columns)
     if unwrapped:
         columns = [key for key in columns if key not in AXES]
@@ -347,6 +351,7 @@ def read_frames(
         with _open(path) as opened:
             for body in _whole_frames(opened, grains):
                 step = int(body[0])
+                # a restarted run writes frames again: the last one counts
                 frames.pop(step, None)
                 atoms = np.loadtxt(body[HEADER - 1 :], usecols=indices, ndmin=2, comments=None)
                 if len(atoms) != grains:

@@ -71,6 +71,7 @@ def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
     """Return an array that lies in this file, whole and plain, with this shape."""
     import h5py
 
+    # a link may point to any file of the reader
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"its {name} is not in the file, or a link")
     array = file[name]
@@ -82,6 +83,7 @@ def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
         raise ValueError(f"its {name} does not lie in the file in one piece, as lmpchain writes it")
     if array.shape != shape:
         raise ValueError(f"its {name} has the shape {array.shape}, its scene {shape}")
+    # a small file could claim an array that fills the memory
     if array.id.get_storage_size() != array.nbytes:
         raise ValueError(f"its {name} is not stored in the file")
     return array[()]

@@ -210,6 +210,7 @@ def read_result(attributes: Mapping[str, Any]) -> dict[str, Any]:
     provenance = json.loads(attributes["provenance"])
     engine = attributes["engine"]
     equation = attributes["equation"]
+    # JSON writes 1.0 as 1
     kinds: dict[Any, Any] = {float: int | float, int: int, str: str}
     if not (error.model >= 0 and error.solver >= 0):
         raise ValueError("its error estimate is no number from 0")

@@ -139,6 +139,7 @@ def _check_claims(chunks: Path, length: int, blosc: bool) -> None:
             continue
         with open(path, "rb") as opened:
             head = opened.read(8)
+        # blosc begins with the size of what it unpacks to
         claim = int.from_bytes(head[4:], "little") if blosc else 8 * length
         if claim != 8 * length or claim > MOST_SHRUNK * path.stat().st_size:
             raise ValueError("it claims to hold more than it does")

@@ -106,6 +106,7 @@ class Writer:
             row = self._end - self._first
             taken = min(self._rows - row, count - done)
             for buffer, values in zip(self._buffers, fields, strict=True):
+                # grains that the wave has not reached are at rest
                 buffer[row : row + taken] = 0.0
                 buffer[row : row + taken, block.columns] = values[done : done + taken]
             done += taken
@@ -120,6 +121,7 @@ class Writer:
             last = min(self._first + self._rows, self._times.size)
             for array, buffer in zip(self._fields, self._buffers, strict=True):
                 array[self._first : last] = buffer[: last - self._first]
+            # the time is what makes a sample complete, for any reader
             self._group["time"][self._first : self._end] = self._times[self._first : self._end]
 
     def note(self, error: ErrorEstimate) -> None:

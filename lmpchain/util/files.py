@@ -32,10 +32,12 @@ def replacing(path: Path) -> Iterator[Path]:
     in a folder, the next process removes that writes there.
     """
     _sweep(path.parent.absolute())
+    # the name tells who writes, so that leftovers of the dead can be told from files at work
     writer = f"{platform.node()}-{os.getpid()}"
     aside = path.with_name(f".{path.stem}.{writer}-{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield aside
+        # content before name: after a power cut the name must not stand for an empty file
         _to_disk(aside)
         os.replace(aside, path)
         _to_disk(path.parent)
@@ -127,6 +129,7 @@ def check_seal(path: Path) -> None:
     """
     if not path.stat().st_size:
         return
+    # mapped, not read: a file may be larger than the memory
     content = np.memmap(path, np.uint8, "r")
     length = len(seal(b""))
     end = content[-length:].tobytes()

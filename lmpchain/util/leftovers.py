@@ -45,6 +45,7 @@ def sweep() -> None:
                 if status.st_uid == os.getuid() and status.st_mtime < time.time() - OLD_S:
                     leftovers.append(path)
     if leftovers:
+        # what a living process has mapped stays, however old
         used = _names_in_use(path for path in Path("/proc").iterdir() if path.name.isdigit())
         for path in leftovers:
             if path.name not in used:

@@ -85,6 +85,7 @@ def brief(value: Any, letters: int = 60) -> str:
     if isinstance(value, np.ndarray):
         if value.ndim == 1 and value.size <= FEW_VALUES:
             return np.array2string(value, precision=5)
+        # complex numbers have no order
         numbers = np.abs(value) if np.iscomplexobj(value) else value
         numbers = numbers[np.isfinite(numbers)]
         extent = f" from {numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else ""

@@ -80,6 +80,7 @@ def edges(middles: Array) -> Array:
     >>> edges(np.array([1.0, 2.0, 4.0])).tolist()
     [0.5, 1.5, 3.0, 5.0]
     """
+    # a single cell is one wide
     half = np.diff(middles) / 2 if len(middles) > 1 else np.array([0.5])
     return np.concatenate(
         ([middles[0] - half[0]], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half[-1]])
@@ -92,6 +93,7 @@ def figure(width: float = 8.0, height: float = 7.0) -> Figure:
     from matplotlib.figure import Figure
 
     new = Figure(figsize=(width, height), layout="constrained")
+    # without pyplot a figure is freed with its last reference
     FigureCanvasAgg(new)
     return new
 

@@ -45,6 +45,7 @@ class ProgressBar:
     ):
         self._bar: Any = None
         if shown:
+            # its import takes longer than many runs
             from tqdm.auto import tqdm
 
             self._bar = tqdm(

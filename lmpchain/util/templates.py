@@ -31,6 +31,7 @@ class _Closed(ImmutableSandboxedEnvironment):
             **options,
         )
         self.filters["exact"] = lambda value: repr(float(value))
+        # what a template does not need it does not see
         self.globals = {"range": self.globals["range"]}
 
     def is_safe_callable(self, obj: Any) -> bool:

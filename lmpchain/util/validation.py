@@ -77,6 +77,7 @@ class Checked(Shown, BaseModel):
             faults += _describe(error)
         if faults:
             raise InputError(faults)
+        # only values that are right are worth a remark
         for remark in self._remarks():
             # from one line, so that Python says each once
             warnings.warn(remark, stacklevel=1)

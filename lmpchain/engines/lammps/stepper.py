@@ -90,6 +90,7 @@ class LammpsStepper:
         """
         total = 0
         while total < max_steps and self.sample < until:
+            # never beyond the next sample, whatever the pauses between
             steps = min(max_steps - total, self._every - self._done % self._every)
             self._take(self._communicator.ask("advance", steps))
             self._done += steps

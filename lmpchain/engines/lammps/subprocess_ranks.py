@@ -49,6 +49,7 @@ class SubprocessRanks:
             raise
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Connection]:
+        # a socket of the abstract namespace of Linux, which vanishes with its process
         address = f"lmpchain-{os.getpid()}-{secrets.token_hex(8)}"
         with socket.socket(socket.AF_UNIX) as listener:
             # no file, which a kill would leave behind
@@ -61,6 +62,7 @@ class SubprocessRanks:
                 stdin=subprocess.DEVNULL,
                 stdout=self._output,
                 stderr=self._output,
+                # Ctrl-C is for this process, which then ends the ranks in order
                 start_new_session=True,
             )
             until = time.monotonic() + START_S
@@ -130,6 +132,7 @@ class SubprocessRanks:
 
 def _connect(end: socket.socket) -> Connection:
     """Return the line to the process at the other end, which must be one of this user's."""
+    # anyone on this machine can connect to that name, and pickles run code
     user = struct.unpack("3i", end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1]
     if user != os.getuid():
         raise EngineUnavailable("the ranks cannot be reached: another user answers in their place")

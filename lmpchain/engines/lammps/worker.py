@@ -61,6 +61,7 @@ class StepPlan:
 
     def intervals(self, index: int) -> list[tuple[float, Array]]:
         """Return length and drift times of a step, in two parts if the waveform ends within it."""
+        # what is imposed is needed at the ends of the drifts
         reach = np.array([0.0, *self.splitting.reach])
         h = self.step
         end = self.wave.end if self.wave and self.wave.spline is None else np.inf
@@ -154,6 +155,7 @@ class Worker:
         """Move forward by `steps` steps."""
         splitting = self._plan.splitting
         if splitting.order == 2:
+            # velocity Verlet is the integrator of LAMMPS itself
             self._run(steps)
         else:
             outside = not splitting.substeps or self._plan.pushed is not None
@@ -202,6 +204,7 @@ class Worker:
 
     def _kick_grains(self, length: float, force: float) -> None:
         """Kick all grains by the forces of LAMMPS, and one by this force, N, for a time, s."""
+        # into an array that is there: this runs once for each stage
         self._vz += np.multiply(self._fz, self._inverse_mass * length, out=self._kick)
         if self._pushed is not None:
             self._vz[self._pushed] -= length * self._inverse_mass[self._pushed] * force
@@ -217,6 +220,7 @@ class Worker:
             self._piece = index
 
     def _share(self) -> LocalState:
+        # a column that buckles leaves its axis, and x or y is no longer exactly 0
         return LocalState(self._start, self._x[:, 2], self._v[:, 2], not self._x[:, :2].any())
 
     def close(self) -> None:

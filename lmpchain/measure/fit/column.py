@@ -237,6 +237,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
         return slope, float(np.sqrt(((y - slope * x) ** 2).sum() / max(1, x.size - 1) / (x @ x)))
 
     amplitude, error = regress(np.ones(clock.size, dtype=bool))
+    # corrections fall as 1/tau: half the samples, twice as late, show them
     later, _ = regress(clock >= (since + clock.max()) / 2)
     error = float(stats.t.ppf(0.975, clock.size - 1)) * error + 3 * abs(later - amplitude)
     return ContinuumFit(
@@ -265,6 +266,7 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         return None
     h = n - 0.5
     time = front.time / chain.time_scale
+    # the peak of a chain of grains lags behind the front of the continuum
     shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
     if not (time > shift).all():
         # noise
@@ -283,6 +285,7 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     x = np.log(h)
     y = np.log(time - shift)
     try:
+        # a plain power law, then its first correction, and the next one for the error
         start = np.polyfit(x, y, 1)[::-1]
         parameters, covariance = curve_fit(law, x, y, [*start, 0.0])
         further, _ = curve_fit(law, x, y, [*parameters, 0.0])

@@ -124,6 +124,7 @@ def fit_soliton(
         need = f"must pass {FEWEST} or more recorded grains as a whole, not {complete.sum()}"
         raise InputError.at("front", f"{need}: record for longer, or more grains")
     line = stats.linregress(front.grain, front.time)
+    # compression moves grains along with the wave
     if (front.amplitude * line.slope <= 0).any():
         raise InputError.at("front", "grains move against it: no solitary wave under compression")
     amplitude = float(np.abs(front.amplitude).mean())
@@ -198,5 +199,6 @@ def _exact(chain: Chain, velocity: float) -> tuple[Soliton, float]:
     if chain.compressed:
         speed = velocity * chain.time_scale / chain.length_scale
         return struck(speed, chain.exponent), chain.time_scale
+    # in a sonic vacuum there is no time of linear waves: (m / K)^(1 / (1 + delta)) takes its place
     unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent))
     return solve(chain.exponent, velocity=velocity), float(unit)

@@ -147,6 +147,7 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
         raise InputError.at("top", "a wall that only touches cannot be linearised: give a top_load")
     modes = eigenmodes(chain)
     u, v = motion(trajectory, np.arange(1, chain.movable + 1))
+    # orthonormal in mass: the projection on a mode is a sum over m_n X_pn phi_n
     weight = modes.mass[:, None] * modes.shape
     amplitude = u @ weight
     rate = v @ weight
