@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 
-from ..util.files import LARGEST_JSON, check_readable
+from ..util.files import check_readable
 
 UNKNOWN = {"date": "not recorded", "command": "not recorded"}
 
@@ -30,7 +30,8 @@ def origin(path: str | PathLike[str] | None) -> dict[str, str]:
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    check_readable(path / "run.json", LARGEST_JSON)
+    # bytes: more sessions than any run has
+    check_readable(path / "run.json", 2**24)
     first = json.loads((path / "run.json").read_bytes())["sessions"][0]
     return str(first["began"]), str(first["command"])
 

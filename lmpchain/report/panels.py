@@ -28,22 +28,25 @@ MOMENTS = {0.25: "#56B4E9", 0.5: "#0072B2", 1.0: "#009E73"}
 WIDTH = 4.7  # inches: letters are readable on a phone, and two pictures fit side by side
 
 
-class FrontLimits(NamedTuple):
-    """Limits of a picture of the front.
+class PictureLimits(NamedTuple):
+    """Limits of the pictures.
 
     Attributes
     ----------
+    markers : int
+        Most grains drawn one by one; of more, a picture is smaller as pixels.
     reflected : int
         Last grains, whose peak is made together with the wave that comes back from the end.
     onward : float
         Least share of the grains that a front passes later than those before them.
     """
 
+    markers: int = 2000
     reflected: int = 3
     onward: float = 0.9
 
 
-FRONT = FrontLimits()
+LIMITS = PictureLimits()
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,7 @@ def waveforms(run: Trajectory) -> Panel:
     for moment, shade in MOMENTS.items():
         row = round(moment * (run.time.size - 1))
         label = si(run.time[row], "s")
-        # then the picture is smaller as pixels
-        dense = run.grains.size > 2000
+        dense = run.grains.size > LIMITS.markers
         above.plot(
             run.grains,
             run.velocity[row],
@@ -185,10 +187,10 @@ def _front(run: Trajectory) -> front.Front:
         raise InputError.at(
             "excitation", "sends no single front: there is one after a strike or a push on a grain"
         )
-    track = front.track(run).between(source + 1, run.scene.chain.grains - FRONT.reflected)
+    track = front.track(run).between(source + 1, run.scene.chain.grains - LIMITS.reflected)
     fewest = front.FEWEST
     onward = np.mean(np.diff(track.time) > 0) if track.grain.size >= fewest else 0.0
-    if onward < FRONT.onward:
+    if onward < LIMITS.onward:
         raise InputError.at(
             "front", f"none travels downward from grain {source} past {fewest} grains or more"
         )

@@ -242,7 +242,7 @@ def test_a_sweep_tells_how_many_scenes_have_an_answer(
 
 def test_under_mpirun_rank_0_runs_the_command_and_ends_the_others(monkeypatch: Any, capsys: Any):
     calls: list[Any] = []
-    monkeypatch.setattr(mpi, "launched", lambda: 2)
+    monkeypatch.setattr(mpi, "count_processes", lambda: 2)
     loops = "lmpchain.engines.lammps.communicators"
     monkeypatch.setattr(f"{loops}.worker_loop", lambda world: calls.append(("work", world.rank)))
     monkeypatch.setattr(

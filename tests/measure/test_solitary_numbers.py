@@ -121,9 +121,9 @@ def test_chains_in_which_no_wave_stays_as_it_is():
     ):
         chain = Chain(**{"grains": 8, "diameter": 1e-3, "gravity": 0.0} | more)
         with pytest.raises(InputError) as error:
-            solitary._fits(chain)
+            solitary._check_chain(chain)
         assert [name for name, _ in error.value.faults] == [key]
-    solitary._fits(
+    solitary._check_chain(
         Chain(
             grains=8, diameter=1e-3, gravity=0.0, masses=1e-6 * (1 + 0.9e-9 * (np.arange(8) == 3))
         )

@@ -174,7 +174,7 @@ def test_of_too_many_values_those_of_every_so_many_grains_are_fitted(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """Up to 300 values: of the 49 grains that the wave can have reached every fifth."""
-    monkeypatch.setattr(waves, "MOST", 300)
+    monkeypatch.setattr(waves, "REGION", waves.REGION._replace(most=300))
     chain = Chain(grains=120, diameter=1e-3, gravity=0.0, top_load=0.1)
     t = run(chain, Impulse(velocity=1e-9), 5.0, 21)
     fit = fit_bessel(t)

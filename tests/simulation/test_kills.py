@@ -99,8 +99,8 @@ def busy_disk(monkeypatch: pytest.MonkeyPatch):
     """Have a checkpoint after every four samples, and do not wait for the disk."""
     monkeypatch.setattr(files, "_to_disk", lambda _: None)
     monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
-    monkeypatch.setattr(run_folder, "OFTEN_S", 0.0)
-    monkeypatch.setattr(run_folder, "SHARE", 1e9)
+    intervals = run_folder.INTERVALS._replace(checkpoint_s=0.0, checkpoint_share=1e9)
+    monkeypatch.setattr(run_folder, "INTERVALS", intervals)
 
 
 CASES = native, lammps, breakdown, fallback

@@ -15,7 +15,7 @@ import pytest
 from numba.core.bytecode import FunctionIdentity
 from numba.core.event import end_event, start_event
 
-from lmpchain.util import compilation, notebook
+from lmpchain.util import compilation
 from lmpchain.util.notebook import Shown, brief, parse_meanings
 from lmpchain.util.progress import COUNT, RATE, ProgressBar
 
@@ -165,7 +165,6 @@ def test_a_small_picture_is_720_by_450_pixels():
     assert struct.unpack(">II", content[16:24]) == (720, 450)
     assert '<img alt="Drawn"' in Drawn(0)._repr_html_()
     assert Few(0)._picture() == ""
-    assert notebook.LINE < notebook.CELL
 
 
 # --- compilation

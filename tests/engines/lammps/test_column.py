@@ -398,14 +398,14 @@ def test_who_runs_a_column(monkeypatch):
     monkeypatch.setattr(launch, "MpiRanks", lambda world, log: ("world", world.size, log))
     assert launch.gather(None, "none") == launch.gather(1, "none") == ("serial", "none")
     assert launch.gather(2, "none") == ("started", 2, "none")
-    monkeypatch.setattr(mpi, "launched", lambda: 3)
-    monkeypatch.setattr(mpi, "joined", lambda: SimpleNamespace(size=3))
+    monkeypatch.setattr(mpi, "count_processes", lambda: 3)
+    monkeypatch.setattr(mpi, "joined_world", lambda: SimpleNamespace(size=3))
     assert launch.gather(None, "none") == launch.gather(3, "none") == ("world", 3, "none")
     with pytest.raises(
         InputError, match="ranks: mpirun has started 3 processes; leave the number of ranks out"
     ):
         launch.gather(2, "none")
-    monkeypatch.setattr(mpi, "joined", lambda: None)
+    monkeypatch.setattr(mpi, "joined_world", lambda: None)
     assert launch.gather(1, "none") == ("serial", "none")
     with pytest.raises(InputError, match="mpirun has started 3"):
         launch.gather(3, "none")
