@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lmpchain import Chain
-from lmpchain.chain.chain import LARGEST_OVERLAP
+from lmpchain.chain.plausible import LIMITS
 from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
 from lmpchain.util.plotting import MARKERS, figure
@@ -88,10 +88,10 @@ def _overlaps(axes: Axes, data: dict[str, Any]) -> None:
     axes.plot(strains, squeezed[:, 0], **POINT, marker="s", color=BLUE, label="... in the run")
     axes.plot(strains, data["hertz"], color=ORANGE, lw=1.2, label="Hertz too hard, by shape alone")
     axes.plot(strains, squeezed[:, 1], **POINT, marker="o", color=RED, label="LAMMPS from native")
-    axes.axvline(LARGEST_OVERLAP, color="0.4", ls="--", lw=1)
+    axes.axvline(LIMITS.compression, color="0.4", ls="--", lw=1)
     axes.annotate(
         "refused",
-        (LARGEST_OVERLAP, 1e-11),
+        (LIMITS.compression, 1e-11),
         (-3, 0),
         "data",
         "offset points",

@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from .contacts import free_approach, hertz_constant
 from .impurities import Impurity
 from .materials import Material
+from .plausible import LIMITS
 
-LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N, if not 0
-HARDEST = 1e150  # 1/s2, of a stiffness over a mass: squares are finite
-ROUNDING = 1 + 1e-9  # of bounds, which may be reached
+ROUNDING = 1 + 1e-9  # on bounds: where all grains are alike they are reached
 
 
 class Bounds(NamedTuple):
@@ -43,18 +43,18 @@ class Bounds(NamedTuple):
     exponent: float
 
     @property
-    def squeezed(self) -> float:
+    def compression(self) -> float:
         """Overlap over diameter at rest, at most."""
         return self.overlap / self.narrowest
 
     def struck(self, speed: float) -> float:
-        """Return a bound on all overlaps at rest and in the first collision of a grain with this speed, m."""
-        power = self.exponent + 1
-        collision = (power / 2 * speed * speed * self.heaviest / self.softest) ** (1 / power)
+        """Return a bound on overlaps at rest and in the first collision at this speed, m."""
+        energy = self.heaviest * speed * speed / 2  # of two grains it is half of that at most
+        collision = free_approach(energy, self.softest, self.exponent)
         return max(self.overlap, collision) * ROUNDING
 
     def frequency(self, overlap: float) -> float:
-        """Return a bound on the frequency of two grains that are pressed together so far, rad/s."""
+        """Return a bound on the frequency of two grains with this overlap, rad/s."""
         stiffness = self.exponent * self.hardest * overlap ** (self.exponent - 1)
         return math.sqrt(2 * stiffness / self.lightest) * ROUNDING
 
@@ -80,25 +80,35 @@ def bounds(
         Top load, N, gravity, m/s2, and exponent.
     """
     load, gravity, exponent = weights
+    odd: list[Any] = [(i.material or kind[0], i.diameter or kind[1], i.mass) for i in impurities]
+    materials, diameters, given = zip(*((*kind, None), *odd), strict=True)
     try:
-        odd: Any = [
-            (each.material or kind[0], each.diameter or kind[1], each.mass) for each in impurities
-        ]
-        materials, widths, _ = zip(*(every := ((*kind, None), *odd)), strict=True)
         masses = [
-            mass or material.density * math.pi / 6 * width**3 for material, width, mass in every
+            mass or material.density * math.pi / 6 * diameter**3
+            for material, diameter, mass in zip(materials, diameters, given, strict=True)
         ]
-        moduli = [each.plane_strain_modulus for each in (*materials, *walls)]
-        lengths = [width ** (1.5 - exponent) for width in widths]
-        softest = 2 / 3 * min(moduli) * math.sqrt(min(widths) / 4) * min(lengths)
-        hardest = 2 / 3 * max(moduli) * math.sqrt(max(widths) / 2) * max(lengths)
-        overlap = ((load + gravity * (grains * masses[0] + sum(masses[1:]))) / softest) ** (
-            1 / exponent
+        moduli = [material.plane_strain_modulus for material in (*materials, *walls)]
+        lengths = [min(diameters), max(diameters)]  # a power of them has its extremes at the ends
+        softest = min(
+            hertz_constant(min(moduli) / 2, min(diameters) / 4, length, exponent)
+            for length in lengths
         )
-        slowest = min(each.sound_speed for each in materials)
-        found = Bounds(
-            softest, hardest, min(masses), max(masses), min(widths), slowest, overlap, exponent
+        hardest = max(  # at a wall, whose radius is infinite
+            hertz_constant(max(moduli) / 2, max(diameters) / 2, length, exponent)
+            for length in lengths
         )
-        return found if found.frequency(overlap) ** 2 < HARDEST else None
+        weight = gravity * (grains * masses[0] + sum(masses[1:]))
+        overlap = ((load + weight) / softest) ** (1 / exponent)
+        extremes = Bounds(
+            softest,
+            hardest,
+            min(masses),
+            max(masses),
+            min(diameters),
+            min(material.sound_speed for material in materials),
+            overlap,
+            exponent,
+        )
+        return extremes if extremes.frequency(overlap) ** 2 < LIMITS.stiffness_over_mass else None
     except ArithmeticError:
         return None

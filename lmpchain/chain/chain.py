@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from operator import index
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
-from ..util.cached import cached_property
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
-from .bounds import HARDEST, LEAST, Bounds, bounds
-from .contacts import FEW, Contacts, dynamical_matrix, hertz_constant
+from .bounds import Bounds, bounds
+from .contacts import FEW_GRAINS, Contacts
+from .equilibrium import Equilibrium, Grains, derive_chain
 from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import AtRest
-from .plausible import HERTZ_OVERLAP, LARGEST_OVERLAP, least_squeezed, remarks, too_squeezed
-from .recent import made_before
+from .plausible import LIMITS, least_compression, remarks, too_compressed
 
 
 class Chain(AtRest, Checked):
@@ -78,209 +78,205 @@ class Chain(AtRest, Checked):
     top_load: Annotated[Real, Field(ge=0)] = 0.0
     top: Literal["free", "wall"] = "free"
     bottom: Literal["fixed", "wall", "free"] = "fixed"
-    masses: PositiveVector = NOT_GIVEN
-    contact_constants: PositiveVector = NOT_GIVEN
+    given_masses: PositiveVector = Field(NOT_GIVEN, alias="masses")
+    given_contact_constants: PositiveVector = Field(NOT_GIVEN, alias="contact_constants")
     impurity: Impurities = ()
     top_material: OneMaterial = NOT_GIVEN
     bottom_material: OneMaterial = NOT_GIVEN
-    wall_constants: Vector = NOT_GIVEN
+    given_wall_constants: Vector = Field(NOT_GIVEN, alias="wall_constants")
+
+    # equal chains may be given by different fields, of which pydantic would make the hash
+    __hash__ = None  # type: ignore[assignment]
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        yield from (wrong := list(self._misfits()))
+        faults = [*self._misfits(), *self._falls(), *self._tiny_forces()]
+        yield from faults
+        if not faults:
+            yield from self._extremes()
+
+    def _falls(self) -> Iterator[tuple[str, str]]:
+        """Yield what leaves a grain without hold."""
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
-            yield (
-                "grains",
-                'a single grain that is held, or touches nothing: use bottom = "wall", or more grains',
-            )
-        if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
-            yield (
-                "bottom",
-                'must be "fixed" or "wall" under gravity or a top load: a free chain would fall',
-            )
-        for key in (small := [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]):
-            yield (
-                key,
-                f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow",
-            )
-        if (
-            wrong
-            or small
-            or ((known := self._leave_open().bounds) and known.squeezed <= LARGEST_OVERLAP)
-        ):
+            cure = 'use bottom = "wall", or more grains'
+            yield "grains", f"a single grain that is held, or touches nothing: {cure}"
+        if self.bottom == "free" and self.compressed:
+            cure = "a free chain would fall"
+            yield "bottom", f'must be "fixed" or "wall" under gravity or a top load: {cure}'
+
+    def _tiny_forces(self) -> Iterator[tuple[str, str]]:
+        """Yield forces whose squares are no numbers."""
+        for key in ("gravity", "top_load"):
+            if 0 < getattr(self, key) < LIMITS.least_force:
+                least = f"must be 0, or at least {LIMITS.least_force:g} in SI units"
+                yield key, f"{least}: below, squares of overlaps underflow"
+
+    def _extremes(self) -> Iterator[tuple[str, str]]:
+        """Yield numbers that cannot be computed with, and contacts compressed too much."""
+        if self.bounds and self.bounds.compression <= LIMITS.compression:
             return
         weights = self.grains, self.top_load, self.gravity, self.exponent
-        if self._alike and (least := least_squeezed(self._kinds, *weights)) > LARGEST_OVERLAP:
-            yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
+        least = least_compression(self._kinds, *weights) if self._alike else 0.0
+        if least > LIMITS.compression:
+            yield "diameter", too_compressed(f"a contact is compressed by at least {least:.2g}")
             return
-        with np.errstate(all="ignore"):  # non-finite values are faults
-            sound = (
-                all((abs(part) < HARDEST).all() for part in self.dynamical_matrix())
-                and (self.masses > 0).all()
-            )
-            relative = self.contacts.overlap / self.contact_lengths
-        if not sound or np.isnan(relative).any():
-            yield (
-                "masses",
-                "are too small or too large to compute with, or contacts too hard or too soft: use SI units",
-            )
-        elif relative.max() > LARGEST_OVERLAP:
-            worst = int(relative.argmax())
-            yield (
-                "diameter",
-                too_squeezed(f"contact {worst} is compressed by {relative[worst]:.2g}"),
-            )
+        with np.errstate(all="ignore"):  # numbers that overflow are faults
+            computable = self.equilibrium.computable(self.movable)
+            compression = self.equilibrium.compression
+        if not computable:
+            cure = "or contacts too hard or too soft: use SI units"
+            yield "masses", f"are too small or too large to compute with, {cure}"
+        elif compression.max() > LIMITS.compression:
+            worst = int(compression.argmax())
+            contact = f"contact {worst} is compressed by {compression[worst]:.2g}"
+            yield "diameter", too_compressed(contact)
 
     def _remarks(self) -> Iterator[str]:
-        plain = self.exponent != 1.5 or (self.bounds and self.bounds.squeezed <= HERTZ_OVERLAP)
-        yield from remarks(
-            self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max()
-        )
+        compression = 0.0
+        if self.exponent == 1.5 and not (
+            self.bounds and self.bounds.compression <= LIMITS.hertz_compression
+        ):
+            compression = float(self.equilibrium.compression.max())
+        yield from remarks(self.diameter, compression)
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
         """Yield what does not fit together, so that no array can be filled in."""
         lengths = {
-            "diameter": self.grains,
-            "masses": self.grains,
-            "contact_constants": self.grains - 1,
+            "diameter": (self.diameter, self.grains),
+            "masses": (self.given_masses, self.grains),
+            "contact_constants": (self.given_contact_constants, self.grains - 1),
         }
         if isinstance(self.material, tuple) and len(self.material) != self.grains:
-            yield (
-                "material",
-                f"must be one or {self.grains} (one a grain), not {len(self.material)}",
-            )
-        for key, length in lengths.items():
-            if isinstance(value := getattr(self, key), np.ndarray) and len(value) != length:
+            number = f"not {len(self.material)}"
+            yield "material", f"must be one or {self.grains} (one a grain), {number}"
+        for key, (value, length) in lengths.items():
+            if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
-        yield from misfits(self.impurity, self.grains, self.contact_constants is not None)
-        ends, made = (self.top, self.bottom), (self.top_material, self.bottom_material)
-        yield from walls.misfits(ends, made, self.__dict__["wall_constants"])
-
-    def _leave_open(self) -> Chain:
-        """Leave masses and constants that were not given to be computed on first use."""
-        for key in ("masses", "contact_constants", "wall_constants"):
-            if self.__dict__[key] is None:
-                del self.__dict__[key]
-        if "masses" in self.__dict__ and self.impurity:
-            self.__dict__["masses"] = read_only(with_impurities(self.masses, self.impurity, "mass"))
-        return self
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Compute masses and constants from grains and walls on first use."""
-            if name in ("masses", "contact_constants", "wall_constants") and self._twin:
-                value = getattr(self._twin, name)
-            elif name == "masses":
-                alike = self.by_grain("density") * np.pi / 6 * self.diameters**3
-                value = read_only(with_impurities(alike, self.impurity, "mass"))
-            elif name == "contact_constants":
-                value = self._hertz_constants[1:-1]
-            elif name == "wall_constants":
-                built = [self.top == "wall", self.bottom == "wall"]
-                natural = (
-                    walls.constants(self._hertz_constants, self.contact_constants)
-                    if any(built)
-                    else 0.0
-                )
-                value = read_only(np.multiply(built, natural))
-            else:
-                return super().__getattr__(name)
-            self.__dict__[name] = value
-            return value
+        yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)
+        ends = (self.top, self.bottom)
+        materials = (self.top_material, self.bottom_material)
+        yield from walls.misfits(ends, materials, self.given_wall_constants)
 
     @property
     def _alike(self) -> bool:
         """Whether all grains are alike but for the impurities, so that no arrays are needed."""
         one = isinstance(self.diameter, float) and isinstance(self.material, Material)
-        return one and not self.model_fields_set & {"masses", "contact_constants"}
-
-    @cached_property
-    def _twin(self) -> Chain | None:
-        """A chain made before with the same fields, for its arrays; None, not itself, if there is none."""
-        if (
-            not self.bounds
-            or self.impurity
-            or self.top_material
-            or self.bottom_material
-            or self.grains > FEW
-        ):
-            return None
-        kind, weights = self.material.elastic, (self.gravity, self.top_load, self.exponent)  # type: ignore[union-attr]
-        first = made_before(
-            (self.grains, *kind, self.diameter, *weights, self.top, self.bottom), self
-        )
-        return None if first is self else first
+        return one and self.given_masses is None and self.given_contact_constants is None
 
     @property
     def _kinds(self) -> Array:
-        """Plane-strain modulus, diameter and mass of a common grain and of every impurity, (3, I+1)."""
+        """Plane-strain modulus, diameter and mass of a common grain and all impurities, (3, I+1)."""
         return kinds(self.material, self.diameter, self.impurity)
 
     @cached_property
     def bounds(self) -> Bounds | None:
         """Bounds on all grains and contacts; None where only arrays can tell."""
-        if not self._alike or "wall_constants" in self.model_fields_set:
+        if not self._alike or self.given_wall_constants is not None:
             return None
         built = [wall for wall in (self.top_material, self.bottom_material) if wall]
-        kind, weights = (self.material, self.diameter), (self.top_load, self.gravity, self.exponent)
+        kind = (self.material, self.diameter)
+        weights = (self.top_load, self.gravity, self.exponent)
         return bounds(kind, self.grains, self.impurity, built, weights)  # type: ignore[arg-type]
 
-    def by_grain(self, prop: str) -> Array:
-        """Return a property of the material of every grain, (N,)."""
-        values = np.empty(self.grains)
-        alike = isinstance(self.material, Material)
-        values[:] = (
-            getattr(self.material, prop) if alike else [getattr(m, prop) for m in self.material]
-        )
+    def by_grain(self, prop: str, common: Array | None = None) -> Array:
+        """Return a property of the material of every grain, (N,).
+
+        Parameters
+        ----------
+        prop : str
+        common : (..., N) array, optional
+            In place of that of the chain's material, for grains that are no impurities.
+        """
+        if common is not None:
+            values = np.array(common)
+        elif isinstance(self.material, Material):
+            values = np.full(self.grains, getattr(self.material, prop))
+        else:
+            values = np.array([getattr(material, prop) for material in self.material])
         for impurity in self.impurity:
             if impurity.material is not None:
-                values[impurity.grain - 1] = getattr(impurity.material, prop)
+                values[..., impurity.grain - 1] = getattr(impurity.material, prop)
         return values
 
-    @cached_property
-    def _hertz_constants(self) -> Array:
-        """Hertz constants of all contacts, with a wall at either end, (N+1,) N/m^delta."""
-        modulus, curvature = np.zeros((2, self.grains + 2))  # a wall is flat
-        modulus[1:-1], curvature[1:-1] = self.by_grain("plane_strain_modulus"), 2 / self.diameters
-        for at, here, wall in ((0, 1, self.top_material), (-1, -2, self.bottom_material)):
-            modulus[at] = wall.plane_strain_modulus if wall else modulus[here]  # type: ignore[union-attr]
-        length = 1.0 if self.exponent == 1.5 else self.contact_lengths
-        return read_only(hertz_constant(modulus, curvature, length, self.exponent))
+    def grains_with(self, drawn: Mapping[str, Array]) -> Grains:
+        """Return all that determines the equilibrium, of this chain or of R chains like it.
+
+        Parameters
+        ----------
+        drawn : mapping of (R, N) or (R, N-1) arrays
+            What takes the place of fields: "diameter", "masses", "contact_constants", or
+            "material.density", "material.youngs_modulus", "material.poissons_ratio". Impurities
+            keep their own values. Empty for this chain.
+        """
+        rows = np.broadcast_shapes(*(values.shape[:-1] for values in drawn.values()))
+
+        def spread(value: Any, size: int) -> Array:
+            array = np.empty((*rows, size))
+            array[...] = np.nan if value is None else value
+            return array
+
+        def of_material(prop: str) -> Array:
+            values = self.by_grain(prop, drawn.get(f"material.{prop}"))
+            return values if values.ndim > len(rows) else spread(values, self.grains)
+
+        diameters = spread(drawn.get("diameter", self.diameter), self.grains)
+        masses = spread(drawn.get("masses", self.given_masses), self.grains)
+        constants = drawn.get("contact_constants", self.given_contact_constants)
+        materials: list[Any] = [self.top_material, self.bottom_material]
+        given = self.given_wall_constants
+        return Grains(
+            diameters=with_impurities(diameters, self.impurity, "diameter"),
+            densities=of_material("density"),
+            moduli=of_material("youngs_modulus") / (1 - of_material("poissons_ratio") ** 2),
+            masses=with_impurities(masses, self.impurity, "mass"),
+            contact_constants=spread(constants, self.grains - 1),
+            walls=(self.top == "wall", self.bottom == "wall"),
+            wall_moduli=[wall.plane_strain_modulus if wall else np.nan for wall in materials],
+            wall_constants=(np.nan, np.nan) if given is None else given,
+            top_load=self.top_load,
+            gravity=self.gravity,
+            exponent=self.exponent,
+        )
 
     @cached_property
+    def equilibrium(self) -> Equilibrium:
+        """All that follows from the grains at rest."""
+        return derive_chain(self.grains_with({}))
+
+    @property
     def contacts(self) -> Contacts:
         """All contacts, those with walls included."""
-        if self._twin:
-            return self._twin.contacts
-        constants, force = np.empty((2, self.grains + 1))
-        constants[[0, -1]], constants[1:-1] = self.wall_constants, self.contact_constants
-        force[0], force[1:] = (
-            self.top_load,
-            self.top_load + self.gravity * self.masses.cumsum(dtype=np.longdouble),
-        )
-        return Contacts(
-            read_only(constants), read_only(np.where(constants > 0, force, 0.0)), self.exponent
-        )
+        return self.equilibrium.contacts
 
-    @cached_property
+    @property
+    def masses(self) -> Array:
+        """Mass of every grain, (N,) kg."""
+        return self.equilibrium.masses
+
+    @property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return read_only(
-            with_impurities(np.full(self.grains, self.diameter), self.impurity, "diameter")
-        )
+        return self.equilibrium.diameters
 
-    @cached_property
+    @property
     def contact_lengths(self) -> Array:
         """Mean diameter of the two grains of every contact, at a wall that of the grain, (N+1,) m."""
-        d = self.diameters
-        return read_only(np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:])))
+        return self.equilibrium.contact_lengths
+
+    @property
+    def contact_constants(self) -> Array:
+        """Constant K_n of every contact between grains, (N-1,) N/m^delta."""
+        return self.contacts.constant[1:-1]
+
+    @cached_property
+    def wall_constants(self) -> Array:
+        """Constants of the contacts with top and bottom wall, (2,) N/m^delta, 0 without a wall."""
+        return read_only(self.contacts.constant[[0, -1]])
 
     @cached_property
     def depths(self) -> Array:
         """How far below grain 1 the centre of every grain rests, (N,) m."""
-        return read_only(
-            np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1]))
-        )
+        distances = (self.contact_lengths - self.contacts.overlap)[1:-1]
+        return read_only(np.append(0.0, np.cumsum(distances)))
 
     @property
     def equilibrium_force(self) -> Array:
@@ -294,7 +290,7 @@ class Chain(AtRest, Checked):
 
     @property
     def linear_stiffness(self) -> Array:
-        """Stiffness delta K_n eps_n^(delta-1) of every contact between grains at rest, (N-1,) N/m."""
+        """Stiffness delta K_n eps_n^(delta-1) between grains at rest, (N-1,) N/m."""
         return self.contacts.stiffness[1:-1]
 
     @property
@@ -310,8 +306,9 @@ class Chain(AtRest, Checked):
     def part(self, first: int, last: int) -> Chain:
         """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
 
-        Grains above become a top load, and grain `last` is held unless the chain ends with it. Masses and constants are
-        kept, and so are forces and overlaps if `first` is 1, else but for last bits. Many left out cost nothing.
+        Grains above become a top load, and grain `last` is held unless the chain ends with it.
+        Masses and constants are kept, and so are forces and overlaps if `first` is 1, else but for
+        last bits. Many left out cost nothing.
 
         Raises
         ------
@@ -321,65 +318,56 @@ class Chain(AtRest, Checked):
         if not 1 <= index(first) <= index(last) <= self.grains or (
             first == last and self.grains > 1
         ):
-            raise InputError(
-                [
-                    (
-                        "part",
-                        f"must be two or more of grains 1 to {self.grains} (got {first} to {last})",
-                    )
-                ]
-            )
+            grains = f"two or more of grains 1 to {self.grains} (got {first} to {last})"
+            raise InputError([("part", f"must be {grains}")])
         fields = self.given() | {"grains": int(last - first + 1)}
-        for key, end in {
-            "material": last,
-            "diameter": last,
-            "masses": last,
-            "contact_constants": last - 1,
-        }.items():
+        for key in ("material", "diameter", "masses", "contact_constants"):
             if isinstance(fields.get(key), np.ndarray | tuple):
+                end = last - (key == "contact_constants")
                 fields[key] = fields[key][first - 1 : end]
-        inside = [odd for odd in self.impurity if first <= odd.grain <= last]
         if self.impurity:
-            fields["impurity"] = tuple(odd.replace(grain=odd.grain - first + 1) for odd in inside)
-        if "wall_constants" in fields:
-            fields["wall_constants"] = read_only(
-                self.wall_constants * [first == 1, last == self.grains]
+            fields["impurity"] = tuple(
+                impurity.replace(grain=impurity.grain - first + 1)
+                for impurity in self.impurity
+                if first <= impurity.grain <= last
             )
+        if "wall_constants" in fields:
+            outer = [first == 1, last == self.grains]
+            fields["wall_constants"] = read_only(self.wall_constants * outer)
         if first > 1:
             fields |= {"top": "free", "top_load": self._force_on(first)}
             fields.pop("top_material", None)
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
-        made = Chain._unchecked(**fields)._leave_open()  # a part of a valid chain is valid
-        if first == 1 and last < self.grains <= min(FEW, 8 * last):
-            made.__dict__.update(contacts=self.contacts.above(last), masses=self.masses[:last])
-        return made
+        piece = Chain._unchecked(**fields)  # a part of a valid chain is valid
+        # contacts of a chain that was derived as a whole need no second derivation
+        if first == 1 and last < self.grains <= min(FEW_GRAINS, 8 * last):
+            return piece._with_known(equilibrium=self.equilibrium.above(last))
+        return piece
 
     def _force_on(self, grain: int) -> float:
         """Return the force at rest on grain n > 1 from the grains above it, N."""
         if not self._alike:
             return float(self.contacts.force[grain - 1])
         mass = self._kinds[2].astype(np.longdouble)
-        odd = [
-            own - mass[0]
-            for own, impurity in zip(mass[1:], self.impurity, strict=True)
+        excess = [
+            impure - mass[0]
+            for impure, impurity in zip(mass[1:], self.impurity, strict=True)
             if impurity.grain < grain
         ]
-        return float(self.top_load + self.gravity * ((grain - 1) * mass[0] + sum(odd)))
+        return float(self.top_load + self.gravity * ((grain - 1) * mass[0] + sum(excess)))
 
     def dynamical_matrix(self) -> tuple[Array, Array]:
         """Return the tridiagonal dynamical matrix D of the linearised chain, 1/s2.
 
         Its diagonal (M,) and off-diagonal (M-1,), with sqrt(m) phi'' = -D sqrt(m) phi.
         """
-        return dynamical_matrix(self.contacts.stiffness, self.masses[: self.movable])
+        return self.equilibrium.dynamical_matrix(self.movable)
 
     @cached_property
     def band_edge(self) -> float:
         """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
-        if self._twin:
-            return self._twin.band_edge
         from .band_edge import band_edges
 
         return float(band_edges(*(elements[None] for elements in self.dynamical_matrix()))[0])
@@ -387,11 +375,7 @@ class Chain(AtRest, Checked):
     @cached_property
     def load_over_mass(self) -> float:
         """Largest force at rest of the contact above a grain over the mass of the grain, m/s2."""
-        return (
-            self._twin.load_over_mass
-            if self._twin
-            else float((self.contacts.force[:-1] / self.masses).max())
-        )
+        return float((self.contacts.force[:-1] / self.masses).max())
 
     @property
     def _first(self) -> int:

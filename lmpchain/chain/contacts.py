@@ -2,44 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
-from ..util.cached import cached_property
 
-# how far contacts give way: without stiffness at rest, which bounds nothing, in m/J^(1/2); and where none counts
-LOOSE, STIFF = 1e100, 1e-300
-FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
+FEW_GRAINS = 10**4  # of a chain: up to here all contacts are known sooner than those of some parts
+OPENING_MARGIN = 1.05  # on the largest strain: a contact that opens is softer than at rest
+SERIES_BELOW = 0.02  # strain below which 11 terms of the energy's series have all digits
+Number = TypeVar("Number", float, Array)
 
 
-def hertz_constant(
-    modulus: Array, curvature: Array, length: Array | float, exponent: float
-) -> Array:
-    """Return K = (4/3) E* sqrt(R*) length^(1.5 - delta) of neighbours in a row of B bodies.
+def hertz_constant(modulus: Number, radius: Number, length: Number, exponent: float) -> Number:
+    """Return Hertz's constant K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) of contacts, N/m^delta.
 
     Parameters
     ----------
-    modulus : (..., B) array
-        E / (1 - nu^2) of each, Pa.
-    curvature : (..., B) array
-        1 / radius of each, 1/m; 0 for a plane.
-    length : (..., B-1) array
-        Mean diameter, m, which keeps the unit of a force for exponents other than Hertz's.
+    modulus, radius : float or (...) arrays
+        E*, Pa, and R*, m, of the pairs in contact, as `pair_value` gives them.
+    length : float or (...) array
+        Mean diameter, m: it keeps the unit of a force for exponents other than Hertz's.
     exponent : float
-
-    Returns
-    -------
-    (..., B-1) array
-        N/m^delta.
+        delta.
     """
-    together = 1 / (1 / modulus[..., :-1] + 1 / modulus[..., 1:])
-    radius = 1 / (curvature[..., :-1] + curvature[..., 1:])
-    return 4 / 3 * together * np.sqrt(radius) * length ** (1.5 - exponent)
+    return 4 / 3 * modulus * radius**0.5 * length ** (1.5 - exponent)
+
+
+def pair_value(values: Array) -> Array:
+    """Return 1 / (1/a + 1/b) of neighbours in a row of B bodies, (..., B-1): their E* or R*.
+
+    A plane has an infinite radius.
+    """
+    return 1 / (1 / values[..., :-1] + 1 / values[..., 1:])
+
+
+def pair_slopes(values: Array) -> tuple[Array, Array]:
+    """Return d(log of `pair_value`) / d(log a), (..., B-1), of the upper body, and of the lower."""
+    pair = pair_value(values)
+    return pair / values[..., :-1], pair / values[..., 1:]
+
+
+def free_approach(energy: Any, constant: Number, exponent: float) -> Number:
+    """Return how deep a contact without force at rest is when it holds this energy, m.
+
+    Its energy is ``K r^(delta+1) / (delta+1)``.
+    """
+    power = exponent + 1
+    return (power * energy / constant) ** (1 / power)  # type: ignore[no-any-return]
 
 
 def dynamical_matrix(stiffness: Array, masses: Array) -> tuple[Array, Array]:
@@ -59,77 +73,84 @@ def dynamical_matrix(stiffness: Array, masses: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """All contacts of a chain of N grains, walls included.
+    """All contacts of a chain of N grains, walls included, or of many such chains.
 
-    Contact n lies between grains n and n + 1; contact 0 between grain 1 and a wall above it, contact N between
-    grain N and a wall below it. Where there is no wall the constant is 0, and so is everything else.
+    Contact n lies between grains n and n + 1; contact 0 between grain 1 and a wall above it,
+    contact N between grain N and a wall below it. Where there is no wall the constant is 0, and so
+    is everything else.
 
-    Parameters
+    Attributes
     ----------
-    constant : (N+1,) array
-        K_n, N/m^delta.
-    force : (N+1,) array
-        Force of each contact at rest, N.
     exponent : float
         delta.
+    constant : (..., N+1) array
+        K_n, N/m^delta.
+    force : (..., N+1) array
+        Force of each contact at rest, N.
+    overlap : (..., N+1) array
+        Overlap eps_n at rest, m.
+    stiffness : (..., N+1) array
+        Linear stiffness delta K_n eps_n^(delta-1) at rest, N/m.
     """
 
+    exponent: float
     constant: Array
     force: Array
-    exponent: float
+    overlap: Array
+    stiffness: Array
+
+    @classmethod
+    def at_rest(cls, constant: Array, force: Array, exponent: float) -> Contacts:
+        """Return contacts with these constants, N/m^delta, that carry these forces at rest, N."""
+        overlap = (force / np.where(constant > 0, constant, 1.0)) ** (1 / exponent)
+        stiffness = exponent * constant * overlap ** (exponent - 1)
+        return cls(exponent, *map(read_only, (constant, force, overlap, stiffness)))
+
+    @property
+    def _arrays(self) -> tuple[Array, Array, Array, Array]:
+        return self.constant, self.force, self.overlap, self.stiffness
 
     @cached_property
     def exists(self) -> NDArray[np.bool_]:
-        """Whether there are two bodies, (N+1,) bool."""
+        """Whether there are two bodies, (..., N+1) bool."""
         return read_only(self.constant > 0)
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
-        """Whether the contact is compressed at rest, (N+1,) bool."""
+        """Whether the contact is compressed at rest, (..., N+1) bool."""
         return read_only(self.force > 0)
 
-    @cached_property
-    def overlap(self) -> Array:
-        """Overlap eps_n at rest, (N+1,) m."""
-        return read_only(
-            (self.force / np.where(self.exists, self.constant, 1.0)) ** (1 / self.exponent)
-        )
+    def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
+        """Return these contacts of one chain, or the contacts of these of many chains.
 
-    @cached_property
-    def stiffness(self) -> Array:
-        """Linear stiffness delta K_n eps_n^(delta-1) at rest, (N+1,) N/m."""
-        return read_only(self.stiffness_at(self.overlap))
-
-    @cached_property
-    def _as_row(self) -> Contacts:
-        return _rows([self])
-
-    def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
-        """Return these contacts alone."""
-        return Contacts(self.constant[numbers], self.force[numbers], self.exponent)
+        With None, the contacts of one chain as those of many, (1, N+1).
+        """
+        return Contacts(self.exponent, *(values[numbers] for values in self._arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
-        constant, force = (
-            read_only(np.append(x[:grain], 0.0)) for x in (self.constant, self.force)
-        )
-        return Contacts(constant, force, self.exponent)
+        ended = (read_only(np.append(values[:grain], 0.0)) for values in self._arrays)
+        return Contacts(self.exponent, *ended)
 
     def force_at(self, overlap: Array) -> Array:
-        """Return the force K o^delta of contacts with the overlap o, 0 where they are open, (..., N+1) N."""
+        """Return the force K o^delta of contacts with the overlap o, 0 if open, (..., N+1) N."""
         return self.constant * np.maximum(overlap, 0.0) ** self.exponent
 
     def stiffness_at(self, overlap: Array) -> Array:
-        """Return the stiffness delta K o^(delta-1) of contacts with the overlap o >= 0, (..., N+1) N/m."""
+        """Return the stiffness delta K o^(delta-1) at the overlap o >= 0, (..., N+1) N/m."""
         return self.exponent * self.constant * overlap ** (self.exponent - 1)
 
     @staticmethod
     def closer(displacement: Array, wall: Array | None = None) -> Array:
-        """Return how much every overlap exceeds that at rest, (..., N+1) m; the top wall is at (...) m."""
+        """Return by how much every overlap exceeds that at rest, (..., N+1) m.
+
+        The top wall is at (...) m, by default where it is at rest.
+        """
         u = np.asarray(displacement)
         closer = np.empty((*u.shape[:-1], u.shape[-1] + 1))
-        closer[..., 0], closer[..., -1] = 0.0 if wall is None else wall, u[..., -1]
+        closer[..., 0] = 0.0 if wall is None else wall
         closer[..., 0] -= u[..., 0]
+        closer[..., -1] = u[..., -1]
         np.subtract(u[..., :-1], u[..., 1:], out=closer[..., 1:-1])
         return closer
 
@@ -139,20 +160,21 @@ class Contacts:
         The relative accuracy does not depend on the amplitude of the wave.
         """
         s = r / np.where(self.pressed, self.overlap, np.inf)
-        held = np.where(s > -1, np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0))), -1.0)
-        return np.where(self.pressed, self.force * held, self.force_at(r))
+        relative = np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0)))
+        change = self.force * np.where(s > -1, relative, -1.0)
+        return np.where(self.pressed, change, self.force_at(r))
 
     def energy(self, r: Array) -> Array:
-        """Return the contact energy above that at rest, (..., N+1) J, for a change r of the overlap.
+        """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
 
-        It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for the weakest waves.
+        It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for
+        the weakest waves.
         """
-        if (
-            np.ndim(r) == 2 and not (moves := r.any(axis=0)).all()
-        ):  # most of a long chain rests; powers cost time
-            held = np.zeros(r.shape)
-            held[:, moves] = self.of(np.flatnonzero(moves)).energy(r[:, moves])
-            return held
+        # most of a long chain rests, and powers cost time
+        if np.ndim(r) == 2 and not (moves := r.any(axis=0)).all():
+            energy = np.zeros(r.shape)
+            energy[:, moves] = self.of(np.flatnonzero(moves)).energy(r[:, moves])
+            return energy
         power = self.exponent + 1
         loose = self.constant / power * np.maximum(r, 0.0) ** power
         s = r / np.where(self.pressed, self.overlap, 1.0)
@@ -162,7 +184,7 @@ class Contacts:
         series = np.zeros_like(s)
         for k in range(11, 1, -1):
             series = (power - k + 1) / k * s * (1 + series)
-        scaled = np.where(np.abs(s) < 0.02, s * series, exact)
+        scaled = np.where(np.abs(s) < SERIES_BELOW, s * series, exact)
         return np.where(self.pressed, self.force * self.overlap * scaled, loose)
 
     def collision_overlap(self, speed: Array, inverse_mass: Array) -> Array:
@@ -170,106 +192,56 @@ class Contacts:
 
         The sum of their inverse masses is (N+1,) 1/kg; where it is 0 nothing meets.
         """
-        power, stiff = self.exponent + 1, inverse_mass * self.constant
-        return (power / 2 * speed**2 / np.where(stiff > 0, stiff, np.inf)) ** (1 / power)
+        meets = (inverse_mass > 0) & self.exists
+        energy = speed**2 / (2 * np.where(meets, inverse_mass, np.inf))
+        return free_approach(energy, np.where(meets, self.constant, 1.0), self.exponent)
 
     def squeezed_by(self, force: float) -> float:
-        """Return how much closer this force more brings the two bodies of one contact, m."""
+        """Return by how much more one contact overlaps under this additional force, m."""
         if self.pressed:
             return float(self.overlap * np.expm1(np.log1p(force / self.force) / self.exponent))
         return float((force / self.constant) ** (1 / self.exponent))
 
     @property
     def elastic_share(self) -> float:
-        """Mean share of the energy that the contacts of an uncompressed chain hold (virial theorem)."""
+        """Mean share of the contacts in the energy of an uncompressed chain (virial theorem)."""
         return 2 / (self.exponent + 3)
 
     def constant_for_stiffness(self, factor: Array) -> Array:
-        """Return the factor on constants for a factor on stiffnesses at rest, under the same forces."""
+        """Return the factor on constants for one on stiffnesses at rest, under the same forces."""
         return factor**self.exponent
 
     def stiffness_for_force(self, factor: Array) -> Array:
-        """Return by what factor stiffnesses at rest change if the forces at rest change by this one."""
+        """Return the factor on stiffnesses at rest for one on the forces at rest."""
         return factor ** (1 - 1 / self.exponent)
 
-    def overlap_bound(self, energy: float | Array) -> Array:
-        """Return an upper bound of each overlap for this energy above rest, (N+1,) m.
+    def approach_bound(self, energy: float | Array) -> Array:
+        """Return an upper bound on how far each overlap exceeds that at rest, (..., N+1) m.
 
-        The bound is rigorous: no contact can hold more than the whole conserved energy, and the energy of
-        one is at least ``K r^(delta+1) / (delta+1)`` and at least ``k_n r^2 / 2``.
+        The bound is rigorous: no contact can hold more than the whole conserved energy above rest,
+        (...) J, and the energy of one is at least ``K r^(delta+1) / (delta+1)`` and ``k r^2 / 2``.
         """
-        if np.equal(energy, np.inf).any():
-            known = np.isfinite(energy)
-            return np.where(
-                known,
-                self.overlap_bound(np.where(known, energy, 0.0)),
-                np.where(self.exists, np.inf, 0.0),
-            )
-        return self.overlap + self._given_way(energy, *self._softness)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            of_law = free_approach(energy, self.constant, self.exponent)
+            of_stiffness = np.sqrt(2 * energy / self.stiffness)
+        # without energy and stiffness the second is no number, which fmin passes over
+        return np.where(self.exists, np.fmin(of_law, of_stiffness), 0.0)
+
+    def overlap_bound(self, energy: float | Array) -> Array:
+        """Return an upper bound of each overlap for this energy above rest, (..., N+1) m."""
+        return self.overlap + self.approach_bound(energy)
 
     def largest_strain(self, energy: float | Array) -> Array:
-        """Return `Scene.largest_strain`, (...), for this energy above rest; (..., 1) J of many chains."""
-        if not self._all_pressed:
-            return np.full(self.constant.shape[:-1], np.inf)
-        softer = 1.05  # a contact that opens
-        if self._softest:
-            return softer * self._given_way(energy, *self._softest, least=min)
-        return softer * np.maximum.reduce(
-            self._given_way(energy, *self._relative_softness), axis=-1
-        )
-
-    def _given_way(
-        self, energy: Any, loose: Any, pressed: Any, least: Callable[..., Any] = np.minimum
-    ) -> Any:
-        """Return by how much contacts of these softnesses give way at most, (..., N+1)."""
-        return least(energy ** (1 / (self.exponent + 1)) * loose, energy**0.5 * pressed)
-
-    @cached_property
-    def _all_pressed(self) -> bool:
-        return bool((self.pressed == self.exists).all())
-
-    @cached_property
-    def _softness(self) -> tuple[Array, Array]:
-        """How far contacts give way for 1 J, two bounds, (N+1,) each.
-
-        The first goes as the energy to the power 1 / (delta + 1) and is 0 if there is no contact, the second as its
-        root, and is `LOOSE` if the contact is not pressed.
-        """
-        power, shape = self.exponent + 1, self.constant.shape
-        loose = np.divide(power, self.constant, out=np.zeros(shape), where=self.exists) ** (
-            1 / power
-        )
-        return loose, np.sqrt(
-            np.divide(2.0, self.stiffness, out=np.full(shape, LOOSE**2), where=self.pressed)
-        )
-
-    @cached_property
-    def _relative_softness(self) -> tuple[Array, Array]:
-        """The same over the overlap at rest; `STIFF` if it is not pressed."""
-        rest = np.where(self.pressed, self.overlap, 1 / STIFF)
-        loose, pressed = (np.maximum(softness / rest, STIFF) for softness in self._softness)
-        return loose, pressed
-
-    @cached_property
-    def _softest(self) -> tuple[float, float] | None:
-        """These two of the contact of one chain that gives way most whatever the energy is, if there is one."""
-        loose, pressed = self._relative_softness
-        n = loose.argmax()
-        return (
-            (float(loose[n]), float(pressed[n]))
-            if loose.ndim == 1 and pressed[n] == pressed.max()
-            else None
-        )
+        """Return `Scene.largest_strain`, (...), for this energy above rest, (...) or (..., 1) J."""
+        # a loose contact has no strain; where there is none, neither moves
+        strain = self.approach_bound(energy) / np.where(self.pressed, self.overlap, 1.0)
+        bounded = (self.pressed == self.exists).all(-1)
+        return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]  # of one, a number
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
-    """Return the contacts of R chains of one length as those of all, (R, N+1), for compiled loops."""
-    return contacts[0]._as_row if len(contacts) == 1 else _rows(contacts)
-
-
-def _rows(contacts: Sequence[Contacts]) -> Contacts:
-    names = "constant", "force", "overlap", "stiffness"
-    rows = {name: np.array([getattr(each, name) for each in contacts]) for name in names}
-    made = Contacts(rows["constant"], rows["force"], contacts[0].exponent)
-    made.__dict__.update(rows)
-    return made
+    """Return the contacts of R chains of one length as one, (R, N+1), for compiled loops."""
+    if len(contacts) == 1:
+        return contacts[0].of(None)
+    rows = map(np.array, zip(*(each._arrays for each in contacts), strict=True))
+    return Contacts(contacts[0].exponent, *rows)

@@ -80,21 +80,22 @@ def misfits(
 
 
 def with_impurities(values: Array, impurities: Sequence[Impurity], key: str) -> Array:
-    """Return a copy of the values (N,) with those that impurities have of their own."""
+    """Return a copy of the values (..., N) with those that impurities have of their own."""
     changed = np.array(values, dtype=float)
     for impurity in impurities:
-        if (own := getattr(impurity, key)) is not None:
-            changed[impurity.grain - 1] = own
+        if (value := getattr(impurity, key)) is not None:
+            changed[..., impurity.grain - 1] = value
     return changed
 
 
 def kinds(material: Any, diameter: Any, impurities: Sequence[Impurity]) -> Array:
-    """Return plane-strain modulus, diameter and mass of a common grain and every impurity, (3, I+1)."""
-    found = []
-    for odd in (None, *impurities):
-        own = getattr(odd, "material", None) or material
-        width = getattr(odd, "diameter", None) or diameter
+    """Return modulus, diameter and mass of a common grain and every impurity, (3, I+1)."""
+    columns = []
+    for impurity in (None, *impurities):
+        kind = getattr(impurity, "material", None) or material
+        width = getattr(impurity, "diameter", None) or diameter
+        mass = getattr(impurity, "mass", None)
         with np.errstate(over="ignore"):  # a Python float would raise
-            mass = getattr(odd, "mass", None) or own.density * np.pi / 6 * np.float64(width) ** 3
-        found.append((own.plane_strain_modulus, width, mass))
-    return np.array(found).T
+            sphere = kind.density * np.pi / 6 * np.float64(width) ** 3
+        columns.append((kind.plane_strain_modulus, width, mass or sphere))
+    return np.array(columns).T

@@ -1,54 +1,87 @@
-"""What is allowed but hardly meant: grains of metres, overlaps beyond Hertz's law."""
+"""Limits of a chain: where numbers, Hertz's law or what is meant end."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..util.arrays import Array
-from .contacts import Contacts
-
-# overlap over diameter: the contact is then a tenth as wide as the grain, and Hertz's theory takes it to be far
-# narrower (K. L. Johnson, Contact Mechanics, Cambridge 1985, section 4.2)
-HERTZ_OVERLAP = 0.01
-LARGEST_DIAMETER = 0.3  # m
-LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
-LONG = 10**6  # grains from which on arrays are a burden
+from .contacts import Contacts, hertz_constant
 
 
-def beyond_hertz(relative: float) -> str:
-    """Say that a contact is squeezed to so much of the diameter, beyond what Hertz's law holds for."""
-    return f"a contact is squeezed to {relative:.2g} of the diameter; Hertz's law holds to about {HERTZ_OVERLAP:g}"
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a chain.
+
+    Attributes
+    ----------
+    least_force : float
+        Smallest top load, N, and gravity, m/s2, besides 0: below, squares of overlaps underflow.
+    stiffness_over_mass : float
+        Largest entry of the dynamical matrix, 1/s2: its square is finite.
+    compression : float
+        Largest overlap over diameter at rest or in the first collision: beyond it Hertz's law no
+        longer describes a contact.
+    hertz_compression : float
+        Overlap over diameter up to which Hertz's law is good. The contact is then a tenth as wide
+        as the grain, and the theory takes it to be far narrower (K. L. Johnson, Contact Mechanics,
+        Cambridge 1985, section 4.2).
+    usual_diameter : float
+        Largest diameter of a grain that is not remarked on, m.
+    long_chain : int
+        Grains from which on arrays are a burden.
+    """
+
+    least_force: float = 1e-100
+    stiffness_over_mass: float = 1e150
+    compression: float = 0.1
+    hertz_compression: float = 0.01
+    usual_diameter: float = 0.3
+    long_chain: int = 10**6
 
 
-def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
-    """Yield what is hardly meant of these diameters, m, and this overlap at rest over the diameter."""
+LIMITS = Limits()
+
+
+def beyond_hertz(compression: float) -> str:
+    """Say that a contact is compressed to this part of the diameter, beyond Hertz's law."""
+    return (
+        f"a contact is squeezed to {compression:.2g} of the diameter; "
+        f"Hertz's law holds to about {LIMITS.hertz_compression:g}"
+    )
+
+
+def remarks(diameter: float | Array, compression: float) -> Iterator[str]:
+    """Yield what is hardly meant of these diameters, m, and of this overlap over diameter."""
     widest = diameter if isinstance(diameter, float) else diameter.max()
-    if widest > LARGEST_DIAMETER:
+    if widest > LIMITS.usual_diameter:
         yield f"diameter: {widest:g} m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
-    if relative > HERTZ_OVERLAP:
-        yield f"diameter: at rest {beyond_hertz(relative)}"
+    if compression > LIMITS.hertz_compression:
+        yield f"diameter: at rest {beyond_hertz(compression)}"
 
 
-def least_squeezed(
+def least_compression(
     kinds: Array, grains: int, load: float, gravity: float, exponent: float
 ) -> float:
-    """Return to what part of the diameter a contact of a long chain is squeezed at least, without arrays.
+    """Return a lower bound on the largest overlap over diameter of a long chain, without arrays.
 
-    Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays are no burden. Of the
-    2 I + 1 lowest contacts one is between two common grains.
+    Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays
+    are no burden. Of the 2 I + 1 lowest contacts one is between two common grains.
     """
-    if grains < LONG:
+    if grains < LIMITS.long_chain:
         return 0.0
-    modulus, d, mass = kinds[:, 0]
+    modulus, diameter, mass = kinds[:, 0]
     above = max(grains - 3 * kinds.shape[1], 0)
-    constant = 2 / 3 * modulus * np.sqrt(d / 4) * d ** (1.5 - exponent)
+    constant = hertz_constant(modulus / 2, diameter / 4, diameter, exponent)
     with np.errstate(all="ignore"):
-        return float(Contacts(constant, load + gravity * above * mass, exponent).overlap / d)
+        force = load + gravity * above * mass
+        return float(Contacts.at_rest(constant, force, exponent).overlap / diameter)
 
 
-def too_squeezed(how: str) -> str:
+def too_compressed(compression: str) -> str:
     """Return the fault of a contact that is compressed too much."""
-    than = f"of the diameter, more than {LARGEST_OVERLAP:g}"
-    return f"{how} {than}: use fewer grains, less gravity or load, or a stiffer material"
+    than = f"of the diameter, more than {LIMITS.compression:g}"
+    cure = "use fewer grains, less gravity or load, or a stiffer material"
+    return f"{compression} {than}: {cure}"

@@ -1,11 +1,9 @@
-"""Walls at the ends of a chain: what may be said of them, and the constants of their contacts."""
+"""Walls at the ends of a chain: which materials and constants they may have."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import Any
-
-import numpy as np
 
 from ..util.arrays import Array
 
@@ -19,9 +17,8 @@ def misfits(
             yield f"{name}_material", f'is that of a wall; there is none unless {name} = "wall"'
     if given is None:
         return
-    there = [end == "wall" for end in ends]
     if len(given) != 2 or any(
-        k < 0 or (k > 0) != wall for k, wall in zip(given, there, strict=True)
+        k < 0 or (k > 0) != (end == "wall") for k, end in zip(given, ends, strict=True)
     ):
         yield (
             "wall_constants",
@@ -32,16 +29,3 @@ def misfits(
             "wall_constants",
             "take the place of the materials of the walls: leave one of them out",
         )
-
-
-def constants(natural: Array, given: Array) -> Array:
-    """Return the constants of the contacts with top and bottom wall, (2,) N/m^delta.
-
-    Parameters
-    ----------
-    natural : (N+1,) array
-        Hertz constants of all contacts with a wall at either end.
-    given : (N-1,) array
-        Those of the contacts between grains, to whose own the walls are in the same proportion.
-    """
-    return natural[[0, -1]] * (given[[0, -1]] / natural[[1, -2]] if given.size else np.ones(2))

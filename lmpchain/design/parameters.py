@@ -9,12 +9,12 @@ Hertz's constants ``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and masses, where
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from ..chain.chain import Chain
+from ..chain.contacts import pair_slopes
 from ..errors import InputError, shown
 from ..integrators.adjoint import Inputs
 from ..scene.acting import Drive, Force
@@ -194,7 +194,7 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
         follow = ~np.isin(
             np.arange(chain.grains) + 1, [odd.grain for odd in chain.impurity if odd.mass]
         )
-        follow &= "masses" not in chain.model_fields_set
+        follow &= chain.given_masses is None
         return {
             "masses": _diagonal(follow * 3 * chain.masses / chain.diameters),
             "constants": _by_diameter(chain),
@@ -210,7 +210,7 @@ def _between(chain: Chain) -> sparse.csr_array:
     """Return dK/dK of contacts between grains, (N+1, N-1): those of walls follow, unless given."""
     grains, constant = chain.grains, chain.contacts.constant
     row, column, entry = np.arange(1, grains), np.arange(grains - 1), np.ones(grains - 1)
-    if "wall_constants" not in chain.model_fields_set:
+    if chain.given_wall_constants is None:
         row, column = np.append(row, [0, grains]), np.append(column, [0, grains - 2])
         entry = np.append(entry, constant[[0, -1]] / constant[[1, -2]])
     return sparse.csr_array((entry, (row, column)), shape=(grains + 1, grains - 1))
@@ -222,9 +222,9 @@ def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
     What is given does not follow, and a wall's constant that does has the share of its neighbour that does not.
     """
     last, constant, own = chain.grains, chain.contacts.constant, np.arange(chain.grains + 1)
-    follow = np.full(last + 1, float("contact_constants" not in chain.model_fields_set))
+    follow = np.full(last + 1, float(chain.given_contact_constants is None))
     walls, near = [0, last], [1, last - 1]
-    follow[walls] = float("wall_constants" not in chain.model_fields_set)
+    follow[walls] = float(chain.given_wall_constants is None)
     row, of = np.append(own, walls), np.append(own, near)
     rate = constant[row] * np.append(follow, follow[walls] * (follow[near] - 1))
     upper, lower = of > 0, of < last
@@ -240,16 +240,14 @@ def _diagonal(entries: Array) -> sparse.csr_array:
 
 def _by_modulus(chain: Chain) -> sparse.csr_array:
     """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below), a wall having its grain's by default."""
-    young, own = chain.by_grain("youngs_modulus"), chain.by_grain("plane_strain_modulus")
-    walls: list[Any] = [chain.top_material, chain.bottom_material]
+    young = chain.by_grain("youngs_modulus")
+    walls = (chain.top_material, chain.bottom_material)
+    of_grains = chain.by_grain("plane_strain_modulus")
     top, bottom = (
-        w.plane_strain_modulus if w else at for w, at in zip(walls, own[[0, -1]], strict=True)
+        wall.plane_strain_modulus if wall else of_grain  # type: ignore[union-attr]
+        for wall, of_grain in zip(walls, of_grains[[0, -1]], strict=True)
     )
-    modulus = np.concatenate(([top], own, [bottom]))
-    above, below = (
-        modulus[1:] / (modulus[:-1] + modulus[1:]),
-        modulus[:-1] / (modulus[:-1] + modulus[1:]),
-    )
+    above, below = pair_slopes(np.concatenate(([top], of_grains, [bottom])))
     above[1:] /= young
     below[:-1] /= young
     if chain.top_material is None:
@@ -260,15 +258,14 @@ def _by_modulus(chain: Chain) -> sparse.csr_array:
 
 
 def _by_diameter(chain: Chain) -> sparse.csr_array:
-    """Return dK/dd, (N+1, N), by R* = 1 / (2/d_above + 2/d_below), at a wall d/2, and the mean diameter."""
-    d, length = chain.diameters, chain.contact_lengths
-    curvature = np.concatenate(([0.0], 2 / d, [0.0]))
-    radius = 1 / (curvature[:-1] + curvature[1:])
-    share = np.concatenate(
-        ([1.0], np.full(chain.grains - 1, 0.5), [1.0])
-    )  # of a grain in the mean diameter
-    power = 1.5 - chain.exponent
-    above, below = np.zeros(chain.grains + 1), np.zeros(chain.grains + 1)
-    above[1:] = radius[1:] / d**2 + power * share[1:] / length[1:]
-    below[:-1] = radius[:-1] / d**2 + power * share[:-1] / length[:-1]
+    """Return dK/dd, (N+1, N), by sqrt(R*), R* that of the radii d/2 or a plane, and by dbar."""
+    diameters = chain.diameters
+    upper, lower = pair_slopes(np.concatenate(([np.inf], diameters / 2, [np.inf])))
+    share = np.full(chain.grains + 1, 0.5)  # of a grain in the mean diameter
+    share[[0, -1]] = 1.0
+    by_length = (1.5 - chain.exponent) * share / chain.contact_lengths
+    above = np.zeros(chain.grains + 1)
+    below = np.zeros(chain.grains + 1)
+    above[1:] = upper[1:] / 2 / diameters + by_length[1:]
+    below[:-1] = lower[:-1] / 2 / diameters + by_length[:-1]
     return _by_body(chain, above, below)

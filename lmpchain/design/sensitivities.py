@@ -202,7 +202,7 @@ def objective(of: str) -> tuple[Objective, str]:
 
 def _depends_on(scene: Scene) -> list[str]:
     """Return what the answer depends on: diameters and moduli, or what is given in their place."""
-    given, names = scene.chain.model_fields_set, []
+    given, names = scene.chain.given().keys(), []
     for name in CANDIDATES:
         if name in OVERRIDES and name not in given:
             continue

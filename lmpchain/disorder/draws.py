@@ -141,7 +141,7 @@ def realisation(
     """
     _check_drawn(scene.chain, m, seed, index, law, of)
     zeta = _drawn(scene.chain, m, seed, index, law, of)
-    chain = Chain._unchecked(**_redrawn(scene.chain, zeta, of))._leave_open()
+    chain = Chain._unchecked(**_redrawn(scene.chain, zeta, of))
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 
@@ -247,6 +247,6 @@ def _check_of(chain: Chain, of: Of) -> None:
     if of == "stiffness" and not chain.compressed:
         cure = 'without gravity and load contacts have no stiffness at rest to be random; use of="constant"'
         raise InputError([("gravity", cure)])
-    if of in ("diameter", "modulus") and "contact_constants" in chain.model_fields_set:
+    if of in ("diameter", "modulus") and chain.given_contact_constants is not None:
         cure = f'contact constants are given and do not follow from the {of}; use of="constant"'
         raise InputError([("contact_constants", cure)])

@@ -9,7 +9,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from .. import engines
-from ..chain.chain import LARGEST_OVERLAP, Chain
+from ..chain.chain import Chain
+from ..chain.plausible import LIMITS
 from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
@@ -147,4 +148,4 @@ def _answer(
 
 
 def _squeezed(chain: Chain) -> bool:
-    return bool((chain.contacts.overlap > LARGEST_OVERLAP * chain.contact_lengths).any())
+    return bool((chain.equilibrium.compression > LIMITS.compression).any())

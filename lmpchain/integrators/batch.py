@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.cached import cached_property
 from .kernels.contact_forces import (
     CORRECTED,
     FORMS,

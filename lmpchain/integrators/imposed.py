@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from ..scene.acting import Drive, Force
 from ..util.arrays import Array
-from ..util.cached import cached_property
 
 
 class ImposedCourse:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from ..trajectory.between.derivatives import STILL, UNKNOWN, derivatives, larges
 from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.cached import cached_property
 from ..util.lazy import listed
 from .recorded import Field, around, check_field
 

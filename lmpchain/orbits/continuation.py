@@ -486,7 +486,7 @@ def _vary(
     element = ELEMENT.fullmatch(parameter)
     name = element[1] if element else parameter
     value = chain.diameters if element and name == "diameter" else getattr(chain, name, None)
-    field = name in type(chain).model_fields
+    field = name in chain.arguments
     if element and field and isinstance(value, np.ndarray) and 1 <= int(element[2]) <= value.size:
         index = int(element[2]) - 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,6 @@ from ..integrators.splittings import KAHAN_LI8
 from ..scene.excitation import Drive, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.cached import cached_property
 
 METHOD = KAHAN_LI8
 

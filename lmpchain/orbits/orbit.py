@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from ..errors import InputError, shown
 from ..scene.excitation import Drive, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
-from ..util.cached import cached_property
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
 from . import floquet

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -10,7 +11,6 @@ from pydantic import Field
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
-from ..util.cached import cached_property
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
 from .base import Excitation, Number, OneGrain, Push
 from .profile import Profile

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..chain.chain import Chain
-from ..chain.contacts import FEW
+from ..chain.contacts import FEW_GRAINS
 from .base import Excitation
 
 UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
@@ -36,7 +36,7 @@ def reached(
     if not math.isfinite(energy) or grains < SHORT:
         return 1, grains
     top, bottom = excitation.reach(chain)
-    few = chain.contacts if grains <= FEW else None  # of many only some are looked at
+    few = chain.contacts if grains <= FEW_GRAINS else None  # of many only some are looked at
     known = None if few is None else few.stiffness_at(few.overlap_bound(energy))
     away = 32
     while True:

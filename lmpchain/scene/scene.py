@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -15,9 +16,8 @@ from pydantic import InstanceOf
 
 from ..chain.chain import Chain
 from ..chain.picture import DRAWN, MOST
-from ..chain.plausible import HERTZ_OVERLAP
+from ..chain.plausible import LIMITS
 from ..util.arrays import Array, as_slice, evenly
-from ..util.cached import cached_property
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
 from . import toml_file
@@ -27,7 +27,6 @@ from .light_cone import reached
 from .recording import Recording
 from .strike import (
     first_overlaps,
-    pair_frequency,
     squeezed,
     strike_faults,
     strike_number,
@@ -38,20 +37,11 @@ from .strike import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MARGIN = 10  # grains at rest drawn on either side of those that are moved
 LONGEST = 3600.0  # s: of a duration that may be meant
-# omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is known between them
+# omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is
+# known between them
 FINE = 0.5
-# what is known of a scene, whatever is recorded
-SAME = (
-    "imposed",
-    "energy",
-    "strike_number",
-    "largest_strain",
-    "highest_frequency",
-    "_pair_frequency",
-    "_surroundings",
-)
+MARGIN = 10  # grains at rest drawn on either side of those that are moved
 
 
 class Scene(Recording):
@@ -120,12 +110,13 @@ class Scene(Recording):
         bounds, speed = self.chain.bounds, abs(self.excitation.strike_velocity)
         return (
             bounds is not None
-            and self._overlap_at_most <= HERTZ_OVERLAP * bounds.narrowest
+            and self._overlap_at_most <= LIMITS.hertz_compression * bounds.narrowest
             and speed <= bounds.slowest
         )
 
     @cached_property
     def _squeezed(self) -> tuple[int, float]:
+        """Contact that is squeezed most at first, and to what part of the diameter."""
         return squeezed(*self._surroundings)
 
     def _summary(self) -> Iterator[Sequence[str]]:
@@ -195,11 +186,9 @@ class Scene(Recording):
     @cached_property
     def _fine(self) -> Scene:
         samples = (self.samples - 1) * self.finer + 1
-        made = Scene._unchecked(
+        return Scene._unchecked(
             chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples
         )
-        made.__dict__.update({name: self.__dict__[name] for name in SAME if name in self.__dict__})
-        return made
 
     @property
     def ungathered(self) -> Scene:
@@ -248,7 +237,7 @@ class Scene(Recording):
         Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
         """
         _, chain, excitation = self._surroundings
-        return float(strike_number(chain, excitation, chain.contacts, chain.masses))
+        return strike_number(chain, excitation)
 
     @cached_property
     def highest_frequency(self) -> float:
@@ -256,18 +245,18 @@ class Scene(Recording):
 
         The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
         """
-        fastest, bounds = max(self.chain.band_edge, self.excitation.fastest), self.chain.bounds
+        bounds = self.chain.bounds
+        fastest = max(self.chain.band_edge, self.excitation.fastest)
         if not (bounds and bounds.frequency(self._overlap_at_most) <= fastest):
             fastest = max(fastest, self._pair_frequency)
         return fastest or 1 / self.duration
 
-    @cached_property
+    @property
     def _pair_frequency(self) -> float:
-        """That of two grains pressed together by the strike, rad/s."""
-        chain = self.chain
-        return float(
-            pair_frequency(chain.contacts, chain.masses, first_overlaps(chain, self.excitation))
-        )
+        """Bound on the frequency of two grains pressed together by the strike, rad/s."""
+        overlap = first_overlaps(self.chain, self.excitation)
+        stiffness = self.chain.contacts.stiffness_at(overlap).max()
+        return math.sqrt(2 * stiffness / self.chain.masses.min())
 
     @cached_property
     def largest_strain(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -79,10 +79,10 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
 
 def _misplaced(key: str) -> str:
     """Return what to do about something that is no section."""
-    of_excitations = [key for kind in EXCITATIONS.values() for key in kind.model_fields]
-    fields = {
-        "recording": Recording.model_fields,
-        "chain": Chain.model_fields,
+    of_excitations = [key for kind in EXCITATIONS.values() for key in kind.arguments]
+    fields: dict[str, Iterable[str]] = {
+        "recording": Recording.arguments,
+        "chain": Chain.arguments,
         "excitation": ["kind", *of_excitations],
     }
     homes = " or ".join(f"[{section}]" for section, keys in fields.items() if key in keys)
@@ -108,7 +108,7 @@ def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -
         "excitation": struck
         | {key: _toml(value) for key, value in excitation.given().items() if value is not None},
         "recording": {
-            key: _toml(recording[key]) for key in Recording.model_fields if key in recording
+            key: _toml(recording[key]) for key in Recording.arguments if key in recording
         },
     }
 

@@ -14,7 +14,7 @@ from functools import cache, partial
 import numpy as np
 
 from .. import engines
-from ..chain.chain import LARGEST_OVERLAP
+from ..chain.plausible import LIMITS
 from ..errors import EngineUnavailable, InputError, LmpchainError, ToleranceNotMet
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
@@ -172,12 +172,12 @@ def _overlap(scene: Scene) -> Iterator[Boundary]:
     from .overlap import deepest
 
     here = deepest(scene)
-    beyond = LARGEST_OVERLAP < here < math.inf  # a drive has no bound
+    beyond = LIMITS.compression < here < math.inf  # a drive has no bound
     yield Boundary(
         "Hertz's law: overlap over diameter",
         "Eq. (1)",
         "",
-        LARGEST_OVERLAP,
+        LIMITS.compression,
         here=here,
         beyond=beyond,
     )

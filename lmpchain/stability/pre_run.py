@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ..chain.chain import LARGEST_OVERLAP
+from ..chain.plausible import LIMITS
 from ..engines.base import Engine
 from ..engines.time_stepping import SAFE_STRAIN
 from ..scene.scene import Scene
@@ -20,7 +20,7 @@ TRUSTED = 0.7  # of `step_limit.limit`: Verlet held for 300 periods
 def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> Iterator[str]:
     """Yield what is beyond a boundary: overlaps, a given step, and time until which an answer can be had."""
     deep = deepest(scene)
-    if LARGEST_OVERLAP < deep < math.inf:
+    if LIMITS.compression < deep < math.inf:
         excess = f"Hertz's law is {100 * hertz_excess(min(deep, 0.5)):.2g} % off there by the shape of spheres alone"
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
     if engine and engine.step is not None:

@@ -150,7 +150,7 @@ def _same_steps(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, 
     chain = scene.chain
     mass, constant = chain.masses.astype(Long), chain.contacts.constant.astype(Long)
     carried = Long(chain.top_load) + Long(chain.gravity) * np.append(Long(0), np.cumsum(mass))
-    contacts = Contacts(constant, np.where(constant > 0, carried, 0), Long(chain.exponent))  # type: ignore[arg-type]
+    contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), Long(chain.exponent))  # type: ignore[arg-type]
     mobility = np.where(np.arange(chain.grains) < chain.movable, 1 / mass, 0)
     u, v = (x.astype(Long) for x in scene.initial())
     h = Long(scene.duration) / steps

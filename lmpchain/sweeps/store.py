@@ -20,6 +20,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -29,7 +30,6 @@ import numpy as np
 from ..errors import InputError, short
 from ..trajectory.gathered import file_name
 from ..util.arrays import Array
-from ..util.cached import cached_property
 from ..util.files import unpack_one
 from .file import Sweep
 from .quantities import quantity

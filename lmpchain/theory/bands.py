@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..chain.chain import Chain
-from ..chain.contacts import Contacts, hertz_constant
+from ..chain.contacts import Contacts, hertz_constant, pair_value
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
@@ -74,9 +74,10 @@ class Cell:
             -chain.grains - 1 :
         ]  # the last contact tells how given constants compare with Hertz's
         d, modulus = chain.diameters[ends], chain.by_grain("plane_strain_modulus")[ends]
-        natural = hertz_constant(modulus, 2 / d, (d[:-1] + d[1:]) / 2, chain.exponent)
+        length = (d[:-1] + d[1:]) / 2
+        natural = hertz_constant(pair_value(modulus), pair_value(d / 2), length, chain.exponent)
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
-        closing = Contacts(np.array([constant]), np.array([chain.top_load]), chain.exponent)
+        closing = Contacts.at_rest(np.array([constant]), np.array([chain.top_load]), chain.exponent)
         return cls(chain.masses, np.append(chain.linear_stiffness, closing.stiffness))
 
 

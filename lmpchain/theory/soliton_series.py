@@ -46,7 +46,7 @@ def long_wave_speed(overlap: Array, delta: float) -> Array:
 
 def law(delta: float, loaded: bool) -> Contacts:
     """Return the contact in the units of the module: stiffness 1 at rest, or constant 1."""
-    return Contacts(
+    return Contacts.at_rest(
         np.array(1 / delta if loaded else 1.0), np.array(1 / delta if loaded else 0.0), delta
     )
 

@@ -1,5 +1,6 @@
 """The chain at rest, its band edge and its energy, against formulas and methods that the package does not use."""
 
+import dataclasses
 import tracemalloc
 from itertools import pairwise
 
@@ -24,8 +25,8 @@ from lmpchain import (
     Scene,
     simulate,
 )
+from lmpchain.chain import plausible
 from lmpchain.chain.contacts import Contacts
-from lmpchain.chain.plausible import least_squeezed
 
 each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 each_walled = pytest.mark.parametrize("chain", WALLED.values(), ids=WALLED)
@@ -180,13 +181,13 @@ def test_the_contact_law_and_what_follows_from_it(exponent: float):
     assert contacts.force_at(o) == pytest.approx(contacts.force, rel=1e-13, abs=0)
     assert not contacts.force_at(-o).any()
     deepest = contacts.collision_overlap(0.1 * alike, 2e6 * alike)
-    vacuum = Contacts(contacts.constant, 0 * alike, exponent)
+    vacuum = Contacts.at_rest(contacts.constant, 0 * alike, exponent)
     assert vacuum.energy(deepest) == pytest.approx(0.1**2 / 2 / 2e6 * alike, rel=1e-12, abs=0)
-    loaded = Contacts(contacts.constant, 3 * contacts.force, exponent)
+    loaded = Contacts.at_rest(contacts.constant, 3 * contacts.force, exponent)
     assert loaded.stiffness == pytest.approx(
         contacts.stiffness * contacts.stiffness_for_force(3.0), rel=1e-13, abs=0
     )
-    changed = Contacts(
+    changed = Contacts.at_rest(
         contacts.constant * contacts.constant_for_stiffness(2.0), contacts.force, exponent
     )
     assert changed.stiffness == pytest.approx(2 * contacts.stiffness, rel=1e-13, abs=0)
@@ -628,7 +629,8 @@ def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impu
         assert tracemalloc.get_traced_memory()[1] < 2e6
     finally:
         tracemalloc.stop()
-    monkeypatch.setattr("lmpchain.chain.plausible.LONG", 1000)
+    limits = dataclasses.replace(plausible.LIMITS, long_chain=1000)
+    monkeypatch.setattr(plausible, "LIMITS", limits)
     long = Chain(grains=1000, diameter=1e-3, impurity=odd, top="wall", bottom="wall", top_load=1e-3)
     relative = (long.contacts.overlap / long.contact_lengths)[-2]
-    assert 0.95 < least_squeezed(long._kinds, 1000, 1e-3, 9.81, 1.5) / relative <= 1
+    assert 0.95 < plausible.least_compression(long._kinds, 1000, 1e-3, 9.81, 1.5) / relative <= 1

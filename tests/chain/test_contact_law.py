@@ -8,7 +8,7 @@ from lmpchain import Chain, Impurity, InputError
 from lmpchain.chain.bounds import bounds
 from lmpchain.chain.contacts import Contacts, dynamical_matrix, together
 from lmpchain.chain.materials import GLASS, PTFE, STEEL
-from lmpchain.chain.plausible import LONG, least_squeezed
+from lmpchain.chain.plausible import LIMITS, least_compression
 
 EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
 STRAINS = np.array([-3.0, -1.5, -1.0, -0.99, -0.5, -0.03, -0.019, -1e-5, -1e-12, 0.0])
@@ -19,7 +19,7 @@ STRAINS = np.append(STRAINS, [1e-14, 1e-7, 0.0199, 0.0201, 0.3, 1.0, 50.0])
 def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float) -> None:
     """Pressed, open and torn apart: K [eps + r]^delta - F, and its integral over r."""
     size = STRAINS.size
-    contacts = Contacts(np.full(size, 3e9), np.full(size, 2e-4), exponent)
+    contacts = Contacts.at_rest(np.full(size, 3e9), np.full(size, 2e-4), exponent)
     r = STRAINS * contacts.overlap
     with mp.workdps(40):
         k, f, delta = mp.mpf(3e9), mp.mpf(2e-4), mp.mpf(exponent)
@@ -40,7 +40,7 @@ def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float) -> 
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_loose_contact_only_pushes(exponent: float) -> None:
-    contacts = Contacts(np.array([3e9, 0.0, 3e9]), np.zeros(3), exponent)
+    contacts = Contacts.at_rest(np.array([3e9, 0.0, 3e9]), np.zeros(3), exponent)
     r = np.array([2e-8, 1e-8, -1e-8])
     force = [3e9 * 2e-8**exponent, 0.0, 0.0]
     assert contacts.force_change(r) == pytest.approx(force, rel=1e-14)
@@ -54,8 +54,8 @@ def test_a_loose_contact_only_pushes(exponent: float) -> None:
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float) -> None:
-    pressed = Contacts(np.array([3e9]), np.array([2e-4]), exponent).of(0)
-    loose = Contacts(np.array([3e9]), np.array([0.0]), exponent).of(0)
+    pressed = Contacts.at_rest(np.array([3e9]), np.array([2e-4]), exponent).of(0)
+    loose = Contacts.at_rest(np.array([3e9]), np.array([0.0]), exponent).of(0)
     for force in (1e-12, 1e-4, 0.3):
         with mp.workdps(40):
             k, f = mp.mpf(3e9), mp.mpf(2e-4)
@@ -68,7 +68,7 @@ def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float) -> 
 def test_energy_bounds_overlaps_and_strains() -> None:
     """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2; the lesser of the two counts."""
     constant, force = np.array([1e9, 2e9, 5e8]), np.array([1e-4, 3e-4, 2e-4])
-    contacts = Contacts(constant, force, 1.5)
+    contacts = Contacts.at_rest(constant, force, 1.5)
     for energy in (1e-25, 1e-14, 1e-11, 1e-6):
         loose = (2.5 * energy / constant) ** 0.4
         pressed = np.sqrt(2 * energy / contacts.stiffness)
@@ -78,10 +78,10 @@ def test_energy_bounds_overlaps_and_strains() -> None:
         )
         strain = (further / contacts.overlap).max()
         assert contacts.largest_strain(energy) == pytest.approx(1.05 * strain, rel=1e-13)
-    alike = Contacts(np.full(3, 1e9), np.array([1e-4, 2e-4, 3e-4]), 1.5)
+    alike = Contacts.at_rest(np.full(3, 1e9), np.array([1e-4, 2e-4, 3e-4]), 1.5)
     strain = min((2.5 * 1e-12 / 1e9) ** 0.4, np.sqrt(2e-12 / alike.stiffness[0])) / alike.overlap[0]
     assert alike.largest_strain(1e-12) == pytest.approx(1.05 * strain, rel=1e-13)
-    mixed = Contacts(np.array([1e9, 0.0, 1e9]), np.array([0.0, 0.0, 1e-4]), 1.5)
+    mixed = Contacts.at_rest(np.array([1e9, 0.0, 1e9]), np.array([0.0, 0.0, 1e-4]), 1.5)
     assert mixed.largest_strain(1e-12) == np.inf
     bound = mixed.overlap_bound(1e-12)
     assert bound[:2] == pytest.approx([(2.5e-12 / 1e9) ** 0.4, 0.0], rel=1e-13)
@@ -149,7 +149,7 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
     assert known.slowest == pytest.approx(np.sqrt(193e9 / 8000), rel=1e-14)
     overlap = np.sqrt((0.5 + 3.0 * 3 * mass) / between)  # as if there were a grain more
     assert 0.9 * overlap < known.overlap <= overlap
-    assert known.squeezed == known.overlap / 2e-3
+    assert known.compression == known.overlap / 2e-3
     collision = (1.5 * mass * 0.04 / between) ** (1 / 3)
     assert known.struck(0.2) == pytest.approx(max(known.overlap, collision), rel=1e-8)
     assert known.struck(1e-9) == pytest.approx(known.overlap, rel=1e-8)
@@ -203,14 +203,18 @@ def test_energy_that_a_moved_wall_puts_in() -> None:
 def test_a_long_chain_is_judged_by_its_common_grains() -> None:
     """From a million grains on, at least what the grains well above the lowest ones weigh is carried."""
     kinds = np.array([[6e10, 6e10], [1e-3, 2e-3], [1e-6, 1e-5]])
-    assert least_squeezed(kinds, LONG - 1, 0.0, 9.81, 1.5) == 0.0
+    assert least_compression(kinds, LIMITS.long_chain - 1, 0.0, 9.81, 1.5) == 0.0
     constant = 2 / 3 * 6e10 * np.sqrt(1e-3 / 4)
-    force = 0.3 + 9.81 * (LONG - 6) * 1e-6
+    force = 0.3 + 9.81 * (LIMITS.long_chain - 6) * 1e-6
     expected = (force / constant) ** (2 / 3) / 1e-3
-    assert least_squeezed(kinds, LONG, 0.3, 9.81, 1.5) == pytest.approx(expected, rel=1e-12)
+    assert least_compression(kinds, LIMITS.long_chain, 0.3, 9.81, 1.5) == pytest.approx(
+        expected, rel=1e-12
+    )
     constant *= 1e-3**-0.5
     expected = (force / constant) ** 0.5 / 1e-3
-    assert least_squeezed(kinds, LONG, 0.3, 9.81, 2.0) == pytest.approx(expected, rel=1e-12)
+    assert least_compression(kinds, LIMITS.long_chain, 0.3, 9.81, 2.0) == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def faults(**fields: object) -> list[tuple[str, str]]:

@@ -19,7 +19,6 @@ from helpers.child_processes import PATIENCE, until
 
 import lmpchain
 from lmpchain import LmpchainError, doctor
-from lmpchain.chain import recent
 from lmpchain.cli.command_line import main
 from lmpchain.doctor import Diagnosis, Finding, diagnose
 from lmpchain.theory import modes
@@ -242,7 +241,6 @@ def test_each_fault_is_found_and_has_its_cure(
 ):
     name, breaks, found, cure = BROKEN[case]
     keep(monkeypatch, name)
-    recent._place.cache_clear()  # another process has made no chain before
     with monkeypatch.context() as broken:
         breaks(broken, tmp_path)
         assert main(["doctor"]) == 1

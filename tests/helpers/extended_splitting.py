@@ -63,14 +63,14 @@ def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
     now |= changed
     natural = _hertz(scene, now["youngs_moduli"], now["diameters"])
     original = _hertz(scene, before["youngs_moduli"], before["diameters"])
-    if "masses" not in chain.model_fields_set and "masses" not in changed:
+    if "masses" not in chain.given() and "masses" not in changed:
         own = [odd.grain - 1 for odd in chain.impurity if odd.mass]
         factor = (now["diameters"] / before["diameters"]) ** 3
         factor[own] = 1
         now["masses"] = before["masses"] * factor
-    if "contact_constants" not in chain.model_fields_set and "contact_constants" not in changed:
+    if "contact_constants" not in chain.given() and "contact_constants" not in changed:
         now["contact_constants"] = before["contact_constants"] * (natural / original)[1:-1]
-    if "wall_constants" not in chain.model_fields_set and "wall_constants" not in changed:
+    if "wall_constants" not in chain.given() and "wall_constants" not in changed:
         follow = now["contact_constants"][[0, -1]] / before["contact_constants"][[0, -1]]
         ratio = natural / original
         now["wall_constants"] = (

@@ -122,9 +122,7 @@ def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(
     else:
         number = 0.0 if scene.at_rest else np.inf
     assert scene.strike_number == pytest.approx(number, rel=1e-14)
-    assert strike_number(chain, strike, chain.contacts, chain.masses) == pytest.approx(
-        number, rel=1e-14
-    )
+    assert strike_number(chain, strike) == pytest.approx(number, rel=1e-14)
     overlaps = np.array(one_by_one(chain, strike))
     stiffest = (chain.exponent * chain.contacts.constant * np.sqrt(overlaps)).max()
     pair = np.sqrt(2 * stiffest / chain.masses.min())

@@ -8,7 +8,7 @@ import pytest
 from laws import limits
 
 from lmpchain import Chain, Impulse, InputError, Profile, RunFailed, Scene, simulate
-from lmpchain.chain.chain import LARGEST_OVERLAP
+from lmpchain.chain.plausible import LIMITS
 from lmpchain.stability.linear_theory import linear_law
 from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
@@ -106,14 +106,14 @@ def test_a_tenth_of_the_diameter_is_refused_at_once_but_not_later():
     with pytest.raises(
         InputError, match=r"squeezes contact 1 to 0.1 of the diameter, more than 0.1"
     ):
-        limits.squeezing(1.001 * LARGEST_OVERLAP)
+        limits.squeezing(1.001 * LIMITS.compression)
     chain = Chain(grains=8, diameter=np.linspace(10e-3, 1e-3, 8))
     scene = Scene(chain=chain, excitation=Impulse(velocity=50.0), duration=1e-4, samples=501)
     contacts, t = chain.contacts, simulate(scene, "native", 1e-4)
     found = ((contacts.overlap + contacts.closer(t.displacement)) / chain.contact_lengths)[
         :, contacts.exists
     ].max()
-    assert LARGEST_OVERLAP < found < deepest(scene)
+    assert LIMITS.compression < found < deepest(scene)
 
 
 def test_spheres_are_softer_than_hertz_says():

@@ -1,11 +1,12 @@
 """Arrays: even spacing to the last bit, slices, magnitudes, and what is computed once."""
 
+from functools import cached_property
+
 import numpy as np
 import pytest
 
 from lmpchain.util import arrays
 from lmpchain.util.arrays import EPSILON, MAGNITUDE, as_slice, evenly, read_only
-from lmpchain.util.cached import cached_property
 
 
 @pytest.mark.parametrize("count", [2, 3, 11, 101, 9_999, 10_000, 10_001, 30_000])

@@ -291,8 +291,8 @@ def test_help_begins_with_what_a_user_needs(kind: type):
     opening = re.sub(".\b", "", text.getvalue()).split(inspect.getdoc(kind).splitlines()[0])[0]
     assert "Annotated" not in opening
     assert len(opening) < 700
-    assert re.search(rf"{kind.__name__}\(\*,\s+\|?\s*{next(iter(kind.model_fields))}", opening)
-    assert list(inspect.signature(kind).parameters) == list(kind.model_fields)
+    assert re.search(rf"{kind.__name__}\(\*,\s+\|?\s*{next(iter(kind.arguments))}", opening)
+    assert list(inspect.signature(kind).parameters) == list(kind.arguments)
 
 
 def test_the_bar_of_a_fast_run_ends_at_100_percent(capsys: pytest.CaptureFixture[str]):

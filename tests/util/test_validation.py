@@ -5,6 +5,7 @@ import pickle
 import sys
 import warnings
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,7 +13,6 @@ import pytest
 from pydantic import Field
 
 from lmpchain import Chain, Impulse, InputError, Scene
-from lmpchain.util.cached import cached_property
 from lmpchain.util.validation import (
     NOT_GIVEN,
     Checked,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from ...errors import InputError
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.cached import cached_property
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128

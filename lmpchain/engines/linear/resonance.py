@@ -9,11 +9,12 @@ for as long as they do.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.cached import cached_property
 
 # grains up to which all pairs of waves are gone through; analysis/calibration/linear_openings.py
 FEW = 12
