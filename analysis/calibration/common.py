@@ -18,7 +18,6 @@ from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
 from lmpchain.engines.error_estimate import CompanionRun
 from lmpchain.engines.native import Native
 from lmpchain.errors import RunFailed, ToleranceNotMet
-from lmpchain.integrators.kernels.layout import LOWEST
 from lmpchain.util.provenance import session
 from lmpchain.util.tables import align
 
@@ -127,7 +126,7 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
         return (), 0.0
     peaks = np.where(run.peaks[0] > 0, run.peaks[0], 1.0)
     relative = np.asarray(run.state()["differences"])[:, :, 0] / peaks
-    return tuple(relative.max((1, 2)).tolist()), float(run.native.watched[:, LOWEST].min())
+    return tuple(relative.max((1, 2)).tolist()), float(run.native.watched["least_strain"].min())
 
 
 def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:

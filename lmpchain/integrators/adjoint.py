@@ -31,7 +31,7 @@ from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
 from .kernels.contact_forces import POLYNOMIAL, ROOTS
-from .kernels.layout import ALONE, CLOSEST, FIRST, LAST, LOWEST, PAD, Chain
+from .kernels.layout import ALONE, PAD, Chain
 from .splittings import Splitting
 
 ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
@@ -171,7 +171,7 @@ class DifferentiableRun:
         batch, chain = ChainBatch([scene]), scene.chain
         u, v = batch.initial
         self._x, self._v, state = batch.placed(u[None], v[None])
-        self._window = state[0, [FIRST, LAST]]  # where it begins and ends at t = 0
+        self._window = state["first"][0], state["last"][0]  # where it begins and ends at t = 0
         arrays = batch.arrays(self._x, self._v, np.zeros((1, 0, self._x.shape[1])), state)
         length, strength, mobility = batch.table[0]
         x, v, history, self._state = (rows[0] for rows in arrays[:4])
@@ -234,7 +234,7 @@ class DifferentiableRun:
         """Move on to the end, with checkpoints at the begin of every piece."""
         columns = self.grains + (PAD - 1)
         self._looks[:, 0] = self._x[0, columns], self._v[0, columns]
-        self._state[FIRST], self._state[LAST] = self._window
+        self._state["first"], self._state["last"] = self._window
         common = self._chain, self._course, self._room
         for some, row, count in self._calls():
             kernels.forward(
@@ -287,7 +287,9 @@ class DifferentiableRun:
         state = self._state.copy()
         law, polynomial = self._law, self._chain.coefficients
         if law == kernels.UNDONE_SERIES:
-            strain = float(max(-state[LOWEST], state[CLOSEST] * self._table[0].max()))
+            strain = float(
+                max(-state["least_strain"], state["largest_approach"] * self._table[0].max())
+            )
             polynomial = economised(self._less, min(UNSEEN * strain, self.scene.largest_strain))
             law = kernels.UNDONE_SHORT if polynomial.size == SHORT else law
         chain_back = self._chain._replace(state=state, coefficients=polynomial)

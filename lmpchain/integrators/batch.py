@@ -129,8 +129,8 @@ class ChainBatch:
         u, v = np.array([scene.initial() for scene in self._struck]).swapaxes(0, 1)
         return self._of_each(np.ascontiguousarray(u)), self._of_each(np.ascontiguousarray(v))
 
-    def placed(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, Array]:
-        """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R, 12).
+    def placed(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, NDArray[Any]]:
+        """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R,).
 
         Grains are at u and move with v, (copies, R, N) or (1, R, N) for all. Around what moves there is a window; a
         short chain is computed as a whole.
@@ -140,7 +140,7 @@ class ChainBatch:
         return x, w, state
 
     def arrays(
-        self, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE
+        self, x: Array, v: Array, history: Array, state: NDArray[Any], team: Team = ALONE
     ) -> Chains:
         """Return the chains, and where and how fast their bodies are, for the loops of a thread."""
         return Chains(

@@ -9,7 +9,6 @@ import numpy as np
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .batch import ChainBatch
-from .kernels.layout import DONE
 from .splittings import Splitting
 from .step_schedule import StepSchedule
 from .stepper import NativeStepper
@@ -45,7 +44,7 @@ def adaptive_steps(scene: Scene, method: Splitting, step: float, looks: int) -> 
     while begun < looks:
         run.fill(u, v, begun, begun + 1, 1)
         landed = run.sample > begun
-        done = interval if landed else float(run.state()["state"][0, DONE])
+        done = interval if landed else float(run.watched["done"][0])
         steps.append(done - made)
         made = done
         if landed:

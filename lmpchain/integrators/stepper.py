@@ -14,20 +14,9 @@ from ..util.arrays import Array
 from .batch import ChainBatch
 from .kernels.layout import (
     ALONE,
-    CLOSEST,
-    DONE,
-    FARTHEST,
-    FASTEST,
-    FIRST,
     GIVEN_UP,
-    LAST,
     LEAST_SHARE,
-    LOWEST,
-    NEXT,
     PAD,
-    SAMPLE,
-    STEP,
-    STEPS,
     WHOLE_ROWS,
     Chains,
     Clocks,
@@ -69,7 +58,7 @@ class Stepper(Protocol):
         """The last sample that all chains have reached."""
 
     @property
-    def steps(self) -> Array:
+    def steps(self) -> NDArray[Any]:
         """Steps that each chain has made, (R,)."""
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
@@ -124,8 +113,8 @@ class NativeStepper:
             )
         self._x, self._v, self._state = chains.placed(u, v, count)
         if state:
-            self._state = state["state"].copy()
-            self._check_state()
+            self._check_state(state["state"])
+            self._state[:] = state["state"]
         self.stride, final = schedule.stride, scenes[0].samples - 1
         clocks = _clocks(self._schedules, scenes[0].duration / final, final)
         march = method.march(chains, self._schedules)
@@ -160,17 +149,15 @@ class NativeStepper:
                 *self._work[0][:3], Fields(none, none, NOTHING, NOTHING, 0), 0, 0, 0, 0
             )  # only compiles
 
-    def _check_state(self) -> None:
+    def _check_state(self, kept: NDArray[Any]) -> None:
         """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
-        kept, width = self._state, self._x.shape[1]
-        fits = kept.shape == (len(self._x), STEP + 1) and kept.dtype == float
+        fits = kept.shape == self._state.shape and kept.dtype == self._state.dtype
         if fits:
-            first, last, sample = kept[:, [FIRST, LAST, SAMPLE]].T
+            first, last, sample = (kept[name] for name in ("first", "last", "sample"))
+            width = self._x.shape[1]
             inside = (first >= PAD) & (first < last) & (last <= width - PAD) & (sample == sample[0])
-            counted = np.isfinite(
-                kept[:, [SAMPLE, DONE, NEXT, STEPS]]
-            )  # extremes need not be, after a breakdown
-            fits = bool(inside.all() and counted.all() and not (kept[:, [FIRST, LAST]] % 1).any())
+            # a clock that is no number never ends; extremes need not be numbers, after a breakdown
+            fits = bool(inside.all() and np.isfinite(kept["done"]).all())
         if not fits:
             raise ValueError("the state that was kept does not fit")
 
@@ -208,9 +195,10 @@ class NativeStepper:
             raise
         if len(self._teams) == 1:
             return sum(done)
-        self._state[:, LOWEST] = np.min([state[:, LOWEST] for state in self._states], axis=0)
-        most = [CLOSEST, FARTHEST, FASTEST]
-        self._state[:, most] = np.max([state[:, most] for state in self._states], axis=0)
+        strains = [state["least_strain"] for state in self._states]
+        self._state["least_strain"] = np.min(strains, axis=0)
+        for name in ("largest_approach", "largest_displacement", "largest_speed"):
+            self._state[name] = np.max([state[name] for state in self._states], axis=0)
         return done[0]
 
     def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
@@ -225,34 +213,34 @@ class NativeStepper:
     @property
     def sample(self) -> int:
         """The last sample that all chains have reached."""
-        return int(self._state[:, SAMPLE].min())
+        return int(self._state["sample"].min())
 
     @property
-    def steps(self) -> Array:
+    def steps(self) -> NDArray[Any]:
         """Steps that each chain has made by the first schedule, (R,)."""
-        return self._state[: self._size, STEPS]
+        return self._state["steps"][: self._size]
 
     @property
     def own_part(self) -> float:
         """Part of all steps that the first schedule has made."""
-        made = self._state[:, STEPS].tolist()
-        return sum(made[: self._size]) / max(sum(made), 1.0)
+        made = self._state["steps"].tolist()
+        return sum(made[: self._size]) / max(sum(made), 1)
 
     @property
     def progress(self) -> float:
         """Part of all landings that are done."""
-        of_each = self._state[:, SAMPLE].reshape(-1, self._size).mean(1)
+        of_each = self._state["sample"].reshape(-1, self._size).mean(1)
         rates = [1 / own.stride for own in self._schedules]
         return float(of_each @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
 
     @property
-    def watched(self) -> Array:
-        """The state of every chain by every schedule, see `layout.SAMPLE`."""
+    def watched(self) -> NDArray[Any]:
+        """The state of every chain by every schedule, (F R,) of `layout.STATE`."""
         return self._state
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (S + 1, R) m, after steps."""
-        return self._state[:, CLOSEST].copy().reshape(-1, self._size)
+        return self._state["largest_approach"].copy().reshape(-1, self._size)
 
     def largest(self) -> Array:
         """Return the largest displacement and speed of any grain by the first schedule, (R, 2) m and m/s.
@@ -260,7 +248,8 @@ class NativeStepper:
         They are seen after steps, at first a radian of the fastest motion apart (or one step, if that is longer), later
         more rarely.
         """
-        return self._state[: self._size, FARTHEST : FASTEST + 1]
+        state = self._state[: self._size]
+        return np.stack((state["largest_displacement"], state["largest_speed"]), axis=1)
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
@@ -275,7 +264,8 @@ class NativeStepper:
     def leave(self, broken: NDArray[np.bool_], until: int) -> None:
         """Let those chains, (S + 1, R), be at the sample `until` as they are."""
         broken = broken.ravel()
-        self._state[broken, SAMPLE], self._state[broken, DONE] = until, 0.0
+        self._state["sample"][broken] = until
+        self._state["done"][broken] = 0.0
 
     def close(self) -> None:
         """End the threads."""

@@ -10,7 +10,7 @@ from numba import njit
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.round_off import native_floor
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.layout import DONE, STEP, Span
+from lmpchain.integrators.kernels.layout import STATE, Span
 from lmpchain.integrators.kernels.sample_loop import end_of_step
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
@@ -70,7 +70,7 @@ def test_the_clock_does_not_drift_in_a_hundred_thousand_periods(
 
 
 class Bodies(NamedTuple):
-    state: np.ndarray
+    state: np.void
 
 
 @njit
@@ -81,20 +81,20 @@ def ends(bodies, span, left, step):
 @pytest.mark.parametrize("step", [1e-30, 1e-19, 0.0])
 def test_there_are_never_too_many_steps_to_be_counted(step):
     """More than 2^63 steps in the time left, where a contact opens, once were one giant step."""
-    state = np.zeros(STEP + 1)
+    state = np.zeros(1, STATE)[0]
     span = Span(0.0, 3.0, 3.0, 1, 3.0)
     after = ends(Bodies(state), span, 3.0, step)
     assert 0 < after < 1e-14
-    state[DONE] = 3.0 - 2e-15
-    assert state[DONE] < ends(Bodies(state), span, 3.0 - state[DONE], step) <= 3.0
+    state["done"] = 3.0 - 2e-15
+    assert state["done"] < ends(Bodies(state), span, 3.0 - state["done"], step) <= 3.0
 
 
 def test_steps_add_up_to_the_span_exactly():
-    state, span, sizes = np.zeros(STEP + 1), Span(0.0, 0.7, 0.7, 1, 0.7), []
-    while state[DONE] < span.length:
-        done = ends(Bodies(state), span, span.length - state[DONE], 0.7 / 333.3)
-        sizes.append(Fraction(done - state[DONE]))
-        state[DONE] = done
+    state, span, sizes = np.zeros(1, STATE)[0], Span(0.0, 0.7, 0.7, 1, 0.7), []
+    while state["done"] < span.length:
+        done = ends(Bodies(state), span, span.length - state["done"], 0.7 / 333.3)
+        sizes.append(Fraction(done - state["done"]))
+        state["done"] = done
     assert len(sizes) == 334
     assert abs(sum(sizes) - Fraction(0.7)) <= Fraction(0.7) / 2**53
 

@@ -5,7 +5,7 @@ import pytest
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.layout import FIRST, LAST, PAD
+from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -77,7 +77,7 @@ def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, la
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], own, {}, 1, [own.longer(2)])
     fields, beside = np.full((2, 1, 25, 300), np.nan), np.full((2, 1, 1, 25, 300), np.nan)
     stepper.fill(*fields, 0, 24, 2**62, tuple(beside))
-    first, last = stepper.state()["state"][0, [FIRST, LAST]] - PAD
+    first, last = (stepper.watched[name][0] - PAD for name in ("first", "last"))
     assert 0 < first < 149 < last < 300
     every = own.longer(2).dense or own.longer(2).stride
     for found in (fields[:, :, 1:], beside[:, 0, :, every::every]):

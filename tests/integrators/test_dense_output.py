@@ -15,10 +15,9 @@ from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.dense_output import fill_samples
 from lmpchain.integrators.kernels.layout import (
     ALONE,
-    DONE,
     LEAST_SHARE,
     PAD,
-    STEP,
+    STATE,
     Clock,
     Row,
     Span,
@@ -54,7 +53,7 @@ class Ends(NamedTuple):
     history: np.ndarray
     x: np.ndarray
     v: np.ndarray
-    state: np.ndarray
+    state: np.void
     imposed: bool
     drive: np.ndarray
     knots: np.ndarray
@@ -74,8 +73,8 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
         begin, end = (
             [np.sin(t + k * np.pi / 2) for k in range(4)] for t in (0.8 - h / 2, 0.8 + h / 2)
         )
-        history, state = np.zeros((4, 2 * PAD)), np.zeros(STEP + 1)
-        history[:, PAD], state[DONE] = begin, h
+        history, state = np.zeros((4, 2 * PAD)), np.zeros(1, STATE)[0]
+        history[:, PAD], state["done"] = begin, h
         rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
         ends = Ends(
             history,

@@ -18,15 +18,9 @@ from lmpchain.integrators.kernels.layout import (
     ALONE,
     AMPLITUDE,
     BODY,
-    CLOSEST,
     END,
     ENVELOPE,
-    FARTHEST,
-    FASTEST,
-    FIRST,
     KNOTS,
-    LAST,
-    LOWEST,
     OMEGA,
     PAD,
     team,
@@ -173,7 +167,7 @@ def test_the_window_begins_around_what_moves(what: str):
     excitation, low, high = PLACES[what]
     laid = batch(Chain(grains=300, diameter=1e-3, top="wall", top_load=1e-3), excitation=excitation)
     _, _, state = laid.placed(*(field[None] for field in laid.initial))
-    first, last = state[0, [FIRST, LAST]].astype(int)
+    first, last = state["first"][0], state["last"][0]
     assert first % PAD == last % PAD == 0
     assert PAD <= first <= PAD - 1 + low < first + 2 * PAD
     assert last - 2 * PAD <= PAD - 1 + high < last
@@ -188,7 +182,8 @@ def test_what_moves_sets_the_window_and_speeds_of_driven_grains_are_left_out():
     assert x.shape[0] == 3
     assert np.array_equal(x[:, PAD : PAD + 300], np.tile(u, (3, 1)))
     assert np.array_equal(w[:, PAD : PAD + 300], np.tile(v, (3, 1)))
-    assert (state[:, [FIRST, LAST]] == [128, 184]).all()
+    assert (state["first"] == 128).all()
+    assert (state["last"] == 184).all()
     driven = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
     _, w, _ = driven.placed(*(field[None] for field in driven.initial))
     assert driven.initial[1][0, 0] > 0
@@ -208,14 +203,14 @@ def test_short_chains_are_computed_whole():
         laid = batch(Chain(grains=grains, diameter=1e-3))
         x, _, state = laid.placed(*(field[None] for field in laid.initial))
         whole = [PAD, x.shape[1] - PAD]
-        assert (state[0, [FIRST, LAST]].tolist() == whole) == (grains == WINDOW_MIN - 2 * PAD)
+        assert ([state["first"][0], state["last"][0]] == whole) == (grains == WINDOW_MIN - 2 * PAD)
 
 
 @pytest.mark.parametrize("ends", ENDS)
 def test_contacts_that_are_open_at_rest_are_known(ends: str):
     laid = batch(*chains(**ENDS[ends]))
     _, _, state = laid.placed(*(field[None] for field in laid.initial))
-    assert (state[:, LOWEST] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
+    assert (state["least_strain"] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
 
 
 @pytest.mark.parametrize("ends", ENDS)
@@ -396,10 +391,12 @@ def test_extremes_are_those_of_all_steps(name: str):
     skipped = 0 if name in ("rkn6", "verlet") else 1
     state = stepper.watched[0]
     late = slice(skipped, None)
-    assert state[LOWEST] == pytest.approx((closer[late] / chain.contacts.overlap).min(), rel=0.01)
-    assert state[CLOSEST] == pytest.approx(closer[late].max(), rel=0.01)
-    assert stepper.closest()[0, 0] == state[CLOSEST]
+    assert state["least_strain"] == pytest.approx(
+        (closer[late] / chain.contacts.overlap).min(), rel=0.01
+    )
+    assert state["largest_approach"] == pytest.approx(closer[late].max(), rel=0.01)
+    assert stepper.closest()[0, 0] == state["largest_approach"]
     farthest, fastest = (np.abs(field).max() for field in fields)
-    assert 0.9 * farthest < state[FARTHEST] <= farthest * (1 + 1e-12)
-    assert 0.85 * fastest < state[FASTEST] < 1.01 * fastest
-    assert stepper.largest()[0].tolist() == state[[FARTHEST, FASTEST]].tolist()
+    assert 0.9 * farthest < state["largest_displacement"] <= farthest * (1 + 1e-12)
+    assert 0.85 * fastest < state["largest_speed"] < 1.01 * fastest
+    assert stepper.largest()[0].tolist() == [state["largest_displacement"], state["largest_speed"]]

@@ -12,14 +12,9 @@ from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels import dense_output, right_hand_side, sample_loop, team, window
 from lmpchain.integrators.kernels.layout import (
-    DONE,
-    FIRST,
-    LAST,
     LEAST_SHARE,
-    NEXT,
     PAD,
-    SAMPLE,
-    STEP,
+    STATE,
     Team,
 )
 from lmpchain.integrators.methods import METHODS
@@ -32,8 +27,9 @@ passes, end_of_step = dense_output.passes.py_func, sample_loop.end_of_step.py_fu
 
 
 def windowed(first: int, last: int, **fields: Any) -> Any:
-    state = np.zeros(STEP + 1)
-    state[FIRST], state[LAST] = first, last
+    state = np.zeros(1, STATE).view(np.recarray)[0]
+    state.first = first
+    state.last = last
     return SimpleNamespace(state=state, **fields)
 
 
@@ -73,7 +69,7 @@ def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
         reach = (place, place) if acted else (width, 0)
         chain = windowed(96, 120, acted=reach, scale=np.array([2.0, 3.0]), **bodies)
         widen(chain, margin)
-        first, last = chain.state[[FIRST, LAST]].astype(int)
+        first, last = chain.state.first, chain.state.last
         assert first % PAD == last % PAD == 0
         if moving == 0.9e-19:
             assert 104 - margin >= first or first == 96
@@ -88,7 +84,7 @@ def test_a_window_ends_where_the_chain_does():
     x = np.ones(width)
     chain = windowed(16, 40, x=x, v=0 * x, acted=(width, 0), scale=np.ones(2))
     widen(chain, 50)
-    assert chain.state[[FIRST, LAST]].tolist() == [PAD, width - PAD]
+    assert (chain.state.first, chain.state.last) == (PAD, width - PAD)
 
 
 def acting(end: float = np.inf, knots: Any = ()) -> Any:
@@ -137,7 +133,7 @@ def test_a_step_is_cut_where_a_burst_ends_within_it():
 def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int):
     """Those whose number is a multiple, after its begin and up to its end, but not where a step lands."""
     chain = windowed(PAD, 2 * PAD)
-    chain.state[SAMPLE] = sample
+    chain.state.sample = sample
     clock, span = SimpleNamespace(dense=every, interval=0.5), SimpleNamespace(length=4.0)
     for begin in np.arange(0, 4, 0.25):
         for end in np.arange(begin + 0.25, 4.01, 0.25):
@@ -149,7 +145,7 @@ def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int
 
 def test_steps_are_equal_parts_of_the_time_that_is_left():
     chain, span = windowed(PAD, 2 * PAD), SimpleNamespace(length=3.0)
-    chain.state[DONE] = 1.0
+    chain.state.done = 1.0
     assert end_of_step(chain, span, 2.0, 0.7) == pytest.approx(1 + 2 / 3, rel=1e-15)
     assert end_of_step(chain, span, 2.0, 1.0) == 2.0
     assert end_of_step(chain, span, 2.0, 1.0 - 1e-12) == 2.0
@@ -177,4 +173,4 @@ def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_
             due = made + each + made // 32
         if made % bursts == 0 or made == steps:
             run.fill(*fields, 0, 1, made - int(run.steps[0]))
-            assert run.watched[0, NEXT] == due
+            assert run.watched["next_look"][0] == due

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from lmpchain import Chain, Drive, Force, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.imposed import ImposedCourse
-from lmpchain.integrators.kernels.layout import LEAST_SHARE, SAMPLE
+from lmpchain.integrators.kernels.layout import LEAST_SHARE, STATE
 from lmpchain.integrators.method import first_growth
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS, Splitting
@@ -286,7 +286,7 @@ def test_chains_that_are_left_stay_at_the_sample_as_they_are():
     before = run.state()
     run.leave(np.array([[False, True]]), 8)
     assert run.sample == 3
-    assert run.state()["state"][:, SAMPLE].tolist() == [3, 8]
+    assert run.state()["state"]["sample"].tolist() == [3, 8]
     run.fill(*fields, 0, 8, 2**62)
     after = run.state()
     assert np.array_equal(before["u"][0, 1], after["u"][0, 1])
@@ -297,26 +297,24 @@ def test_chains_that_are_left_stay_at_the_sample_as_they_are():
 def test_states_that_do_not_fit_are_refused():
     kept = stepper().state()
     assert stepper(state=kept).sample == 0
-    narrow = kept | {"state": kept["state"][:, :-1]}
+    narrow = kept | {"state": kept["state"][list(STATE.names[:-1])]}
     fewer = kept | {"state": kept["state"][:1]}
-    whole = kept | {"state": kept["state"].astype(int)}
+    whole = kept | {"state": kept["state"]["sample"]}
     history = kept | {"history": np.zeros((2, 1, kept["history"].shape[2]))}
     for wrong in (narrow, fewer, whole, history):
         with pytest.raises(ValueError, match="does not fit"):
             stepper(state=wrong)
     for place, value in (
-        (3, 4),
-        (3, 8.5),
-        (3, 16),
-        (4, 24),
-        (4, 17.5),
-        (4, 8),
-        (0, 1),
-        (9, np.inf),
-        (10, np.nan),
+        ("first", 4),
+        ("first", 16),
+        ("last", 24),
+        ("last", 8),
+        ("sample", 1),
+        ("done", np.inf),
+        ("done", np.nan),
     ):
         moved = kept | {"state": kept["state"].copy()}
-        moved["state"][1, place] = value
+        moved["state"][place][1] = value
         with pytest.raises(ValueError, match="does not fit"):
             stepper(state=moved)
 

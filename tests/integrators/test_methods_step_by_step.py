@@ -12,7 +12,7 @@ from helpers.plain_methods import WIDE, Motion
 
 from lmpchain import Chain, Drive, Force, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch, name_of
-from lmpchain.integrators.kernels.layout import FIRST, LAST, PAD
+from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.kernels.right_hand_side import TILE
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
@@ -224,7 +224,7 @@ def test_a_wave_in_a_long_chain_is_followed_by_a_window(method: str, adaptive: b
     )
     assert stepper.steps == 2 * steps
     assert distance(fields, plainly(scene, method, steps)) < 1e-13
-    first, last = stepper.watched[0, [FIRST, LAST]].astype(int) - PAD
+    first, last = (stepper.watched[name][0] - PAD for name in ("first", "last"))
     assert 0 < first < 110
     assert 130 < last < 240
     assert not fields[:, :, :first].any()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lmpchain.integrators.kernels.layout import CLOSEST, FARTHEST, FASTEST, LOWEST, STEP, STEPS
+from lmpchain.integrators.kernels.layout import STATE
 from lmpchain.integrators.kernels.reductions import (
     NO_NUMBERS,
     SOUND,
@@ -34,8 +34,8 @@ def verdict(
     allowed = 1.01 * KINETIC.max(1) if allowed is None else allowed
     differences = np.full((OTHERS, FINAL + 1, CHAINS, 2), np.nan)
     peaks = np.zeros((CHAINS, 2)) if peaks is None else peaks
-    state = np.zeros((2 * CHAINS, STEP + 1))
-    state[:, CLOSEST] = closest
+    state = np.zeros(2 * CHAINS, STATE)
+    state["largest_approach"] = closest
     said = compared(
         u, v, OTHERS_U, OTHERS_V, AGAINST, STRIDES, MASSES, begin, differences, peaks, allowed, state, OVERLAP,
         STIFFNESS, CONSTANT, 1.5, furthest,
@@ -131,8 +131,8 @@ def told(differences=None, peaks=None, instead=None, scale=None, seen=None):
     """Return `in_parts` of random differences and a state of two schedules."""
     rng = np.random.default_rng(3)
     differences = rng.uniform(0, 1, (OTHERS, 6, CHAINS, 2)) if differences is None else differences
-    state = np.zeros((2 * CHAINS, STEP + 1))
-    state[:, LOWEST] = [
+    state = np.zeros(2 * CHAINS, STATE)
+    state["least_strain"] = [
         -0.4,
         -0.1,
         -0.6,
@@ -140,10 +140,11 @@ def told(differences=None, peaks=None, instead=None, scale=None, seen=None):
         -0.5,
         -0.3,
     ]  # now by one schedule lower, now by the other
-    state[:, STEPS] = 100 + np.arange(6)
-    state[:, FARTHEST], state[:, FASTEST] = 0.2 + np.arange(6), 0.7 + np.arange(6)
+    state["steps"] = 100 + np.arange(6)
+    state["largest_displacement"] = 0.2 + np.arange(6)
+    state["largest_speed"] = 0.7 + np.arange(6)
     if seen is not None:
-        state[:, [FARTHEST, FASTEST]] = seen
+        state["largest_displacement"], state["largest_speed"] = np.transpose(seen)
     units = np.array([[3.0, 4.0]] * CHAINS)
     scale = np.ones((CHAINS, 2)) if scale is None else scale
     peaks = np.array([[0.1, 5.0], [2.0, 0.1], [0.0, 0.0]]) if peaks is None else peaks

@@ -11,7 +11,7 @@ import pytest
 from lmpchain import Chain, Drive, Force, Profile, Scene, engines, simulate
 from lmpchain.engines import error_estimate
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.layout import FIRST, LAST, LEAST_SHARE
+from lmpchain.integrators.kernels.layout import LEAST_SHARE
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.integrators.step_schedule import StepSchedule
@@ -123,7 +123,7 @@ def test_a_window_that_grows_takes_in_threads(method: str):
         for adaptive in {False, METHODS[method].adaptive != "no"}:
             how = {"steps": 300}
             one = answer(scene, 1, method, adaptive, **how)
-            assert one[4][0, LAST] - one[4][0, FIRST] > 2 * LEAST_SHARE + 200
+            assert one[4]["last"][0] - one[4]["first"][0] > 2 * LEAST_SHARE + 200
             for a, b in zip(one, answer(scene, threads, method, adaptive, **how), strict=True):
                 assert np.array_equal(a, b)
 
@@ -162,7 +162,7 @@ def test_what_acts_all_the_time(excitation: dict[str, Any]):
     for method, adaptive in (("verlet", False), ("rkn4", True)):
         steps = int(np.ceil(scene.chain.band_edge * scene.duration / 2))
         one = check_alike(scene, method, adaptive, several=(2,), steps=steps)
-        assert one[4][0, LAST] > 2 * LEAST_SHARE
+        assert one[4]["last"][0] > 2 * LEAST_SHARE
 
 
 @pytest.mark.slow

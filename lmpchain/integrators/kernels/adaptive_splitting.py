@@ -13,7 +13,7 @@ import numpy as np
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .dense_output import fill_jerk, fill_samples, keep, passes
-from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEP, STEPS
+from .layout import PAD, RESOLUTION
 from .right_hand_side import (
     accelerate,
     ahead,
@@ -119,12 +119,12 @@ def _finish_kick(chain, margin, force, pull):
     meet(chain.team)
     first, last = mine(chain)
     # one grain further on either side: how near contacts are to opening depends on it, too
-    above = max(first - 1, int(state[FIRST]))
-    accelerate(chain, chain.x, above, min(last + 1, int(state[LAST])), force, pull)
+    above = max(first - 1, state.first)
+    accelerate(chain, chain.x, above, min(last + 1, state.last), force, pull)
     speeds, a = chain.v[first:last], pull[first:last]
     for n in range(speeds.size):
-        speeds[n] = fma(state[PENDING], a[n], speeds[n])
-    state[PENDING] = 0.0
+        speeds[n] = fma(state.pending, a[n], speeds[n])
+    state.pending = 0.0
     meet(chain.team)
     return above - 1
 
@@ -134,10 +134,10 @@ def _fill_passed(chain, work, clock, span, out, beyond):
     """Fill the samples that the step before has passed; return whether it took jerks (W,)."""
     force, pull, rate, jerk = work[5:9]
     state, (first, last) = chain.state, mine(chain)
-    if clock.dense == 0 or passes(chain, clock, span, state[STEP], state[DONE]) == 0:
+    if clock.dense == 0 or passes(chain, clock, span, state.step_begin, state.done) == 0:
         return False
     changes = imposed_rate(
-        chain, span.begin + state[DONE], span.begin + state[STEP]
+        chain, span.begin + state.done, span.begin + state.step_begin
     )  # as before a corner
     fill_jerk(chain, first, last, force, beyond, rate, jerk, changes)
     fill_samples(chain, clock, span, first, last, pull, jerk, out)
@@ -150,13 +150,13 @@ def _advance(chain, method, work, clock, span, out):
     kicks, drifts, shortened, _, weight, near_enough = method
     kick, drift, carried, path, reach, force, pull, rate, jerk, close, nearest = work
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
-    t = span.begin + state[DONE]
+    t = span.begin + state.done
     recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     beyond = _finish_kick(chain, stages + 1, force, pull)
     known = _fill_passed(chain, work, clock, span, out, beyond)
     watch(chain)
-    look(chain, clock, int(state[STEPS]), t, 1.0)
+    look(chain, clock, state.steps, t, 1.0)
     first, last = mine(chain)
     bodies, near, grains, speeds = (
         slice(first - 1, last + 1),
@@ -165,7 +165,7 @@ def _advance(chain, method, work, clock, span, out):
         w[first:last],
     )
     left = min(
-        span.length - state[DONE],
+        span.length - state.done,
         ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step),
     )
     nearness = _nearness(
@@ -176,14 +176,14 @@ def _advance(chain, method, work, clock, span, out):
     nearness = largest(chain.team, nearness)
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
     done = end_of_step(chain, span, left, h)
-    h = done - state[DONE]
+    h = done - state.done
     if clock.dense > 0:
-        if passes(chain, clock, span, state[DONE], done) > 0:
+        if passes(chain, clock, span, state.done, done) > 0:
             if chain.imposed or not known:
                 fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed_rate(chain, t, t))
             keep(chain, first, last, pull, jerk)
             meet(chain.team)  # before the grains next to these move
-        state[STEP] = state[DONE]
+        state.step_begin = state.done
     hold(chain, w)
     if chain.imposed:
         for stage in range(stages - 1):
@@ -195,9 +195,9 @@ def _advance(chain, method, work, clock, span, out):
     for stage in range(stages - 1):
         kick[stage], drift[stage] = kicks[stage + 1] * h, drifts[stage + 1] * h
     sweep(chain, kick, drift, carried, path)
-    state[DONE] = done
-    state[PENDING] = kicks[stages] * h
-    impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
+    state.done = done
+    state.pending = kicks[stages] * h
+    impose(chain, y, span.begin + state.done, span.begin + state.done)
     return 1
 
 

@@ -33,7 +33,7 @@ from .adjoint_rows import (
     _there_vacuum,
     at,
 )
-from .layout import BODY, FIRST, LAST, PAD
+from .layout import BODY, PAD
 from .right_hand_side import sweep
 from .window import watch, widen
 
@@ -85,7 +85,7 @@ def _rows(course, look):
 @_loop
 def _contacts(chain):
     """Return where the contacts of the window begin and end, those with what is held at its end left out."""
-    first, last = int(chain.state[FIRST]), int(chain.state[LAST])
+    first, last = chain.state.first, chain.state.last
     return first, last + PAD if chain.inverse_mass[last - 1] > 0.0 else last
 
 
@@ -136,7 +136,7 @@ def forward(chain, course, room, path, pieces, some, seen):
             kept_x[n] = chain.x[n]
         for n in range(chain.v.size):
             kept_v[n] = chain.v[n]
-        windows[piece, 0], windows[piece, 1] = chain.state[FIRST], chain.state[LAST]
+        windows[piece, 0], windows[piece, 1] = chain.state.first, chain.state.last
         watch(chain)
 
 
@@ -360,8 +360,8 @@ def backward(
                 v[n + 1] = kept_v[n] / im[n + 1] if im[n + 1] > 0.0 else 0.0
         for n in range(width):
             x[n + 1] = kept_x[n] - drift * kept_v[n]
-        chain.state[FIRST] = PAD if everywhere else windows[piece, 0]
-        chain.state[LAST] = width - PAD if everywhere else windows[piece, 1]
+        chain.state.first = PAD if everywhere else windows[piece, 0]
+        chain.state.last = width - PAD if everywhere else windows[piece, 1]
         part = slice(begin, begin + count)
         if law > UNDONE_SHORT:
             _keep(

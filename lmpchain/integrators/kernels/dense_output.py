@@ -7,7 +7,7 @@ ends of a step; its error falls like h^8, that of its rate like h^7, faster than
 from __future__ import annotations
 
 from .contact_forces import fma, inlined
-from .layout import BODY, DONE, PAD, SAMPLE, STEP, WHOLE_ROWS
+from .layout import BODY, PAD, WHOLE_ROWS
 from .right_hand_side import forced, place
 
 
@@ -17,7 +17,7 @@ def passes(chain, clock, span, begin, end):
 
     Samples and times are counted from the beginning of the span; on the sample at its end a step lands.
     """
-    before, every, interval = int(chain.state[SAMPLE]), clock.dense, clock.interval
+    before, every, interval = chain.state.sample, clock.dense, clock.interval
     sample = int(begin / interval) // every * every - before % every
     while sample * interval <= begin:
         sample += every
@@ -63,7 +63,7 @@ def keep(chain, first, last, pull, jerk):
 @inlined
 def fill_samples(chain, clock, span, first, last, pull, jerk, out):
     """Put the bodies first ... last-1 into all samples that the step that ends here has passed."""
-    kept, begin, end = chain.history, chain.state[STEP], chain.state[DONE]
+    kept, begin, end = chain.history, chain.state.step_begin, chain.state.done
     u_0, v_0, a_0, j_0 = (
         kept[0, first:last],
         kept[1, first:last],
@@ -106,7 +106,7 @@ def fill_samples(chain, clock, span, first, last, pull, jerk, out):
             h * h * q3 * s * s * (0.5 - 7.0 / 6.0 * s),
             h * h * s3 * q * q * (0.5 - 7.0 / 6.0 * q),
         )
-        number = int(chain.state[SAMPLE]) + sample
+        number = chain.state.sample + sample
         u_row = out.u[number - out.first, first - PAD :]
         v_row = out.v[number - out.first, first - PAD :]
         grains = min(last - first, u_row.size)

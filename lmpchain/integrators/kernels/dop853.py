@@ -8,7 +8,7 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, RESOLUTION, STEP, STEPS
+from .layout import RESOLUTION
 from .right_hand_side import accelerate, ahead, impose
 from .sample_loop import end_of_step, sample_loop
 from .window import look, watch, widen
@@ -18,7 +18,7 @@ from .window import look, watch, widen
 def _error(chain, weights, slopes, h):
     """Return the embedded estimate of the error of a step, over the scale of the motion."""
     error = 0.0
-    for n in range(int(chain.state[FIRST]), int(chain.state[LAST])):
+    for n in range(chain.state.first, chain.state.last):
         x5, v5, x3, v3 = 0.0, 0.0, 0.0, 0.0
         for stage in range(slopes.shape[0]):
             slope = slopes[stage, n]
@@ -43,16 +43,16 @@ def _advance(chain, method, work, clock, span, out):
     force, z, slopes = work
     y, w, state, stages = chain.x, chain.v, chain.state, nodes.size
     widen(chain, stages + 2)
-    first, last = int(state[FIRST]), int(state[LAST])
+    first, last = state.first, state.last
     here = slice(first, last)
-    now = span.begin + state[DONE]
+    now = span.begin + state.done
     left = min(
-        span.length - state[DONE],
+        span.length - state.done,
         ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step),
     )
-    h = span.step if allowed == 0.0 else (state[STEP] if state[STEP] > 0.0 else clock.step)
+    h = span.step if allowed == 0.0 else (state.step_size if state.step_size > 0.0 else clock.step)
     done = end_of_step(chain, span, left, h)
-    h = done - state[DONE]
+    h = done - state.done
     grains, speeds, stage_grains = y[here], w[here], z[here]
     for n in range(first - 1, last + 1):
         z[n] = y[n]
@@ -69,7 +69,7 @@ def _advance(chain, method, work, clock, span, out):
     if allowed > 0.0:
         error = _error(chain, weights, slopes, h)
         factor = 0.9 * (allowed / error) ** 0.125 if error > 0.0 else 4.0
-        state[STEP] = min(most * clock.step, h * min(4.0, max(0.2, factor)))
+        state.step_size = min(most * clock.step, h * min(4.0, max(0.2, factor)))
         if error > allowed and h > 1e-9 * clock.step:
             return 1
     for stage in range(stages):
@@ -80,10 +80,10 @@ def _advance(chain, method, work, clock, span, out):
         for n in range(grains.size):
             grains[n] += wx * slope[n]
             speeds[n] += wv * slope[n]
-    state[DONE] = done
-    impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
+    state.done = done
+    impose(chain, y, span.begin + state.done, span.begin + state.done)
     watch(chain)
-    look(chain, clock, int(state[STEPS]) + 1, span.begin + done, 1.0)
+    look(chain, clock, state.steps + 1, span.begin + done, 1.0)
     return 1
 
 

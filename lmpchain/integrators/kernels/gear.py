@@ -6,7 +6,7 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, compiled, inlined
-from .layout import DONE, FIRST, LAST, PAD, RESOLUTION, STEP, STEPS
+from .layout import PAD, RESOLUTION
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
 from .window import look, watch, widen
@@ -42,8 +42,8 @@ def _begin(chain, work, now, h):
     """
     force, pull, z = work
     y, more, state = chain.x, chain.history, chain.state
-    first, last = int(state[FIRST]), int(state[LAST])
-    state[STEP] = h
+    first, last = state.first, state.last
+    state.step_size = h
     inside = now + RESOLUTION * h
     impose(chain, y, now, inside)
     accelerate(chain, y, first, last, force, pull)
@@ -76,8 +76,8 @@ def _step(chain, corrections, work, now, then, h):
     """Take one step: predict by the Taylor series, evaluate the force once, correct."""
     force, pull, _ = work
     y, w, more, state = chain.x, chain.v, chain.history, chain.state
-    first, last = int(state[FIRST]), int(state[LAST])
-    if state[STEP] != h:
+    first, last = state.first, state.last
+    if state.step_size != h:
         _begin(chain, work, now, h)
     for n in range(first, last):
         a, b, c = more[0, n], more[1, n], more[2, n]
@@ -105,7 +105,7 @@ def _advance(chain, method, work, clock, span, out):
     (corrections,) = method
     state, h = chain.state, span.step
     widen(chain, 4)
-    now, then = span.begin + state[DONE] * h, span.begin + (state[DONE] + 1) * h
+    now, then = span.begin + state.done * h, span.begin + (state.done + 1) * h
     first = cut(chain, now, h)
     corner = now + first if first > 0.0 else then
     for begin, end, length in (
@@ -115,10 +115,10 @@ def _advance(chain, method, work, clock, span, out):
         if begin < end:
             _step(chain, corrections, work, begin, end, length)
     if first > 0.0:
-        state[STEP] = 0.0
+        state.step_size = 0.0
     watch(chain)
-    look(chain, clock, int(state[STEPS]) + 1, then, 1.0)
-    state[DONE] += 1.0
+    look(chain, clock, state.steps + 1, then, 1.0)
+    state.done += 1.0
     return 1
 
 

@@ -6,7 +6,7 @@ begins; behind them come bodies that do not exist, up to a whole number of lines
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,24 @@ RESOLUTION = 1e-9  # of a step: nearer to its ends what is imposed has no corner
 # knots, 0 for a sine; the body that is driven, or less than 0 the one that is pushed
 AMPLITUDE, OMEGA, ENVELOPE, END, KNOTS, BODY = range(6)
 
-# the state of a chain between two calls: the last sample, how far beyond it (in steps or s), the part of a kick that is
-# still due, the active window, extremes of the contacts, the largest displacement and speed of any grain, steps made,
-# and the step size of a method that changes it, or where its last step began
-SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, STEPS, STEP = range(
-    12
+# State of a chain between two calls, from which a run goes on with the same bits:
+STATE = np.dtype(
+    [
+        ("sample", "i8"),  # last sample on which a step has landed
+        ("done", "f8"),  # since then: steps if all have one length, else s
+        ("pending", "f8"),  # s: the part of a kick that is still due
+        ("first", "i8"),  # first body of the active window,
+        ("last", "i8"),  # and the one behind its last body
+        ("least_strain", "f8"),  # smallest r / length of any contact; -1 is an opening
+        ("largest_approach", "f8"),  # m, of two grains beyond that at rest
+        ("largest_displacement", "f8"),  # m, of any grain
+        ("largest_speed", "f8"),  # m/s, of any grain
+        ("next_look", "i8"),  # steps after which these two are looked for again
+        ("steps", "i8"),  # steps made since t = 0
+        ("step_size", "f8"),  # s: of a method that changes it, or scales its history with it
+        ("step_begin", "f8"),  # s after the last sample: where the last adaptive step began
+    ],
+    align=True,  # compiled loops read aligned numbers faster
 )
 
 # where threads that share a chain wait for each other, and what they tell each other: in a `gate`, how many times one
@@ -65,8 +78,7 @@ class Chains(NamedTuple):
         Displacements from equilibrium and velocities, m and m/s.
     history : (F R, H, W) array
         What the method keeps of earlier steps.
-    state : (F R, 12) array
-        See SAMPLE ... STEP.
+    state : (F R,) array of STATE
     table : (R, 3, W) array
         1 / length and strength of the contact below each body, and its inverse mass.
     uncompressed : (R,) array
@@ -90,7 +102,7 @@ class Chains(NamedTuple):
     x: Array
     v: Array
     history: Array
-    state: Array
+    state: Any
     table: Array
     uncompressed: Array
     scale: Array
@@ -112,7 +124,7 @@ class Chain(NamedTuple):
     x: Array
     v: Array
     history: Array
-    state: Array
+    state: Any
     inverse_length: Array
     strength: Array
     inverse_mass: Array

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from ...util.arrays import MAGNITUDE, Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
-from .layout import CLOSEST, FARTHEST, FASTEST, LOWEST, STEPS
 
 SOUND, TOO_CLOSE, TOO_FAST, NO_NUMBERS = range(4)
 _exact = numba.njit(error_model="numpy")
@@ -90,8 +89,8 @@ def compared(
         Takes the largest displacement and speed, where they are larger than what it holds.
     allowed : (R,) array
         What twice the kinetic energy cannot exceed, J.
-    state : (F R, 12) array
-        See `layout.SAMPLE`: that of R chains by F schedules.
+    state : (F R,) array of `layout.STATE`
+        That of R chains by F schedules.
     overlap, stiffness, constant, exponent : (R, N+1) arrays and float
         Of the contacts at rest.
     furthest : float
@@ -106,7 +105,7 @@ def compared(
     others, final, batch = others_u.shape[0], differences.shape[1] - 1, u.shape[0]
     nothing, verdict = np.zeros(u.shape[2]), SOUND
     for row in range(len(state)):
-        real, closer = row % batch, state[row, CLOSEST]
+        real, closer = row % batch, state[row].largest_approach
         contacts = overlap[real], stiffness[real], constant[real], exponent
         if not (closer <= furthest and may_give_way(closer, allowed[real], *contacts)):
             verdict = TOO_CLOSE
@@ -149,8 +148,8 @@ def in_parts(
         That of the samples, and what is to take its place; no rows if nothing is.
     scale, units : (R, 2) arrays
         See `ChainBatch`: where nothing is set in motion, errors are relative to the units.
-    state : (F R, 12) array
-        See `layout.SAMPLE`: that of R chains by F schedules, the motion of the first of which counts.
+    state : (F R,) array of `layout.STATE`
+        That of R chains by F schedules, the motion of the first of which counts.
 
     Returns
     -------
@@ -163,17 +162,18 @@ def in_parts(
     others, samples, batch, fields = differences.shape
     told, every = np.zeros((batch, 3 + others, fields)), np.zeros((batch, samples))
     for row in range(len(state)):
-        told[row % batch, 0, 0] = min(told[row % batch, 0, 0], state[row, LOWEST])
+        told[row % batch, 0, 0] = min(told[row % batch, 0, 0], state[row].least_strain)
     for real in range(batch):
-        told[real, 0, 1], over, largest = state[real, STEPS], told[real, 1], told[real, 3:]
+        told[real, 0, 1], over, largest = state[real].steps, told[real, 1], told[real, 3:]
+        seen = state[real].largest_displacement, state[real].largest_speed
         for field in range(fields):
-            size = max(peaks[real, field], state[real, FARTHEST + field])
+            size = max(peaks[real, field], seen[field])
             if scale[real, 1] == 0.0:
                 size = units[real, field]
             elif real < len(instead):
                 size = instead[real, field]
             over[field] = size if size > 0.0 else 1.0
-        if max(peaks[real, 1], state[real, FASTEST]) > 0.0:
+        if max(peaks[real, 1], state[real].largest_speed) > 0.0:
             told[real, 2, 0] = over[0] / over[1]
         for sample in range(samples):
             for field in range(fields):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from .contact_forces import compiled, contact_forces, inlined, kick_and_drift, touching
-from .layout import AMPLITUDE, BODY, EDGE, END, ENVELOPE, FIRST, KNOTS, LAST, OMEGA, PAD, RESOLUTION
+from .layout import AMPLITUDE, BODY, EDGE, END, ENVELOPE, KNOTS, OMEGA, PAD, RESOLUTION
 from .team import meet, mine
 
 ROWS = 64  # evaluations of the force between two updates of the window, for long chains and for methods of one stage
@@ -146,7 +146,7 @@ def accelerate(chain, y, first, last, force, pull):
 def _rows(chain, a, b, some, kicks, drifts, carried, path):
     """Kick and drift the grains a ... b-1 once for each of some rows."""
     il, st, im, pushed = chain.inverse_length, chain.strength, chain.inverse_mass, forced(chain)
-    top = a == int(chain.state[FIRST])  # none of the window is above
+    top = a == chain.state.first  # none of the window is above
     body = pushed if pushed > 0 else int(chain.drive[BODY])
     kick_and_drift(
         chain.form, chain.x[a - 1 : b + 1], chain.v[a:b], il[a - 1 : b], st[a - 1 : b], im[a:b],
@@ -186,7 +186,7 @@ def sweep(chain, kicks, drifts, carried, path):
     chain that threads share, the rows of each begin a line after the one above, too, the first a line into its part, so
     that it needs nothing of what others do meanwhile; what is left out between them follows.
     """
-    first, last = int(chain.state[FIRST]), int(chain.state[LAST])
+    first, last = chain.state.first, chain.state.last
     begins, ends = mine(chain)
     meet(chain.team)
     rows, tile = kicks.size, TILE if ends - begins > 2 * TILE else max(1, ends - begins)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from .contact_forces import compiled, inlined
-from .layout import DONE, SAMPLE, STEPS, Chain, Clock, Row, Span
+from .layout import Chain, Clock, Row, Span
 from .window import record
 
 # of the time between two landings: shorter steps would not move the clock, and there would be too many to be counted
@@ -51,11 +51,11 @@ def _as_it_is(chain, method, work, clock, span, out):
 
 @inlined
 def end_of_step(chain, span, left, step):
-    """Return `state[DONE]` after a step of at most this length, one of equal ones in the time left.
+    """Return `state.done` after a step of at most this length, one of equal ones in the time left.
 
-    The step to take is the difference to `state[DONE]`, not `step`: all steps together then are the span, exactly.
+    The step to take is the difference to `state.done`, not `step`: all steps together then are the span, exactly.
     """
-    done = chain.state[DONE]
+    done = chain.state.done
     steps = max(1, math.ceil(left / max(step, SHORTEST * span.length) - 1e-9))
     return span.length if steps == 1 and left == span.length - done else done + left / steps
 
@@ -71,9 +71,9 @@ def sample_loop(
     Parameters
     ----------
     advance : function of (chain, method, work, clock, span, out)
-        Takes one step or a burst of them, updates `state[DONE]` and returns how many.
+        Takes one step or a burst of them, updates `state.done` and returns how many.
     counted : bool
-        Whether `state[DONE]` counts steps, else seconds since the last landing.
+        Whether `state.done` counts steps, else seconds since the last landing.
     land : function of (chain, method, work, clock, span, out)
         Completes positions and velocities at a landing.
 
@@ -96,8 +96,8 @@ def sample_loop(
                 _row(fields, real, schedule),
             )
             state = chain.state
-            while state[SAMPLE] < until and done < max_steps:
-                sample = int(state[SAMPLE])
+            while state.sample < until and done < max_steps:
+                sample = state.sample
                 landing = min(sample + clock.stride, clock.final)
                 length = (landing - sample) * clock.interval
                 steps = (clock.steps * (landing - sample) + clock.stride - 1) // clock.stride
@@ -105,14 +105,14 @@ def sample_loop(
                     sample * clock.interval, landing * clock.interval, length, steps, length / steps
                 )
                 goal = float(steps) if counted else length
-                while state[DONE] < goal and done < max_steps:
+                while state.done < goal and done < max_steps:
                     made = advance(chain, method, work, clock, span, out)
-                    state[STEPS] += made
+                    state.steps += made
                     done += made
-                if state[DONE] == goal:
+                if state.done == goal:
                     land(chain, method, work, clock, span, out)
                     record(chain, span.end, out.u[landing - out.first], out.v[landing - out.first])
-                    state[SAMPLE], state[DONE] = landing, 0.0
+                    state.sample, state.done = landing, 0.0
         return done
 
     return march

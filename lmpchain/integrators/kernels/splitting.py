@@ -6,7 +6,7 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, NEXT, PAD, PENDING, STEPS
+from .layout import PAD
 from .right_hand_side import ROWS, TILE, cut, imposed, sweep
 from .sample_loop import sample_loop
 from .window import look, watch, widen
@@ -21,14 +21,14 @@ def _advance(chain, method, work, clock, span, out):
     kicks, drifts = method
     kick, drift, carried, path, reach = work
     state, stages, h = chain.state, drifts.size, span.step
-    full = state[FIRST] == PAD and state[LAST] == chain.x.size - PAD
-    wide = stages == 1 or full or state[LAST] - state[FIRST] > TILE
+    full = state.first == PAD and state.last == chain.x.size - PAD
+    wide = stages == 1 or full or state.last - state.first > TILE
     missing = (
         kicks[stages] * clock.step * chain.omega
     )  # of a speed, without the last kick of a step
     complete = 1.0 / (1.0 + 0.5 * missing * missing)
-    burst = min(span.steps - int(state[DONE]), max(1, ROWS // stages) if wide else 1)
-    begun, rows, halved = span.begin + state[DONE] * h, 0, burst
+    burst = min(span.steps - int(state.done), max(1, ROWS // stages) if wide else 1)
+    begun, rows, halved = span.begin + state.done * h, 0, burst
     for step in range(burst):
         first = (
             cut(chain, begun + step * h, h) if stages > 1 else 0.0
@@ -47,19 +47,19 @@ def _advance(chain, method, work, clock, span, out):
                     if first > 0.0:
                         t = begun + step * h + (first if part > 0 else 0.0) + along * whole
                     path[rows + stage] = imposed(chain, t)
-            kick[rows] += state[PENDING]
-            state[PENDING] = kicks[stages] * whole
+            kick[rows] += state.pending
+            state.pending = kicks[stages] * whole
             rows += stages
     widen(chain, rows + 1)
-    step, made = 0, int(state[STEPS])
+    step, made = 0, state.steps
     while step < burst:
-        end = min(burst, max(step + 1, int(state[NEXT]) - made))
+        end = min(burst, max(step + 1, state.next_look - made))
         some = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, kick[some], drift[some], carried[some], path[some])
         look(chain, clock, made + end, begun + end * h, complete)
         step = end
     watch(chain)
-    state[DONE] += burst
+    state.done += burst
     return burst
 
 
@@ -67,11 +67,11 @@ def _advance(chain, method, work, clock, span, out):
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick, where a sample lies between it and the first of the next step."""
     kick, drift, carried, path, _ = work
-    kick[0], drift[0] = chain.state[PENDING], 0.0
+    kick[0], drift[0] = chain.state.pending, 0.0
     if chain.imposed:
         path[0] = imposed(chain, span.end)
     sweep(chain, kick[:1], drift[:1], carried[:1], path[:1])
-    chain.state[PENDING] = 0.0
+    chain.state.pending = 0.0
 
 
 _march = sample_loop(_advance, True, _land)

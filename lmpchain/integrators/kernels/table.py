@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS
-from .layout import FIRST, LAST, LOWEST, PAD, STEP
+from .layout import PAD, STATE
 
 MOST = 1e300  # J, where nothing bounds the energy
 _compiled = numba.njit(error_model="numpy")
@@ -103,7 +104,7 @@ def placed(
     uncompressed: Array,
     compressed: bool,
     whole: int,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, NDArray[Any]]:
     """Put grains in their rows, and begin to watch them.
 
     Parameters
@@ -126,14 +127,14 @@ def placed(
     -------
     x, v : (copies R, W) arrays
         See `layout.Chains`.
-    state : (copies R, 12) array
+    state : (copies R,) array of `layout.STATE`
         At sample 0.
     """
     given, batch, grains = u.shape
     x, w, state = (
         _rows(copies * batch, grains),
         _rows(copies * batch, grains),
-        np.zeros((copies * batch, STEP + 1)),
+        np.zeros(copies * batch, STATE),
     )
     width = x.shape[1]
     for row in range(len(x)):
@@ -151,10 +152,10 @@ def placed(
             first, last = PAD, PAD
         if width <= whole:
             first, last = PAD, width - PAD - 1
-        state[row, FIRST] = first // PAD * PAD
-        state[row, LAST] = min((last // PAD + 1) * PAD, width - PAD)
+        state[row].first = first // PAD * PAD
+        state[row].last = min((last // PAD + 1) * PAD, width - PAD)
         # the smallest r / eps at rest: -1 where a contact is open
-        state[row, LOWEST] = 0.0 if compressed and uncompressed[real] == 0.0 else -1.0
+        state[row].least_strain = 0.0 if compressed and uncompressed[real] == 0.0 else -1.0
     return x, w, state
 
 

@@ -15,7 +15,7 @@ from numba.core import cgutils
 from numba.np import arrayobj
 
 from .contact_forces import _inline, compiled, inlined
-from .layout import FIRST, GIVEN_UP, LAST, LEAST_SHARE, NEARNESS, PAD
+from .layout import GIVEN_UP, LEAST_SHARE, NEARNESS, PAD
 
 PATIENCE = (
     4000  # looks for the others, some microseconds, before the core is offered to whoever wants it
@@ -99,7 +99,7 @@ def mine(chain):
 
     There is none if they agree. A short window is left to the first thread.
     """
-    first, last, team = int(chain.state[FIRST]), int(chain.state[LAST]), chain.team
+    first, last, team = chain.state.first, chain.state.last, chain.team
     if team.parts == 1:
         return first, last
     shares = max(1, min(team.parts, (last - first) // LEAST_SHARE))

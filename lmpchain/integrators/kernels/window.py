@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from ...util.arrays import MAGNITUDE
 from .contact_forces import bits, inlined, number
-from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD, WHOLE_ROWS
+from .layout import PAD, WHOLE_ROWS
 from .right_hand_side import impose_velocity, imposed_speed
 from .team import mine
 
@@ -22,18 +22,18 @@ def widen(chain, margin):
     """Let the window grow until `margin` grains at either end are at rest and not acted on."""
     x, v, state = chain.x, chain.v, chain.state
     still_x, still_v = TINY * chain.scale[0], TINY * chain.scale[1]
-    last, end = int(state[LAST]), x.size - PAD
+    last, end = state.last, x.size - PAD
     if last < end:
         n, least = last - 1, max(PAD, chain.acted[1])
         while n > least and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n -= 1
-        state[LAST] = min(end, max(last, (n + 1 + margin + PAD - 1) // PAD * PAD))
-    first = int(state[FIRST])
+        state.last = min(end, max(last, (n + 1 + margin + PAD - 1) // PAD * PAD))
+    first = state.first
     if first > PAD:
         n, most = first, min(end - 1, chain.acted[0])
         while n < most and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n += 1
-        state[FIRST] = max(PAD, min(first, (n - margin) // PAD * PAD))
+        state.first = max(PAD, min(first, (n - margin) // PAD * PAD))
 
 
 @inlined
@@ -49,14 +49,14 @@ def watch(chain):
         chain.inverse_length[first - 1 : last],
         chain.strength[first - 1 : last],
     )
-    opened, closest = bits(max(-state[LOWEST], 0.0)), bits(state[CLOSEST])
+    opened, closest = bits(max(-state.least_strain, 0.0)), bits(state.largest_approach)
     for n in range(strength.size):
         r = x[n] - x[n + 1]
         s = bits(-(r * inverse_length[n]))
         r = r if strength[n] > 0.0 else 0.0
         opened = max(s, opened)
         closest = max(bits(r), closest)
-    state[LOWEST], state[CLOSEST] = -number(opened), number(closest)
+    state.least_strain, state.largest_approach = -number(opened), number(closest)
 
 
 @inlined
@@ -67,18 +67,20 @@ def look(chain, clock, made, t, complete):
     kick may have grown.
     """
     state = chain.state
-    if made < state[NEXT] or not clock.looks:
+    if made < state.next_look or not clock.looks:
         return
     every = int(min(max(LOOK / (clock.step * chain.omega), 1.0), SELDOM))
-    state[NEXT] = made + every + made // SETTLED
+    state.next_look = made + every + made // SETTLED
     first, last = mine(chain)
     x, v = chain.x[first:last], chain.v[first:last]
-    farthest, fastest = bits(state[FARTHEST]), 0
+    farthest, fastest = bits(state.largest_displacement), 0
     for n in range(v.size):
         farthest = max(bits(x[n]) & MAGNITUDE, farthest)
         fastest = max(bits(v[n]) & MAGNITUDE, fastest)
-    state[FARTHEST] = number(farthest)
-    state[FASTEST] = max(state[FASTEST], complete * number(fastest), imposed_speed(chain, t))
+    state.largest_displacement = number(farthest)
+    state.largest_speed = max(
+        state.largest_speed, complete * number(fastest), imposed_speed(chain, t)
+    )
 
 
 @inlined
