@@ -135,7 +135,8 @@ def test_series_are_sums_of_chebyshev_polynomials(orders: int, oscillator: float
     scale = 1.02 * np.sqrt((2 * (STIFFNESS[:-1] + STIFFNESS[1:]) * MOBILITY).max())
     x, of_t, of_w = np.zeros(GRAINS), RNG.normal(size=(2, orders)), RNG.normal(size=(3, orders))
     x[3:5] = 1.0, -0.4
-    sums = chebyshev.series(x, STIFFNESS, MOBILITY, oscillator, scale, of_t, of_w, (3, 5))
+    chain = chebyshev.LinearChain(STIFFNESS, MOBILITY, oscillator)
+    sums = chebyshev.series(x, chain, scale, of_t, of_w, (3, 5))
     stiffness = -generator(STIFFNESS, MOBILITY, np.sqrt(oscillator))[GRAINS:, :GRAINS]
     argument = np.eye(GRAINS) - 2 / scale**2 * stiffness
     before, now, total = None, x, x
