@@ -109,7 +109,7 @@ class CompanionRun(Run):
         )
         self._furthest = math.inf
         if (
-            self._chains.imposed
+            self._chains.imposed.acts
         ):  # no energy bounds what is driven, but a million times as close as long, it is broken
             self._furthest = 1e6 * min(scene.chain.diameters.sum() for scene in scenes)
         samples, grains = self.scene.samples, self.scene.chain.grains

@@ -12,17 +12,9 @@ from numpy.typing import NDArray
 from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .kernels.contact_forces import (
-    CORRECTED,
-    FORMS,
-    POLYNOMIAL,
-    POWER,
-    ROOTS,
-    SPRING,
-    UNCOMPRESSED_POWER,
-)
-from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
-from .kernels.table import laid_out, opening_weights, placed
+from .kernels.contact_forces import FORMS, ROOTS, Form
+from .kernels.layout import ALONE, PAD, WAVE, Chains, Imposed, Links, Team
+from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
 
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
@@ -41,7 +33,8 @@ class ChainBatch:
     force : "auto", "exact" or "plain"
         Which form of the force.
     initial : pair of (R, N) arrays, optional
-        Displacement, m, and velocity, m/s, of every grain at t = 0, in place of those of the scenes.
+        Displacement, m, and velocity, m/s, of every grain at t = 0, in place of those of the
+        scenes.
 
     Attributes
     ----------
@@ -49,33 +42,28 @@ class ChainBatch:
         kg.
     contacts : Contacts
         Of all chains, (R, N+1) arrays.
-    table : (R, 3, W) array
-        1 / length and strength of the contact below every body, and its inverse mass.
-    uncompressed : (R,) array
-        Constant of a first contact that touches without pressing in a chain that is pressed otherwise, else 0.
-    precompressed : float
-        1 if the chains are pressed, else 0.
+    links : Links
+        Of all chains, for the compiled loops.
+    inverse_mass : (R, W) array
+        1/kg, of every body; 0 of what is held.
     initial : pair of (R, N) arrays
         Displacement, m, and velocity, m/s, of every grain at t = 0.
-    forms, coefficients : (R,) and (8,) arrays
-        The form of the force of each, and its coefficients.
     plain : list of R bool
-        Whether that form loses the last digit of the force at rest.
+        Whether the form of the force loses the last digit of that at rest.
     opening_power : float
         The force of a contact that opens goes as the overlap to this power.
-    acted : (R, 2) array
-        First and last body that is acted on after t = 0, the other way round if none is.
-    drive, knots, pieces : arrays
-        How grain 1 or the top wall is moved, or a grain is pushed.
+    imposed : Imposed
+        How grain 1 or the top wall is moved, or a grain is pushed, after t = 0.
     omega : (R,) array
         Highest frequency, rad/s.
     scale : (R, 2) array
         Largest displacement and speed of the excitation, m and m/s.
     units : (R, 2) array
-        Overlap of the contact below grain 1 (that above it if there is none below), and the speed of that in the unit
-        of time, m and m/s; no speed in the sonic vacuum.
+        Overlap of the contact below grain 1 (that above it if there is none below), and the speed
+        of that in the unit of time, m and m/s; no speed in the sonic vacuum.
     allowed : (R,) array
-        What twice the kinetic energy cannot exceed, J: contacts never hold less energy than at rest.
+        What twice the kinetic energy cannot exceed, J: contacts never hold less energy than at
+        rest.
     """
 
     def __init__(
@@ -84,43 +72,47 @@ class ChainBatch:
         force: str = "auto",
         initial: tuple[Array, Array] | None = None,
     ):
-        self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
-        self.grains, self.imposed, self.driven = (
-            chain.grains,
-            excitation.does_work,
-            excitation.driven,
-        )
-        each = len(scenes) > 1 and (
-            excitation.of_chain or any(scene.excitation is not excitation for scene in scenes)
-        )
-        self._struck = (
-            scenes if each else scenes[:1]
-        )  # that are set in motion in a way of their own
+        self.scenes = scenes
+        chain = scenes[0].chain
+        excitation = scenes[0].excitation
+        self.grains = chain.grains
+        self.driven = excitation.driven
+        apart = excitation.of_chain or any(s.excitation is not excitation for s in scenes)
+        # scenes that are set in motion in a way of their own
+        self._struck = scenes if len(scenes) > 1 and apart else scenes[:1]
         self.initial = initial or self._initial()
-        self._compressed, self.precompressed = chain.compressed, float(chain.compressed)
         masses = [scene.chain.masses for scene in scenes]
         self.masses = np.array(masses) if len(masses) > 1 else masses[0].copy()[None]
-        self.contacts = own = together([scene.chain.contacts for scene in scenes])
-        strikes = np.array(
-            [(scene.highest_frequency, scene.energy, *scene.imposed) for scene in scenes]
+        self.contacts = together([scene.chain.contacts for scene in scenes])
+        at_rest = AtRest(
+            overlap=self.contacts.overlap,
+            force=self.contacts.force,
+            constant=self.contacts.constant,
+            stiffness=self.contacts.stiffness,
+            compressed=chain.compressed,
         )
-        self.table, self.uncompressed, self.omega, self.scale, self.units, self.allowed = laid_out(
-            own.overlap, own.force, own.constant, own.stiffness, self.masses, strikes, self.driven, chain.movable,
-            chain.compressed,
-        )  # fmt: skip
+        strikes = np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes])
+        free = self.driven, chain.movable
+        table, uncompressed, self.omega, self.scale, self.units, self.allowed = lay_out(
+            at_rest, self.masses, strikes, free
+        )
         forms = [force_form(scene, force) for scene in scenes]
-        self.forms, self.plain = (
-            np.array(forms),
-            [form in ROOTS and self._compressed for form in forms],
+        self.links = Links(
+            inverse_length=table[0],
+            strength=table[1],
+            uncompressed=uncompressed,
+            form=np.array(forms),
+            precompressed=float(chain.compressed),
+            coefficients=series(chain.exponent),
         )
-        self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
-        self.acted, self.drive, self.knots, self.pieces = self._imposed()
+        self.inverse_mass = table[2]
+        self.plain = [form in ROOTS and chain.compressed for form in forms]
+        self.opening_power = chain.exponent
+        self.imposed = self._imposed()
 
-    def _of_each(self, found: NDArray[Any]) -> NDArray[Any]:
+    def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes, from one for all or one for each."""
-        return (
-            np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
-        )
+        return np.repeat(rows, len(self.scenes), axis=0) if len(rows) < len(self.scenes) else rows
 
     def _initial(self) -> tuple[Array, Array]:
         if len(self.scenes) == 1:
@@ -129,14 +121,14 @@ class ChainBatch:
         u, v = np.array([scene.initial() for scene in self._struck]).swapaxes(0, 1)
         return self._of_each(np.ascontiguousarray(u)), self._of_each(np.ascontiguousarray(v))
 
-    def placed(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, NDArray[Any]]:
+    def place(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, NDArray[Any]]:
         """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R,).
 
-        Grains are at u and move with v, (copies, R, N) or (1, R, N) for all. Around what moves there is a window; a
-        short chain is computed as a whole.
+        Grains are at u and move with v, (copies, R, N) or (1, R, N) for all. Around what moves
+        there is a window; a short chain is computed as a whole.
         """
-        about = self.driven, self.acted, self.uncompressed, self._compressed
-        x, w, state = placed(u, v, copies, *about, WINDOW_MIN)
+        reach = self.imposed.reach
+        x, w, state = place_bodies(u, v, copies, self.driven, reach, self.links, WINDOW_MIN)
         return x, w, state
 
     def arrays(
@@ -144,22 +136,29 @@ class ChainBatch:
     ) -> Chains:
         """Return the chains, and where and how fast their bodies are, for the loops of a thread."""
         return Chains(
-            x, v, history, state, self.table, self.uncompressed, self.scale, self.omega, self.forms,
-            self.precompressed, self.coefficients, self.imposed, self.acted, self.drive, self.knots, self.pieces, team,
-        )  # fmt: skip
-
-    def _imposed(self) -> tuple[NDArray[Any], Array, Array, Array]:
-        """Return on which bodies something acts after t = 0, (R, 2), and what, (R, 6), (R, P) and (R, 4, P-1)."""
-        size = len(self.scenes)
-        if not self.imposed:
-            return _nothing(size, self.grains)
-        acted = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck])) + (
-            PAD - 1
+            x=x,
+            v=v,
+            history=history,
+            state=state,
+            inverse_mass=self.inverse_mass,
+            links=self.links,
+            imposed=self.imposed,
+            scale=self.scale,
+            omega=self.omega,
+            team=team,
         )
+
+    def _imposed(self) -> Imposed:
+        """Return what acts on the chains after t = 0."""
+        size = len(self.scenes)
+        if not self.scenes[0].excitation.does_work:
+            return _no_motion(size, self.grains)
+        reach = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck]))
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
         knots_max = max(0 if spline is None else len(spline.x) for spline in splines)
-        table, knots = np.zeros((size, 6)), np.zeros((size, knots_max))
+        table = np.zeros(size, WAVE)
+        knots = np.zeros((size, knots_max))
         pieces = np.zeros((size, 4, max(knots_max - 1, 0)))
         for real, (scene, wave, spline) in enumerate(zip(self.scenes, waves, splines, strict=True)):
             if wave is None:
@@ -167,22 +166,23 @@ class ChainBatch:
             first, _ = scene.excitation.reach(scene.chain)
             body = PAD + first - 1
             body = body if scene.excitation.driven else PAD - 1 if scene.excitation.wall else -body
-            table[real] = wave.amplitude, wave.omega, wave.envelope, wave.end, 0.0, body
+            count = 0 if spline is None else len(spline.x)
+            table[real] = wave.amplitude, wave.omega, wave.envelope, wave.end, count, body
             if spline is not None:
-                table[real, KNOTS] = count = len(spline.x)
-                knots[real, :count], pieces[real, :, : count - 1] = spline.x, spline.c
-        return acted, table, knots, pieces
+                knots[real, :count] = spline.x
+                pieces[real, :, : count - 1] = spline.c
+        return Imposed(True, reach + (PAD - 1), table, knots, pieces)
 
     @cached_property
     def openings(self) -> tuple[Array, Array]:
-        """What `kernels.adaptive_splitting` takes of each contact, (R, W): its weight, and its reach."""
-        return opening_weights(self.table, self.uncompressed, self.omega, self.scale)
+        """Weight and reach of each contact, (R, W), see `layout.Openings`."""
+        return opening_weights(self.links, self.inverse_mass, self.omega, self.scale)
 
 
 @lru_cache(maxsize=64)
-def _nothing(size: int, grains: int) -> tuple[NDArray[Any], Array, Array, Array]:
-    acted = np.tile([PAD - 1 + grains, PAD], (size, 1))  # the last before the first
-    return acted, np.zeros((size, 6)), np.zeros((size, 0)), np.zeros((size, 4, 0))
+def _no_motion(size: int, grains: int) -> Imposed:
+    reach = np.tile([PAD - 1 + grains, PAD], (size, 1))  # the last before the first
+    return Imposed(False, reach, np.zeros(size, WAVE), np.zeros((size, 0)), np.zeros((size, 4, 0)))
 
 
 @cache
@@ -201,23 +201,24 @@ def weakest(exponent: float) -> float:
 
 
 def force_form(scene: Scene, force: str = "auto") -> int:
-    """Choose the form of the force: "plain" is fastest, "exact" keeps the digits of the weakest wave.
+    """Choose the form of the force: "plain" is fastest, "exact" keeps all digits of weak waves.
 
-    The plain form is wrong by the last digit of the force at rest, which is nothing in strong waves.
+    The plain form is wrong by the last digit of the force at rest, which is nothing in strong
+    waves.
     """
     exponent = scene.chain.exponent
     roots = int(4 * exponent) if 4 * exponent in ROOTS else None
     if exponent == 1:
-        return SPRING
+        return Form.SPRING
     if not scene.chain.compressed:
-        return UNCOMPRESSED_POWER if roots is None else roots
+        return Form.UNCOMPRESSED_POWER if roots is None else roots
     if force == "auto" and scene.largest_strain < weakest(exponent):
-        return POLYNOMIAL
+        return Form.POLYNOMIAL
     if roots is not None and (
         force == "plain" or (force == "auto" and scene.strike_number > STRONG)
     ):
         return roots
-    return CORRECTED if exponent == 1.5 else POWER
+    return Form.CORRECTED if exponent == 1.5 else Form.POWER
 
 
 def name_of(form: int) -> str:

@@ -79,7 +79,7 @@ class DormandPrince:
                 allowed[index] = (
                     max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order
                 )
-            if not batch.knots.size:  # which would cut all alike
+            if not batch.imposed.knots.size:  # which would cut all alike
                 total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
                 most[index] = min(LONGER, max(1.0, total / FEWEST))
         return March(march, (*self.tables, allowed, most))

@@ -31,7 +31,7 @@ class Gear:
 
     @cached_property
     def stability_limit(self) -> float:
-        """Largest omega h for which x'' = -omega^2 x grows by less than a hundredth a step: it always grows."""
+        """Largest omega h for which x'' = -omega^2 x grows by less than a hundredth a step."""
         return first_growth(self.growth, 1e-2)
 
     def growth(self, reach: float) -> float:

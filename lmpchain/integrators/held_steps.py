@@ -34,20 +34,24 @@ def adaptive_steps(scene: Scene, method: Splitting, step: float, looks: int) -> 
     """
     scene = scene.replace(samples=looks + 1)
     interval = scene.duration / looks
-    each = max(1, math.ceil(interval / step * (1 - 1e-12)))
+    count = max(1, math.ceil(interval / step * (1 - 1e-12)))
     run = NativeStepper(
-        ChainBatch([scene]), method, StepSchedule(each, 1, interval / each, True), {}
+        ChainBatch([scene]), method, StepSchedule(count, 1, interval / count, True), {}
     )
     u, v = np.empty((2, 1, 2, scene.chain.grains))
-    made, begun, steps = 0.0, 0, []
+    before = 0.0
+    begun = 0
+    steps = []
     parts: list[Array] = []
     while begun < looks:
         run.fill(u, v, begun, begun + 1, 1)
         landed = run.sample > begun
         done = interval if landed else float(run.watched["done"][0])
-        steps.append(done - made)
-        made = done
+        steps.append(done - before)
+        before = done
         if landed:
             parts.append(np.array(steps))
-            made, begun, steps = 0.0, begun + 1, []
+            before = 0.0
+            begun = begun + 1
+            steps = []
     return parts

@@ -1,4 +1,4 @@
-"""How what acts on a chain after t = 0 depends on its amplitude and frequency, or on its samples."""
+"""Derivatives of an imposed motion or force by its amplitude and frequency, or its samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class ImposedCourse:
     """
 
     def __init__(self, excitation: Drive | Force):
-        self.waveform, self.frequency = excitation.waveform, excitation.frequency
+        self.waveform = excitation.waveform
+        self.frequency = excitation.frequency
         self.size = 2 if self.waveform.spline is None else len(self.waveform.spline.x)
 
     @cached_property
@@ -35,17 +36,17 @@ class ImposedCourse:
         return CubicSpline(self.waveform.spline.x, np.eye(self.size))
 
     def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:
-        """Return the piece of the spline at each time, and what multiplies its four coefficients, (4, T)."""
+        """Return the piece of the spline at each time, and the powers of its coefficients, (4, T)."""
         knots = self._basis.x
         piece = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, knots.size - 2)
         s = time - knots[piece]
-        one = np.ones_like(s)
+        ones = np.ones_like(s)
         return piece, np.array(
-            [s**3, s**2, s, one] if order == 0 else [3 * s**2, 2 * s, one, 0 * s]
+            [s**3, s**2, s, ones] if order == 0 else [3 * s**2, 2 * s, ones, 0 * s]
         )
 
     def _sine(self, time: Array, order: int) -> Array:
-        """Return derivatives with respect to amplitude and frequency, (2, ...); it depends on their product."""
+        """Return derivatives by amplitude and frequency, (2, ...): of a sine of frequency times time."""
         wave, rate = self.waveform, self.waveform.at(time, order + 1)
         by_frequency = time * rate + (wave.at(time, 1) if order else 0.0)
         return np.array(
@@ -56,8 +57,9 @@ class ImposedCourse:
         )
 
     def pull(self, time: Array, weight: Array, order: int) -> Array:
-        """Return derivatives (P,) of the sum of weight times value (order 0) or rate (1) at times."""
-        time, weight = time.ravel(), weight.ravel()
+        """Return derivatives (P,) of the sum of weight times value, or rate (order 1), at times."""
+        time = time.ravel()
+        weight = weight.ravel()
         if self.waveform.spline is None:
             return self._sine(time, order) @ weight
         piece, powers = self._pieces(time, order)
@@ -65,7 +67,7 @@ class ImposedCourse:
         return np.tensordot(gathered, self._basis.c, 2)
 
     def push(self, time: Array, change: Array, order: int) -> Array:
-        """Return the change (D, ...) of value (order 0) or rate (1) at times, for changes (D, P)."""
+        """Return changes (D, ...) of value, or rate (order 1), at times, for changes (D, P)."""
         if self.waveform.spline is None:
             return np.tensordot(change, self._sine(time, order), 1)
         piece, powers = self._pieces(time, order)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from ..util.arrays import Array
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:  # numba, which it imports, is not needed to know a method
@@ -21,9 +20,8 @@ class March(NamedTuple):
     ----------
     run : function
         See `kernels.sample_loop`.
-    common, each : tuples
-        What it takes beside the chains: what all share, or F schedules have each, and arrays with a row for each of R
-        chains.
+    method : tuple
+        Coefficients, and what depends on schedules and chains, as `run` takes them.
     history : int
         Values a grain that it keeps of earlier steps.
     shared : bool
@@ -31,8 +29,7 @@ class March(NamedTuple):
     """
 
     run: Callable[..., int]
-    common: tuple[Any, ...]
-    each: tuple[Array, ...] = ()
+    method: tuple[Any, ...]
     history: int = 0
     shared: bool = False
 
@@ -54,14 +51,14 @@ class Method(Protocol):
 
     @property
     def spread(self) -> float:
-        """By what a step multiplies errors of the force that know nothing of each other, 1 if by no more.
+        """Amplification, per step, of independent errors of the force evaluations (1: none).
 
         analysis/calibration/roundoff.py.
         """
 
     @property
     def error_constant(self) -> float:
-        """Relative error at ``omega h = 1`` for ``omega T = 60``; analysis/calibration/error_constants.py."""
+        """Relative error at omega h = 1 for omega T = 60; analysis/calibration/error_constants.py."""
 
     @property
     def reference(self) -> str:
@@ -69,20 +66,20 @@ class Method(Protocol):
 
     @property
     def adaptive(self) -> Literal["no", "openings", "error"]:
-        """Whether its step size can adapt: to contacts that open or close, or everywhere to an error estimate."""
+        """Whether its step size adapts: to contacts that open or close, or to an error estimate."""
 
     @property
     def stability_limit(self) -> float:
         """Largest omega h for which a harmonic oscillator stays bounded, or hardly grows."""
 
     def growth(self, reach: float) -> float:
-        """Return by what factor a harmonic oscillator with omega h = reach grows a step, or shrinks."""
+        """Return the factor by which an oscillator with omega h = reach grows a step, or shrinks."""
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
         """Return what moves a batch of chains by steps of these schedules, of one kind."""
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:
-    """Return the first omega h, in steps of a thousandth, at which an oscillator grows by `more` a step."""
+    """Return the first omega h, by thousandths, at which an oscillator grows by `more` a step."""
     grid = np.arange(1, 10000) / 1000
     return float(next(y for y in grid if growth(y) > 1 + more))

@@ -1,7 +1,7 @@
 """Kick-drift splittings that both engines share, with their order and stability limit.
 
-One step of length h is: kick b_1 h, drift a_1 h, kick b_2 h, ... drift a_S h, kick b_(S+1) h, where a
-kick changes velocities by the acceleration and a drift moves grains by their velocity. All are
+One step of length h is: kick b_1 h, drift a_1 h, kick b_2 h, ... drift a_S h, kick b_(S+1) h, where
+a kick changes velocities by the acceleration and a drift moves grains by their velocity. All are
 symmetric, so explicit, time-reversible and symplectic.
 """
 
@@ -16,21 +16,24 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from ..util.arrays import EPSILON, Array
+from .kernels.layout import Openings, Stages
 from .method import March
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# of the adaptive step size h' near an opening; analysis/calibration/adaptive_steps.py
-# h' / h at the time 1 / omega from the opening of a contact that matters most, small enough that these steps leave as
-# little error as the others; and of coarse ones, where that does not matter
-ADAPTIVE_STEP, COARSE_STEP = 0.2, 0.4
+# of the adaptive step size h' near an opening; analysis/calibration/adaptive_steps.py h' / h at the
+# time 1 / omega from the opening of a contact that matters most, small enough that these steps
+# leave as little error as the others; and of coarse ones, where that does not matter
+ADAPTIVE_STEP = 0.2
+COARSE_STEP = 0.4
 DENSE_ROWS = 4  # what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
 CROSSING_STEP = (
     0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
 )
-LEAST_CROSSING = 0.1  # the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off
+# the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off
+LEAST_CROSSING = 0.1
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ class Splitting:
 
     @cached_property
     def evaluations(self) -> int:
-        """Force evaluations a step (the last kick of a step and the first of the next share one)."""
+        """Force evaluations a step: the last kick of a step and the first of the next share one."""
         return len(self.drifts)
 
     @cached_property
@@ -87,7 +90,7 @@ class Splitting:
         return "openings" if self.order > 2 else "no"
 
     def growth(self, reach: float) -> float:
-        """Return by what factor x'' = -omega^2 x with omega h = reach grows a step: 1 where it is stable."""
+        """Return the factor by which x'' = -omega^2 x grows a step at omega h = reach: 1 if stable."""
         half = abs(float(self._half_trace(np.array(reach))))
         return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
 
@@ -96,14 +99,15 @@ class Splitting:
         (kicks, drifts), schedule = self._coefficients, schedules[0]
         adaptive = schedule.adaptive or schedule.dense > 0
         run = _march(adaptive)
+        stages = Stages(kicks, drifts)
         if not adaptive:
-            return March(run, (kicks, drifts), shared=True)
+            return March(run, stages, shared=True)
         near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
-        crossing = _crossing(
-            self.order, batch.opening_power, tuple(schedule.ratio for schedule in schedules)
-        )
-        kept = DENSE_ROWS if schedule.dense else 0
-        return March(run, (kicks, drifts, near, crossing), batch.openings, kept, shared=True)
+        ratios = tuple(schedule.ratio for schedule in schedules)
+        crossing = _crossing(self.order, batch.opening_power, ratios)
+        openings = Openings(near, *crossing, *batch.openings)
+        history = DENSE_ROWS if schedule.dense else 0
+        return March(run, (stages, openings), history, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
@@ -145,7 +149,7 @@ def _symmetric(half: list[float], count: int) -> tuple[float, ...]:
 def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Kicks and drifts of velocity Verlet steps of these lengths, one after another."""
     padded = (0.0, *substeps, 0.0)
-    kicks = tuple((left + right) / 2 for left, right in pairwise(padded))
+    kicks = tuple((before + after) / 2 for before, after in pairwise(padded))
     return kicks, substeps
 
 

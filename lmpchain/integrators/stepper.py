@@ -1,4 +1,4 @@
-"""Chains moved forward in time: what all engines do, and the compiled march of a method that does it."""
+"""Chains moved forward in time: the interface of all engines, and the native one."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from ..util.arrays import Array
 from .batch import ChainBatch
 from .kernels.layout import (
     ALONE,
+    CLOCK,
     GIVEN_UP,
     LEAST_SHARE,
     PAD,
     WHOLE_ROWS,
     Chains,
-    Clocks,
     Fields,
+    Goal,
     team,
 )
 from .method import Method
 from .step_schedule import StepSchedule
 
 NOTHING = np.empty((0, 0, 0, 0))
-Work = tuple[
-    Chains, tuple[Any, ...], Clocks, int, int
-]  # of a thread: chains, from the first to the last, and how
+# what a thread works on: chains, what the method and the clocks are, and chains from which to which
+Work = tuple[Chains, tuple[Any, ...], NDArray[Any], int, int]
 
 
 @lru_cache(maxsize=256)
-def _clocks(schedules: tuple[StepSchedule, ...], interval: float, final: int) -> Clocks:
-    each = [(own.steps, own.step, own.stride, own.ratio == 1, own.dense) for own in schedules]
-    return Clocks(interval, final, np.array(each, dtype=float))
+def _clocks(schedules: tuple[StepSchedule, ...], interval: float, final: int) -> NDArray[Any]:
+    rows = [(interval, final, s.steps, s.step, s.stride, s.ratio == 1, s.dense) for s in schedules]
+    return np.array(rows, CLOCK)
 
 
 def room_for(*shape: int) -> tuple[Array, Array]:
@@ -64,7 +64,8 @@ class Stepper(Protocol):
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
         """Move on to the sample `until`, or by some `max_steps` steps.
 
-        Samples from `offset` on are put into u and v, (R, B, N) m and m/s, made by `room_for`. Returns the steps made.
+        Samples from `offset` on are put into u and v, (R, B, N) m and m/s, made by `room_for`.
+        Returns the steps made.
         """
 
     def state(self) -> dict[str, Array]:
@@ -77,8 +78,9 @@ class Stepper(Protocol):
 class NativeStepper:
     """A batch of chains in displacements from equilibrium, shared out over threads.
 
-    If there are fewer chains than threads, and they are long, the threads share each of them. Companions of the same
-    chains, by other schedules of the same method, are moved in the same compiled call.
+    If there are fewer chains than threads, and they are long, the threads share each of them.
+    Companions of the same chains, by other schedules of the same method, are moved in the same
+    compiled call.
 
     Parameters
     ----------
@@ -102,20 +104,25 @@ class NativeStepper:
         threads: int = 1,
         companions: Sequence[StepSchedule] = (),
     ):
-        self.chains, self.threads, scenes = chains, threads, chains.scenes
-        self._schedules, self._size = (schedule, *companions), len(scenes)
+        self.chains = chains
+        self.threads = threads
+        scenes = chains.scenes
+        self._schedules = (schedule, *companions)
+        self._size = len(scenes)
         count = len(self._schedules)
-        u, v = chains.initial[0][None], chains.initial[1][None]
+        u = chains.initial[0][None]
+        v = chains.initial[1][None]
         if state:
             u, v = (
                 np.array(state[name], dtype=float).reshape(count, self._size, chains.grains)
                 for name in "uv"
             )
-        self._x, self._v, self._state = chains.placed(u, v, count)
+        self._x, self._v, self._state = chains.place(u, v, count)
         if state:
             self._check_state(state["state"])
             self._state[:] = state["state"]
-        self.stride, final = schedule.stride, scenes[0].samples - 1
+        self.stride = schedule.stride
+        final = scenes[0].samples - 1
         clocks = _clocks(self._schedules, scenes[0].duration / final, final)
         march = method.march(chains, self._schedules)
         self._march = march.run
@@ -135,29 +142,28 @@ class NativeStepper:
             if state["history"].shape != self._history.shape:
                 raise ValueError("the state that was kept does not fit")
             self._history[:] = state["history"]
-        bodies, needs = (self._x, self._v, self._history), (*march.common, *march.each)
+        bodies = self._x, self._v, self._history
         self._work: list[Work] = []
-        for own, member in zip(self._states, self._teams, strict=True):
-            work = chains.arrays(*bodies, own, member), needs, clocks
+        for thread_state, member in zip(self._states, self._teams, strict=True):
+            work = chains.arrays(*bodies, thread_state, member), march.method, clocks
             for share in range(shares):
                 self._work.append(
                     (*work, share * self._size // shares, (share + 1) * self._size // shares)
                 )
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
-            self._march(
-                *self._work[0][:3], Fields(none, none, NOTHING, NOTHING, 0), 0, 0, 0, 0
-            )  # only compiles
+            fields = Fields(none, none, NOTHING, NOTHING, 0)
+            self._march(*self._work[0][:3], fields, Goal(0, 0, 0, 0))  # only compiles
 
-    def _check_state(self, kept: NDArray[Any]) -> None:
-        """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
-        fits = kept.shape == self._state.shape and kept.dtype == self._state.dtype
+    def _check_state(self, state: NDArray[Any]) -> None:
+        """Raise `ValueError` if a state does not fit these chains: compiled loops trust its window."""
+        fits = state.shape == self._state.shape and state.dtype == self._state.dtype
         if fits:
-            first, last, sample = (kept[name] for name in ("first", "last", "sample"))
+            first, last, sample = (state[name] for name in ("first", "last", "sample"))
             width = self._x.shape[1]
             inside = (first >= PAD) & (first < last) & (last <= width - PAD) & (sample == sample[0])
             # a clock that is no number never ends; extremes need not be numbers, after a breakdown
-            fits = bool(inside.all() and np.isfinite(kept["done"]).all())
+            fits = bool(inside.all() and np.isfinite(state["done"]).all())
         if not fits:
             raise ValueError("the state that was kept does not fit")
 
@@ -172,7 +178,8 @@ class NativeStepper:
     ) -> int:
         """Step on to the sample `until`, or by `max_steps` a thread.
 
-        Samples from `offset` on go into u, v, those of the companions into the arrays beside, (S, R, B, N).
+        Samples from `offset` on go into u, v, those of the companions into the arrays beside, (S,
+        R, B, N).
         """
         fields = Fields(u, v, *beside, offset)
         if not self._pool:
@@ -205,7 +212,7 @@ class NativeStepper:
         """Do what one thread has to."""
         chains, method, clocks, begin, end = work
         try:
-            return self._march(chains, method, clocks, fields, begin, end, until, max_steps)
+            return self._march(chains, method, clocks, fields, Goal(begin, end, until, max_steps))
         except BaseException:
             self._teams[0].gate[GIVEN_UP] = 1
             raise
@@ -223,14 +230,14 @@ class NativeStepper:
     @property
     def own_part(self) -> float:
         """Part of all steps that the first schedule has made."""
-        made = self._state["steps"].tolist()
-        return sum(made[: self._size]) / max(sum(made), 1)
+        steps = self._state["steps"].tolist()
+        return sum(steps[: self._size]) / max(sum(steps), 1)
 
     @property
     def progress(self) -> float:
         """Part of all landings that are done."""
         of_each = self._state["sample"].reshape(-1, self._size).mean(1)
-        rates = [1 / own.stride for own in self._schedules]
+        rates = [1 / schedule.stride for schedule in self._schedules]
         return float(of_each @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
 
     @property
@@ -239,14 +246,14 @@ class NativeStepper:
         return self._state
 
     def closest(self) -> Array:
-        """Return by how much two grains have come closer than at rest at most, (S + 1, R) m, after steps."""
+        """Return the largest approach of two grains beyond that at rest, (S + 1, R) m, after steps."""
         return self._state["largest_approach"].copy().reshape(-1, self._size)
 
     def largest(self) -> Array:
-        """Return the largest displacement and speed of any grain by the first schedule, (R, 2) m and m/s.
+        """Return the largest displacement and speed of any grain by the answer, (R, 2) m and m/s.
 
-        They are seen after steps, at first a radian of the fastest motion apart (or one step, if that is longer), later
-        more rarely.
+        They are seen after steps, at first a radian of the fastest motion apart (or one step, if
+        that is longer), later more rarely.
         """
         state = self._state[: self._size]
         return np.stack((state["largest_displacement"], state["largest_speed"]), axis=1)

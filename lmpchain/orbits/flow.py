@@ -11,8 +11,8 @@ import numpy as np
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.layout import PAD
-from ..integrators.kernels.tangent import Links, march
+from ..integrators.kernels.layout import PAD, Links
+from ..integrators.kernels.tangent import Deviations, Held, Motion, Steps, march
 from ..integrators.splittings import KAHAN_LI8
 from ..scene.excitation import Drive, Profile
 from ..scene.scene import Scene
@@ -78,24 +78,16 @@ class Flow:
             raise InputError([("chain", message)])
 
     @cached_property
-    def links(self) -> Links:
-        """The chain as the compiled loop takes it."""
+    def _kernel_arrays(self) -> tuple[Links, Array]:
+        """The contacts, and the inverse mass of every body, 1/kg, as the compiled loop takes them."""
         rest = Profile(velocity=np.zeros(self.chain.grains))
         # scales of a chain at rest divide by 0, but are not used
         with np.errstate(all="ignore"):
             scene = Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)
             batch = ChainBatch([scene], "exact")
-        batch.table[0, 2, PAD : PAD + self.held] = 0.0
-        length, strength, inverse_mass = batch.table[0]
-        return Links(
-            length,
-            strength,
-            inverse_mass,
-            float(batch.uncompressed[0]),
-            int(batch.forms[0]),
-            batch.precompressed,
-            batch.coefficients,
-        )
+        inverse_mass = batch.inverse_mass[0]
+        inverse_mass[PAD : PAD + self.held] = 0.0
+        return batch.links, inverse_mass
 
     @cached_property
     def weight(self) -> Array:
@@ -152,7 +144,8 @@ class Flow:
         """
         grains = self.chain.grains
         begin = np.zeros((2, self.size, 0)) if deviation is None else deviation
-        rows = np.zeros((2, self.links.strength.size))
+        links, inverse_mass = self._kernel_arrays
+        rows = np.zeros((2, inverse_mass.size))
         rows[:, PAD : PAD + grains] = self.physical(state)
         columns = np.zeros((2, grains, begin.shape[2]))
         scale = np.stack((self.weight, self.weight / self.rate))[..., None]
@@ -160,18 +153,11 @@ class Flow:
         longer = np.zeros(begin.shape[2])
         longer[longer.size - stretch :] = 1.0
         nodes = np.zeros((2, mesh.size + 1, grains))
-        march(
-            self.links,
-            *rows,
-            *columns,
-            longer,
-            np.array(METHOD.kicks),
-            np.array(METHOD.drifts),
-            mesh * period,
-            PAD - 1 + self.held,
-            self._path(mesh),
-            *nodes,
-        )
+        motion = Motion(rows[0], rows[1])
+        deviations = Deviations(columns[0], columns[1], longer)
+        steps = Steps(np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period)
+        held = Held(PAD - 1 + self.held, self._path(mesh))
+        march(links, inverse_mass, motion, deviations, steps, held, nodes)
         if self.held and self.drive is not None:
             turns = 2 * np.pi * self.cycles * np.concatenate(([0.0], np.cumsum(mesh)))
             rate = 2 * np.pi * self.cycles / period

@@ -20,7 +20,7 @@ from lmpchain.design import (
 )
 from lmpchain.design.gradients import at_step
 from lmpchain.engines import Native
-from lmpchain.integrators.adjoint import DifferentiableRun
+from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.measure.energy import shares
 
@@ -157,7 +157,8 @@ def test_a_peak_is_a_peak():
 def test_checkpoints_change_nothing(monkeypatch: pytest.MonkeyPatch):
     method, names = SPLITTINGS["rkn4"], ["masses", "contact_constants"]
     _, whole, run = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
-    monkeypatch.setattr("lmpchain.integrators.adjoint.ROOM", 0)
+    small = CHECKPOINTS._replace(kept_bytes=0)
+    monkeypatch.setattr("lmpchain.integrators.adjoint.CHECKPOINTS", small)
     _, parts, again = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
     assert len(again._pieces[0]) > len(run._pieces[0])
     for name in names:

@@ -12,7 +12,7 @@ from helpers.plain_methods import WIDE, Column, Motion
 from lmpchain import Chain, Drive, Force, Profile, Scene
 from lmpchain.integrators import adjoint
 from lmpchain.integrators.adjoint import DifferentiableRun, Inputs
-from lmpchain.integrators.kernels import adjoint as kernels
+from lmpchain.integrators.kernels.adjoint_rows import Way
 from lmpchain.integrators.splittings import SPLITTINGS
 
 GRAINS, LOOKS = 6, 3
@@ -43,21 +43,21 @@ def flying(strains: float, **options: Any) -> Scene:
 
 VACUUM: dict[str, Any] = {"gravity": 0.0, "top_load": 0.0}
 LAWS = {
-    "undone, plain": (flying(3.0), kernels.UNDONE_PLAIN),
-    "undone, plain, walls": (flying(3.0, **BETWEEN), kernels.UNDONE_PLAIN),
-    "undone, exact": (flying(0.05, bottom="wall"), kernels.UNDONE_EXACT),
-    "undone by a series": (flying(1e-4, exponent=1.8, **BETWEEN), kernels.UNDONE_SERIES),
-    "undone by a short series": (flying(1e-6), kernels.UNDONE_SERIES),
-    "vacuum": (flying(1.0, **VACUUM, **BETWEEN), kernels.VACUUM),
-    "free vacuum": (flying(1.0, **VACUUM, bottom="free"), kernels.VACUUM),
-    "touching wall, strong": (flying(3.0, top_load=0.0, **BETWEEN), kernels.PLAIN),
-    "touching wall": (flying(0.05, top_load=0.0, **BETWEEN), kernels.HERTZ),
-    "touching wall, 2": (flying(2.0, top_load=0.0, exponent=2.0, **BETWEEN), kernels.OTHER),
-    "springs": (flying(2.0, exponent=1.0, **BETWEEN), kernels.OTHER),
-    "5/4": (flying(2.0, exponent=1.25), kernels.OTHER),
-    "2": (flying(2.0, exponent=2.0, bottom="wall"), kernels.OTHER),
-    "3": (flying(2.0, exponent=3.0, **BETWEEN), kernels.OTHER),
-    "vacuum, 2.3": (flying(1.0, **VACUUM, exponent=2.3, bottom="free"), kernels.OTHER),
+    "undone, plain": (flying(3.0), Way.UNDONE_PLAIN),
+    "undone, plain, walls": (flying(3.0, **BETWEEN), Way.UNDONE_PLAIN),
+    "undone, exact": (flying(0.05, bottom="wall"), Way.UNDONE_EXACT),
+    "undone by a series": (flying(1e-4, exponent=1.8, **BETWEEN), Way.UNDONE_SERIES),
+    "undone by a short series": (flying(1e-6), Way.UNDONE_SERIES),
+    "vacuum": (flying(1.0, **VACUUM, **BETWEEN), Way.VACUUM),
+    "free vacuum": (flying(1.0, **VACUUM, bottom="free"), Way.VACUUM),
+    "touching wall, strong": (flying(3.0, top_load=0.0, **BETWEEN), Way.PLAIN),
+    "touching wall": (flying(0.05, top_load=0.0, **BETWEEN), Way.HERTZ),
+    "touching wall, 2": (flying(2.0, top_load=0.0, exponent=2.0, **BETWEEN), Way.OTHER),
+    "springs": (flying(2.0, exponent=1.0, **BETWEEN), Way.OTHER),
+    "5/4": (flying(2.0, exponent=1.25), Way.OTHER),
+    "2": (flying(2.0, exponent=2.0, bottom="wall"), Way.OTHER),
+    "3": (flying(2.0, exponent=3.0, **BETWEEN), Way.OTHER),
+    "vacuum, 2.3": (flying(1.0, **VACUUM, exponent=2.3, bottom="free"), Way.OTHER),
 }
 
 ACTED = pressed(**BETWEEN)
@@ -140,7 +140,7 @@ def check(
     run = DifferentiableRun(
         scene, SPLITTINGS[method], step * (1 + 0.5 / each), LOOKS, np.array(grains)
     )
-    assert run._law == law
+    assert run._law.way == law
     assert run.steps == LOOKS * each
     assert run.step == pytest.approx(step, rel=1e-14)
     lengths = [WIDE(scene.duration) / (LOOKS * each)] * (LOOKS * each)
@@ -192,9 +192,9 @@ def test_derivatives_of_flying_grains_are_differences(law: str, method: str):
 def test_derivatives_of_what_acts_are_differences(name: str, exponent: float):
     scene = acted(name, exponent=exponent)
     law = (
-        kernels.OTHER
+        Way.OTHER
         if exponent != 1.5
-        else DifferentiableRun(scene, SPLITTINGS["verlet"], 1, 1, [1])._law
+        else DifferentiableRun(scene, SPLITTINGS["verlet"], 1, 1, [1])._law.way
     )
     check(scene, "rkn4", law, [1, 2, 4, 6])
 
@@ -215,7 +215,7 @@ def test_derivatives_of_what_acts_in_many_calls_are_differences(
 ):
     monkeypatch.setattr(adjoint, "ROOM", 1)
     monkeypatch.setattr(adjoint, "CALL", 1)
-    check(acted(name, exponent=1.7), "verlet", kernels.OTHER, [1, 2, 5, 6], each=30)
+    check(acted(name, exponent=1.7), "verlet", Way.OTHER, [1, 2, 5, 6], each=30)
 
 
 def test_derivatives_with_steps_of_any_length_are_differences():
@@ -232,13 +232,13 @@ def test_derivatives_with_steps_of_any_length_are_differences():
 
 
 LONG = {
-    "undone, plain": (1e-2, 1, {}, kernels.UNDONE_PLAIN),
-    "undone, exact": (2e-3, 899, {"top_load": 1.0}, kernels.UNDONE_EXACT),
-    "undone by a series": (1e-7, 899, {"exponent": 2.5}, kernels.UNDONE_SERIES),
-    "vacuum": (1e-2, 899, {"gravity": 0.0}, kernels.VACUUM),
-    "vacuum, struck above": (1e-2, 5, {"gravity": 0.0}, kernels.VACUUM),
-    "touching wall": (1e-2, 899, {"top": "wall"}, kernels.PLAIN),
-    "2.5": (1e-2, 899, {"exponent": 2.5}, kernels.OTHER),
+    "undone, plain": (1e-2, 1, {}, Way.UNDONE_PLAIN),
+    "undone, exact": (2e-3, 899, {"top_load": 1.0}, Way.UNDONE_EXACT),
+    "undone by a series": (1e-7, 899, {"exponent": 2.5}, Way.UNDONE_SERIES),
+    "vacuum": (1e-2, 899, {"gravity": 0.0}, Way.VACUUM),
+    "vacuum, struck above": (1e-2, 5, {"gravity": 0.0}, Way.VACUUM),
+    "touching wall": (1e-2, 899, {"top": "wall"}, Way.PLAIN),
+    "2.5": (1e-2, 899, {"exponent": 2.5}, Way.OTHER),
 }
 
 
@@ -252,8 +252,8 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
     scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-4)
     step = 0.5 / scene.highest_frequency
     run = DifferentiableRun(scene, SPLITTINGS["rkn4"], step, 4, np.array([1, 2, 60, 390, 800]))
-    if kind != kernels.UNDONE_SERIES:
-        assert run._law == kind
+    if kind != Way.UNDONE_SERIES:
+        assert run._law.way == kind
     weights = rng.normal(size=(2, *run.velocity.shape))
     weights[0] *= scene.highest_frequency
     changes = Inputs(

@@ -15,10 +15,12 @@ from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.dense_output import fill_samples
 from lmpchain.integrators.kernels.layout import (
     ALONE,
+    CLOCK,
     LEAST_SHARE,
     PAD,
     STATE,
-    Clock,
+    WAVE,
+    Imposed,
     Row,
     Span,
     Team,
@@ -54,10 +56,7 @@ class Ends(NamedTuple):
     x: np.ndarray
     v: np.ndarray
     state: np.void
-    imposed: bool
-    drive: np.ndarray
-    knots: np.ndarray
-    pieces: np.ndarray
+    imposed: Imposed
     team: Team
 
 
@@ -76,18 +75,12 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
         history, state = np.zeros((4, 2 * PAD)), np.zeros(1, STATE)[0]
         history[:, PAD], state["done"] = begin, h
         rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
-        ends = Ends(
-            history,
-            rows[0],
-            rows[1],
-            state,
-            False,
-            np.zeros(6),
-            np.zeros(2),
-            np.zeros((4, 1)),
-            ALONE,
+        nothing = Imposed(
+            False, np.zeros(2, int), np.zeros(1, WAVE)[0], np.zeros(2), np.zeros((4, 1))
         )
-        clock, span = Clock(h / 24, 24, 1, h, 24, True, 1), Span(0.0, h, h, 1, h)
+        ends = Ends(history, rows[0], rows[1], state, nothing, ALONE)
+        clock = np.array([(h / 24, 24, 1, h, 24, True, 1)], CLOCK)[0]
+        span = Span(0.0, h, h, 1, h)
         u, v = np.zeros((2, 25, 1))
         fill(ends, clock, span, rows[2], rows[3], Row(u, v, 0))
         time = 0.8 - h / 2 + np.arange(1, 24) * h / 24

@@ -21,22 +21,23 @@ from lmpchain.integrators.batch import ChainBatch, series, weakest
 from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
-from lmpchain.integrators.kernels.adaptive_splitting import _nearness
-from lmpchain.integrators.kernels.contact_forces import (
-    CORRECTED,
-    POLYNOMIAL,
-    POWER,
-    ROOTS,
-    SPRING,
-    UNCOMPRESSED_POWER,
-)
+from lmpchain.integrators.kernels.adaptive_splitting import Near, _nearness
+from lmpchain.integrators.kernels.contact_forces import ROOTS, Form
+from lmpchain.integrators.kernels.layout import STATE, Links, Rows
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
 Array = NDArray[np.float64]
 EPSILON = np.finfo(float).eps
-PRESSED = [(CORRECTED, 1.5), (SPRING, 1.0), (POWER, 1.25), (POWER, 1.5), (POWER, 2.3), (POWER, 3.0)]
+PRESSED = [
+    (Form.CORRECTED, 1.5),
+    (Form.SPRING, 1.0),
+    (Form.POWER, 1.25),
+    (Form.POWER, 1.5),
+    (Form.POWER, 2.3),
+    (Form.POWER, 3.0),
+]
 PLAIN = [(form, form / 4) for form in ROOTS]
 
 
@@ -52,9 +53,8 @@ def force(
     bodies = np.zeros(2 * r.size)
     bodies[::2] = r
     found, alike = np.zeros(2 * r.size - 1), np.ones(2 * r.size - 1)
-    forces.contact_forces(
-        form, found, bodies, alike, strength * alike, precompressed, series(exponent)
-    )
+    links = Links(alike, strength * alike, 0.0, form, precompressed, series(exponent))
+    forces.contact_forces(form, found, bodies, links)
     return found[::2]
 
 
@@ -80,7 +80,7 @@ def test_no_digits_are_lost_at_any_amplitude(form: int, exponent: float):
 def test_weak_form_keeps_all_digits_of_weak_waves(exponent: float):
     s = np.concatenate((spread(1e-15, weakest(exponent)), -spread(1e-15, weakest(exponent))))
     assert weakest(exponent) > 1e-2
-    assert relative(force(POLYNOMIAL, exponent, s), exact(exponent, s)) < 1.5
+    assert relative(force(Form.POLYNOMIAL, exponent, s), exact(exponent, s)) < 1.5
 
 
 @pytest.mark.parametrize(("form", "exponent"), PLAIN)
@@ -95,14 +95,18 @@ def test_plain_forms_lose_the_last_digit_of_the_force_at_rest(form: int, exponen
 
 @pytest.mark.parametrize(
     ("form", "exponent"),
-    [*PLAIN, (SPRING, 1.0), *((UNCOMPRESSED_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0))],
+    [
+        *PLAIN,
+        (Form.SPRING, 1.0),
+        *((Form.UNCOMPRESSED_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0)),
+    ],
 )
 def test_forces_where_nothing_is_pressed(form: int, exponent: float):
     """Down to 1e-30 m; what is found as an exponential is as good as its argument."""
     r = spread(1e-30, 10)
     with mpmath.workdps(60):
         true = [mpmath.mpf(x) ** mpmath.mpf(exponent) for x in r]
-    lost = exponent * 70 if form == UNCOMPRESSED_POWER else 0
+    lost = exponent * 70 if form == Form.UNCOMPRESSED_POWER else 0
     assert relative(force(form, exponent, r, precompressed=0.0), true) < 2 + lost
 
 
@@ -112,7 +116,9 @@ def test_open_contacts_and_rest_are_exact(form: int, exponent: float):
     assert np.array_equal(found, [-0.7, -0.7, -0.7, -0.7, 0.0])
 
 
-@pytest.mark.parametrize(("form", "exponent"), [*PLAIN, (SPRING, 1.0), (UNCOMPRESSED_POWER, 2.3)])
+@pytest.mark.parametrize(
+    ("form", "exponent"), [*PLAIN, (Form.SPRING, 1.0), (Form.UNCOMPRESSED_POWER, 2.3)]
+)
 def test_what_is_not_pressed_does_not_pull(form: int, exponent: float):
     assert not force(form, exponent, np.array([-1e-30, -1.0, -1e6, 0.0]), precompressed=0.0).any()
 
@@ -121,14 +127,15 @@ def test_what_is_not_pressed_does_not_pull(form: int, exponent: float):
 def test_force_is_the_derivative_of_the_energy(exponent: float):
     """-dU/dx by central differences, compressed and open contacts alike."""
     chain = Chain(grains=6, material="glass", diameter=1e-3, exponent=exponent)
-    form = {1.0: SPRING, 1.5: CORRECTED}.get(exponent, POWER)
+    form = {1.0: Form.SPRING, 1.5: Form.CORRECTED}.get(exponent, Form.POWER)
     eps = chain.equilibrium_overlap
     u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
     found = np.zeros(7)
     at_rest = (
         chain.equilibrium_force.copy()
     )  # which may be written to, as in loops that are compiled
-    forces.contact_forces(form, found[1:-1], u, 1 / eps, at_rest, 1.0, series(exponent))
+    links = Links(1 / eps, at_rest, 0.0, form, 1.0, series(exponent))
+    forces.contact_forces(form, found[1:-1], u, links)
     moved = 1e-5 * eps[0] * np.eye(6)
     rest = np.zeros(6)
     slope = [
@@ -214,32 +221,44 @@ def packed(assembly: str, operation: str) -> int:
 @pytest.mark.parametrize(
     ("form", "operation"),
     [
-        (CORRECTED, "sqrt"),
+        (Form.CORRECTED, "sqrt"),
         (6, "sqrt"),
-        (POLYNOMIAL, "fmadd"),
-        (POWER, "div"),
-        (UNCOMPRESSED_POWER, "div"),
+        (Form.POLYNOMIAL, "fmadd"),
+        (Form.POWER, "div"),
+        (Form.UNCOMPRESSED_POWER, "div"),
     ],
 )
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     row = types.Array(float64, 1, "C")
     _, loop = forces.LOOPS[form]
-    loop.compile((row,) * 8 + (boolean, float64, float64, row, row, int64, boolean))
+    alike, none = np.ones(2), np.empty(0)
+    links = numba.typeof(Links(alike, alike, 0.0, form, 1.0, alike))
+    rows = numba.typeof(Rows(alike, alike, alike, none))
+    loop.compile((row, row, row, links, rows, boolean, int64, boolean))
     assert packed(next(iter(loop.inspect_asm().values())), operation) > 0
+
+
+@forces.compiled
+def watch_first(chains):
+    window.watch(sample_loop.chain_of(chains, 0, 0))
 
 
 @x86
 def test_other_loops_do_several_at_a_time():
-    row, batch = types.Array(float64, 1, "C"), ChainBatch([smooth()])
-    bodies, *_ = batch.placed(*(field[None] for field in batch.initial))
-    chains = batch.arrays(bodies, bodies, bodies[:, None], np.zeros((1, 9)))
+    row = types.Array(float64, 1, "C")
+    batch = ChainBatch([smooth()])
+    bodies, *_ = batch.place(*(field[None] for field in batch.initial))
+    chains = batch.arrays(bodies, bodies, bodies[:, None], np.zeros(1, STATE))
+    alike = np.ones(2)
+    links = numba.typeof(Links(alike, alike, 0.0, 0, 1.0, alike))
+    near = numba.typeof(Near(alike, alike, 1.0, 1.0, 1.0))
     for loop, takes, operation in (
-        (_nearness, (row,) * 6 + (float64,) * 5, "sqrt"),
-        (window.watch, (numba.typeof(sample_loop._chain.py_func(chains, 0, 0)),), "mul"),
+        (_nearness, (row, row, row, links, near), "sqrt"),
+        (watch_first, (numba.typeof(chains),), "mul"),
     ):
         loop.compile(takes)
         assert packed(loop.inspect_asm(takes), operation) > 0
-    force(CORRECTED, 1.5, np.ones(4))
+    force(Form.CORRECTED, 1.5, np.ones(4))
     assert packed(next(iter(forces.contact_forces.inspect_asm().values())), "sqrt") > 0
 
 
@@ -251,9 +270,10 @@ def test_no_contact_that_shortens_a_step_is_passed_over():
         omega, weight = 10 ** rng.uniform(-3, 3), 10 ** rng.uniform(-30, 10, size)
         reach = np.cbrt(weight) / (2**0.5 * (2 * omega) ** 3)
         length, pressed = 10 ** rng.uniform(-2, 2, size), float(rng.integers(2))
-        others = pressed, 0.0, omega, 1e6
-        every = _nearness(y, rates, bends, length, weight, np.full(size, np.inf), close, *others)
-        found = _nearness(y, rates, bends, length, weight, reach, close, *others)
+        links = Links(length, weight, 0.0, 0, pressed, series(1.5))
+        near = Near(weight, np.full(size, np.inf), close, omega, 1e6)
+        every = _nearness(y, rates, bends, links, near)
+        found = _nearness(y, rates, bends, links, near._replace(reach=reach))
         assert found == every or every < shortened**14
         passed, shortens = passed + (found < every), shortens + (every > shortened**14)
     assert passed > 100

@@ -7,21 +7,9 @@ import pytest
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene
 from lmpchain.integrators.batch import WINDOW_MIN, ChainBatch, force_form, name_of, series, weakest
-from lmpchain.integrators.kernels.contact_forces import (
-    CORRECTED,
-    POLYNOMIAL,
-    POWER,
-    SPRING,
-    UNCOMPRESSED_POWER,
-)
+from lmpchain.integrators.kernels.contact_forces import Form
 from lmpchain.integrators.kernels.layout import (
     ALONE,
-    AMPLITUDE,
-    BODY,
-    END,
-    ENVELOPE,
-    KNOTS,
-    OMEGA,
     PAD,
     team,
 )
@@ -70,10 +58,10 @@ ENDS = {
 def test_tables_hold_lengths_strengths_and_masses(ends: str):
     made = chains(**ENDS[ends])
     laid = batch(*made)
-    assert laid.precompressed == (0.0 if "vacuum" in ends else 1.0)
-    for chain, (length, strength, mobility), touching in zip(
-        made, laid.table, laid.uncompressed, strict=True
-    ):
+    assert laid.links.precompressed == (0.0 if "vacuum" in ends else 1.0)
+    links = laid.links
+    table = links.inverse_length, links.strength, laid.inverse_mass, links.uncompressed
+    for chain, length, strength, mobility, touching in zip(made, *table, strict=True):
         contacts = chain.contacts
         pressed = contacts.force > 0
         vacuum = "vacuum" in ends
@@ -95,7 +83,7 @@ def test_tables_hold_lengths_strengths_and_masses(ends: str):
 def test_a_driven_grain_has_no_inverse_mass_in_the_table():
     chain = chains()[0]
     laid = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
-    assert laid.table[0, 2, PAD : PAD + N] == pytest.approx(
+    assert laid.inverse_mass[0, PAD : PAD + N] == pytest.approx(
         [0, *1 / chain.masses[1:-1], 0], rel=1e-15
     )
 
@@ -145,9 +133,9 @@ def test_scales_are_the_largest_speed_and_displacement_that_it_makes(excitation)
 def test_rows_begin_at_cache_lines_and_have_a_body_more_at_either_end():
     for grains in (7, 8, 9, 15, 16, 17):
         laid = batch(Chain(grains=grains, diameter=1e-3))
-        x, v, _ = laid.placed(*(field[None] for field in laid.initial))
+        x, v, _ = laid.place(*(field[None] for field in laid.initial))
         width = -(-(grains + 2 * PAD) // PAD) * PAD
-        for rows in (x, v, laid.table[0]):
+        for rows in (x, v, laid.links.strength, laid.inverse_mass):
             assert rows.shape[1] == width
             assert rows.ctypes.data % 64 == 0
 
@@ -166,7 +154,7 @@ def test_the_window_begins_around_what_moves(what: str):
     """At whole cache lines; what is acted on counts, too."""
     excitation, low, high = PLACES[what]
     laid = batch(Chain(grains=300, diameter=1e-3, top="wall", top_load=1e-3), excitation=excitation)
-    _, _, state = laid.placed(*(field[None] for field in laid.initial))
+    _, _, state = laid.place(*(field[None] for field in laid.initial))
     first, last = state["first"][0], state["last"][0]
     assert first % PAD == last % PAD == 0
     assert PAD <= first <= PAD - 1 + low < first + 2 * PAD
@@ -178,14 +166,14 @@ def test_what_moves_sets_the_window_and_speeds_of_driven_grains_are_left_out():
     u, v = np.zeros((2, 300))
     u[120], v[170] = 1e-9, 1e-3
     laid = batch(chain, excitation=Profile(displacement=u, velocity=v))
-    x, w, state = laid.placed(*(field[None] for field in laid.initial), 3)
+    x, w, state = laid.place(*(field[None] for field in laid.initial), 3)
     assert x.shape[0] == 3
     assert np.array_equal(x[:, PAD : PAD + 300], np.tile(u, (3, 1)))
     assert np.array_equal(w[:, PAD : PAD + 300], np.tile(v, (3, 1)))
     assert (state["first"] == 128).all()
     assert (state["last"] == 184).all()
     driven = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
-    _, w, _ = driven.placed(*(field[None] for field in driven.initial))
+    _, w, _ = driven.place(*(field[None] for field in driven.initial))
     assert driven.initial[1][0, 0] > 0
     assert not w.any()
 
@@ -193,7 +181,7 @@ def test_what_moves_sets_the_window_and_speeds_of_driven_grains_are_left_out():
 def test_copies_go_on_from_where_each_of_them_is():
     laid = batch(*chains())
     u, v = np.random.default_rng(1).normal(size=(2, 3, 2, N))
-    x, w, _ = laid.placed(u, v, 3)
+    x, w, _ = laid.place(u, v, 3)
     assert np.array_equal(x[:, PAD : PAD + N], u.reshape(6, N))
     assert np.array_equal(w[:, PAD : PAD + N], v.reshape(6, N))
 
@@ -201,7 +189,7 @@ def test_copies_go_on_from_where_each_of_them_is():
 def test_short_chains_are_computed_whole():
     for grains in (WINDOW_MIN - 2 * PAD, WINDOW_MIN - 2 * PAD + 1):
         laid = batch(Chain(grains=grains, diameter=1e-3))
-        x, _, state = laid.placed(*(field[None] for field in laid.initial))
+        x, _, state = laid.place(*(field[None] for field in laid.initial))
         whole = [PAD, x.shape[1] - PAD]
         assert ([state["first"][0], state["last"][0]] == whole) == (grains == WINDOW_MIN - 2 * PAD)
 
@@ -209,7 +197,7 @@ def test_short_chains_are_computed_whole():
 @pytest.mark.parametrize("ends", ENDS)
 def test_contacts_that_are_open_at_rest_are_known(ends: str):
     laid = batch(*chains(**ENDS[ends]))
-    _, _, state = laid.placed(*(field[None] for field in laid.initial))
+    _, _, state = laid.place(*(field[None] for field in laid.initial))
     assert (state["least_strain"] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
 
 
@@ -252,28 +240,27 @@ def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
     excitation, body = ACTS[what]
     laid = batch(*chains(**BETWEEN), excitation=excitation)
     wave = excitation.waveform
-    for drive, knots, pieces, acted in zip(
-        laid.drive, laid.knots, laid.pieces, laid.acted, strict=True
-    ):
-        assert drive[BODY] == body
-        sine = [wave.amplitude, wave.omega, wave.envelope, wave.end]
-        assert drive[[AMPLITUDE, OMEGA, ENVELOPE, END]].tolist() == sine
+    imposed = laid.imposed
+    rows = imposed.wave, imposed.knots, imposed.pieces, imposed.reach
+    for course, knots, pieces, reach in zip(*rows, strict=True):
         count = 0 if wave.spline is None else 4
-        assert drive[KNOTS] == count
+        sine = wave.amplitude, wave.omega, wave.envelope, wave.end
+        assert course.tolist() == (*sine, count, body)
         assert knots.tolist() == ([] if wave.spline is None else wave.spline.x.tolist())
         if wave.spline is not None:
             assert np.array_equal(pieces, wave.spline.c)
         place = max(abs(body), PAD)
-        assert acted.tolist() == [place, place]
-    assert laid.imposed
+        assert reach.tolist() == [place, place]
+    assert imposed.acts
     assert laid.driven == (what == "sine of grain 1")
 
 
 def test_where_nothing_acts_the_last_body_comes_before_the_first():
     laid = batch(*chains())
-    assert not laid.imposed
-    assert (laid.acted[:, 0] > laid.acted[:, 1]).all()
-    assert not laid.drive.any()
+    imposed = laid.imposed
+    assert not imposed.acts
+    assert (imposed.reach[:, 0] > imposed.reach[:, 1]).all()
+    assert all(not any(wave) for wave in imposed.wave.tolist())
 
 
 def test_batches_of_splines_of_any_length_move_as_each_alone():
@@ -307,24 +294,24 @@ def form_of(force: str = "auto", strikes: float = 1.0, **options) -> int:
 def test_the_fastest_form_that_loses_nothing_is_chosen():
     """Both sides of a strike number of 1, and of strains where a series gives every digit."""
     assert form_of(strikes=1.01) == 6
-    assert form_of(strikes=0.99) == CORRECTED
-    assert form_of("exact", strikes=1.01) == CORRECTED
+    assert form_of(strikes=0.99) == Form.CORRECTED
+    assert form_of("exact", strikes=1.01) == Form.CORRECTED
     assert form_of("plain", strikes=0.99) == 6
     assert form_of("plain", strikes=1e-9) == 6
-    assert form_of(strikes=1e-4) == POLYNOMIAL
-    assert form_of("exact", strikes=1e-4) == CORRECTED
+    assert form_of(strikes=1e-4) == Form.POLYNOMIAL
+    assert form_of("exact", strikes=1e-4) == Form.CORRECTED
     for delta, form in ((1.25, 5), (1.75, 7), (2.0, 8)):
         assert form_of(strikes=1.01, exponent=delta) == form
-        assert form_of(strikes=0.99, exponent=delta) == POWER
+        assert form_of(strikes=0.99, exponent=delta) == Form.POWER
         assert form_of(gravity=0.0, exponent=delta) == form
-    assert form_of(strikes=9.0, exponent=2.25) == form_of("plain", exponent=2.25) == POWER
+    assert form_of(strikes=9.0, exponent=2.25) == form_of("plain", exponent=2.25) == Form.POWER
     assert (
         form_of(gravity=0.0, exponent=2.25)
         == form_of("exact", gravity=0.0, exponent=1.3)
-        == UNCOMPRESSED_POWER
+        == Form.UNCOMPRESSED_POWER
     )
-    assert form_of(exponent=1.0) == form_of(exponent=1.0, gravity=0.0) == SPRING
-    assert [name_of(form) for form in (CORRECTED, POLYNOMIAL, SPRING, POWER, UNCOMPRESSED_POWER, 6)] == [
+    assert form_of(exponent=1.0) == form_of(exponent=1.0, gravity=0.0) == Form.SPRING
+    assert [name_of(form) for form in (*Form, 6)] == [
         "corrected square root", "polynomial", "spring", "vectorised power", "vectorised power",
         "plain square roots",
     ]  # fmt: skip
@@ -334,7 +321,7 @@ def test_a_series_is_chosen_up_to_the_strain_at_which_it_loses_a_digit():
     chain = Chain(grains=N, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5)
     limit = 1e-6 * weakest(1.5) / scene.largest_strain  # strains go as the speed
-    for factor, form in ((0.99, POLYNOMIAL), (1.01, CORRECTED)):
+    for factor, form in ((0.99, Form.POLYNOMIAL), (1.01, Form.CORRECTED)):
         assert force_form(scene.replace(excitation=Impulse(velocity=factor * limit))) == form
 
 

@@ -15,13 +15,14 @@ from lmpchain.integrators.kernels.layout import (
     LEAST_SHARE,
     PAD,
     STATE,
+    WAVE,
     Team,
 )
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
-mine, widen = team.mine.py_func, window.widen.py_func
+share, widen = team.share.py_func, window.widen.py_func
 ahead, cut = right_hand_side.ahead.py_func, right_hand_side.cut.py_func
 passes, end_of_step = dense_output.passes.py_func, sample_loop.end_of_step.py_func
 
@@ -41,9 +42,11 @@ def test_a_window_is_shared_out_in_whole_lines_of_like_length(parts: int, lines:
     last = first + lines * PAD
     shares = []
     for part in range(parts):
-        chain = windowed(first, last, team=Team(part, parts, np.zeros(1, int), np.zeros((1, 1))))
-        shares.append(mine(chain))
-    busy = [share for share in shares if share[0] < share[1]]
+        chain = windowed(
+            first, last, team=Team(part, parts, np.zeros(1, int), *np.zeros((2, 1, 1)))
+        )
+        shares.append(share(chain))
+    busy = [part for part in shares if part[0] < part[1]]
     assert len(busy) == max(1, min(parts, lines * PAD // LEAST_SHARE))
     assert busy == shares[: len(busy)]
     assert busy[0][0] == first
@@ -52,7 +55,7 @@ def test_a_window_is_shared_out_in_whole_lines_of_like_length(parts: int, lines:
     sizes = [end - begin for begin, end in busy]
     assert all(size % PAD == 0 for size in sizes)
     assert max(sizes) - min(sizes) <= PAD
-    assert all(share == (last, last) for share in shares[len(busy) :])
+    assert all(part == (last, last) for part in shares[len(busy) :])
 
 
 @pytest.mark.parametrize("field", ["x", "v"])
@@ -67,7 +70,9 @@ def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
         bodies = {"x": np.zeros(width), "v": np.zeros(width)}
         bodies[field][place] = -2.0 * moving if field == "x" else 3.0 * moving
         reach = (place, place) if acted else (width, 0)
-        chain = windowed(96, 120, acted=reach, scale=np.array([2.0, 3.0]), **bodies)
+        chain = windowed(
+            96, 120, imposed=SimpleNamespace(reach=reach), scale=np.array([2.0, 3.0]), **bodies
+        )
         widen(chain, margin)
         first, last = chain.state.first, chain.state.last
         assert first % PAD == last % PAD == 0
@@ -82,14 +87,19 @@ def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
 def test_a_window_ends_where_the_chain_does():
     width = 64
     x = np.ones(width)
-    chain = windowed(16, 40, x=x, v=0 * x, acted=(width, 0), scale=np.ones(2))
+    chain = windowed(
+        16, 40, x=x, v=0 * x, imposed=SimpleNamespace(reach=(width, 0)), scale=np.ones(2)
+    )
     widen(chain, 50)
     assert (chain.state.first, chain.state.last) == (PAD, width - PAD)
 
 
 def acting(end: float = np.inf, knots: Any = ()) -> Any:
-    drive = np.array([1.0, 2.0, 0.0, end, len(knots), PAD])
-    return SimpleNamespace(imposed=True, drive=drive, knots=np.array(knots, dtype=float))
+    wave = np.zeros(1, WAVE).view(np.recarray)[0]
+    wave.end = end
+    wave.knots = len(knots)
+    imposed = SimpleNamespace(acts=True, wave=wave, knots=np.array(knots, dtype=float))
+    return SimpleNamespace(imposed=imposed)
 
 
 def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
@@ -112,7 +122,7 @@ def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
     for t, end in ((2.5, 4.0), (4.0, 9.0), (0.2, 0.9), (5.0, 9.0)):
         assert ahead(spline, t, end, 1e-9) > 1e200
     still = acting(3.0)
-    still.imposed = False
+    still.imposed.acts = False
     assert ahead(still, 1.0, 5.0, 1e-9) > 1e200
     assert cut(still, 2.5, 1.0) == 0
 

@@ -144,7 +144,9 @@ def told(differences=None, peaks=None, instead=None, scale=None, seen=None):
     state["largest_displacement"] = 0.2 + np.arange(6)
     state["largest_speed"] = 0.7 + np.arange(6)
     if seen is not None:
-        state["largest_displacement"], state["largest_speed"] = np.transpose(seen)
+        state["largest_displacement"], state["largest_speed"] = np.broadcast_to(
+            seen, (2, len(state))
+        )
     units = np.array([[3.0, 4.0]] * CHAINS)
     scale = np.ones((CHAINS, 2)) if scale is None else scale
     peaks = np.array([[0.1, 5.0], [2.0, 0.1], [0.0, 0.0]]) if peaks is None else peaks

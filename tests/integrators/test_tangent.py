@@ -9,8 +9,9 @@ from helpers.plain_methods import WIDE, Motion
 
 from lmpchain import Chain, Drive, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels import tangent
 from lmpchain.integrators.kernels.layout import PAD
-from lmpchain.integrators.kernels.tangent import Links, march
+from lmpchain.integrators.kernels.tangent import march
 from lmpchain.integrators.splittings import RKN4
 
 GRAINS = 5
@@ -62,12 +63,8 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
     moving = np.flatnonzero(motion.mobile)
     steps = FRACTIONS * scene.duration
     batch = ChainBatch([scene], "exact")
-    length, strength, inverse_mass = batch.table[0]
+    inverse_mass = batch.inverse_mass[0]
     assert inverse_mass[PAD + moving] == pytest.approx(1 / scene.chain.masses[moving], rel=1e-15)
-    links = Links(
-        length, strength, inverse_mass, float(batch.uncompressed[0]), int(batch.forms[0]), batch.precompressed,
-        batch.coefficients,
-    )  # fmt: skip
     columns = 2 * moving.size + 1  # a displacement or a velocity that differs, and longer steps
     dx, dv = np.zeros((2, GRAINS, columns))
     unit = float(np.abs(motion.x).max()), float(np.abs(motion.v).max())
@@ -76,7 +73,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
     stretch = np.zeros(columns)
     driven = motion.wall or motion.driven
     stretch[-1] = not driven  # of what is imposed, time goes on as it was
-    x, v = np.zeros((2, length.size))
+    x, v = np.zeros((2, inverse_mass.size))
     x[PAD : PAD + GRAINS], v[PAD : PAD + GRAINS] = motion.x, motion.v
     path, body = np.empty(0), PAD
     if driven:
@@ -84,7 +81,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
         begins = np.cumsum(steps) - steps
         times = np.append(0.0, (begins[:, None] + steps[:, None] * offsets).ravel())
         path, body = scene.excitation.waveform.at(times), PAD - 1 + scene.excitation.grain
-    xs, vs = np.zeros((2, steps.size + 1, GRAINS))
+    nodes = np.zeros((2, steps.size + 1, GRAINS))
     states = []
     for sign in (0, 1, -1):
         many = [np.repeat(field[None], columns, 0) for field in (motion.x, motion.v)]
@@ -97,21 +94,15 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
             each = [WIDE(h) for h in steps]
         states.append(plain.by_splitting(other, RKN4, each))
     march(
-        links,
-        x,
-        v,
-        dx,
-        dv,
-        stretch,
-        np.array(RKN4.kicks),
-        np.array(RKN4.drifts),
-        steps,
-        body,
-        path,
-        xs,
-        vs,
+        batch.links,
+        inverse_mass,
+        tangent.Motion(x, v),
+        tangent.Deviations(dx, dv, stretch),
+        tangent.Steps(np.array(RKN4.kicks), np.array(RKN4.drifts), steps),
+        tangent.Held(body, path),
+        nodes,
     )
-    for order, field in enumerate((xs, vs)):
+    for order, field in enumerate(nodes):
         true = states[0][:, order, 0].astype(float)
         columns_seen = moving if driven else slice(None)
         scale = np.abs(true).max()
@@ -121,29 +112,28 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
         true = slopes[order].T
         assert np.abs(field - true)[moving].max() < 1e-9 * np.abs(true).max()
         assert np.abs(true[moving][:, -1]).max() > 0.1 * np.abs(true).max() or driven
-    assert x[PAD : PAD + GRAINS][moving] == pytest.approx(xs[-1][moving], rel=1e-15)
+    assert x[PAD : PAD + GRAINS][moving] == pytest.approx(nodes[0, -1][moving], rel=1e-15)
 
 
 def test_a_flight_of_many_steps_adds_no_rounding():
     """A grain that flies alone through 10^5 steps ends where it ought to the last digit."""
     scene = scene_of("vacuum")
     batch = ChainBatch([scene], "exact")
-    length, strength, inverse_mass = batch.table[0]
-    links = Links(
-        length,
-        0 * strength,
-        inverse_mass,
-        0.0,
-        int(batch.forms[0]),
-        batch.precompressed,
-        batch.coefficients,
+    inverse_mass = batch.inverse_mass[0]
+    links = batch.links._replace(
+        strength=0 * batch.links.strength, uncompressed=0 * batch.links.uncompressed
     )
-    x, v = np.zeros((2, length.size))
+    x, v = np.zeros((2, inverse_mass.size))
     v[PAD + 2] = 0.1
     steps = np.full(100_000, 1e-7)
-    none, xs, vs = np.zeros((GRAINS, 0)), *np.zeros((2, steps.size + 1, GRAINS))
+    none = np.zeros((GRAINS, 0))
     march(
-        links, x, v, none, none.copy(), np.zeros(0), np.array([0.5, 0.5]), np.array([1.0]), steps, 0, np.empty(0),
-        xs, vs,
-    )  # fmt: skip
+        links,
+        inverse_mass,
+        tangent.Motion(x, v),
+        tangent.Deviations(none, none.copy(), np.zeros(0)),
+        tangent.Steps(np.array([0.5, 0.5]), np.array([1.0]), steps),
+        tangent.Held(0, np.empty(0)),
+        np.zeros((2, steps.size + 1, GRAINS)),
+    )
     assert x[PAD + 2] == pytest.approx(0.1 * 1e-7 * 100_000, rel=3e-16)

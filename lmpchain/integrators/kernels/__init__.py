@@ -1,1 +1,1 @@
-"""Compiled loops; one is compiled anew when its module, or one beside it that it imports, changes."""
+"""Compiled loops; each is compiled anew when its module, or one that it imports, changes."""

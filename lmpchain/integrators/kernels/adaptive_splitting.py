@@ -1,19 +1,22 @@
 """Kick-drift splittings with an adaptive step size around contacts that open or close, compiled.
 
-A method of order p needs p derivatives of the force, which goes like t^delta where a contact opens or closes; steps
-that shorten like the distance to that time to the power 9/14 keep the error of every step the same, and the order.
+A method of order p needs p derivatives of the force, which goes like t^delta where a contact opens
+or closes; steps that shorten like the distance to that time to the power 9/14 keep the error of
+every step the same, and the order.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .dense_output import fill_jerk, fill_samples, keep, passes
-from .layout import PAD, RESOLUTION
+from .layout import PAD, RESOLUTION, Rows
 from .right_hand_side import (
     accelerate,
     ahead,
@@ -23,26 +26,51 @@ from .right_hand_side import (
     imposed,
     imposed_rate,
     recall,
+    slice_links,
     sweep,
 )
-from .sample_loop import clock_of, end_of_step, sample_loop
-from .team import largest, meet, mine
+from .sample_loop import end_of_step, sample_loop
+from .team import largest, meet, share
 from .window import look, watch, widen
 
-TILE = 16  # contacts that are looked at together
+GROUP = 16  # contacts that are looked at together
+
+
+class Near(NamedTuple):
+    """Contacts of a chain, of which the one nearest to opening or closing shortens the step.
+
+    Attributes
+    ----------
+    weight, reach : (W,) arrays
+        See `layout.Openings`.
+    close : float
+        See `_may_matter`.
+    omega : float
+        Highest frequency, rad/s.
+    nearest : float
+        No step is shorter than where the inverse of the distance, over 2 omega, is this.
+    """
+
+    weight: Array
+    reach: Array
+    close: float
+    omega: float
+    nearest: float
 
 
 @inlined
 def _score(gap, rate, bend, weight, omega, nearest):
-    """Return the squared nearness of a contact to opening or closing, weighed by its effect on the motion.
+    """Return the squared nearness of a contact to opening or closing, weighed by its effect.
 
-    For a contact with the overlap `gap` and its two rates, the force behaves like t^(3/2) around the time at which the
-    overlap is 0; of a quadratic through them the nearest root counts, also a complex one (a contact that all but
-    opens). The local error of a step h there goes as (h / distance)^7 distance^(5/2).
+    For a contact with the overlap `gap` and its two rates, the force behaves like t^(3/2) around
+    the time at which the overlap is 0; of a quadratic through them the nearest root counts, also a
+    complex one (a contact that all but opens). The local error of a step h there goes as (h /
+    distance)^7 distance^(5/2).
     """
     inside = rate * rate - 2.0 * gap * bend
     size = inside if inside > 0.0 else -inside
-    root, modulus = math.sqrt(size), math.sqrt(rate * rate + size)
+    root = math.sqrt(size)
+    modulus = math.sqrt(rate * rate + size)
     towards = abs(rate) if gap > 0.0 else rate  # behind a contact that has just opened lies nothing
     fast = towards + root if inside > 0.0 else modulus
     comes = gap if gap > inside else inside
@@ -56,54 +84,53 @@ def _score(gap, rate, bend, weight, omega, nearest):
 
 
 @inlined
-def _may_matter(y, rates, bends, inverse_length, reach, close, precompressed):
-    """Say whether any of these contacts may be near enough to opening or closing to shorten the step.
+def _may_matter(y, rates, bends, links, reach, close):
+    """Say whether any of these contacts may be near enough to an opening to shorten the step.
 
-    That is so from a score of shortened^14 on. In `_score` fast^2 is at most q and `size` at most q / 2, so that no
-    root and no quotient is needed: with reach = weight^(1/3) / (sqrt(2) (2 omega)^3) and close = shortened^(-14/3) no
-    score is as large while q^2 reach close < |gap|^3.
+    That is so from a score of shortened^14 on. In `_score` fast^2 is at most q and `size` at most q
+    / 2, so that no root and no quotient is needed: with reach = weight^(1/3) / (sqrt(2) (2
+    omega)^3) and close = shortened^(-14/3) no score is as large while q^2 reach close < |gap|^3.
     """
-    most = -1  # as bits, see `window.watch`
-    for n in range(inverse_length.size):
-        il = inverse_length[n]
-        gap = abs(precompressed + (y[n] - y[n + 1]) * il)
-        rate, bend = (rates[n] - rates[n + 1]) * il, abs((bends[n] - bends[n + 1]) * il)
+    largest = -1  # as bits, see `window.watch`
+    for n in range(reach.size):
+        il = links.inverse_length[n]
+        gap = abs(links.precompressed + (y[n] - y[n + 1]) * il)
+        rate = (rates[n] - rates[n + 1]) * il
+        bend = abs((bends[n] - bends[n + 1]) * il)
         q = 4.0 * (rate * rate + gap * bend)
-        most = max(bits(q * q * (close * reach[n]) - gap * gap * gap), most)
-    return most >= 0
+        largest = max(bits(q * q * (close * reach[n]) - gap * gap * gap), largest)
+    return largest >= 0
 
 
 @inlined
-def _nearness(
-    y,
-    rates,
-    bends,
-    inverse_length,
-    weight,
-    reach,
-    close,
-    precompressed,
-    uncompressed,
-    omega,
-    nearest,
-):
+def _nearness(y, rates, bends, links, near):
     """Return the largest score of all contacts between the bodies y; 0 if none is near."""
-    largest, size = 0, inverse_length.size
-    for begin in range(0, size, TILE):
-        end = min(begin + TILE, size)
-        these, ends = slice(begin, end), slice(begin, end + 1)
-        yt, rt, bt, il, wt = y[ends], rates[ends], bends[ends], inverse_length[these], weight[these]
-        if not _may_matter(yt, rt, bt, il, reach[these], close, precompressed):
+    largest = 0
+    size = near.weight.size
+    for begin in range(0, size, GROUP):
+        end = min(begin + GROUP, size)
+        contacts = slice(begin, end)
+        ends = slice(begin, end + 1)
+        yt = y[ends]
+        rt = rates[ends]
+        bt = bends[ends]
+        il = links.inverse_length[contacts]
+        wt = near.weight[contacts]
+        if not _may_matter(
+            yt, rt, bt, slice_links(links, contacts, 0.0), near.reach[contacts], near.close
+        ):
             continue
         for n in range(il.size):
-            gap = precompressed + (yt[n] - yt[n + 1]) * il[n]
-            rate, bend = (rt[n] - rt[n + 1]) * il[n], (bt[n] - bt[n + 1]) * il[n]
-            largest = max(bits(_score(gap, rate, bend, wt[n], omega, nearest)), largest)
+            gap = links.precompressed + (yt[n] - yt[n + 1]) * il[n]
+            rate = (rt[n] - rt[n + 1]) * il[n]
+            bend = (bt[n] - bt[n + 1]) * il[n]
+            largest = max(bits(_score(gap, rate, bend, wt[n], near.omega, near.nearest)), largest)
     most = number(largest)
-    if uncompressed > 0.0:
-        score = _score(
-            y[0] - y[1], rates[0] - rates[1], bends[0] - bends[1], weight[0], omega, nearest
-        )
+    if links.uncompressed > 0.0:
+        gap = y[0] - y[1]
+        rate = rates[0] - rates[1]
+        bend = bends[0] - bends[1]
+        score = _score(gap, rate, bend, near.weight[0], near.omega, near.nearest)
         most = score if score > most else most
     return most
 
@@ -117,11 +144,12 @@ def _finish_kick(chain, margin, force, pull):
     state = chain.state
     widen(chain, margin)
     meet(chain.team)
-    first, last = mine(chain)
+    first, last = share(chain)
     # one grain further on either side: how near contacts are to opening depends on it, too
     above = max(first - 1, state.first)
     accelerate(chain, chain.x, above, min(last + 1, state.last), force, pull)
-    speeds, a = chain.v[first:last], pull[first:last]
+    speeds = chain.v[first:last]
+    a = pull[first:last]
     for n in range(speeds.size):
         speeds[n] = fma(state.pending, a[n], speeds[n])
     state.pending = 0.0
@@ -132,8 +160,8 @@ def _finish_kick(chain, margin, force, pull):
 @inlined
 def _fill_passed(chain, work, clock, span, out, beyond):
     """Fill the samples that the step before has passed; return whether it took jerks (W,)."""
-    force, pull, rate, jerk = work[5:9]
-    state, (first, last) = chain.state, mine(chain)
+    force, pull, rate, jerk = work[2:6]
+    state, (first, last) = chain.state, share(chain)
     if clock.dense == 0 or passes(chain, clock, span, state.step_begin, state.done) == 0:
         return False
     changes = imposed_rate(
@@ -147,54 +175,63 @@ def _fill_passed(chain, work, clock, span, out, beyond):
 @inlined
 def _advance(chain, method, work, clock, span, out):
     """Take one step."""
-    kicks, drifts, shortened, _, weight, near_enough = method
-    kick, drift, carried, path, reach, force, pull, rate, jerk, close, nearest = work
-    y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
+    (kicks, drifts), openings = method
+    rows, reach, force, pull, rate, jerk, close, nearest = work
+    y = chain.x
+    w = chain.v
+    state = chain.state
+    stages = drifts.size
     t = span.begin + state.done
     recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     beyond = _finish_kick(chain, stages + 1, force, pull)
-    known = _fill_passed(chain, work, clock, span, out, beyond)
+    filled = _fill_passed(chain, work, clock, span, out, beyond)
     watch(chain)
     look(chain, clock, state.steps, t, 1.0)
-    first, last = mine(chain)
-    bodies, near, grains, speeds = (
-        slice(first - 1, last + 1),
-        slice(first - 1, last),
-        y[first:last],
-        w[first:last],
-    )
-    left = min(
+    first, last = share(chain)
+    bodies = slice(first - 1, last + 1)
+    near = slice(first - 1, last)
+    grains = y[first:last]
+    speeds = w[first:last]
+    remaining = min(
         span.length - state.done,
         ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step),
     )
-    nearness = _nearness(
-        y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
-        near_enough[chain.number, near], close, chain.precompressed, chain.uncompressed if first == PAD else 0.0,
-        chain.omega, nearest[chain.schedule, chain.number],
-    )  # fmt: skip
+    touches = chain.links.uncompressed if first == PAD else 0.0
+    links = slice_links(chain.links, near, touches)
+    contacts = Near(
+        weight=openings.weight[chain.number, near],
+        reach=openings.reach[chain.number, near],
+        close=close,
+        omega=chain.omega,
+        nearest=nearest[chain.schedule, chain.number],
+    )
+    nearness = _nearness(y[bodies], w[bodies], pull[bodies], links, contacts)
     nearness = largest(chain.team, nearness)
-    h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
-    done = end_of_step(chain, span, left, h)
+    h = clock.step
+    if nearness > 0.0:
+        h *= min(1.0, openings.shortened * nearness ** (-1 / 14))
+    done = end_of_step(chain, span, remaining, h)
     h = done - state.done
     if clock.dense > 0:
         if passes(chain, clock, span, state.done, done) > 0:
-            if chain.imposed or not known:
+            if chain.imposed.acts or not filled:
                 fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed_rate(chain, t, t))
             keep(chain, first, last, pull, jerk)
             meet(chain.team)  # before the grains next to these move
         state.step_begin = state.done
     hold(chain, w)
-    if chain.imposed:
+    if chain.imposed.acts:
         for stage in range(stages - 1):
-            path[stage] = imposed(chain, t + reach[stage] * h)
+            rows.path[stage] = imposed(chain, t + reach[stage] * h)
     a = pull[first:last]
     for n in range(speeds.size):
         speeds[n] = fma(kicks[0] * h, a[n], speeds[n])
         grains[n] = fma(drifts[0] * h, speeds[n], grains[n])
     for stage in range(stages - 1):
-        kick[stage], drift[stage] = kicks[stage + 1] * h, drifts[stage + 1] * h
-    sweep(chain, kick, drift, carried, path)
+        rows.kick[stage] = kicks[stage + 1] * h
+        rows.drift[stage] = drifts[stage + 1] * h
+    sweep(chain, rows)
     state.done = done
     state.pending = kicks[stages] * h
     impose(chain, y, span.begin + state.done, span.begin + state.done)
@@ -204,7 +241,7 @@ def _advance(chain, method, work, clock, span, out):
 @inlined
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick."""
-    beyond = _finish_kick(chain, method[1].size + 1, work[5], work[6])
+    beyond = _finish_kick(chain, method[0].drifts.size + 1, work[2], work[3])
     _fill_passed(chain, work, clock, span, out, beyond)
     hold(chain, chain.v)
 
@@ -213,29 +250,24 @@ _march = sample_loop(_advance, False, _land)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clocks, fields, begin, end, until, max_steps):
+def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by a splitting with an adaptive step size.
 
-    Parameters
-    ----------
-    method : kicks (S+1,) and drifts (S,) as parts of a step; h' / h of the shortened steps; c, p and, of F schedules,
-        b (F,) of the one that crosses an opening, omega h' = max(c (omega h)^p, b); of R chains and each contact the
-        square of the acceleration that it gives over what changes the motion, and the reach of `_may_matter`, (R, W)
+    `method` is `layout.Stages` and `layout.Openings`.
     """
-    rows, width = method[1].size - 1, chains.x.shape[1]
-    kick, drift, carried, path = (
-        np.zeros(rows),
-        np.zeros(rows),
-        np.zeros(rows),
-        np.zeros(rows if chains.imposed else 0),
-    )
-    shortened, (factor, power, least) = method[2:4]
-    close, nearest = shortened ** (-14 / 3), np.empty((least.size, chains.omega.size))
-    for schedule in range(least.size):
+    stages, openings = method
+    size = stages.drifts.size - 1
+    room = np.zeros((4, size))
+    path = room[3, : size if chains.imposed.acts else 0]
+    rows = Rows(kick=room[0], drift=room[1], carried=room[2], path=path)
+    close = openings.shortened ** (-14 / 3)
+    nearest = np.empty((openings.least.size, chains.omega.size))
+    for schedule in range(openings.least.size):
         for real in range(chains.omega.size):
-            reach = clock_of(clocks, schedule).step * chains.omega[real]
-            crosses = max(factor * reach**power, least[schedule])
-            nearest[schedule, real] = (shortened * reach / crosses) ** (14 / 9)
-    room, ahead_of = np.zeros((4, width)), np.cumsum(method[1])
-    work = kick, drift, carried, path, ahead_of, room[0], room[1], room[2], room[3], close, nearest
-    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)
+            reach = clocks[schedule].step * chains.omega[real]
+            crosses = max(openings.factor * reach**openings.power, openings.least[schedule])
+            nearest[schedule, real] = (openings.shortened * reach / crosses) ** (14 / 9)
+    bodies = np.zeros((4, chains.x.shape[1]))  # force, pull, rate and jerk
+    reach_of = np.cumsum(stages.drifts)
+    work = rows, reach_of, bodies[0], bodies[1], bodies[2], bodies[3], close, nearest
+    return _march(chains, method, work, clocks, fields, goal)

@@ -1,374 +1,410 @@
 """A kick-drift splitting with what its derivatives need, its adjoint, and its tangent, compiled.
 
 The force of a contact less that at rest is ``f = F [c s + c p + s p]`` with ``s = r / length`` and
-``p = (c + s)^(delta-1) - c``, nothing where c + s < 0; c is 1 where the contact is pressed at rest (F its force then,
-the length its overlap) and 0 where it only touches (F = K, length 1 m). Derivatives with respect to r, and to the force
-at rest and the constant K of a pressed contact, follow from p and f without cancellation, for waves of any strength:
+``p = (c + s)^(delta-1) - c``, nothing where c + s < 0; c is 1 where the contact is pressed at rest
+(F its force then, the length its overlap) and 0 where it only touches (F = K, length 1 m).
+Derivatives with respect to r, and to the force at rest and the constant K of a pressed contact,
+follow from p and f without cancellation, for waves of any strength:
 
     df/dr = delta F (c + p) / length,     df/dF = p at fixed K,     df/dK = (f - c F p) / K at fixed F.
 
-For delta = 3/2, f itself is ``F p (3 c + p (3 c + p))``, so that p is all that the way back must know of a contact.
-Chains lie in rows of W bodies as in `layout`; a contact has the index of the body below it. A row of the run is a kick
-and a drift; the last kick of a step and the first of the next are one, but where grains are looked at between them.
+For delta = 3/2, f itself is ``F p (3 c + p (3 c + p))``, so that p is all that the way back must
+know of a contact. Chains lie in rows of W bodies as in `layout`; a contact has the index of the
+body below it. A row of the run is a kick and a drift; the last kick of a step and the first of the
+next are one, but where grains are looked at between them.
 """
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
-from ...util.compilation import compiled_once
+import numpy as np
+from numpy.typing import NDArray
+
+from ...util.arrays import Array
 from .adjoint_rows import (
-    _OPTIONS,
-    _back_exact,
-    _back_hertz,
-    _back_other,
-    _back_plain,
-    _back_series,
-    _back_short_series,
-    _back_vacuum,
-    _loop,
-    _there_hertz,
-    _there_other,
-    _there_plain,
-    _there_vacuum,
+    Above,
+    Adjoint,
+    BackRows,
+    Bodies,
+    KeptRows,
+    Span,
+    Way,
     at,
+    back_rows,
+    keep_row,
+    touch,
 )
-from .layout import BODY, PAD
+from .course import Stretch, compiled_gradient, count_rows, drift_before, fill_rows, loop
+from .layout import PAD, Rows
 from .right_hand_side import sweep
+from .sample_loop import chain_of
 from .window import watch, widen
 
-# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in weak waves and in the
-# weakest; elsewhere, delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
-UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, UNDONE_SHORT, VACUUM, PLAIN, HERTZ, OTHER = range(8)
-NEWS = "gradients of the native engine", 30
-BURST = (
-    32  # rows between two updates of the window, but on the way forth as many as there is room for
-)
-TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
+# rows between two updates of the window, but on the way forth as many as there is room for
+BURST = 32
+INNER_TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
 
 
-@_loop
-def _fill(course, look, q, kick, drift):
-    """Fill kick and drift (Q,), s, of the rows from that of number q after a look on."""
-    kicks, drifts, lengths, begun = course
-    stages = drifts.size
-    at, stage = begun[look] + q // stages, q % stages
-    for row in range(kick.size):
-        if at == begun[look + 1]:
-            kick[row], drift[row] = kicks[stages] * lengths[at - 1], 0.0
-            return
-        kick[row], drift[row] = kicks[stage] * lengths[at], drifts[stage] * lengths[at]
-        if stage == 0 and at > begun[look]:
-            kick[row] += kicks[stages] * lengths[at - 1]
-        stage += 1
-        if stage == stages:
-            at, stage = at + 1, 0
+class Pieces(NamedTuple):
+    """Pieces of a run between checkpoints.
+
+    Attributes
+    ----------
+    starts : (P+1,) array
+        Their first rows.
+    looks, rows : (P+1,) arrays
+        The looks before these, and the rows in between.
+    states : (P+1, 2, W) array
+        Displacements and velocities there.
+    windows : (P, 2) array
+        First body of the window and the one behind its last at the end of each piece.
+    """
+
+    starts: NDArray[np.int64]
+    looks: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    states: Array
+    windows: NDArray[np.int64]
 
 
-@_loop
-def _drift(course, look, q):
-    """Return the drift, s, of the row before that of number q after a look; before a look there is none."""
-    _, drifts, lengths, begun = course
-    return (
-        drifts[(q - 1) % drifts.size] * lengths[begun[look] + (q - 1) // drifts.size]
-        if q > 0
-        else 0.0
-    )
+class Path(NamedTuple):
+    """What is imposed in each row, and the derivatives by that.
+
+    `body` is the one that is driven, or less than 0 the one that is pushed; 0 if none is.
+    """
+
+    body: int
+    imposed: Array
+    derivative: Array
 
 
-@_loop
-def _rows(course, look):
-    """Return how many rows there are from a look to the next."""
-    return course[1].size * (course[3][look + 1] - course[3][look]) + 1
+class Memory(NamedTuple):
+    """Arrays for the way back.
+
+    Attributes
+    ----------
+    bodies, adjoint : Bodies and Adjoint of (W + PAD,) arrays
+        Each body one place further on, where what a contact moves begins a cache line, but not the
+        sums over contacts.
+    above : Above of (W,) arrays
+    powers, forces : (rows, W) arrays
+        p and f of contacts that are kept.
+    tops : (2, rows) array
+        Those of a first contact that only touches.
+    room : (5, BURST) array, or longer
+    """
+
+    bodies: Bodies
+    adjoint: Adjoint
+    above: Above
+    powers: Array
+    forces: Array
+    tops: Array
+    room: Array
 
 
-@_loop
-def _contacts(chain):
-    """Return where the contacts of the window begin and end, those with what is held at its end left out."""
-    first, last = chain.state.first, chain.state.last
-    return first, last + PAD if chain.inverse_mass[last - 1] > 0.0 else last
+class Tile(NamedTuple):
+    """Contacts that stay in the cache while rows pass over them.
+
+    Attributes
+    ----------
+    begin, end : int
+        From the first to the one behind the last, in the first row that is done.
+    sooner, shorter : int
+        By how many places they begin and end earlier with every row that is done.
+    top, final : bool
+        Whether there is no tile above, or none below.
+    touches : bool
+        Whether the first contact is one that only touches.
+    """
+
+    begin: int
+    end: int
+    sooner: int
+    shorter: int
+    top: bool
+    final: bool
+    touches: bool
 
 
-@_loop
-def _tiles(first, last, rows):
-    """Return the bodies of a tile and how many rows are done together."""
-    whole = last - first <= 2 * TILE
-    return (last - first if whole else TILE), (rows if whole else 1)
+@loop
+def _tile(first, last, number, touching):
+    """Return the tile of this number of the contacts first ... last-1."""
+    single = last - first <= 2 * INNER_TILE
+    begin = first + number * INNER_TILE
+    top = number == 0
+    touches = top and first == PAD and touching > 0.0
+    final = single or begin + 2 * INNER_TILE > last
+    end = last if final else begin + INNER_TILE
+    return Tile(begin, end, 0 if top else PAD, 0 if final else PAD, top, final, touches)
 
 
-@_loop
-def _forward(chain, course, room, path, look, q, count, seen):
-    """Move a chain by `count` rows, from that of number q after a look on, as the native engine does."""
-    columns, looks = seen
+@loop
+def _forward(chain, steps, room, path, stretch, looks):
+    """Move a chain by some rows as the native engine does."""
+    look, row, count = stretch
     done = 0
     while done < count:
-        some = min(room.shape[1], count - done, _rows(course, look) - q)
-        kick, drift, carried = room[0, :some], room[1, :some], room[2, :some]
-        _fill(course, look, q, kick, drift)
-        widen(chain, some + 1)
-        sweep(chain, kick, drift, carried, path[done : done + some])
-        q, done = q + some, done + some
-        if q == _rows(course, look):
-            look, q = look + 1, 0
-            for column in range(columns.size):
-                looks[0, look, column] = chain.x[columns[column]]
-                looks[1, look, column] = chain.v[columns[column]]
-
-
-@compiled_once(*NEWS, nogil=True, **_OPTIONS)
-def forward(chain, course, room, path, pieces, some, seen):
-    """Move a chain through some pieces of its run by the loops of the native engine.
-
-    `course` is kicks (S+1,) and drifts (S,) as parts of a step, the lengths (K,) of all steps, s, and how many are
-    made before each look. `seen` is the indices (G,) of bodies and room for their x and v at all looks. `path` is what
-    is imposed in each row, if anything is, and `room` is (5, BURST) or longer. `pieces` is their first rows (P+1,), the
-    looks before these and the rows in between, and where states (P+1, 2, W) and windows (P, 2) are kept.
-    """
-    starts, looks, rows, states, windows = pieces
-    watch(chain)
-    for piece in range(some[0], some[1]):
-        begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
-        _forward(
-            chain, course, room, path[begin : begin + count], looks[piece], rows[piece], count, seen
+        burst = min(room.shape[1], count - done, count_rows(steps, look) - row)
+        imposed = path[done : done + burst]
+        rows = Rows(
+            kick=room[0, :burst], drift=room[1, :burst], carried=room[2, :burst], path=imposed
         )
-        kept_x, kept_v = states[piece + 1, 0], states[piece + 1, 1]
+        fill_rows(steps, look, row, rows.kick, rows.drift)
+        widen(chain, burst + 1)
+        sweep(chain, rows)
+        row += burst
+        done += burst
+        if row == count_rows(steps, look):
+            look += 1
+            row = 0
+            for n in range(looks.bodies.size):
+                looks.values[0, look, n] = chain.x[looks.bodies[n]]
+                looks.values[1, look, n] = chain.v[looks.bodies[n]]
+
+
+@compiled_gradient()
+def forward(chains, steps, room, path, pieces, numbers, looks):
+    """Move the chain of a batch of one through the pieces numbers[0] ... numbers[1]-1 of its run.
+
+    The loops are those of the native engine. `path` is what is imposed in each row, if anything is,
+    and `room` is (5, BURST) or longer.
+    """
+    chain = chain_of(chains, 0, 0)
+    starts = pieces.starts
+    watch(chain)
+    for piece in range(numbers[0], numbers[1]):
+        begin = starts[piece] - starts[numbers[0]]
+        count = starts[piece + 1] - starts[piece]
+        stretch = Stretch(pieces.looks[piece], pieces.rows[piece], count)
+        _forward(chain, steps, room, path[begin : begin + count], stretch, looks)
+        x = pieces.states[piece + 1, 0]
+        v = pieces.states[piece + 1, 1]
         for n in range(chain.x.size):
-            kept_x[n] = chain.x[n]
+            x[n] = chain.x[n]
         for n in range(chain.v.size):
-            kept_v[n] = chain.v[n]
-        windows[piece, 0], windows[piece, 1] = chain.state.first, chain.state.last
+            v[n] = chain.v[n]
+        pieces.windows[piece, 0] = chain.state.first
+        pieces.windows[piece, 1] = chain.state.last
         watch(chain)
 
 
-@_loop
-def _touch(r, constant, less, row, tops):
-    """Keep p and f of a first contact that only touches, and return f."""
-    if r > 0.0:
-        tops[0, row] = math.sqrt(r) if less == 0.5 else r**less
-    else:
-        tops[0, row] = 0.0
-    tops[1, row] = constant * r * tops[0, row]
-    return tops[1, row]
+@loop
+def _keep_top(law, memory, kick, index):
+    """Kick grain 1 by a contact with the top wall that only touches, and keep p and f of it."""
+    x, v, inverse_mass = memory.bodies
+    p, f = touch(x[PAD] - x[PAD + 1], law.touching, law.less)
+    memory.tops[0, index] = p
+    memory.tops[1, index] = f
+    v[PAD + 1] += kick * inverse_mass[PAD + 1] * f
 
 
-@_loop
-def _keep(
-    law, less, chain, table, course, room, path, look, q, count, powers, forces, tops, bodies
-):
-    """Move a chain by some rows as `forward` does, within its window, and keep p of all contacts.
+@loop
+def _keep_tile(law, path, memory, tile, row, index):
+    """Move the bodies of a tile by a row, and keep p of their contacts in the row `index`."""
+    x, v, im = memory.bodies
+    il, st, stiff = memory.above
+    kick = memory.room[0, row]
+    drift = memory.room[1, row]
+    carried = memory.room[2]
+    a = tile.begin - tile.sooner * row
+    b = tile.end - tile.shorter * row
+    body = path.body
+    imposed = path.imposed
+    if tile.top and body > 0:
+        x[body + 1] = imposed[index]
+    if body < 0 and a <= 1 - body < b:
+        v[1 - body] += kick * im[1 - body] * imposed[index]
+    if tile.touches:
+        _keep_top(law, memory, kick, index)
+    carried[row] = keep_row(
+        law.way,
+        b - a,
+        Bodies(at(x, a), at(v, a), at(im, a)),
+        Above(at(il, a), at(st, a), at(stiff, a)),
+        kick,
+        drift,
+        0.0 if tile.top else carried[row],
+        law,
+        _kept_rows(memory, index * memory.powers.shape[1] + a),
+    )
 
-    `table` is 1 / length, strength and delta strength / length of every contact, (3, W). `bodies` is x, v and the
-    inverse masses, (3, W + PAD), each body one place further on, where what a contact moves begins a cache line.
-    """
-    x, v, im, il, st, c = bodies[0], bodies[1], bodies[2], table[0], table[1], chain.precompressed
-    first, last = _contacts(chain)
-    body = int(chain.drive[BODY]) if path.size > 0 else 0
+
+@loop
+def _keep(law, steps, stretch, path, memory, contacts):
+    """Move a chain by some rows within its window, and keep p of all contacts."""
+    first, last = contacts
+    look, row, count = stretch
     done = 0
     while done < count:
-        some = min(BURST, count - done, _rows(course, look) - q)
-        kick, drift, carried = room[0, :some], room[1, :some], room[2, :some]
-        _fill(course, look, q, kick, drift)
-        tile, together = _tiles(first, last, some)
-        for begin in range(first, last, tile):
-            final = begin + 2 * tile > last
-            end = last if final else begin + tile
-            for row in range(some):
-                a = begin if begin == first or together > 1 else begin - PAD * row
-                b = end if final else end - PAD * row
-                place = done + row
-                above = carried[row]
-                if begin == first:
-                    above = 0.0
-                    if body > 0:
-                        x[body + 1] = path[place]
-                if body < 0 and a <= 1 - body < b:
-                    v[1 - body] += kick[row] * im[1 - body] * path[place]
-                if begin == first and chain.uncompressed > 0.0 and first == PAD:
-                    f0 = _touch(x[PAD] - x[PAD + 1], chain.uncompressed, less, place, tops)
-                    v[PAD + 1] += kick[row] * im[PAD + 1] * f0
-                p = at(powers[place], a)
-                moved = at(x, a), at(v, a), at(il, a), at(st, a), at(im, a)
-                arguments = b - a, *moved, kick[row], drift[row], above, c
-                if law == VACUUM:
-                    carried[row] = _there_vacuum(*arguments, p)
-                elif law == PLAIN:
-                    carried[row] = _there_plain(*arguments, p)
-                elif law == HERTZ:
-                    carried[row] = _there_hertz(*arguments, p)
-                else:
-                    carried[row] = _there_other(*arguments, less, p, at(forces[place], a))
-            if final:
+        burst = min(BURST, count - done, count_rows(steps, look) - row)
+        fill_rows(steps, look, row, memory.room[0, :burst], memory.room[1, :burst])
+        for number in range((last - first) // INNER_TILE + 1):
+            tile = _tile(first, last, number, law.touching)
+            for turn in range(burst):
+                _keep_tile(law, path, memory, tile, turn, done + turn)
+            if tile.final:
                 break
-        q, done = q + some, done + some
-        if q == _rows(course, look):
-            look, q = look + 1, 0
+        row += burst
+        done += burst
+        if row == count_rows(steps, look):
+            look += 1
+            row = 0
 
 
-@_loop
-def _backward(
-    law,
-    less,
-    chain,
-    table,
-    course,
-    room,
-    path,
-    look,
-    q,
-    count,
-    powers,
-    forces,
-    tops,
-    bodies,
-    seen,
-    adjoint,
-    on_path,
-):
-    """Take adjoints back by `count` rows, from that of number q after a look.
+@loop
+def _kept_rows(memory, begin):
+    """Return p and f that are kept, from a place on."""
+    width = memory.powers.shape[1]
+    return KeptRows(at(memory.powers[0], 0), at(memory.forces[0], 0), begin, width)
 
-    A row is the drift before a kick, and the kick, here. `bodies` is as in `_keep`, but with momenta where rows are
-    undone. `adjoint` is (5, W + PAD): that of x, that of v over the mass, sums over all rows of y p, times the
-    stiffness (not in VACUUM), and of y f, y being the adjoint of the force of a contact, and what kicks do by the mass;
-    all but those two sums are one place further on. `seen` has derivatives by what was seen, `on_path` gathers those by
-    what is imposed in each row.
+
+@loop
+def _take_looks(looks, look, bodies, adjoint):
+    """Take in the derivatives by what was seen at a look."""
+    for n in range(looks.bodies.size):
+        body = looks.bodies[n] + 1
+        adjoint.x[body] += looks.values[0, look, n]
+        adjoint.pull[body] += bodies.inverse_mass[body] * looks.values[1, look, n]
+
+
+@loop
+def _back_push(body, kick, index, path, memory):
+    """Take adjoints back through the kick by which a body is pushed."""
+    weight = kick * memory.adjoint.pull[body]
+    path.derivative[index] = weight
+    memory.adjoint.mass[body] += weight * path.imposed[index]
+    memory.bodies.v[body] -= kick * path.imposed[index]
+
+
+@loop
+def _back_top(law, kick, index, memory):
+    """Take adjoints back through the kick by a contact with the top wall that only touches."""
+    adjoint = memory.adjoint
+    y, p, f = kick * adjoint.pull[PAD + 1], memory.tops[0, index], memory.tops[1, index]
+    g = (law.less + 1.0) * law.touching * p * y
+    adjoint.x[PAD + 1] -= g
+    adjoint.x[PAD] += g
+    adjoint.power[PAD] += y * p
+    adjoint.force[PAD] += y * f
+    adjoint.mass[PAD + 1] += y * f
+
+
+@loop
+def _fill_back(steps, look, row, room, burst):
+    """Return kicks and the drifts before them of some rows, with room for their borders."""
+    kick = room[0]
+    drift = room[1]
+    before = room[4]
+    fill_rows(steps, look, row, kick[:burst], drift[:burst])
+    before[0] = drift_before(steps, look, row)
+    for n in range(1, burst):
+        before[n] = drift[n - 1]
+    return BackRows(at(kick, 0), at(before, 0), at(room[2], 0), at(room[3], 0))
+
+
+@loop
+def _back_tile(law, path, memory, rows, tile, span):
+    """Take adjoints back through the contacts of a tile in some rows.
+
+    `span` is the last of these rows, and how many.
+
+    Where something is imposed, or the first contact only touches, rows are done one by one.
     """
-    columns, looks = seen
-    il, st, stiff, im, c = table[0], table[1], table[2], bodies[2], chain.precompressed
-    x, momentum = bodies[0], bodies[1]
-    adjoint_x, pull, sums_p, sums_f, sums_m = (
-        adjoint[0],
-        adjoint[1],
-        adjoint[2],
-        adjoint[3],
-        adjoint[4],
-    )
-    first, last = _contacts(chain)
-    body = int(chain.drive[BODY]) if path.size > 0 else 0
-    touches = chain.uncompressed > 0.0 and first == PAD
-    done = count
+    x, momentum, im = memory.bodies
+    il, st, stiff = memory.above
+    adjoint = memory.adjoint
+    width = memory.powers.shape[1] if law.way > Way.UNDONE_SHORT else 0
+    body = path.body
+    last, burst = span
+    single = body != 0 or tile.touches
+    for turn in range(0, burst, 1 if single else burst):
+        row = burst - 1 - turn
+        index = last - turn
+        a = tile.begin - tile.sooner * turn
+        b = tile.end - tile.shorter * turn
+        if body < 0 and a <= 1 - body < b:
+            _back_push(1 - body, rows.kicks[row], index, path, memory)
+        if tile.top and body > 0:
+            x[body + 1] = path.imposed[index]
+        if tile.touches:
+            _back_top(law, rows.kicks[row], index, memory)
+        back_rows(
+            law.way,
+            Span(row, 1 if single else burst, a, b, tile.sooner, tile.shorter, tile.top),
+            rows,
+            Bodies(at(x, 0), at(momentum, 0), at(im, 0)),
+            Above(at(il, 0), at(st, 0), at(stiff, 0)),
+            Adjoint(
+                at(adjoint.x, 0),
+                at(adjoint.pull, 0),
+                at(adjoint.power, 0),
+                at(adjoint.force, 0),
+                at(adjoint.mass, 0),
+            ),
+            law,
+            _kept_rows(memory, index * width),
+        )
+        if tile.top and body > 0:
+            path.derivative[index] = adjoint.x[body + 1]
+            adjoint.x[body + 1] = 0.0
+
+
+@loop
+def _backward(law, steps, stretch, looks, path, memory, contacts):
+    """Take adjoints back by some rows, from that of a number after a look.
+
+    A row is the drift before a kick, and the kick, here.
+    """
+    first, last = contacts
+    look, row, done = stretch
     while done > 0:
-        if q == 0:
-            for column in range(columns.size):
-                here = columns[column] + 1
-                adjoint_x[here] += looks[0, look, column]
-                pull[here] += im[here] * looks[1, look, column]
+        if row == 0:
+            _take_looks(looks, look, memory.bodies, memory.adjoint)
             look -= 1
-            q = _rows(course, look)
-        some = min(BURST, done, q)
-        each = 1 if body != 0 or touches else some  # rows between which nothing else is done
-        kick, drift, fs, gs, before = room[0], room[1], room[2], room[3], room[4]
-        _fill(course, look, q - some, kick[:some], drift[:some])
-        before[0] = _drift(course, look, q - some)
-        for row in range(1, some):
-            before[row] = drift[row - 1]
-        tile, together = _tiles(first, last, some)
-        for begin in range(first, last, tile):
-            final = begin + 2 * tile > last
-            end = last if final else begin + tile
-            sooner, shorter = 0 if begin == first or together > 1 else PAD, 0 if final else PAD
-            for turn in range(0, some, each):
-                row = some - 1 - turn
-                place = done - some + row
-                a, b = begin - sooner * turn, end - shorter * turn
-                if body < 0 and a <= 1 - body < b:
-                    w = kick[row] * pull[1 - body]
-                    on_path[place] = w
-                    sums_m[1 - body] += w * path[place]
-                    momentum[1 - body] -= kick[row] * path[place]
-                if begin == first and body > 0:
-                    x[body + 1] = path[place]
-                if begin == first and touches:
-                    y, p0, f0 = kick[row] * pull[PAD + 1], tops[0, place], tops[1, place]
-                    g = (less + 1.0) * chain.uncompressed * p0 * y
-                    adjoint_x[PAD + 1] -= g
-                    adjoint_x[PAD] += g
-                    sums_p[PAD] += y * p0
-                    sums_f[PAD] += y * f0
-                    sums_m[PAD + 1] += y * f0
-                span = row, each, a, b, sooner, shorter, begin == first
-                kept = place * powers.shape[1] if law > UNDONE_SHORT else 0
-                arguments = (
-                    span, at(x, 0), at(momentum, 0), at(adjoint_x, 0), at(pull, 0), at(stiff, 0), at(st, 0), at(il, 0),
-                    at(im, 0), at(kick, 0), at(before, 0), at(fs, 0), at(gs, 0), c, chain.coefficients,
-                    at(powers[0], 0), at(forces[0], 0), kept, powers.shape[1], at(sums_p, 0), at(sums_f, 0),
-                    at(sums_m, 0),
-                )  # fmt: skip
-                if law == UNDONE_PLAIN:
-                    _back_plain(*arguments)
-                elif law == UNDONE_EXACT:
-                    _back_exact(*arguments)
-                elif law == UNDONE_SERIES:
-                    _back_series(*arguments)
-                elif law == UNDONE_SHORT:
-                    _back_short_series(*arguments)
-                elif law == VACUUM:
-                    _back_vacuum(*arguments)
-                elif law <= HERTZ:
-                    _back_hertz(*arguments)
-                else:
-                    _back_other(*arguments)
-                if begin == first and body > 0:
-                    on_path[place] = adjoint_x[body + 1]
-                    adjoint_x[body + 1] = 0.0
-            if final:
+            row = count_rows(steps, look)
+        burst = min(BURST, done, row)
+        rows = _fill_back(steps, look, row - burst, memory.room, burst)
+        for number in range((last - first) // INNER_TILE + 1):
+            tile = _tile(first, last, number, law.touching)
+            _back_tile(law, path, memory, rows, tile, (done - 1, burst))
+            if tile.final:
                 break
-        q, done = q - some, done - some
+        row -= burst
+        done -= burst
 
 
-@compiled_once(*NEWS, nogil=True, **_OPTIONS)
-def backward(
-    law,
-    less,
-    chain,
-    table,
-    course,
-    room,
-    path,
-    pieces,
-    some,
-    kept,
-    bodies,
-    seen,
-    adjoint,
-    on_path,
-    everywhere,
-):
+@compiled_gradient()
+def backward(law, steps, pieces, numbers, looks, path, memory):
     """Take adjoints back through some pieces of a run, the last one first.
 
-    A piece is undone from its end, or made once more from its begin: `kept` is room for p and, if it does not follow
-    from p, f of the contacts in it, and for those of a first one that only touches. The rest is as in `forward`,
-    `_keep` and `_backward`; `everywhere` makes windows no narrower.
+    A piece is undone from its end, or made once more from its begin. `looks` has derivatives by
+    what was seen; the rest is as in `forward`.
     """
-    starts, looks, rows, states, windows = pieces
-    powers, forces, tops = kept
-    width = chain.x.size
-    for piece in range(some[1] - 1, some[0] - 1, -1):
-        begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
-        known, drift = piece, 0.0
-        if law <= UNDONE_SHORT:
-            known, drift = piece + 1, _drift(course, looks[piece + 1], rows[piece + 1])
-        x, v, im, kept_x, kept_v = (
-            bodies[0],
-            bodies[1],
-            bodies[2],
-            states[known, 0],
-            states[known, 1],
-        )
+    x, v, im = memory.bodies
+    width = pieces.states.shape[2]
+    starts = pieces.starts
+    undone = law.way <= Way.UNDONE_SHORT
+    for piece in range(numbers[1] - 1, numbers[0] - 1, -1):
+        begin = starts[piece] - starts[numbers[0]]
+        count = starts[piece + 1] - starts[piece]
+        state_x = pieces.states[piece + undone, 0]
+        state_v = pieces.states[piece + undone, 1]
+        back = Stretch(pieces.looks[piece + 1], pieces.rows[piece + 1], count)
+        drift = drift_before(steps, back.look, back.row) if undone else 0.0
         for n in range(width):
-            v[n + 1] = kept_v[n]
-            if law <= UNDONE_SHORT:
-                v[n + 1] = kept_v[n] / im[n + 1] if im[n + 1] > 0.0 else 0.0
+            v[n + 1] = state_v[n]
+            if undone:  # momenta
+                v[n + 1] = state_v[n] / im[n + 1] if im[n + 1] > 0.0 else 0.0
         for n in range(width):
-            x[n + 1] = kept_x[n] - drift * kept_v[n]
-        chain.state.first = PAD if everywhere else windows[piece, 0]
-        chain.state.last = width - PAD if everywhere else windows[piece, 1]
-        part = slice(begin, begin + count)
-        if law > UNDONE_SHORT:
-            _keep(
-                law, less, chain, table, course, room, path[part], looks[piece], rows[piece], count,
-                powers, forces, tops, bodies,
-            )  # fmt: skip
-        _backward(
-            law, less, chain, table, course, room, path[part], looks[piece + 1], rows[piece + 1], count,
-            powers, forces, tops, bodies, seen, adjoint, on_path[part],
-        )  # fmt: skip
+            x[n + 1] = state_x[n] - drift * state_v[n]
+        first, last = pieces.windows[piece, 0], pieces.windows[piece, 1]
+        # the contact below the last body is one of them, unless that is held
+        contacts = first, last + PAD if im[last] > 0.0 else last
+        rows = slice(begin, begin + count)
+        of_piece = Path(path.body, path.imposed[rows], path.derivative[rows])
+        if not undone:
+            forth = Stretch(pieces.looks[piece], pieces.rows[piece], count)
+            _keep(law, steps, forth, of_piece, memory, contacts)
+        _backward(law, steps, back, looks, of_piece, memory, contacts)

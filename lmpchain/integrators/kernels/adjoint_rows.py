@@ -6,22 +6,139 @@ The force of a contact and its derivatives are as explained there.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, NamedTuple
 
-import numba
 from numba import types
 
-from .contact_forces import _exp, _inline, _log
-
-_OPTIONS: dict[str, Any] = {
-    "error_model": "numpy",
-    "fastmath": {"nnan", "ninf", "nsz", "contract"},
-    "_nrt": False,
-}
-_loop = numba.njit(**_OPTIONS)
+from ...util.arrays import Array
+from .contact_forces import by_form, exponential, llvm, logarithm
+from .course import loop
 
 
-@_inline
+class Way(IntEnum):
+    """Ways back through a row.
+
+    Where all contacts are pressed at rest, rows are undone: delta = 3/2 in strong and in any waves,
+    any delta in weak waves and in the weakest. Elsewhere p is kept: delta = 3/2 where nothing is
+    pressed, in strong and in any waves; for any other delta f is kept, too.
+    """
+
+    UNDONE_PLAIN = 0
+    UNDONE_EXACT = 1
+    UNDONE_SERIES = 2
+    UNDONE_SHORT = 3
+    VACUUM = 4
+    PLAIN = 5
+    HERTZ = 6
+    OTHER = 7
+
+
+class Law(NamedTuple):
+    """The force of the contacts as the way back takes it.
+
+    Attributes
+    ----------
+    way : int
+        A `Way`.
+    pressed : float
+        c: 1 or 0.
+    touching : float
+        N/m^delta: the constant of a first contact that only touches, else 0.
+    less : float
+        delta - 1.
+    terms : (4,) or (6,) array
+        Coefficients of a polynomial for p / s.
+    """
+
+    way: int
+    pressed: float
+    touching: float
+    less: float
+    terms: Array
+
+
+class Bodies(NamedTuple):
+    """Displacements, m, velocities, m/s (or momenta, where rows are undone), and 1 / mass."""
+
+    x: Any
+    v: Any
+    inverse_mass: Any
+
+
+class Above(NamedTuple):
+    """Of the contact above each body 1 / length, strength, and delta strength / length."""
+
+    inverse_length: Any
+    strength: Any
+    stiffness: Any
+
+
+class Adjoint(NamedTuple):
+    """What an answer depends on, body by body and contact by contact.
+
+    Attributes
+    ----------
+    x, pull : arrays
+        Its derivative by x, and that by v over the mass.
+    power, force : arrays
+        Sums over all rows of y p, times the stiffness (not in the vacuum), and of y f; y is the
+        derivative by the force of a contact.
+    mass : array
+        What kicks do by the mass.
+    """
+
+    x: Any
+    pull: Any
+    power: Any
+    force: Any
+    mass: Any
+
+
+class KeptRows(NamedTuple):
+    """p and f of all contacts in rows of some width, from the place `begin` on."""
+
+    powers: Any
+    forces: Any
+    begin: int
+    width: int
+
+
+class BackRows(NamedTuple):
+    """Kicks, the drifts before them, and the impulse and its derivative at the border of a span."""
+
+    kicks: Any
+    drifts: Any
+    impulses: Any
+    slopes: Any
+
+
+class Span(NamedTuple):
+    """Rows and contacts in a call of the way back.
+
+    Attributes
+    ----------
+    last, rows : int
+        The last row, and how many.
+    first, stop : int
+        Contacts of the last row.
+    sooner, shorter : int
+        By how many places each row before begins and ends earlier.
+    top : bool
+        Whether nothing above moves.
+    """
+
+    last: int
+    rows: int
+    first: int
+    stop: int
+    sooner: int
+    shorter: int
+    top: bool
+
+
+@llvm
 def apart(typing: Any) -> Any:
     """Tell the compiler that no two arrays that a function takes overlap."""
 
@@ -34,7 +151,7 @@ def apart(typing: Any) -> Any:
     return types.void(), mark
 
 
-@_inline
+@llvm
 def at(typing: Any, array: Any, n: Any) -> Any:
     """Return where number n of an array lies, which takes less time to pass on than a slice."""
 
@@ -46,161 +163,224 @@ def at(typing: Any, array: Any, n: Any) -> Any:
     return types.CPointer(array.dtype)(array, types.intp), place
 
 
-@_loop
-def _hertz(s, c):
+@loop
+def hertz_power(s, c):
     """Return p for delta = 3/2, with the digits that 1 + s loses."""
     p = math.sqrt(c + s) - c
     return p + 0.5 * c * ((s - 2.0 * p) - p * p)
 
 
-@_loop
-def _other(s, c, less):
+@loop
+def power(s, c, less):
     """Return p for any delta; `less` is delta - 1."""
     shut = c + s > 1e-90
     inside = s if shut else 1.0 - c
     y = c + inside
-    p = _exp(less * _log(y, inside - (y - c)), c)
+    p = exponential(less * logarithm(y, inside - (y - c)), c)
     return p if shut else -c
 
 
-def _there_by_root(exact: bool, vacuum: bool = False) -> Any:
-    """Make the loop of kick and drift for delta = 3/2: with the digits of weak waves, or c = 0."""
+@loop
+def touch(r, constant, less):
+    """Return p and f of a first contact that only touches."""
+    p = 0.0
+    if r > 0.0:
+        p = math.sqrt(r) if less == 0.5 else r**less
+    return p, constant * r * p
 
-    @_loop
-    def there(count, x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, power):
-        """Kick and drift C = `count` bodies x (C+1,), as fast as v (C,), and keep p."""
+
+# p and f of a contact from s = r / length, which is no less than -c, or from r in the vacuum
+
+
+@loop
+def _plain(s, strength, law):
+    c = law.pressed
+    p = math.sqrt(c + s) - c
+    return p, strength * p * (3.0 * c + p * (3.0 * c + p))
+
+
+@loop
+def _hertz(s, strength, law):
+    c = law.pressed
+    p = hertz_power(s, c)
+    return p, strength * p * (3.0 * c + p * (3.0 * c + p))
+
+
+@loop
+def _vacuum(r, strength, law):
+    p = math.sqrt(r)
+    return p, strength * r * p
+
+
+@loop
+def _other(s, strength, law):
+    c = law.pressed
+    p = power(s, c, law.less)
+    return p, strength * (c * (s + p) + s * p)
+
+
+def _keep(evaluate: Callable[..., Any], scaled: bool = True, force: bool = False) -> Any:
+    """Make the loop of kick and drift that keeps p, and f if it does not follow from p."""
+
+    @loop
+    def keep(count, bodies, above, kick, drift, impulse, law, kept):
+        """Kick and drift C = `count` bodies x (C+1,) and v (C,); the force above is `impulse`."""
         apart()
+        x, v, inverse_mass = bodies
+        before = impulse
         for n in range(count):
             s = x[n] - x[n + 1]
-            if vacuum:
-                s = s if s > 0.0 else 0.0
-                p = math.sqrt(s)
-                below = strength[n] * s * p
+            if scaled:
+                s *= above.inverse_length[n]
+                s = s if s > -law.pressed else -law.pressed
             else:
-                s *= inverse_length[n]
-                s = s if s > -c else -c
-                p = _hertz(s, c) if exact else math.sqrt(c + s) - c
-                below = strength[n] * p * (3.0 * c + p * (3.0 * c + p))
-            power[n] = p
-            faster = v[n] + kick * inverse_mass[n] * (above - below)
+                s = s if s > 0.0 else 0.0
+            p, below = evaluate(s, above.strength[n], law)
+            kept.powers[kept.begin + n] = p
+            if force:
+                kept.forces[kept.begin + n] = below
+            faster = v[n] + kick * inverse_mass[n] * (before - below)
             v[n] = faster
             x[n] += drift * faster
-            above = below
-        return above
+            before = below
+        return before
 
-    return there
-
-
-_there_plain, _there_hertz = _there_by_root(False), _there_by_root(True)
-_there_vacuum = _there_by_root(False, True)
+    return keep
 
 
-@_loop
-def _there_other(
-    count, x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, less, power, force
-):
-    """Do the same for any delta, and keep f, too."""
-    apart()
-    for n in range(count):
-        s = (x[n] - x[n + 1]) * inverse_length[n]
-        s = s if s > -c else -c
-        p = _other(s, c, less)
-        power[n] = p
-        below = strength[n] * (c * (s + p) + s * p)
-        force[n] = below
-        faster = v[n] + kick * inverse_mass[n] * (above - below)
-        v[n] = faster
-        x[n] += drift * faster
-        above = below
-    return above
+keep_row = by_form(
+    {
+        Way.VACUUM: _keep(_vacuum, scaled=False),
+        Way.PLAIN: _keep(_plain),
+        Way.HERTZ: _keep(_hertz),
+        Way.OTHER: _keep(_other, force=True),
+    }
+)
 
 
-# how p and f are found on the way back
-PLAINLY, EXACTLY, BY_SERIES, BY_SHORT_SERIES, KEPT_VACUUM, KEPT, BOTH_KEPT = range(7)
+# p, kick f and its derivative by r, times y, of a contact that is undone: from s, `impulse`, which
+# is kick F, and `at_rest`, which is y kick times the stiffness at rest
 
 
-def _back(how: int) -> Any:
-    """Make the loop of the way back, with p found by undoing rows or kept, and f kept or following from p."""
-    undone = how <= BY_SHORT_SERIES
+@loop
+def _undo_plain(s, impulse, at_rest, terms):
+    s = s if s > -1.0 else -1.0
+    root = math.sqrt(1.0 + s)
+    return root - 1.0, (impulse + impulse * s) * root - impulse, at_rest * root
 
-    @_loop
-    def back(
-        span, x, momentum, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kicks, drifts, fs, gs, c,
-        terms, powers, forces, kept, width, sums_p, sums_f, sums_m,
-    ):  # fmt: skip
-        """Take adjoints of bodies back through some rows, each a kick and the drift before it, and undo these.
 
-        A contact has the place of the body above it in x, momenta, adjoint_x, pull, the adjoint of v over the mass, and
-        inverse masses. `span` is the last row and how many, from which contact to which it goes, by how many places
-        each row before begins and ends earlier, and whether it begins at the top. `kicks`, `drifts` before them and, at
-        the begin and then the end of a span, the impulse of f and what its adjoint does to x are by row; what is kept
-        is (rows, width) from `kept` on. `terms` are those of a polynomial, p over s.
+@loop
+def _undo_exact(s, impulse, at_rest, terms):
+    s = s if s > -1.0 else -1.0
+    p = hertz_power(s, 1.0)
+    linear = impulse * s
+    return p, linear + (impulse + linear) * p, at_rest + at_rest * p
+
+
+@loop
+def _undo_series(s, impulse, at_rest, terms):
+    square = s * s
+    higher = (terms[2] + s * terms[3]) + square * (terms[4] + s * terms[5])
+    p = s * ((terms[0] + s * terms[1]) + square * higher)
+    linear = impulse * s
+    return p, linear + (impulse + linear) * p, at_rest + at_rest * p
+
+
+@loop
+def _undo_short(s, impulse, at_rest, terms):
+    p = s * (terms[0] + s * (terms[1] + s * (terms[2] + s * terms[3])))
+    linear = impulse * s
+    return p, linear + (impulse + linear) * p, at_rest + at_rest * p
+
+
+# kick f and its derivative by r, times y, of a contact whose p is kept; `closer` is y
+
+
+@loop
+def _recall_vacuum(p, f, kick, impulse, at_rest, closer, c):
+    weight = impulse * p
+    return weight * (p * p), (1.5 * closer) * weight
+
+
+@loop
+def _recall_hertz(p, f, kick, impulse, at_rest, closer, c):
+    return impulse * p * (3.0 * c + p * (3.0 * c + p)), c * at_rest + at_rest * p
+
+
+@loop
+def _recall_other(p, f, kick, impulse, at_rest, closer, c):
+    return kick * f, c * at_rest + at_rest * p
+
+
+def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: bool = False) -> Any:
+    """Make the loop of the way back: rows are undone, or p is kept, and f if it does not follow."""
+    undone = undo is not None
+
+    @loop
+    def back(span, rows, bodies, above, adjoint, law, kept):
+        """Take adjoints back through some rows, each a kick and the drift before it, and undo these.
+
+        A contact has the place of the body above it in what belongs to bodies. Every row of a span
+        may begin and end some places before the one after it, which it needs nothing of then.
         """
         apart()
-        last, rows, first, stop, sooner, shorter, top = span
-        t0, t1, t2, t3 = terms[0], terms[1], terms[2], terms[3]
-        t4, t5 = (terms[4], terms[5]) if how == BY_SERIES else (0.0, 0.0)
-        for row in range(last, last - rows, -1):
-            kick, drift, f_before, g_before = kicks[row], drifts[row], fs[row], gs[row]
-            if top:  # nothing moves what is outside
-                pull[first], f_before, g_before = 0.0, 0.0, 0.0
+        x, momentum, inverse_mass = bodies
+        first = span.first
+        stop = span.stop
+        begin = kept.begin
+        for row in range(span.last, span.last - span.rows, -1):
+            kick = rows.kicks[row]
+            drift = rows.drifts[row]
+            f_before = rows.impulses[row]
+            g_before = rows.slopes[row]
+            if span.top:  # nothing moves what is outside
+                adjoint.pull[first] = 0.0
+                f_before = 0.0
+                g_before = 0.0
             for n in range(first, stop):
-                closer = pull[n + 1] - pull[n]
-                impulse = kick * strength[n]
-                if how != KEPT_VACUUM:
-                    at_rest = stiff[n] * (kick * closer)
+                closer = adjoint.pull[n + 1] - adjoint.pull[n]
+                impulse = kick * above.strength[n]
+                at_rest = above.stiffness[n] * (kick * closer)
                 if undone:
-                    s = (x[n] - x[n + 1]) * inverse_length[n]
-                    if how == BY_SHORT_SERIES:
-                        p = s * (t0 + s * (t1 + s * (t2 + s * t3)))
-                    elif how == BY_SERIES:
-                        square = s * s
-                        p = s * ((t0 + s * t1) + square * ((t2 + s * t3) + square * (t4 + s * t5)))
-                    else:
-                        s = s if s > -1.0 else -1.0
-                    linear = impulse * s
-                    if how == PLAINLY:
-                        root = math.sqrt(1.0 + s)
-                        p = root - 1.0
-                        f = (impulse + linear) * root - impulse
-                    else:
-                        if how == EXACTLY:
-                            p = _hertz(s, 1.0)
-                        f = linear + (impulse + linear) * p
+                    s = (x[n] - x[n + 1]) * above.inverse_length[n]
+                    p, f, g = undo(s, impulse, at_rest, law.terms)
                     push = f_before - f
                     slower = momentum[n] - push
                     momentum[n] = slower
                     x[n] -= drift * inverse_mass[n] * slower
                 else:
-                    p = powers[kept + n]
-                    if how == BOTH_KEPT:
-                        f = kick * forces[kept + n]
-                    elif how == KEPT:
-                        f = impulse * p * (3.0 * c + p * (3.0 * c + p))
-                    else:
-                        weight = impulse * p
-                        f = weight * (p * p)
+                    p = kept.powers[begin + n]
+                    f = kept.forces[begin + n] if force else 0.0
+                    f, g = recall(p, f, kick, impulse, at_rest, closer, law.pressed)
                     push = f_before - f
-                if (
-                    how == KEPT_VACUUM
-                ):  # there, no force at rest asks for a sum over p, and lengths are 1 m
-                    g = (1.5 * closer) * weight
-                else:
-                    sums_p[n] += at_rest * p
-                    weight = at_rest if undone else c * at_rest
-                    g = at_rest * root if how == PLAINLY else weight + at_rest * p
-                sums_f[n] += closer * f
-                sums_m[n] += pull[n] * push
-                by_x = (adjoint_x[n] + g) - g_before
-                adjoint_x[n] = by_x
-                pull[n] += drift * inverse_mass[n] * by_x
-                f_before, g_before = f, g
-            fs[row], gs[row] = f_before, g_before
-            first, stop, kept = first - sooner, stop - shorter, kept - width
+                if not vacuum:  # where no force at rest asks for a sum over p
+                    adjoint.power[n] += at_rest * p
+                adjoint.force[n] += closer * f
+                adjoint.mass[n] += adjoint.pull[n] * push
+                by_x = (adjoint.x[n] + g) - g_before
+                adjoint.x[n] = by_x
+                adjoint.pull[n] += drift * inverse_mass[n] * by_x
+                f_before = f
+                g_before = g
+            rows.impulses[row] = f_before
+            rows.slopes[row] = g_before
+            first -= span.sooner
+            stop -= span.shorter
+            begin -= kept.width
 
     return back
 
 
-_back_plain, _back_exact = _back(PLAINLY), _back(EXACTLY)
-_back_series, _back_short_series = _back(BY_SERIES), _back(BY_SHORT_SERIES)
-_back_vacuum, _back_hertz, _back_other = _back(KEPT_VACUUM), _back(KEPT), _back(BOTH_KEPT)
+_back_hertz = _back(recall=_recall_hertz)
+back_rows = by_form(
+    {
+        Way.UNDONE_PLAIN: _back(_undo_plain),
+        Way.UNDONE_EXACT: _back(_undo_exact),
+        Way.UNDONE_SERIES: _back(_undo_series),
+        Way.UNDONE_SHORT: _back(_undo_short),
+        Way.VACUUM: _back(recall=_recall_vacuum, vacuum=True),
+        Way.PLAIN: _back_hertz,
+        Way.HERTZ: _back_hertz,
+        Way.OTHER: _back(recall=_recall_other, force=True),
+    }
+)

@@ -2,102 +2,166 @@
 
 from __future__ import annotations
 
-from ...util.compilation import compiled_once
-from .adjoint import BURST, NEWS, _fill, _rows, _touch
-from .adjoint_rows import _OPTIONS, _hertz, _loop, _other, apart
-from .layout import BODY, PAD
+from typing import NamedTuple
+
+from ...util.arrays import Array
+from .adjoint import BURST
+from .adjoint_rows import Bodies, apart, hertz_power, power, touch
+from .course import compiled_gradient, count_rows, fill_rows, loop
+from .layout import PAD
 
 
-@_loop
-def _evaluate(less, chain, table, row, first, last, tops, near):
-    """Fill slope, p, f of the contacts, and what the constant does; `near` is as in `tangent`."""
-    c, power, force, slope, soften = chain.precompressed, near[0], near[1], near[2], near[3]
-    for n in range(first, last):
-        s = (chain.x[n - 1] - chain.x[n]) * table[0, n]
+class Response(NamedTuple):
+    """How the force of every contact answers to small changes, (W,) arrays.
+
+    Attributes
+    ----------
+    power, force, slope : arrays
+        p, f, and the derivative of f by r.
+    soften : array
+        What the constant does to f.
+    inverse_constant, at_rest : arrays
+        1 / constant, and what the contact carries at rest, N.
+    """
+
+    power: Array
+    force: Array
+    slope: Array
+    soften: Array
+    inverse_constant: Array
+    at_rest: Array
+
+
+class Change(NamedTuple):
+    """D directions: small changes of bodies, and of what the motion depends on.
+
+    Attributes
+    ----------
+    x, v : (D, W) arrays
+        Of displacements, m, and velocities, m/s; overwritten.
+    mass, constant, force : (D, W) arrays
+        Relative of masses; of constants, and of forces at rest, N.
+    path : (D, rows) array
+        Of what is imposed.
+    """
+
+    x: Array
+    v: Array
+    mass: Array
+    constant: Array
+    force: Array
+    path: Array
+
+
+@loop
+def _evaluate(x, law, above, response):
+    """Fill slope, p, f of the contacts, and what the constant does."""
+    c = law.pressed
+    last = x.size
+    for n in range(PAD, last):
+        s = (x[n - 1] - x[n]) * above.inverse_length[n]
         s = s if s > -c else -c
-        p = _hertz(s, c) if less == 0.5 else _other(s, c, less)
-        power[n], slope[n] = p, table[2, n] * (c + p)
-        force[n] = table[1, n] * (c * (s + p) + s * p)
-    if chain.uncompressed > 0.0 and first == PAD:
-        force[PAD] = _touch(chain.x[PAD - 1] - chain.x[PAD], chain.uncompressed, less, 0, tops)
-        power[PAD] = tops[0, 0]
-        slope[PAD] = (less + 1.0) * chain.uncompressed * power[PAD]
-    for n in range(first, last):
-        soften[n] = (force[n] - near[5, n] * power[n]) * near[4, n]
+        p = hertz_power(s, c) if law.less == 0.5 else power(s, c, law.less)
+        response.power[n] = p
+        response.slope[n] = above.stiffness[n] * (c + p)
+        response.force[n] = above.strength[n] * (c * (s + p) + s * p)
+    if law.touching > 0.0:
+        p, f = touch(x[PAD - 1] - x[PAD], law.touching, law.less)
+        response.power[PAD] = p
+        response.force[PAD] = f
+        response.slope[PAD] = (law.less + 1.0) * law.touching * p
+    for n in range(PAD, last):
+        off = response.force[n] - response.at_rest[n] * response.power[n]
+        response.soften[n] = off * response.inverse_constant[n]
 
 
-@_loop
-def _move(x, v, inverse_mass, force, kick, drift):
-    """Kick and drift bodies x and v (C-1,) by the forces (C,) between them."""
+@loop
+def _move(bodies, force, kick, drift):
+    """Kick and drift bodies (C-1,) by the forces (C,) between them."""
     apart()
+    x, v, inverse_mass = bodies
     for n in range(v.size):
         faster = v[n] + kick * inverse_mass[n] * (force[n] - force[n + 1])
         v[n] = faster
         x[n] += drift * faster
 
 
-@_loop
-def _change(
-    x, v, inverse_mass, slope, power, force, soften, by_force, by_constant, by_mass, kick, drift
-):
+@loop
+def _change(bodies, response, change, kick, drift):
     """Kick and drift small changes of the bodies x (C+1,) but the last, as fast as v (C,)."""
     apart()
-    above, f_above = 0.0, 0.0
+    x, v, inverse_mass = bodies
+    power, force, slope, soften = response
+    by_mass, by_constant, by_force = change
+    above = 0.0
+    f_above = 0.0
     for n in range(v.size):
         below = slope[n] * (x[n] - x[n + 1]) + power[n] * by_force[n] + soften[n] * by_constant[n]
         faster = v[n] + kick * inverse_mass[n] * (above - below - (f_above - force[n]) * by_mass[n])
         v[n] = faster
         x[n] += drift * faster
-        above, f_above = below, force[n]
+        above = below
+        f_above = force[n]
 
 
-@compiled_once(*NEWS, nogil=True, **_OPTIONS)
-def tangent(
-    less, chain, table, course, room, path, look, q, count, near, tops, change, dx, dv, seen
-):
-    """Move a chain, and D small changes dx and dv (D, W) of it, by some rows as `forward` does.
+@loop
+def _change_row(im, response, change, path, index, kick, drift):
+    """Kick and drift small changes of bodies with these inverse masses by a row."""
+    first = PAD
+    last = im.size
+    body = path.body
+    contacts = slice(first, last)
+    bodies = slice(first - 1, last - 1)
+    parts = (
+        response.power[contacts],
+        response.force[contacts],
+        response.slope[contacts],
+        response.soften[contacts],
+    )
+    for d in range(change.x.shape[0]):
+        if body > 0:
+            change.x[d, body] = change.path[d, index]
+        elif body < 0:
+            push = change.path[d, index] - path.imposed[index] * change.mass[d, -body]
+            change.v[d, -body] += kick * im[-body] * push
+        moved = Bodies(change.x[d, first - 1 : last], change.v[d, bodies], im[bodies])
+        causes = change.mass[d, bodies], change.constant[d, contacts], change.force[d, contacts]
+        _change(moved, parts, causes, kick, drift)
 
-    `near` is (6, W): room for four, the inverse of the constant of every contact and what it carries at rest. `change`
-    has directions: relative masses, constants and forces at rest (D, W) each, and what is imposed (D, rows).
+
+@compiled_gradient()
+def tangent(bodies, law, steps, stretch, path, memory, change, looks):
+    """Move bodies (W,), and small changes of them, by some rows as `forward` does.
+
+    `memory` is `Above`, room for a `Response`, and (2, BURST). `looks` takes changes of what is seen.
     """
-    columns, looks = seen
-    by_mass, by_constant, by_force, by_path = change
-    im, first, last = chain.inverse_mass, PAD, chain.x.size
-    body = int(chain.drive[BODY]) if path.size > 0 else 0
+    x, v, im = bodies
+    above, response, room = memory
+    look, row, count = stretch
+    body = path.body
+    inside = slice(PAD, x.size - 1)
+    moved = Bodies(x[inside], v[inside], im[inside])
     done = 0
     while done < count:
-        some = min(BURST, count - done, _rows(course, look) - q)
-        kick, drift = room[0, :some], room[1, :some]
-        _fill(course, look, q, kick, drift)
-        for row in range(some):
-            place = done + row
+        burst = min(BURST, count - done, count_rows(steps, look) - row)
+        kick = room[0, :burst]
+        drift = room[1, :burst]
+        fill_rows(steps, look, row, kick, drift)
+        for n in range(burst):
+            index = done + n
             if body > 0:
-                chain.x[body] = path[place]
-            _evaluate(less, chain, table, 0, first, last, tops, near)
-            for d in range(dx.shape[0]):
-                if body > 0:
-                    dx[d, body] = by_path[d, place]
-                elif body < 0:
-                    dv[d, -body] += (
-                        kick[row]
-                        * im[-body]
-                        * (by_path[d, place] - path[place] * by_mass[d, -body])
-                    )
-                _change(
-                    dx[d, first - 1 : last], dv[d, first - 1 : last - 1], im[first - 1 : last - 1], near[2, first:last],
-                    near[0, first:last], near[1, first:last], near[3, first:last], by_force[d, first:last],
-                    by_constant[d, first:last], by_mass[d, first - 1 : last - 1], kick[row], drift[row],
-                )  # fmt: skip
+                x[body] = path.imposed[index]
+            _evaluate(x, law, above, response)
+            _change_row(im, response, change, path, index, kick[n], drift[n])
             if body < 0:
-                chain.v[-body] += kick[row] * im[-body] * path[place]
-            _move(
-                chain.x[first : last - 1], chain.v[first : last - 1], im[first : last - 1], near[1, first:last],
-                kick[row], drift[row],
-            )  # fmt: skip
-        q, done = q + some, done + some
-        if q == _rows(course, look):
-            look, q = look + 1, 0
-            for column in range(columns.size):
-                for d in range(dx.shape[0]):
-                    looks[d, 0, look, column] = dx[d, columns[column]]
-                    looks[d, 1, look, column] = dv[d, columns[column]]
+                v[-body] += kick[n] * im[-body] * path.imposed[index]
+            _move(moved, response.force[PAD : x.size], kick[n], drift[n])
+        row += burst
+        done += burst
+        if row == count_rows(steps, look):
+            look += 1
+            row = 0
+            for n in range(looks.bodies.size):
+                for d in range(change.x.shape[0]):
+                    looks.values[d, 0, look, n] = change.x[d, looks.bodies[n]]
+                    looks.values[d, 1, look, n] = change.v[d, looks.bodies[n]]

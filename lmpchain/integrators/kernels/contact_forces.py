@@ -1,16 +1,17 @@
 """The force of a contact, compiled: its forms, and the two loops that are made of each.
 
 Every form gives the force minus what the contact carries at rest, ``strength f(r / length)``, where
-``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `precompressed` is the overlap at rest
-over the length: 1, or 0 where nothing is pressed (length 1 m, strength K). `coefficients` are the first seven of the
-binomial series of (1 + s)^delta - 1, and delta.
+``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `precompressed` is the
+overlap at rest over the length: 1, or 0 where nothing is pressed (length 1 m, strength K).
+`coefficients` are the first seven of the binomial series of (1 + s)^delta - 1, and delta.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from enum import IntEnum
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -18,29 +19,30 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-# no reordering and no contraction but the explicit fma: every blocking of the loops gives the same bits
+# no reordering and no contraction but the explicit fma: every blocking of the loops gives the same
+# bits
 STRICT = {"nnan", "ninf", "nsz"}
-NEWS = (
-    "the native engine",
-    20,
-)  # what is compiled when it runs for the first time, and about how long that takes, s
-_inline: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
+# what is compiled when the native engine runs for the first time, and about how long that takes, s
+NEWS = "the native engine", 20
+llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
-# without numba's runtime: such functions make no arrays and count no references, which would take half of the time
+# without numba's runtime: such functions make no arrays and count no references, which would take
+# half of the time; inlined functions take records of arrays for nothing, of which a call would copy
+# every field
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": STRICT, "_nrt": False}
 compiled = numba.njit(**_OPTIONS)
 inlined = numba.njit(**_OPTIONS, inline="always")
 
 
-@_inline
+@llvm
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    """Return a b + c, rounded once."""
+    """Return a b + c, rounded once, whatever the loop around is compiled to."""
     return types.float64(
         types.float64, types.float64, types.float64
     ), lambda _c, builder, _s, args: builder.fma(*args)
 
 
-@_inline
+@llvm
 def bits(typing: Any, x: Any) -> Any:
     """Return the bits of a number as a whole number."""
     return types.int64(types.float64), lambda _c, builder, _s, args: builder.bitcast(
@@ -48,7 +50,7 @@ def bits(typing: Any, x: Any) -> Any:
     )
 
 
-@_inline
+@llvm
 def number(typing: Any, n: Any) -> Any:
     """Return the number with these bits."""
     return types.float64(types.int64), lambda _c, builder, _s, args: builder.bitcast(
@@ -56,23 +58,42 @@ def number(typing: Any, n: Any) -> Any:
     )
 
 
-MANTISSA, ONE = (1 << 52) - 1, 1023 << 52
-SHIFT = float(3 << 51)  # adding it rounds to a whole number, which the last bits then hold
-SHIFT_BITS = int(np.float64(SHIFT).view(np.int64))
-EXPONENT = float((1 << 52) + 1023)
-EXPONENT_BITS = int(np.float64(1 << 52).view(np.int64))
-LN2_HIGH, LN2_LOW = (
-    0.6931471803691238,
-    1.9082149292705877e-10,
-)  # their sum is ln 2 to 33 more digits
+class Bits(NamedTuple):
+    """Parts of a double: 1 bit of sign, 11 of its exponent plus 1023, and 52 of its mantissa.
+
+    Attributes
+    ----------
+    mantissa, one : int
+        A mantissa of ones; the bits of 1.
+    shift : float
+        Adding it to a number rounds that to a whole one, which the last bits then hold.
+    shift_bits, power_bits : int
+        The bits of `shift`, and of 2^52: an exponent in the last bits of these adds that to 2^52.
+    power_zero : float
+        2^52 with the exponent of 1.
+    high, low : float
+        Their sum is ln 2 to 33 more digits.
+    """
+
+    mantissa: int = (1 << 52) - 1
+    one: int = 1023 << 52
+    shift: float = float(3 << 51)
+    shift_bits: int = int(np.float64(3 << 51).view(np.int64))
+    power_bits: int = int(np.float64(1 << 52).view(np.int64))
+    power_zero: float = float((1 << 52) + 1023)
+    high: float = 0.6931471803691238
+    low: float = 1.9082149292705877e-10
+
+
+BITS = Bits()
 
 
 @compiled
-def _log(y, rest):
-    """Return log(y + rest) of y > 0 and a tiny rest, by the series of artanh; no branch, no table."""
+def logarithm(y, rest):
+    """Return log(y + rest) of y > 0 and a tiny rest, by the series of artanh, without a branch."""
     held = bits(y)
-    power = number(EXPONENT_BITS | (held >> 52)) - EXPONENT
-    m = number((held & MANTISSA) | ONE)
+    power = number(BITS.power_bits | (held >> 52)) - BITS.power_zero
+    m = number((held & BITS.mantissa) | BITS.one)
     high = m > 1.4142135623730951
     m = 0.5 * m if high else m
     power = power + 1.0 if high else power
@@ -80,16 +101,16 @@ def _log(y, rest):
     q = f * f
     p = fma(q, fma(q, fma(q, fma(q, 2 / 21, 2 / 19), 2 / 17), 2 / 15), 2 / 13)
     p = q * fma(q, fma(q, fma(q, fma(q, fma(q, p, 2 / 11), 2 / 9), 2 / 7), 2 / 5), 2 / 3)
-    return fma(power, LN2_HIGH, fma(power, LN2_LOW, fma(f, p, rest / y)) + 2.0 * f)
+    return fma(power, BITS.high, fma(power, BITS.low, fma(f, p, rest / y)) + 2.0 * f)
 
 
 @compiled
-def _exp(t, less):
-    """Return exp(t) - less, less being 0 or 1, for |t| < 700, by powers of two and a Taylor series."""
-    whole = fma(t, 1.4426950408889634, SHIFT)
-    scale = number((bits(whole) - SHIFT_BITS + 1023) << 52)
-    whole -= SHIFT
-    r = fma(-whole, LN2_LOW, fma(-whole, LN2_HIGH, t))
+def exponential(t, less):
+    """Return exp(t) - less, for less = 0 or 1 and |t| < 700, by powers of two and a Taylor series."""
+    power = fma(t, 1.4426950408889634, BITS.shift)
+    scale = number((bits(power) - BITS.shift_bits + 1023) << 52)
+    power -= BITS.shift
+    r = fma(-power, BITS.low, fma(-power, BITS.high, t))
     p = fma(
         r,
         fma(
@@ -116,7 +137,7 @@ def _corrected(r, inverse_length, strength, precompressed, coefficients):
 
 @compiled
 def _polynomial(r, inverse_length, strength, precompressed, coefficients):
-    """Any delta while |s| is small enough for seven terms of the binomial series; no contact may open."""
+    """Any delta while |s| is small enough for seven binomial terms; no contact may open."""
     s = r * inverse_length
     p = fma(s, fma(s, fma(s, coefficients[6], coefficients[5]), coefficients[4]), coefficients[3])
     return (strength * s) * fma(
@@ -137,7 +158,7 @@ def _power(r, inverse_length, strength, precompressed, coefficients):
     s = r * inverse_length
     inside = s if s > -1.0 else 0.0
     y = 1.0 + inside
-    held = _exp(coefficients[7] * _log(y, inside - (y - 1.0)), 1.0)
+    held = exponential(coefficients[7] * logarithm(y, inside - (y - 1.0)), 1.0)
     return strength * (held if s > -1.0 else -1.0)
 
 
@@ -145,20 +166,22 @@ def _power(r, inverse_length, strength, precompressed, coefficients):
 def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients):
     """Any delta where nothing is pressed."""
     y = r if r > 1e-90 else 1.0
-    held = _exp(coefficients[7] * _log(y, 0.0), 0.0)
+    held = exponential(coefficients[7] * logarithm(y, 0.0), 0.0)
     return strength * held if r > 1e-90 else 0.0
 
 
 def _roots(quarters: int) -> Callable[..., Any]:
-    """Return the force for delta = quarters / 4 as y^delta - precompressed, by square roots alone."""
-    whole, half, quarter = quarters // 4, quarters % 4 // 2, quarters % 2
+    """Return the force for delta = quarters / 4, y^delta - precompressed, by square roots alone."""
+    factors = quarters // 4
+    half = quarters % 4 // 2
+    quarter = quarters % 2
 
     @compiled
     def force(r, inverse_length, strength, precompressed, coefficients):
         y = fma(r, inverse_length, precompressed)
         y = y if y > 0.0 else 0.0
         held = strength
-        for _ in range(whole):
+        for _ in range(factors):
             held = held * y
         root = math.sqrt(y) if half + quarter > 0 else 1.0
         rest = root if half > 0 else 1.0
@@ -171,111 +194,119 @@ def _roots(quarters: int) -> Callable[..., Any]:
 
 @compiled
 def touching(r, uncompressed, coefficients):
-    """Return the force of a first contact that only touches, in a chain that is pressed otherwise."""
+    """Return the force of a first contact that only touches, in a chain that is pressed."""
     return uncompressed * r ** coefficients[7] if r > 0.0 else 0.0
 
 
 def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Make the two loops over contacts that are all there is to Eq. (1), for one form of the force."""
+    """Make the two loops over contacts that are all of Eq. (1), for one form of the force."""
 
     @compiled
-    def forces(out, x, inverse_length, strength, precompressed, coefficients):
+    def forces(out, x, links):
         """Fill out (C,) with the force of every contact between the bodies x (C+1,), N."""
+        il = links.inverse_length
+        st = links.strength
+        pressed = links.precompressed
         for n in range(out.size):
-            out[n] = force(
-                x[n] - x[n + 1], inverse_length[n], strength[n], precompressed, coefficients
-            )
+            out[n] = force(x[n] - x[n + 1], il[n], st[n], pressed, links.coefficients)
 
     @compiled
-    def rows(
-        x, v, inverse_length, strength, inverse_mass, kicks, drifts, carried,
-        top, uncompressed, precompressed, coefficients, path, place, forced,
-    ):  # fmt: skip
-        """Kick and drift all grains once a row, in place and in one pass: each contact's force is found once.
+    def sweep_rows(x, v, inverse_mass, links, rows, top, body, forced):
+        """Kick and drift all grains once a row, in one pass: each contact's force is found once.
 
-        x (G+2,) has a body more at either end than v (G,); contacts n = 0 ... G lie between x[n] and x[n+1]. The force
-        on the first grain from above is that of contact 0 if it is the `top`, else the one in `carried` (rows,), where
-        the force below the last grain is left for the part of the chain that follows. `path` (rows,), if it has any,
-        is where the body x[place] of the `top` is, or a force on it if it is `forced` and among those that move.
+        x (G+2,) has a body more at either end than v (G,); contacts n = 0 ... G lie between x[n]
+        and x[n+1]. The force on the first grain from above is that of contact 0 if it is the `top`,
+        else the one that is carried, in whose place the force below the last grain is left for the
+        part of the chain that follows. What is imposed, if anything is, is where the body x[body]
+        of the `top` is, or a force on it if it is `forced` and among those that move.
         """
-        for row in range(kicks.size):
-            kick, drift = kicks[row], drifts[row]
-            if path.size > 0:
+        il = links.inverse_length
+        st = links.strength
+        pressed = links.precompressed
+        coefficients = links.coefficients
+        for row in range(rows.kick.size):
+            kick = rows.kick[row]
+            drift = rows.drift[row]
+            if rows.path.size > 0:
                 if forced:
-                    if 1 <= place <= v.size:
-                        v[place - 1] = fma(kick * inverse_mass[place - 1], path[row], v[place - 1])
+                    if 1 <= body <= v.size:
+                        push = kick * inverse_mass[body - 1]
+                        v[body - 1] = fma(push, rows.path[row], v[body - 1])
                 elif top:
-                    x[place] = path[row]
-            above = carried[row]
+                    x[body] = rows.path[row]
+            above = rows.carried[row]
             if top:
                 above = 0.0
-                if strength[0] > 0.0:
-                    above = force(
-                        x[0] - x[1], inverse_length[0], strength[0], precompressed, coefficients
-                    )
-                if uncompressed > 0.0:
-                    above += touching(x[0] - x[1], uncompressed, coefficients)
+                if st[0] > 0.0:
+                    above = force(x[0] - x[1], il[0], st[0], pressed, coefficients)
+                if links.uncompressed > 0.0:
+                    above += touching(x[0] - x[1], links.uncompressed, coefficients)
             for n in range(v.size):
-                below = force(
-                    x[n + 1] - x[n + 2],
-                    inverse_length[n + 1],
-                    strength[n + 1],
-                    precompressed,
-                    coefficients,
-                )
+                below = force(x[n + 1] - x[n + 2], il[n + 1], st[n + 1], pressed, coefficients)
                 faster = fma(kick, inverse_mass[n] * (above - below), v[n])
                 v[n] = faster
                 x[n + 1] = fma(drift, faster, x[n + 1])
                 above = below
-            carried[row] = above
+            rows.carried[row] = above
 
-    return forces, rows
+    return forces, sweep_rows
 
 
-CORRECTED, POLYNOMIAL, SPRING, POWER, UNCOMPRESSED_POWER = range(5)
-ROOTS = (5, 6, 7, 8)  # forms of delta = quarters / 4
+class Form(IntEnum):
+    """Forms of the force of a contact; those of ROOTS are others."""
+
+    CORRECTED = 0
+    POLYNOMIAL = 1
+    SPRING = 2
+    POWER = 3
+    UNCOMPRESSED_POWER = 4
+
+
+ROOTS = range(5, 9)  # forms of delta = quarters / 4
 FORMS: dict[int, tuple[str, Callable[..., Any]]] = {
-    CORRECTED: ("corrected square root", _corrected),
-    POLYNOMIAL: ("polynomial", _polynomial),
-    SPRING: ("spring", _spring),
-    POWER: ("vectorised power", _power),
-    UNCOMPRESSED_POWER: ("vectorised power", _uncompressed_power),
+    Form.CORRECTED: ("corrected square root", _corrected),
+    Form.POLYNOMIAL: ("polynomial", _polynomial),
+    Form.SPRING: ("spring", _spring),
+    Form.POWER: ("vectorised power", _power),
+    Form.UNCOMPRESSED_POWER: ("vectorised power", _uncompressed_power),
 } | {form: ("plain square roots", _roots(form)) for form in ROOTS}
 LOOPS = {form: _loops(force) for form, (_, force) in FORMS.items()}
 
 
-def _by_form(loops: dict[int, Callable[..., None]]) -> Callable[..., None]:
-    """Make the function of a form, and of what its loop takes, that runs the loop of that form."""
-    *others, (_, last) = loops.items()
+def by_form(loops: dict[int, Callable[..., Any]]) -> Callable[..., Any]:
+    """Make the function of a form, and of what its loop takes, that runs the loop of that form.
+
+    A dictionary of functions cannot be compiled: the choice is made of comparisons, one in another.
+    """
+    *first_forms, (_, last) = loops.items()
 
     @inlined
     def choose(form, arguments):
-        last(*arguments)
+        return last(*arguments)
 
-    for one, loop in others:
-        choose = _either(one, loop, choose)
+    for form, loop in first_forms:
+        choose = _choose_form(int(form), loop, choose)
 
     @compiled
     def run(form, *arguments):
-        choose(form, arguments)
+        return choose(form, arguments)
 
     return run
 
 
-def _either(
-    one: int, loop: Callable[..., None], choose: Callable[..., None]
-) -> Callable[..., None]:
+def _choose_form(
+    number: int, loop: Callable[..., Any], choose: Callable[..., Any]
+) -> Callable[..., Any]:
     """Make the function that runs a loop if the form is its own, and else looks further."""
 
     @inlined
-    def either(form, arguments):
-        if form == one:
-            loop(*arguments)
-        else:
-            choose(form, arguments)
+    def choose_form(form, arguments):
+        if form == number:
+            return loop(*arguments)
+        return choose(form, arguments)
 
-    return either
+    return choose_form
 
 
-contact_forces = _by_form({form: forces for form, (forces, _) in LOOPS.items()})
-kick_and_drift = _by_form({form: rows for form, (_, rows) in LOOPS.items()})
+contact_forces = by_form({form: forces for form, (forces, _) in LOOPS.items()})
+kick_and_drift = by_form({form: sweep_rows for form, (_, sweep_rows) in LOOPS.items()})

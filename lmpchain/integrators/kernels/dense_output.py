@@ -1,13 +1,14 @@
 """Samples that steps pass over, by Hermite interpolation (dense output), compiled.
 
-The polynomial of degree 7 in time has the displacement u, the velocity v, the acceleration a and the jerk j at both
-ends of a step; its error falls like h^8, that of its rate like h^7, faster than what the steps leave.
+The polynomial of degree 7 in time has the displacement u, the velocity v, the acceleration a and
+the jerk j at both ends of a step; its error falls like h^8, that of its rate like h^7, faster than
+what the steps leave.
 """
 
 from __future__ import annotations
 
 from .contact_forces import fma, inlined
-from .layout import BODY, PAD, WHOLE_ROWS
+from .layout import PAD, WHOLE_ROWS
 from .right_hand_side import forced, place
 
 
@@ -15,33 +16,41 @@ from .right_hand_side import forced, place
 def passes(chain, clock, span, begin, end):
     """Return the first sample in begin < t <= end, 0 if there is none.
 
-    Samples and times are counted from the beginning of the span; on the sample at its end a step lands.
+    Samples and times are counted from the beginning of the span; on the sample at its end a step
+    lands.
     """
-    before, every, interval = chain.state.sample, clock.dense, clock.interval
-    sample = int(begin / interval) // every * every - before % every
+    before = chain.state.sample
+    stride = clock.dense
+    interval = clock.interval
+    sample = int(begin / interval) // stride * stride - before % stride
     while sample * interval <= begin:
-        sample += every
+        sample += stride
     return sample if sample * interval <= end and sample * interval < span.length else 0
 
 
 @inlined
 def fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed):
-    """Fill jerk (W,) of the bodies first ... last-1 from the forces on them; rate (W,) is room for work.
+    """Fill jerk (W,) of the bodies first ... last-1 from the forces; rate (W,) is room for work.
 
-    `force` holds that of the contact below body n at n - beyond, less what it carries at rest; `imposed` is how fast
-    what is imposed changes.
+    `force` holds that of the contact below body n at n - beyond, less what it carries at rest;
+    `imposed` is how fast what is imposed changes.
     """
-    x, v, pressed, delta = chain.x, chain.v, chain.precompressed, chain.coefficients[7]
+    x = chain.x
+    v = chain.v
+    pressed = chain.links.precompressed
+    delta = chain.links.coefficients[7]
     pushed = forced(chain)
-    if chain.imposed and pushed == 0 and chain.team.part == 0:
-        v[int(chain.drive[BODY])] = imposed
+    if chain.imposed.acts and pushed == 0 and chain.team.part == 0:
+        v[chain.imposed.wave.body] = imposed
     for n in range(first - 1, last):
-        y = (x[n] - x[n + 1]) * chain.inverse_length[n] + pressed
-        held = (force[n - beyond] + chain.strength[n] * pressed) / (
+        y = (x[n] - x[n + 1]) * chain.links.inverse_length[n] + pressed
+        held = (force[n - beyond] + chain.links.strength[n] * pressed) / (
             y if y > 0.0 else 1.0
         )  # the force is K y^delta
-        rate[n] = delta * held * chain.inverse_length[n] * (v[n] - v[n + 1]) if y > 0.0 else 0.0
-    if first == PAD and chain.uncompressed > 0.0:
+        rate[n] = (
+            delta * held * chain.links.inverse_length[n] * (v[n] - v[n + 1]) if y > 0.0 else 0.0
+        )
+    if first == PAD and chain.links.uncompressed > 0.0:
         r = x[PAD - 1] - x[PAD]
         rate[PAD - 1] = (
             delta * force[PAD - 1 - beyond] / r * (v[PAD - 1] - v[PAD]) if r > 0.0 else 0.0
@@ -55,57 +64,50 @@ def fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed):
 @inlined
 def keep(chain, first, last, pull, jerk):
     """Note where the bodies first ... last-1 are, as a step begins over which samples lie."""
-    kept = chain.history
+    history = chain.history
     for n in range(first, last):
-        kept[0, n], kept[1, n], kept[2, n], kept[3, n] = chain.x[n], chain.v[n], pull[n], jerk[n]
+        history[0, n] = chain.x[n]
+        history[1, n] = chain.v[n]
+        history[2, n] = pull[n]
+        history[3, n] = jerk[n]
 
 
 @inlined
 def fill_samples(chain, clock, span, first, last, pull, jerk, out):
     """Put the bodies first ... last-1 into all samples that the step that ends here has passed."""
-    kept, begin, end = chain.history, chain.state.step_begin, chain.state.done
-    u_0, v_0, a_0, j_0 = (
-        kept[0, first:last],
-        kept[1, first:last],
-        kept[2, first:last],
-        kept[3, first:last],
-    )
-    u_1, v_1, a_1, j_1 = (
-        chain.x[first:last],
-        chain.v[first:last],
-        pull[first:last],
-        jerk[first:last],
-    )
+    history = chain.history
+    begin = chain.state.step_begin
+    end = chain.state.done
+    u_0 = history[0, first:last]
+    v_0 = history[1, first:last]
+    a_0 = history[2, first:last]
+    j_0 = history[3, first:last]
+    u_1 = chain.x[first:last]
+    v_1 = chain.v[first:last]
+    a_1 = pull[first:last]
+    j_1 = jerk[first:last]
     h, sample, interval = end - begin, passes(chain, clock, span, begin, end), clock.interval
     while sample > 0 and sample * interval <= end and sample * interval < span.length:
         s = (sample * interval - begin) / h
         q = 1.0 - s
-        s3, q3 = s * s * s, q * q * q
+        s3 = s * s * s
+        q3 = q * q * q
         along = (
             q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
         )  # of u at the beginning; 1 less that at the end
-        v0, v1 = (
-            h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s)),
-            -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q)),
-        )
-        a0, a1 = (
-            h * h / 2 * s * s * q3 * q * (1.0 + 4.0 * s),
-            h * h / 2 * q * q * s3 * s * (1.0 + 4.0 * q),
-        )
-        j0, j1 = h * h * h / 6 * s3 * q3 * q, -h * h * h / 6 * q3 * s3 * s
+        v0 = h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s))
+        v1 = -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q))
+        a0 = h * h / 2 * s * s * q3 * q * (1.0 + 4.0 * s)
+        a1 = h * h / 2 * q * q * s3 * s * (1.0 + 4.0 * q)
+        j0 = h * h * h / 6 * s3 * q3 * q
+        j1 = -h * h * h / 6 * q3 * s3 * s
         rise = 140.0 / h * s3 * q3
-        w0, w1 = (
-            q3 * (1.0 + s * (3.0 + s * (6.0 - 70.0 * s))),
-            s3 * (1.0 + q * (3.0 + q * (6.0 - 70.0 * q))),
-        )
-        b0, b1 = (
-            h * q3 * s * (1.0 + s * (3.0 - 14.0 * s)),
-            -h * s3 * q * (1.0 + q * (3.0 - 14.0 * q)),
-        )
-        k0, k1 = (
-            h * h * q3 * s * s * (0.5 - 7.0 / 6.0 * s),
-            h * h * s3 * q * q * (0.5 - 7.0 / 6.0 * q),
-        )
+        w0 = q3 * (1.0 + s * (3.0 + s * (6.0 - 70.0 * s)))
+        w1 = s3 * (1.0 + q * (3.0 + q * (6.0 - 70.0 * q)))
+        b0 = h * q3 * s * (1.0 + s * (3.0 - 14.0 * s))
+        b1 = -h * s3 * q * (1.0 + q * (3.0 - 14.0 * q))
+        k0 = h * h * q3 * s * s * (0.5 - 7.0 / 6.0 * s)
+        k1 = h * h * s3 * q * q * (0.5 - 7.0 / 6.0 * q)
         number = chain.state.sample + sample
         u_row = out.u[number - out.first, first - PAD :]
         v_row = out.v[number - out.first, first - PAD :]
@@ -118,9 +120,12 @@ def fill_samples(chain, clock, span, first, last, pull, jerk, out):
             v = fma(w0, v_0[n], fma(w1, v_1[n], rise * (u_1[n] - u_0[n])))
             v_row[n] = fma(k0, j_0[n], fma(k1, j_1[n], fma(b0, a_0[n], fma(b1, a_1[n], v))))
         if out.u.shape[1] <= WHOLE_ROWS:
-            u_rest, v_rest = out.u[number - out.first], out.v[number - out.first]
-            u_rest[: first - PAD], v_rest[: first - PAD] = 0.0, 0.0
-            u_rest[last - PAD :], v_rest[last - PAD :] = 0.0, 0.0
+            u_rest = out.u[number - out.first]
+            v_rest = out.v[number - out.first]
+            u_rest[: first - PAD] = 0.0
+            v_rest[: first - PAD] = 0.0
+            u_rest[last - PAD :] = 0.0
+            v_rest[last - PAD :] = 0.0
         if first == PAD:
             place(chain, number * interval, u_row, v_row)
         sample += clock.dense

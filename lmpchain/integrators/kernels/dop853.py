@@ -91,7 +91,7 @@ _march = sample_loop(_advance, False)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clocks, fields, begin, end, until, max_steps):
+def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by DOP853.
 
     Parameters
@@ -107,4 +107,4 @@ def march(chains, method, clocks, fields, begin, end, until, max_steps):
         np.zeros((method[0].size, width)),
     )
     work = force, stage, accelerations
-    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)
+    return _march(chains, method, work, clocks, fields, goal)

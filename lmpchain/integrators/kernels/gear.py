@@ -14,98 +14,110 @@ from .window import look, watch, widen
 
 @compiled
 def _touch_alike(chain, y, z, first, last):
-    """Return whether the contacts around bodies first ... last-1 are open in y where they are in z."""
-    il, least = chain.inverse_length, -chain.precompressed
+    """Return whether the contacts of bodies first ... last-1 are open in y where they are in z."""
+    il = chain.links.inverse_length
+    opening = -chain.links.precompressed
     for n in range(first - 1, last):
-        shut = (y[n] - y[n + 1]) * il[n] > least, (z[n] - z[n + 1]) * il[n] > least
-        if chain.strength[n] > 0.0 and shut[0] != shut[1]:
+        shut = (y[n] - y[n + 1]) * il[n] > opening, (z[n] - z[n + 1]) * il[n] > opening
+        if chain.links.strength[n] > 0.0 and shut[0] != shut[1]:
             return False
     above = y[PAD - 1] > y[PAD], z[PAD - 1] > z[PAD]
-    return not (first == PAD and chain.uncompressed > 0.0 and above[0] != above[1])
+    return not (first == PAD and chain.links.uncompressed > 0.0 and above[0] != above[1])
 
 
 @inlined
-def _move(chain, y, z, first, last, now, side, h, inside, accelerations):
-    """Put in z where the bodies of y, and what is imposed, are `side` steps h from now."""
-    z[first - 1], z[last] = y[first - 1], y[last]
-    for n in range(first, last):
+def _move(chain, z, begin, h, side):
+    """Put into z the bodies, and what is imposed, `side` steps h from the begin of a step."""
+    y, accelerations, state = chain.x, chain.history[0], chain.state
+    z[state.first - 1] = y[state.first - 1]
+    z[state.last] = y[state.last]
+    for n in range(state.first, state.last):
         z[n] = y[n] + side * h * chain.v[n] + 0.5 * (side * h) * (side * h) * accelerations[n]
-    impose(chain, z, now + side * h, inside)
+    impose(chain, z, begin + side * h, begin + RESOLUTION * h)
 
 
 @compiled
 def _begin(chain, work, now, h):
-    """Find the derivatives at the start by the law that holds now, from a step before to a step after.
+    """Find the derivatives at the start by the law of now, from a step before to a step after.
 
-    Where contacts have just opened or closed, as a strike parts grains that touch, the step before is no part of the
-    motion: half a step after stands for it.
+    Where contacts have just opened or closed, as a strike parts grains that touch, the step before
+    is no part of the motion: half a step after stands for it.
     """
     force, pull, z = work
-    y, more, state = chain.x, chain.history, chain.state
-    first, last = state.first, state.last
+    y, derivatives, state = chain.x, chain.history, chain.state
+    first = state.first
+    last = state.last
     state.step_size = h
-    inside = now + RESOLUTION * h
-    impose(chain, y, now, inside)
+    impose(chain, y, now, now + RESOLUTION * h)
     accelerate(chain, y, first, last, force, pull)
     for n in range(first, last):
-        more[0, n] = pull[n]
-    _move(chain, y, z, first, last, now, -1.0, h, inside, more[0])
+        derivatives[0, n] = pull[n]
+    _move(chain, z, now, h, -1.0)
     smooth = _touch_alike(chain, y, z, first, last)
     for side in (1.0, -1.0 if smooth else 0.5):
-        _move(chain, y, z, first, last, now, side, h, inside, more[0])
+        _move(chain, z, now, h, side)
         accelerate(chain, z, first, last, force, pull)
         for n in range(first, last):
             if side == 1.0:
-                more[1, n] = pull[n]
+                derivatives[1, n] = pull[n]
             elif smooth:
-                more[1, n], more[2, n] = (
-                    (more[1, n] - pull[n]) * h * h / 12,
-                    pull[n] + more[1, n] - 2.0 * more[0, n],
+                derivatives[1, n], derivatives[2, n] = (
+                    (derivatives[1, n] - pull[n]) * h * h / 12,
+                    pull[n] + derivatives[1, n] - 2.0 * derivatives[0, n],
                 )
             else:
-                slope = 4.0 * pull[n] - more[1, n] - 3.0 * more[0, n]
-                bend = 4.0 * (more[1, n] - 2.0 * pull[n] + more[0, n])
-                more[1, n], more[2, n] = slope * h * h / 6, bend
+                slope = 4.0 * pull[n] - derivatives[1, n] - 3.0 * derivatives[0, n]
+                bend = 4.0 * (derivatives[1, n] - 2.0 * pull[n] + derivatives[0, n])
+                derivatives[1, n] = slope * h * h / 6
+                derivatives[2, n] = bend
     for n in range(first, last):
-        more[2, n] = more[2, n] * h * h / 24
-        more[0, n] *= 0.5 * h * h
+        derivatives[2, n] = derivatives[2, n] * h * h / 24
+        derivatives[0, n] *= 0.5 * h * h
 
 
 @inlined
 def _step(chain, corrections, work, now, then, h):
     """Take one step: predict by the Taylor series, evaluate the force once, correct."""
     force, pull, _ = work
-    y, w, more, state = chain.x, chain.v, chain.history, chain.state
-    first, last = state.first, state.last
+    y, w, derivatives, state = chain.x, chain.v, chain.history, chain.state
+    first = state.first
+    last = state.last
     if state.step_size != h:
         _begin(chain, work, now, h)
     for n in range(first, last):
-        a, b, c = more[0, n], more[1, n], more[2, n]
+        a = derivatives[0, n]
+        b = derivatives[1, n]
+        c = derivatives[2, n]
         y[n] += h * w[n] + a + b + c
         w[n] += (2.0 * a + 3.0 * b + 4.0 * c) / h
-        more[0, n], more[1, n] = a + 3.0 * b + 6.0 * c, b + 4.0 * c
+        derivatives[0, n] = a + 3.0 * b + 6.0 * c
+        derivatives[1, n] = b + 4.0 * c
     impose(chain, y, then, then)
     accelerate(chain, y, first, last, force, pull)
     for n in range(first, last):
-        off = 0.5 * h * h * pull[n] - more[0, n]
+        off = 0.5 * h * h * pull[n] - derivatives[0, n]
         y[n] += corrections[0] * off
         w[n] += corrections[1] * off / h
-        more[0, n] += corrections[2] * off
-        more[1, n] += corrections[3] * off
-        more[2, n] += corrections[4] * off
+        derivatives[0, n] += corrections[2] * off
+        derivatives[1, n] += corrections[3] * off
+        derivatives[2, n] += corrections[4] * off
     impose(chain, y, then, then)
     hold(chain, w)
     if chain.inverse_mass[PAD] == 0.0:  # its derivatives are imposed, too
-        more[0, PAD], more[1, PAD], more[2, PAD] = 0.0, 0.0, 0.0
+        derivatives[0, PAD] = 0.0
+        derivatives[1, PAD] = 0.0
+        derivatives[2, PAD] = 0.0
 
 
 @inlined
 def _advance(chain, method, work, clock, span, out):
     """Take one step, or two where what is imposed ends within it, and begin anew there."""
     (corrections,) = method
-    state, h = chain.state, span.step
+    state = chain.state
+    h = span.step
     widen(chain, 4)
-    now, then = span.begin + state.done * h, span.begin + (state.done + 1) * h
+    now = span.begin + state.done * h
+    then = span.begin + (state.done + 1) * h
     first = cut(chain, now, h)
     corner = now + first if first > 0.0 else then
     for begin, end, length in (
@@ -126,13 +138,15 @@ _march = sample_loop(_advance, True)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clocks, fields, begin, end, until, max_steps):
+def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by Gear's method of five values.
 
     `method` is its coefficients (5,). `chains.history`
     holds the second, third and fourth derivatives of the displacements, times h^k / k!.
     """
     width = chains.x.shape[1]
-    force, pull, moved = np.zeros(width), np.zeros(width), np.zeros(width)
+    force = np.zeros(width)
+    pull = np.zeros(width)
+    moved = np.zeros(width)
     work = force, pull, moved
-    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)
+    return _march(chains, method, work, clocks, fields, goal)

@@ -1,7 +1,8 @@
 """How chains lie in memory, and the tuples of arrays that the compiled loops hand on.
 
-A row of bodies is a wall (or nothing), N grains and a wall (or nothing), grain 1 at the index `PAD`, where a cache line
-begins; behind them come bodies that do not exist, up to a whole number of lines. Whatever is held has no inverse mass.
+A row of bodies is a wall (or nothing), N grains and a wall (or nothing), grain 1 at the index
+`PAD`, where a cache line begins; behind them come bodies that do not exist, up to a whole number of
+lines. Whatever is held has no inverse mass.
 """
 
 from __future__ import annotations
@@ -17,9 +18,32 @@ PAD = 8  # doubles in a cache line
 
 RESOLUTION = 1e-9  # of a step: nearer to its ends what is imposed has no corner
 
-# of what is imposed: amplitude (m or N), frequency and that of the envelope (rad/s) and end (s) of a sine; number of
-# knots, 0 for a sine; the body that is driven, or less than 0 the one that is pushed
-AMPLITUDE, OMEGA, ENVELOPE, END, KNOTS, BODY = range(6)
+# What is imposed on a chain after t = 0: a sine, also one with an envelope, or a cubic spline.
+WAVE = np.dtype(
+    [
+        ("amplitude", "f8"),  # m of a displacement, N of a force
+        ("omega", "f8"),  # rad/s
+        ("envelope", "f8"),  # rad/s: the sine is multiplied by that of this frequency, squared
+        ("end", "f8"),  # s
+        ("knots", "i8"),  # number of knots of a spline, 0 for a sine
+        ("body", "i8"),  # index of the body that is driven; less than 0: of the one pushed
+    ],
+    align=True,
+)
+
+# The clock of a schedule of steps.
+CLOCK = np.dtype(
+    [
+        ("interval", "f8"),  # s, between two samples
+        ("final", "i8"),  # number of the last sample
+        ("steps", "i8"),  # from one landing on a sample to the next, if all are equal
+        ("step", "f8"),  # s, the longest
+        ("stride", "i8"),  # samples from one landing to the next
+        ("looks", "?"),  # whether the largest motion is looked for
+        ("dense", "i8"),  # every so manieth sample between is interpolated; 0: none
+    ],
+    align=True,
+)
 
 # State of a chain between two calls, from which a run goes on with the same bits:
 STATE = np.dtype(
@@ -41,36 +65,93 @@ STATE = np.dtype(
     align=True,  # compiled loops read aligned numbers faster
 )
 
-# where threads that share a chain wait for each other, and what they tell each other: in a `gate`, how many times one
-# has come to wait, and on a cache line of its own whether one has given up; in its row of a `board` each the nearest
-# opening of a contact, and where its first grain was in every row of a `sweep`, fewer than EDGES
-GIVEN_UP, NEARNESS, EDGE, EDGES = PAD, 0, PAD, 128
-LEAST_SHARE = (
-    4096  # grains of a thread; of this many, what it waits for others is a tenth of the time
-)
-WHOLE_ROWS = 512  # grains, a page: of no more, samples are written whole; of more, only as far as the wave has come
+EDGES = 128  # more than there are rows in a `sweep`
+GIVEN_UP = PAD  # in a gate: on a cache line of its own
+# grains of a thread; of this many, what it waits for others is a tenth of the time
+LEAST_SHARE = 4096
+# grains, a page: of no more, samples are written whole; of more, only as far as the wave has come
+WHOLE_ROWS = 512
 
 
 class Team(NamedTuple):
-    """Which of how many threads one is that share a chain, and where they wait and tell each other."""
+    """One of the threads that share a chain, and the memory in which they meet.
+
+    Attributes
+    ----------
+    part, parts : int
+        Which one, of how many.
+    gate : (2 PAD,) array
+        How many times one has come to wait and, at GIVEN_UP, whether one has given up.
+    nearness : (parts, PAD) array
+        In the first column, what each has found of the nearest opening of a contact.
+    edges : (parts, EDGES) array
+        Where the first grain of each was in every row of a sweep, m.
+    """
 
     part: int
     parts: int
     gate: NDArray[np.int64]
-    board: Array
+    nearness: Array
+    edges: Array
 
 
 def team(parts: int) -> list[Team]:
-    """Return what each of so many threads knows of the others."""
-    gate, board = np.zeros(2 * PAD, dtype=np.int64), np.zeros((parts, EDGE + EDGES))
-    return [Team(part, parts, gate, board) for part in range(parts)]
+    """Return the threads that share a chain."""
+    gate = np.zeros(2 * PAD, dtype=np.int64)
+    shared = gate, np.zeros((parts, PAD)), np.zeros((parts, EDGES))
+    return [Team(part, parts, *shared) for part in range(parts)]
 
 
 ALONE = team(1)[0]
 
 
+class Links(NamedTuple):
+    """The contacts of R chains, or of one: then without the first axis of the arrays.
+
+    Attributes
+    ----------
+    inverse_length, strength : (R, W) arrays
+        1 / length and strength of the contact below each body, see `contact_forces`.
+    uncompressed : (R,) array
+        N/m^delta: the constant of a first contact that touches without pressing in a compressed
+        chain, else 0.
+    form : (R,) array
+        Form of the force.
+    precompressed, coefficients : number and (8,) array
+        See `contact_forces`.
+    """
+
+    inverse_length: Array
+    strength: Array
+    uncompressed: Any
+    form: Any
+    precompressed: float
+    coefficients: Array
+
+
+class Imposed(NamedTuple):
+    """What acts on R chains after t = 0, or on one: then without the first axis of the arrays.
+
+    Attributes
+    ----------
+    acts : bool
+        Whether anything is.
+    reach : (R, 2) array
+        First and last body that it acts on; if none, the last before the first.
+    wave : (R,) array of WAVE
+    knots, pieces : (R, P) and (R, 4, P-1) arrays
+        Times, s, and coefficients of a spline.
+    """
+
+    acts: bool
+    reach: NDArray[np.int64]
+    wave: Any
+    knots: Array
+    pieces: Array
+
+
 class Chains(NamedTuple):
-    """A batch of R chains in rows of W bodies, once for each of F schedules, one batch after the other.
+    """R chains in rows of W bodies, once for each of F schedules, one batch after the other.
 
     Attributes
     ----------
@@ -79,22 +160,14 @@ class Chains(NamedTuple):
     history : (F R, H, W) array
         What the method keeps of earlier steps.
     state : (F R,) array of STATE
-    table : (R, 3, W) array
-        1 / length and strength of the contact below each body, and its inverse mass.
-    uncompressed : (R,) array
-        N/m^delta: the constant of a first contact that touches without pressing in a compressed chain, else 0.
+    inverse_mass : (R, W) array
+        1/kg; 0 of what is held.
+    links : Links
+    imposed : Imposed
     scale : (R, 2) array
         Largest displacement and speed of the excitation, m and m/s.
     omega : (R,) array
         Highest frequency, rad/s.
-    forms, precompressed, coefficients : (R,) array, number and (8,) array
-        See `contact_forces`.
-    imposed : bool
-        Whether the excitation acts after t = 0,
-    acted : (R, 2) array
-        on the bodies from the first to the last of these; else none, the last before the first.
-    drive, knots, pieces : (R, 6), (R, P) and (R, 4, P-1) arrays
-        How: see AMPLITUDE ... BODY; times and coefficients of a spline.
     team : Team
         Which threads share each chain.
     """
@@ -103,18 +176,11 @@ class Chains(NamedTuple):
     v: Array
     history: Array
     state: Any
-    table: Array
-    uncompressed: Array
+    inverse_mass: Array
+    links: Links
+    imposed: Imposed
     scale: Array
     omega: Array
-    forms: Array
-    precompressed: float
-    coefficients: Array
-    imposed: bool
-    acted: Array
-    drive: Array
-    knots: Array
-    pieces: Array
     team: Team
 
 
@@ -125,53 +191,78 @@ class Chain(NamedTuple):
     v: Array
     history: Array
     state: Any
-    inverse_length: Array
-    strength: Array
     inverse_mass: Array
-    uncompressed: float
+    links: Links
+    imposed: Imposed
     scale: Array
     omega: float
-    form: int
-    precompressed: float
-    coefficients: Array
-    imposed: bool
-    acted: Array
-    drive: Array
-    knots: Array
-    pieces: Array
     team: Team
     number: int
     schedule: int
 
 
-class Clock(NamedTuple):
-    """Sample interval (s), last sample, steps and longest step (s) to a landing, samples between.
+class Rows(NamedTuple):
+    """Rows of a sweep, (Q,) arrays: in each, all grains are kicked and then drift.
 
-    `looks` says whether the largest motion is looked for, `dense` which samples between are interpolated: every so
-    manieth, none if it is 0.
+    Attributes
+    ----------
+    kick, drift : (Q,) arrays
+        Times by which accelerations and velocities are multiplied, s.
+    carried : (Q,) array
+        N: force on the first grain from above; then that on the last one from below.
+    path : (Q,) array, or an empty one if nothing is imposed
+        What is imposed: a displacement, m, or a force, N.
     """
 
-    interval: float
-    final: int
+    kick: Array
+    drift: Array
+    carried: Array
+    path: Array
+
+
+class Stages(NamedTuple):
+    """Kicks (S+1,) and drifts (S,) of a splitting, as fractions of a step."""
+
+    kicks: Array
+    drifts: Array
+
+
+class Openings(NamedTuple):
+    """Steps of a splitting around contacts that open or close, by F schedules in R chains.
+
+    Attributes
+    ----------
+    shortened : float
+        h' / h of the shortened steps.
+    factor, power, least : floats and (F,) array
+        Of the step h' that crosses an opening: omega h' = max(factor (omega h)^power, least).
+    weight, reach : (R, W) arrays
+        Of each contact the square of the acceleration that it gives over what changes the motion;
+        and how near to its opening no step is shorter.
+    """
+
+    shortened: float
+    factor: float
+    power: float
+    least: Array
+    weight: Array
+    reach: Array
+
+
+class Goal(NamedTuple):
+    """Chains begin ... end - 1 are moved to the sample `until`, or by some `steps` steps in all."""
+
+    begin: int
+    end: int
+    until: int
     steps: int
-    step: float
-    stride: int
-    looks: bool
-    dense: int
-
-
-class Clocks(NamedTuple):
-    """Sample interval (s), last sample, and of each of F schedules the other five of a `Clock`, (F, 5)."""
-
-    interval: float
-    final: int
-    others: Array
 
 
 class Fields(NamedTuple):
     """Where samples go, from the one with the number `first` on: displacements and velocities.
 
-    (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others; zeros if N is larger than `WHOLE_ROWS`.
+    (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others; zeros if N is larger
+    than `WHOLE_ROWS`.
     """
 
     u: Array

@@ -1,7 +1,8 @@
 """The right-hand side of Eq. (1), compiled: contact forces and what an excitation imposes.
 
-What is imposed is the motion of grain 1 or of the top wall, or a force on a grain, which x[0] holds, where no body is:
-a method calls `impose` for every time at which it evaluates accelerations, and `imposed` for every row of a `sweep`.
+What is imposed is the motion of grain 1 or of the top wall, or a force on a grain, which x[0]
+holds, where no body is: a method calls `impose` for every time at which it evaluates accelerations,
+and `imposed` for every row of a `sweep`.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ import math
 import numpy as np
 
 from .contact_forces import compiled, contact_forces, inlined, kick_and_drift, touching
-from .layout import AMPLITUDE, BODY, EDGE, END, ENVELOPE, KNOTS, OMEGA, PAD, RESOLUTION
-from .team import meet, mine
+from .layout import PAD, RESOLUTION, Links, Rows
+from .team import meet, share
 
-ROWS = 64  # evaluations of the force between two updates of the window, for long chains and for methods of one stage
+# evaluations of the force between two updates of the window, for long chains and methods of one
+# stage
+ROWS = 64
 TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over them
 
 
@@ -24,21 +27,24 @@ def _course(chain, t, order, inside):
 
     It is a sine, also one with an envelope, or a cubic spline.
     """
-    drive, pieces = chain.drive, chain.pieces
-    count = int(drive[KNOTS])
-    if count == 0:
-        size, omega, envelope = drive[AMPLITUDE], drive[OMEGA], drive[ENVELOPE]
-        if inside >= drive[END]:
+    wave = chain.imposed.wave
+    if wave.knots == 0:
+        size = wave.amplitude
+        omega = wave.omega
+        envelope = wave.envelope
+        if inside >= wave.end:
             return 0.0
         if envelope == 0.0:
             return size * math.sin(omega * t) if order == 0 else size * omega * math.cos(omega * t)
-        part = math.sin(envelope * t)
+        window = math.sin(envelope * t)
         if order == 0:
-            return size * math.sin(omega * t) * (part * part)
+            return size * math.sin(omega * t) * (window * window)
         slope = 2.0 * envelope * math.cos(envelope * t) * math.sin(omega * t)
-        return size * part * (omega * math.cos(omega * t) * part + slope)
-    piece = min(max(np.searchsorted(chain.knots[:count], t, "right") - 1, 0), count - 2)
-    s = t - chain.knots[piece]
+        return size * window * (omega * math.cos(omega * t) * window + slope)
+    knots = chain.imposed.knots[: wave.knots]
+    pieces = chain.imposed.pieces
+    piece = min(max(np.searchsorted(knots, t, "right") - 1, 0), knots.size - 2)
+    s = t - knots[piece]
     a, b, c, d = pieces[0, piece], pieces[1, piece], pieces[2, piece], pieces[3, piece]
     return ((a * s + b) * s + c) * s + d if order == 0 else (3 * a * s + 2 * b) * s + c
 
@@ -46,29 +52,30 @@ def _course(chain, t, order, inside):
 @compiled
 def ahead(chain, t, end, resolution):
     """Return the time to the next corner of what is imposed before `end`, else infinity."""
-    count, knots, corner = int(chain.drive[KNOTS]), chain.knots, chain.drive[END]
-    if chain.imposed and count > 0:
-        following = np.searchsorted(knots[:count], t + resolution, "right")
-        if following < count and knots[following] < end - resolution:
+    wave = chain.imposed.wave
+    if chain.imposed.acts and wave.knots > 0:
+        knots = chain.imposed.knots[: wave.knots]
+        following = np.searchsorted(knots, t + resolution, "right")
+        if following < knots.size and knots[following] < end - resolution:
             return knots[following] - t
-    elif chain.imposed and t + resolution < corner < end - resolution:
-        return corner - t
+    elif chain.imposed.acts and t + resolution < wave.end < end - resolution:
+        return wave.end - t
     return 1e300
 
 
 @inlined
 def cut(chain, t, h):
     """Return the time to where a sine ends within a step h, 0 if it does not, or for a spline."""
-    if chain.imposed and chain.drive[KNOTS] == 0.0:
-        left = chain.drive[END] - t
-        return left if RESOLUTION * h < left < (1.0 - RESOLUTION) * h else 0.0
+    if chain.imposed.acts and chain.imposed.wave.knots == 0:
+        remaining = chain.imposed.wave.end - t
+        return remaining if RESOLUTION * h < remaining < (1.0 - RESOLUTION) * h else 0.0
     return 0.0
 
 
 @inlined
 def forced(chain):
     """Return the body that is pushed, 0 if there is none."""
-    return int(-chain.drive[BODY]) if chain.imposed and chain.drive[BODY] < 0.0 else 0
+    return max(-chain.imposed.wave.body, 0) if chain.imposed.acts else 0
 
 
 @inlined
@@ -79,62 +86,89 @@ def imposed(chain, t):
 
 @inlined
 def impose(chain, x, t, inside):
-    """Put what is driven where it is at time t in x (W,), or note the force, by the law of `inside`."""
-    if chain.imposed and chain.team.part == 0:
-        x[max(int(chain.drive[BODY]), 0)] = _course(chain, t, 0, inside)
+    """Put what is driven in its place at time t in x (W,), or note the force, by the law of `inside`."""
+    if chain.imposed.acts and chain.team.part == 0:
+        x[max(chain.imposed.wave.body, 0)] = _course(chain, t, 0, inside)
 
 
 @inlined
 def recall(chain, t):
     """Put what is imposed at time t back where no grain holds it: a wall, or a force."""
-    if chain.imposed and chain.drive[BODY] < PAD:
+    if chain.imposed.acts and chain.imposed.wave.body < PAD:
         impose(chain, chain.x, t, t)
 
 
 @inlined
 def impose_velocity(chain, v, grain_1, t):
     """Give what is driven its velocity at time t, if v, with grain 1 at that index, has a place."""
-    if chain.imposed and chain.team.part == 0 and int(chain.drive[BODY]) + grain_1 >= PAD:
-        v[int(chain.drive[BODY]) + grain_1 - PAD] = _course(chain, t, 1, t)
+    if chain.imposed.acts and chain.team.part == 0 and chain.imposed.wave.body + grain_1 >= PAD:
+        v[chain.imposed.wave.body + grain_1 - PAD] = _course(chain, t, 1, t)
 
 
 @inlined
 def imposed_rate(chain, t, inside):
-    """Return how fast what is imposed changes at time t, by the law of `inside`; 0 if nothing is."""
-    return _course(chain, t, 1, inside) if chain.imposed else 0.0
+    """Return the rate of what is imposed at time t, by the law of `inside`; 0 if nothing is."""
+    return _course(chain, t, 1, inside) if chain.imposed.acts else 0.0
 
 
 @inlined
 def place(chain, t, u_row, v_row):
     """Put grain 1, if it is driven, into a row of samples (N,) where it is at time t."""
-    if chain.imposed and chain.team.part == 0 and chain.drive[BODY] == PAD:
-        u_row[0], v_row[0] = _course(chain, t, 0, t), _course(chain, t, 1, t)
+    if chain.imposed.acts and chain.team.part == 0 and chain.imposed.wave.body == PAD:
+        u_row[0] = _course(chain, t, 0, t)
+        v_row[0] = _course(chain, t, 1, t)
 
 
 @inlined
 def imposed_speed(chain, t):
     """Return how fast grain 1 is at time t if it is driven, else 0."""
-    return abs(_course(chain, t, 1, t)) if chain.imposed and chain.drive[BODY] == PAD else 0.0
+    return (
+        abs(_course(chain, t, 1, t))
+        if chain.imposed.acts and chain.imposed.wave.body == PAD
+        else 0.0
+    )
 
 
 @inlined
 def hold(chain, v):
     """Take the velocity of grain 1 out of v if it is driven: a drift must not move it."""
-    if chain.imposed and chain.team.part == 0 and chain.drive[BODY] == PAD:
+    if chain.imposed.acts and chain.team.part == 0 and chain.imposed.wave.body == PAD:
         v[PAD] = 0.0
 
 
 @inlined
+def slice_links(links, some, uncompressed):
+    """Return some of the contacts, the first of which touches with this constant besides."""
+    return Links(
+        inverse_length=links.inverse_length[some],
+        strength=links.strength[some],
+        uncompressed=uncompressed,
+        form=links.form,
+        precompressed=links.precompressed,
+        coefficients=links.coefficients,
+    )
+
+
+@inlined
+def slice_rows(rows, some):
+    """Return some of the rows of a sweep."""
+    return Rows(
+        kick=rows.kick[some],
+        drift=rows.drift[some],
+        carried=rows.carried[some],
+        path=rows.path[some],
+    )
+
+
+@inlined
 def accelerate(chain, y, first, last, force, pull):
-    """Fill pull (W,) with accelerations of bodies first ... last-1 of y (W,); force (W,) is room for work."""
+    """Fill pull (W,) with accelerations of bodies first ... last-1 of y (W,), and force (W,)."""
     near = slice(first - 1, last)
     f, im, a = force[: last - first + 1], chain.inverse_mass[first:last], pull[first:last]
-    contact_forces(
-        chain.form, f, y[first - 1 : last + 1], chain.inverse_length[near], chain.strength[near],
-        chain.precompressed, chain.coefficients,
-    )  # fmt: skip
-    if first == PAD and chain.uncompressed > 0.0:
-        f[0] += touching(y[PAD - 1] - y[PAD], chain.uncompressed, chain.coefficients)
+    links = chain.links
+    contact_forces(links.form, f, y[first - 1 : last + 1], slice_links(links, near, 0.0))
+    if first == PAD and links.uncompressed > 0.0:
+        f[0] += touching(y[PAD - 1] - y[PAD], links.uncompressed, links.coefficients)
     for n in range(a.size):
         a[n] = im[n] * (f[n] - f[n + 1])
     pushed = forced(chain)
@@ -143,69 +177,79 @@ def accelerate(chain, y, first, last, force, pull):
 
 
 @inlined
-def _rows(chain, a, b, some, kicks, drifts, carried, path):
+def _sweep_rows(chain, a, b, rows):
     """Kick and drift the grains a ... b-1 once for each of some rows."""
-    il, st, im, pushed = chain.inverse_length, chain.strength, chain.inverse_mass, forced(chain)
+    pushed = forced(chain)
     top = a == chain.state.first  # none of the window is above
-    body = pushed if pushed > 0 else int(chain.drive[BODY])
+    touches = chain.links.uncompressed if top and a == PAD else 0.0
+    body = pushed if pushed > 0 else chain.imposed.wave.body
     kick_and_drift(
-        chain.form, chain.x[a - 1 : b + 1], chain.v[a:b], il[a - 1 : b], st[a - 1 : b], im[a:b],
-        kicks[some], drifts[some], carried[some],
-        top, chain.uncompressed if top and a == PAD else 0.0, chain.precompressed, chain.coefficients,
-        path[some], body - (a - 1), pushed > 0,
-    )  # fmt: skip
+        chain.links.form,
+        chain.x[a - 1 : b + 1],
+        chain.v[a:b],
+        chain.inverse_mass[a:b],
+        slice_links(chain.links, slice(a - 1, b), touches),
+        rows,
+        top,
+        body - (a - 1),
+        pushed > 0,
+    )
 
 
 @compiled
 def _lean(chain, a, row, carried):
-    """Leave to the thread above where grain a is before a row, and find the force on it from above."""
-    team, x = chain.team, chain.x
-    team.board[team.part, EDGE + row] = x[a]
-    contact_forces(
-        chain.form, carried[row : row + 1], x[a - 1 : a + 1], chain.inverse_length[a - 1 : a],
-        chain.strength[a - 1 : a], chain.precompressed, chain.coefficients,
-    )  # fmt: skip
+    """Leave grain a to the thread above before a row, and find the force on it from above."""
+    team = chain.team
+    x = chain.x
+    team.edges[team.part, row] = x[a]
+    links = slice_links(chain.links, slice(a - 1, a), 0.0)
+    contact_forces(links.form, carried[row : row + 1], x[a - 1 : a + 1], links)
 
 
 @compiled
-def _close(chain, end, kicks, drifts, carried, path):
-    """Kick and drift what this thread and the one below have left out around the border between them."""
-    x, edges = chain.x, chain.team.board[chain.team.part + 1, EDGE:]
-    for row in range(kicks.size):
+def _close(chain, end, rows):
+    """Kick and drift the grains around the border between this thread and the one below."""
+    x = chain.x
+    edges = chain.team.edges[chain.team.part + 1]
+    for row in range(rows.kick.size):
         b = end + PAD * (row + 1)
-        now, x[b] = x[b], edges[row]
-        _rows(chain, end - PAD * row, b, slice(row, row + 1), kicks, drifts, carried, path)
+        now = x[b]
+        x[b] = edges[row]
+        _sweep_rows(chain, end - PAD * row, b, slice_rows(rows, slice(row, row + 1)))
         x[b] = now
 
 
 @inlined
-def sweep(chain, kicks, drifts, carried, path):
+def sweep(chain, rows):
     """Kick and drift the window once a row; long chains in tiles that stay in the cache.
 
-    Every row of a tile ends a cache line before the one above it, so that it needs nothing of the tile to come. Of a
-    chain that threads share, the rows of each begin a line after the one above, too, the first a line into its part, so
-    that it needs nothing of what others do meanwhile; what is left out between them follows.
+    Every row of a tile ends a cache line before the one above it, so that it needs nothing of the
+    tile to come. Of a chain that threads share, the rows of each begin a line after the one above,
+    too, the first a line into its part, so that it needs nothing of what others do meanwhile; what
+    is left out between them follows.
     """
-    first, last = chain.state.first, chain.state.last
-    begins, ends = mine(chain)
+    first = chain.state.first
+    last = chain.state.last
+    begins, ends = share(chain)
     meet(chain.team)
-    rows, tile = kicks.size, TILE if ends - begins > 2 * TILE else max(1, ends - begins)
-    together = rows if tile == last - first else 1
+    tile = TILE if ends - begins > 2 * TILE else max(1, ends - begins)
+    together = rows.kick.size if tile == last - first else 1
     for begin in range(begins, ends, tile):
         end = begin + tile if begin + 2 * tile <= ends else ends
-        for row in range(0, rows, together):
-            a, b = begin, end
+        for row in range(0, rows.kick.size, together):
+            a = begin
+            b = end
             if together == 1:
                 b = end - PAD * row if end < last else last
                 if begin > begins:
                     a = begin - PAD * row
                 elif begin > first:
                     a = begin + PAD * (row + 1)
-                    _lean(chain, a, row, carried)
-            _rows(chain, a, b, slice(row, row + together), kicks, drifts, carried, path)
+                    _lean(chain, a, row, rows.carried)
+            _sweep_rows(chain, a, b, slice_rows(rows, slice(row, row + together)))
         if end == ends:
             break
     meet(chain.team)
     if begins < ends < last:
-        _close(chain, ends, kicks, drifts, carried, path)
+        _close(chain, ends, rows)
     meet(chain.team)

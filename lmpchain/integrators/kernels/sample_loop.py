@@ -6,31 +6,51 @@ import math
 from collections.abc import Callable
 
 from .contact_forces import compiled, inlined
-from .layout import Chain, Clock, Row, Span
+from .layout import Chain, Imposed, Links, Row, Span
 from .window import record
 
-# of the time between two landings: shorter steps would not move the clock, and there would be too many to be counted
+# of the time between two landings: shorter steps would not move the clock, and there would be too
+# many to be counted
 SHORTEST = 2.0**-50
 
 
 @inlined
-def _chain(chains, real, schedule):
-    """Return one chain of a batch, as a schedule moves it."""
-    table, row = chains.table[real], schedule * chains.omega.size + real
-    return Chain(
-        chains.x[row], chains.v[row], chains.history[row], chains.state[row], table[0], table[1], table[2],
-        chains.uncompressed[real], chains.scale[real], chains.omega[real], chains.forms[real], chains.precompressed,
-        chains.coefficients, chains.imposed, chains.acted[real], chains.drive[real], chains.knots[real],
-        chains.pieces[real], chains.team, real, schedule,
-    )  # fmt: skip
+def links_of(links, real):
+    """Return the contacts of one chain of a batch."""
+    return Links(
+        inverse_length=links.inverse_length[real],
+        strength=links.strength[real],
+        uncompressed=links.uncompressed[real],
+        form=links.form[real],
+        precompressed=links.precompressed,
+        coefficients=links.coefficients,
+    )
 
 
 @inlined
-def clock_of(clocks, schedule):
-    """Return the clock of a schedule."""
-    own = clocks.others[schedule]
-    return Clock(
-        clocks.interval, clocks.final, int(own[0]), own[1], int(own[2]), own[3] > 0, int(own[4])
+def chain_of(chains, real, schedule):
+    """Return one chain of a batch, as a schedule moves it."""
+    imposed = chains.imposed
+    row = schedule * chains.omega.size + real
+    return Chain(
+        x=chains.x[row],
+        v=chains.v[row],
+        history=chains.history[row],
+        state=chains.state[row],
+        inverse_mass=chains.inverse_mass[real],
+        links=links_of(chains.links, real),
+        imposed=Imposed(
+            acts=imposed.acts,
+            reach=imposed.reach[real],
+            wave=imposed.wave[real],
+            knots=imposed.knots[real],
+            pieces=imposed.pieces[real],
+        ),
+        scale=chains.scale[real],
+        omega=chains.omega[real],
+        team=chains.team,
+        number=real,
+        schedule=schedule,
     )
 
 
@@ -50,14 +70,17 @@ def _as_it_is(chain, method, work, clock, span, out):
 
 
 @inlined
-def end_of_step(chain, span, left, step):
+def end_of_step(chain, span, remaining, step):
     """Return `state.done` after a step of at most this length, one of equal ones in the time left.
 
-    The step to take is the difference to `state.done`, not `step`: all steps together then are the span, exactly.
+    The step to take is the difference to `state.done`, not `step`: all steps together then are the
+    span, exactly.
     """
     done = chain.state.done
-    steps = max(1, math.ceil(left / max(step, SHORTEST * span.length) - 1e-9))
-    return span.length if steps == 1 and left == span.length - done else done + left / steps
+    steps = max(1, math.ceil(remaining / max(step, SHORTEST * span.length) - 1e-9))
+    return (
+        span.length if steps == 1 and remaining == span.length - done else done + remaining / steps
+    )
 
 
 def sample_loop(
@@ -65,7 +88,7 @@ def sample_loop(
 ) -> Callable[..., int]:
     """Make the march of a method from its steps.
 
-    The march moves chains by every schedule to the sample `until`, or stops when some `max_steps` steps are made
+    The march moves chains by every schedule to a sample, or stops when some number of steps is made
     altogether: how the steps are shared out over calls makes no difference to the last bit.
 
     Parameters
@@ -79,24 +102,24 @@ def sample_loop(
 
     Returns
     -------
-    function of (chains, method, work, clocks, fields, begin, end, until, max_steps)
-        Of `Chains`, what the method needs beside them, arrays to work in, `Clocks` and `Fields`; moves the chains from
-        begin to end - 1 and returns the steps made. The `march` of a method's module, which is kept for later
-        processes, makes the arrays to work in and calls it.
+    function of (chains, method, work, clocks, fields, goal)
+        Of `Chains`, what the method needs beside them, arrays to work in, clocks, `Fields` and
+        `Goal`; moves chains and returns the steps made. The `march` of a method's module, which is
+        kept for later processes, makes the arrays to work in and calls it.
     """
 
     @compiled
-    def march(chains, method, work, clocks, fields, begin, end, until, max_steps):
-        done, size = 0, end - begin
-        for each in range(size * clocks.others.shape[0]):
-            schedule, real = each // size, begin + each % size
-            chain, clock, out = (
-                _chain(chains, real, schedule),
-                clock_of(clocks, schedule),
-                _row(fields, real, schedule),
-            )
+    def march(chains, method, work, clocks, fields, goal):
+        done = 0
+        size = goal.end - goal.begin
+        for row in range(size * clocks.size):
+            schedule = row // size
+            real = goal.begin + row % size
+            chain = chain_of(chains, real, schedule)
+            clock = clocks[schedule]
+            out = _row(fields, real, schedule)
             state = chain.state
-            while state.sample < until and done < max_steps:
+            while state.sample < goal.until and done < goal.steps:
                 sample = state.sample
                 landing = min(sample + clock.stride, clock.final)
                 length = (landing - sample) * clock.interval
@@ -104,15 +127,16 @@ def sample_loop(
                 span = Span(
                     sample * clock.interval, landing * clock.interval, length, steps, length / steps
                 )
-                goal = float(steps) if counted else length
-                while state.done < goal and done < max_steps:
-                    made = advance(chain, method, work, clock, span, out)
-                    state.steps += made
-                    done += made
-                if state.done == goal:
+                end = float(steps) if counted else length
+                while state.done < end and done < goal.steps:
+                    steps_made = advance(chain, method, work, clock, span, out)
+                    state.steps += steps_made
+                    done += steps_made
+                if state.done == end:
                     land(chain, method, work, clock, span, out)
                     record(chain, span.end, out.u[landing - out.first], out.v[landing - out.first])
-                    state.sample, state.done = landing, 0.0
+                    state.sample = landing
+                    state.done = 0.0
         return done
 
     return march

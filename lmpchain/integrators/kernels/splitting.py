@@ -6,10 +6,37 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import PAD
-from .right_hand_side import ROWS, TILE, cut, imposed, sweep
+from .layout import PAD, Rows
+from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
 from .sample_loop import sample_loop
 from .window import look, watch, widen
+
+
+@inlined
+def _fill_step(chain, method, work, row, origin, before, h):
+    """Fill the rows of a step, from `row` on; it begins `before` steps h after `origin`.
+
+    The last kick is still due then: it and the first of the next step are one.
+    """
+    kicks, drifts = method
+    rows, reach = work
+    for stage in range(drifts.size):
+        rows.kick[row + stage] = kicks[stage] * h
+        rows.drift[row + stage] = drifts[stage] * h
+        if chain.imposed.acts:
+            along = reach[stage - 1] if stage > 0 else 0.0
+            rows.path[row + stage] = imposed(chain, origin + (before + along) * h)
+    rows.kick[row] += chain.state.pending
+    chain.state.pending = kicks[drifts.size] * h
+
+
+@inlined
+def _burst(chain, span, stages):
+    """Return how many steps are made between two updates of the window."""
+    state = chain.state
+    full = state.first == PAD and state.last == chain.x.size - PAD
+    wide = stages == 1 or full or state.last - state.first > TILE
+    return min(span.steps - int(state.done), max(1, ROWS // stages) if wide else 1)
 
 
 @inlined
@@ -19,44 +46,34 @@ def _advance(chain, method, work, clock, span, out):
     A step in which what is imposed ends is made as two, so that the order is kept.
     """
     kicks, drifts = method
-    kick, drift, carried, path, reach = work
-    state, stages, h = chain.state, drifts.size, span.step
-    full = state.first == PAD and state.last == chain.x.size - PAD
-    wide = stages == 1 or full or state.last - state.first > TILE
-    missing = (
-        kicks[stages] * clock.step * chain.omega
-    )  # of a speed, without the last kick of a step
+    rows, _ = work
+    state = chain.state
+    stages = drifts.size
+    h = span.step
+    missing = kicks[stages] * clock.step * chain.omega  # of a speed, without the last kick
     complete = 1.0 / (1.0 + 0.5 * missing * missing)
-    burst = min(span.steps - int(state.done), max(1, ROWS // stages) if wide else 1)
-    begun, rows, halved = span.begin + state.done * h, 0, burst
+    burst = _burst(chain, span, stages)
+    begun = span.begin + state.done * h
+    filled = 0
+    halved = burst
     for step in range(burst):
-        first = (
-            cut(chain, begun + step * h, h) if stages > 1 else 0.0
-        )  # a corner leaves an order of 2 as it is
-        halved = step if first > 0.0 else halved
-        for part in range(2 if first > 0.0 else 1):
-            whole = h if first == 0.0 else (first if part == 0 else h - first)
-            for stage in range(stages):
-                kick[rows + stage], drift[rows + stage] = (
-                    kicks[stage] * whole,
-                    drifts[stage] * whole,
-                )
-                if chain.imposed:
-                    along = reach[stage - 1] if stage > 0 else 0.0
-                    t = begun + (step + along) * h
-                    if first > 0.0:
-                        t = begun + step * h + (first if part > 0 else 0.0) + along * whole
-                    path[rows + stage] = imposed(chain, t)
-            kick[rows] += state.pending
-            state.pending = kicks[stages] * whole
-            rows += stages
-    widen(chain, rows + 1)
-    step, made = 0, state.steps
+        begin = begun + step * h
+        corner = cut(chain, begin, h) if stages > 1 else 0.0  # which leaves an order of 2 as it is
+        if corner > 0.0:
+            halved = step
+            _fill_step(chain, method, work, filled, begin, 0, corner)
+            filled += stages
+            _fill_step(chain, method, work, filled, begin + corner, 0, h - corner)
+        else:
+            _fill_step(chain, method, work, filled, begun, step, h)
+        filled += stages
+    widen(chain, filled + 1)
+    step, before = 0, state.steps
     while step < burst:
-        end = min(burst, max(step + 1, state.next_look - made))
+        end = min(burst, max(step + 1, state.next_look - before))
         some = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
-        sweep(chain, kick[some], drift[some], carried[some], path[some])
-        look(chain, clock, made + end, begun + end * h, complete)
+        sweep(chain, slice_rows(rows, some))
+        look(chain, clock, before + end, begun + end * h, complete)
         step = end
     watch(chain)
     state.done += burst
@@ -66,11 +83,12 @@ def _advance(chain, method, work, clock, span, out):
 @inlined
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick, where a sample lies between it and the first of the next step."""
-    kick, drift, carried, path, _ = work
-    kick[0], drift[0] = chain.state.pending, 0.0
-    if chain.imposed:
-        path[0] = imposed(chain, span.end)
-    sweep(chain, kick[:1], drift[:1], carried[:1], path[:1])
+    rows = slice_rows(work[0], slice(0, 1))
+    rows.kick[0] = chain.state.pending
+    rows.drift[0] = 0.0
+    if chain.imposed.acts:
+        rows.path[0] = imposed(chain, span.end)
+    sweep(chain, rows)
     chain.state.pending = 0.0
 
 
@@ -78,14 +96,10 @@ _march = sample_loop(_advance, True, _land)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clocks, fields, begin, end, until, max_steps):
-    """Advance by a splitting; `method` is its kicks (S+1,) and drifts (S,) as fractions of a step."""
-    rows = ROWS + 2 * method[1].size
-    kick, drift, carried, path = (
-        np.zeros(rows),
-        np.zeros(rows),
-        np.zeros(rows),
-        np.zeros(rows if chains.imposed else 0),
-    )
-    work = kick, drift, carried, path, np.cumsum(method[1])
-    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)
+def march(chains, method, clocks, fields, goal):
+    """Advance as `sample_loop` says by a splitting; `method` is `layout.Stages`."""
+    size = ROWS + 2 * method[1].size
+    room = np.zeros((4, size))
+    path = room[3, : size if chains.imposed.acts else 0]
+    rows = Rows(kick=room[0], drift=room[1], carried=room[2], path=path)
+    return _march(chains, method, (rows, np.cumsum(method[1])), clocks, fields, goal)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS
-from .layout import PAD, STATE
+from .layout import PAD, STATE, Links
 
 MOST = 1e300  # J, where nothing bounds the energy
 _compiled = numba.njit(error_model="numpy")
@@ -27,101 +27,110 @@ def _rows(count: int, grains: int) -> Array:
     return memory[skip : skip + count * width].reshape((count, width))
 
 
+class AtRest(NamedTuple):
+    """Contacts of R chains at rest, (R, N+1) arrays, and whether the chains carry a force there.
+
+    Overlap, m, force, N, constant, N/m^delta, and stiffness, N/m.
+    """
+
+    overlap: Array
+    force: Array
+    constant: Array
+    stiffness: Array
+    compressed: bool
+
+
 @compiled_once(*NEWS, error_model="numpy")
-def laid_out(
-    overlap: Array,
-    force: Array,
-    constant: Array,
-    stiffness: Array,
-    masses: Array,
-    strikes: Array,
-    first: int,
-    stop: int,
-    compressed: bool,
+def lay_out(
+    at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int]
 ) -> tuple[Array, ...]:
     """Lay R chains out.
 
     Parameters
     ----------
-    overlap, force, constant, stiffness : (R, N+1) arrays
-        Of the contacts at rest.
+    at_rest : AtRest
     masses : (R, N) array
         kg.
     strikes : (R, 4) array
-        Highest frequency, rad/s, energy, J, and largest displacement and speed that the excitation imposes, m and m/s.
-    first, stop : int
-        Of the grains, from 0, those whose motion is not prescribed.
-    compressed : bool
-        Whether the chains carry a force at rest.
+        Highest frequency, rad/s, energy, J, and largest displacement and speed that the excitation
+        imposes, m and m/s.
+    free : pair of int
+        First of the grains, from 0, whose motion is not prescribed, and the one behind the last.
 
     Returns
     -------
-    table, uncompressed, omega, scale : (R, 3, W), (R,), (R,) and (R, 2) arrays
-        See `layout.Chains`.
+    table : (3, R, W) array
+        1 / length and strength of the contact below each body, and its inverse mass.
+    uncompressed, omega, scale : (R,), (R,) and (R, 2) arrays
+        See `layout.Links` and `layout.Chains`.
     units, allowed : (R, 2) and (R,) arrays
         See `ChainBatch`.
     """
     batch, grains = masses.shape
-    table, uncompressed, omega = (
-        _rows(3 * batch, grains).reshape((batch, 3, -1)),
-        np.zeros(batch),
-        np.empty(batch),
-    )
-    scale, units, allowed = np.empty((batch, 2)), np.empty((batch, 2)), np.zeros(batch)
+    overlap, force, constant, stiffness, compressed = at_rest
+    first, stop = free
+    table = _rows(3 * batch, grains).reshape((3, batch, -1))
+    uncompressed = np.zeros(batch)
+    omega = np.empty(batch)
+    scale = np.empty((batch, 2))
+    units = np.empty((batch, 2))
+    allowed = np.zeros(batch)
     for real in range(batch):
         for n in range(grains + 1):
-            length, strength = (
-                (overlap[real, n], force[real, n]) if compressed else (1.0, constant[real, n])
-            )
+            length = overlap[real, n] if compressed else 1.0
             if length > 0.0:
-                table[real, 0, PAD - 1 + n], table[real, 1, PAD - 1 + n] = 1.0 / length, strength
+                table[0, real, PAD - 1 + n] = 1.0 / length
+                strength = force if compressed else constant
+                table[1, real, PAD - 1 + n] = strength[real, n]
         weight = 0.0
         for n in range(grains):
             weight += masses[real, n]
             if first <= n < stop:
-                table[real, 2, PAD + n] = 1.0 / masses[real, n]
+                table[2, real, PAD + n] = 1.0 / masses[real, n]
         if compressed and force[real, 0] == 0.0:
             uncompressed[real] = constant[real, 0]
         fastest, energy, farthest, speed = strikes[real]
         speed = max(speed, farthest * fastest)
-        omega[real], scale[real, 0], scale[real, 1] = fastest, speed / fastest, speed
+        omega[real] = fastest
+        scale[real, 0] = speed / fastest
+        scale[real, 1] = speed
         below = 1 if constant[0, 1] > 0.0 else 0
         length = overlap[real, below]
         unit = length * math.sqrt(stiffness[real, below] / masses[real, 0])
-        units[real, 0], units[real, 1] = length, unit
+        units[real, 0] = length
+        units[real, 1] = unit
         # half as much again may be rounded, and slow motion that nothing puts in
         allowed[real] = min(3.0 * energy + weight * (1e-3 * unit) ** 2, MOST)
     return table, uncompressed, omega, scale, units, allowed
 
 
 @compiled_once(*NEWS, error_model="numpy")
-def placed(
+def place_bodies(
     u: Array,
     v: Array,
     copies: int,
     driven: int,
-    acted: NDArray[np.int64],
-    uncompressed: Array,
-    compressed: bool,
-    whole: int,
+    reach: NDArray[np.int64],
+    links: Links,
+    longest: int,
 ) -> tuple[Array, Array, NDArray[Any]]:
     """Put grains in their rows, and begin to watch them.
 
     Parameters
     ----------
     u, v : (C, R, N) arrays
-        Displacement, m, and velocity, m/s, in R chains: of one copy for all, or of every one of C copies.
+        Displacement, m, and velocity, m/s, in R chains: of one copy for all, or of every one of C
+        copies.
     copies : int
         How many there are to be.
     driven : int
         Number of grains, from the top, that are put where their motion says: their velocity is 0.
-    acted : (R, 2) array
+    reach : (R, 2) array
         First and last body that is acted on, the other way round if none is.
-    uncompressed, compressed : (R,) array and bool
-        See `laid_out`.
-    whole : int
-        Longest row, in bodies, that is computed as a whole from the beginning; else the window begins around what
-        moves.
+    links : layout.Links
+    longest : int
+        Longest row, in bodies, that is computed as a whole from the beginning; else the window
+        begins around what moves.
 
     Returns
     -------
@@ -130,62 +139,67 @@ def placed(
     state : (copies R,) array of `layout.STATE`
         At sample 0.
     """
-    given, batch, grains = u.shape
-    x, w, state = (
-        _rows(copies * batch, grains),
-        _rows(copies * batch, grains),
-        np.zeros(copies * batch, STATE),
-    )
+    sources, batch, grains = u.shape
+    x = _rows(copies * batch, grains)
+    w = _rows(copies * batch, grains)
+    state = np.zeros(copies * batch, STATE)
     width = x.shape[1]
     for row in range(len(x)):
-        copy, real = row // batch % given, row % batch
-        first, last = acted[real]
+        copy = row // batch % sources
+        real = row % batch
+        first, last = reach[real]
         if first > last:
-            first, last = width, 0
+            first = width
+            last = 0
         for n in range(grains):
             x[row, PAD + n] = u[copy, real, n]
             if n >= driven:
                 w[row, PAD + n] = v[copy, real, n]
             if x[row, PAD + n] != 0.0 or w[row, PAD + n] != 0.0:
-                first, last = min(first, PAD + n), max(last, PAD + n)
+                first = min(first, PAD + n)
+                last = max(last, PAD + n)
         if first > last:
-            first, last = PAD, PAD
-        if width <= whole:
-            first, last = PAD, width - PAD - 1
+            first = PAD
+            last = PAD
+        if width <= longest:
+            first = PAD
+            last = width - PAD - 1
         state[row].first = first // PAD * PAD
         state[row].last = min((last // PAD + 1) * PAD, width - PAD)
         # the smallest r / eps at rest: -1 where a contact is open
-        state[row].least_strain = 0.0 if compressed and uncompressed[real] == 0.0 else -1.0
+        closed = links.precompressed > 0.0 and links.uncompressed[real] == 0.0
+        state[row].least_strain = 0.0 if closed else -1.0
     return x, w, state
 
 
 @compiled_once(*NEWS, error_model="numpy")
 def opening_weights(
-    table: Array, uncompressed: Array, omega: Array, scale: Array
+    links: Links, inverse_mass: Array, omega: Array, scale: Array
 ) -> tuple[Array, Array]:
     """Return how much each contact changes the motion as it opens or closes.
 
     Parameters
     ----------
-    table, uncompressed, omega, scale : arrays
+    links, inverse_mass, omega, scale : Links and arrays
         See `layout.Chains`.
 
     Returns
     -------
     weight, reach : (R, W) arrays
-        The square of that, and how near to it no step is shorter; see `adaptive_splitting._may_matter`.
+        The square of that, and how near to it no step is shorter; see
+        `adaptive_splitting._may_matter`.
     """
-    batch, _, width = table.shape
-    weight, reach = np.zeros((batch, width)), np.zeros((batch, width))
+    batch, width = inverse_mass.shape
+    weight = np.zeros((batch, width))
+    reach = np.zeros((batch, width))
     for real in range(batch):
-        _, strength, inverse_mass = table[real]
-        changes, slow = (
-            omega[real] ** 2.5 * scale[real, 1] + 1e-300,
-            math.sqrt(2.0) * (2.0 * omega[real]) ** 3,
-        )
+        changes = omega[real] ** 2.5 * scale[real, 1] + 1e-300
+        slow = math.sqrt(2.0) * (2.0 * omega[real]) ** 3
         for n in range(width):
-            mobility = max(inverse_mass[n], inverse_mass[n + 1] if n + 1 < width else 0.0)
-            pull = strength[n] + (uncompressed[real] if n == PAD - 1 else 0.0)
+            below = inverse_mass[real, n + 1] if n + 1 < width else 0.0
+            mobility = max(inverse_mass[real, n], below)
+            touching = links.uncompressed[real] if n == PAD - 1 else 0.0
+            pull = links.strength[real, n] + touching
             weight[real, n] = min(pull * mobility / changes, 1e150) ** 2
             reach[real, n] = np.cbrt(weight[real, n]) / slow
     return weight, reach

@@ -14,26 +14,57 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .contact_forces import STRICT, compiled, contact_forces, fma, inlined, touching
 from .layout import PAD
+from .right_hand_side import slice_links
+from .sample_loop import links_of
 
 
-class Links(NamedTuple):
-    """One chain of a batch for `march`: rows of W bodies, see `layout.Chains`.
+class Motion(NamedTuple):
+    """A row of W displacements, m, and velocities, m/s, with grain 1 at the index PAD."""
+
+    x: Array
+    v: Array
+
+
+class Deviations(NamedTuple):
+    """C small deviations of the state of N grains.
 
     Attributes
     ----------
-    inverse_length, strength, inverse_mass : (W,) arrays
-        1 / length and strength of the contact below each body, and its inverse mass.
-    uncompressed, form, precompressed, coefficients : numbers, and (8,) array
-        See `layout.Chains`.
+    x, v : (N, C) arrays
+        Of displacements and velocities, contiguous.
+    stretch : (C,) array
+        By how much, in relative terms, a deviation stretches all steps: 1 for the derivative by
+        log(time).
     """
 
-    inverse_length: Array
-    strength: Array
-    inverse_mass: Array
-    uncompressed: float
-    form: int
-    precompressed: float
-    coefficients: Array
+    x: Array
+    v: Array
+    stretch: Array
+
+
+class Steps(NamedTuple):
+    """Kicks (S+1,) and drifts (S,), fractions of a step, and lengths (K,) of steps, s."""
+
+    kicks: Array
+    drifts: Array
+    lengths: Array
+
+
+class Held(NamedTuple):
+    """A body without inverse mass, its index, and its path: where it is at every kick, m.
+
+    The path is (K S + 1,), or empty if no body is moved.
+    """
+
+    body: int
+    path: Array
+
+
+class Response(NamedTuple):
+    """Force, N, and stiffness, N/m, of all contacts, (N+1,) arrays."""
+
+    force: Array
+    stiffness: Array
 
 
 @compiled
@@ -45,106 +76,121 @@ def _stiffness(overlap, strength, delta):
 
 
 @inlined
-def _evaluate(links, x, shorter, grains, force, stiffness):
-    """Fill force and stiffness (N+1,) of all contacts."""
-    first, last = PAD - 1, PAD + grains
-    il, st = links.inverse_length[first:last], links.strength[first:last]
+def _evaluate(links, x, lost, response):
+    """Fill force and stiffness of all contacts; `lost` is what rounding has taken off x."""
+    force, stiffness = response
+    first = PAD - 1
+    last = PAD - 1 + force.size
+    il = links.inverse_length[first:last]
+    st = links.strength[first:last]
     contact_forces(
-        links.form, force, x[first : last + 1], il, st, links.precompressed, links.coefficients
+        links.form, force, x[first : last + 1], slice_links(links, slice(first, last), 0.0)
     )
     delta = links.coefficients[7]
-    for n in range(grains + 1):
+    for n in range(force.size):
         overlap = (x[first + n] - x[PAD + n]) * il[n] + links.precompressed
         stiffness[n] = _stiffness(overlap, st[n], delta) * il[n]
     if links.uncompressed > 0.0:
         r = x[first] - x[PAD]
         force[0] += touching(r, links.uncompressed, links.coefficients)
         stiffness[0] += _stiffness(r, links.uncompressed, delta)
-    for n in range(grains + 1):
-        force[n] += stiffness[n] * (shorter[first + n] - shorter[PAD + n])
+    for n in range(force.size):
+        force[n] += stiffness[n] * (lost[first + n] - lost[PAD + n])
 
 
 @inlined
 def _add(row, lost, n, change):
-    """Add a change to an element of a row, and keep what rounding takes off it for the next change."""
-    old, change = row[n], change + lost[n]
+    """Add a change to an element of a row, and keep what rounding takes off for the next one."""
+    old = row[n]
+    change += lost[n]
     new = old + change
     added = new - old
-    row[n], lost[n] = new, (old - (new - added)) + (change - added)
+    row[n] = new
+    lost[n] = (old - (new - added)) + (change - added)
 
 
 @inlined
-def _kick(links, kick, v, slower, dx, dv, stretch, force, stiffness):
+def _kick(inverse_mass, kick, motion, lost, deviations, response):
     """Kick the grains, and every deviation by what the stiffness makes of it."""
+    dx, dv, stretch = deviations
+    force, stiffness = response
     grains, columns = dx.shape
     for n in range(grains):
-        push = kick * links.inverse_mass[PAD + n]
+        push = kick * inverse_mass[PAD + n]
         if push == 0.0:
             continue
-        whole = push * (force[n] - force[n + 1])
-        _add(v, slower, PAD + n, whole)
-        above, below = push * stiffness[n], push * stiffness[n + 1]
-        here, faster = dx[n], dv[n]
-        up, down = dx[max(n - 1, 0)], dx[min(n + 1, grains - 1)]
+        change = push * (force[n] - force[n + 1])
+        _add(motion.v, lost.v, PAD + n, change)
+        above = push * stiffness[n]
+        below = push * stiffness[n + 1]
+        x = dx[n]
+        faster = dv[n]
+        up = dx[max(n - 1, 0)]
+        down = dx[min(n + 1, grains - 1)]
         upper = above if n > 0 else 0.0
         lower = below if n < grains - 1 else 0.0
         for c in range(columns):
-            faster[c] += fma(
-                upper,
-                up[c],
-                fma(lower, down[c], fma(-(above + below), here[c], whole * stretch[c])),
-            )
+            middle = fma(-(above + below), x[c], change * stretch[c])
+            faster[c] += fma(upper, up[c], fma(lower, down[c], middle))
+
+
+@inlined
+def _drift(drift, motion, lost, deviations):
+    """Let the grains drift, and every deviation."""
+    dx, dv, stretch = deviations
+    for n in range(dx.shape[0]):
+        change = drift * motion.v[PAD + n]
+        _add(motion.x, lost.x, PAD + n, change)
+        x = dx[n]
+        faster = dv[n]
+        for c in range(x.size):
+            x[c] += fma(drift, faster[c], change * stretch[c])
 
 
 @compiled_once("the tangent map", 20, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(links, x, v, dx, dv, stretch, kicks, drifts, steps, body, path, xs, vs):
-    """Advance a chain of N grains, and C deviations of its state, by a splitting with given steps.
+def march(batch, inverse_mass, motion, deviations, steps, held, states):
+    """Advance a chain of N grains, and deviations of its state, by a splitting with given steps.
 
     Parameters
     ----------
-    links : Links
-    x, v : (W,) arrays
-        Row of displacements and velocities, grain 1 at the index PAD; overwritten.
-    dx, dv : (N, C) arrays
-        Deviations of displacements and velocities, contiguous; overwritten.
-    stretch : (C,) array
-        By how much, in relative terms, a deviation stretches all steps: 1 for the derivative by log(time).
-    kicks, drifts : (S+1,) and (S,) arrays
-        Fractions of a step.
-    steps : (K,) array
-        Their lengths, s.
-    body, path : int and (K S + 1,) array
-        Index and displacements, at every evaluation of the force, of a body without inverse mass that is moved; empty
-        if none is.
-    xs, vs : (K+1, N) arrays
-        Filled with the states between the steps.
+    batch : Links
+        Of a batch of this chain alone.
+    inverse_mass : (W,) array
+        1/kg.
+    motion : Motion
+        Overwritten.
+    deviations : Deviations
+        Overwritten.
+    steps : Steps
+    held : Held
+    states : (2, K+1, N) array
+        Filled with displacements and velocities between the steps.
 
     Notes
     -----
-    Sums are compensated: a grain that flies far between short contacts would lose four digits to rounding.
+    Sums are compensated: a grain that flies far between short contacts would lose four digits to
+    rounding.
     """
-    grains, stages = dx.shape[0], drifts.size
-    force, stiffness = np.zeros(grains + 1), np.zeros(grains + 1)
-    shorter, slower = np.zeros(x.size), np.zeros(x.size)
-    for k in range(steps.size + 1):
-        if k == 0 and path.size > 0:
-            x[body] = path[0]
-        if k == 0:
-            _evaluate(links, x, shorter, grains, force, stiffness)
-        xs[k], vs[k] = x[PAD : PAD + grains], v[PAD : PAD + grains]
-        if k == steps.size:
-            break
-        h = steps[k]
-        _kick(links, kicks[0] * h, v, slower, dx, dv, stretch, force, stiffness)
+    links = links_of(batch, 0)
+    x, v = motion
+    grains = deviations.x.shape[0]
+    stages = steps.drifts.size
+    response = Response(np.zeros(grains + 1), np.zeros(grains + 1))
+    lost = Motion(np.zeros(x.size), np.zeros(x.size))
+    if held.path.size > 0:
+        x[held.body] = held.path[0]
+    _evaluate(links, x, lost.x, response)
+    states[0, 0] = x[PAD : PAD + grains]
+    states[1, 0] = v[PAD : PAD + grains]
+    for k in range(steps.lengths.size):
+        h = steps.lengths[k]
+        _kick(inverse_mass, steps.kicks[0] * h, motion, lost, deviations, response)
         for stage in range(stages):
-            drift = drifts[stage] * h
-            for n in range(grains):
-                whole = drift * v[PAD + n]
-                _add(x, shorter, PAD + n, whole)
-                here, faster = dx[n], dv[n]
-                for c in range(here.size):
-                    here[c] += fma(drift, faster[c], whole * stretch[c])
-            if path.size > 0:
-                x[body] = path[k * stages + stage + 1]
-            _evaluate(links, x, shorter, grains, force, stiffness)
-            _kick(links, kicks[stage + 1] * h, v, slower, dx, dv, stretch, force, stiffness)
+            _drift(steps.drifts[stage] * h, motion, lost, deviations)
+            if held.path.size > 0:
+                x[held.body] = held.path[k * stages + stage + 1]
+            _evaluate(links, x, lost.x, response)
+            kick = steps.kicks[stage + 1] * h
+            _kick(inverse_mass, kick, motion, lost, deviations, response)
+        states[0, k + 1] = x[PAD : PAD + grains]
+        states[1, k + 1] = v[PAD : PAD + grains]

@@ -1,7 +1,8 @@
 """Threads that share a chain: which grains are whose, and where they wait for each other, compiled.
 
-All run the same march, each with a state of its own that goes through the same values; only loops over grains are those
-of a thread, and `meet` stands where one goes on with what another has written.
+All run the same march, each with a state of its own that goes through the same values; only loops
+over grains are those of a thread, and `meet` stands where one goes on with what another has
+written.
 """
 
 from __future__ import annotations
@@ -14,12 +15,11 @@ from numba import types
 from numba.core import cgutils
 from numba.np import arrayobj
 
-from .contact_forces import _inline, compiled, inlined
-from .layout import GIVEN_UP, LEAST_SHARE, NEARNESS, PAD
+from .contact_forces import compiled, inlined, llvm
+from .layout import GIVEN_UP, LEAST_SHARE, PAD
 
-PATIENCE = (
-    4000  # looks for the others, some microseconds, before the core is offered to whoever wants it
-)
+# looks for the others, some microseconds, before the core is offered to whoever wants it
+LOOKS_BEFORE_YIELD = 4000
 _WHOLE = ir.IntType(64)
 
 
@@ -27,7 +27,7 @@ def _place(context: Any, builder: Any, kind: Any, gate: Any, index: Any) -> Any:
     return builder.gep(arrayobj.make_array(kind)(context, builder, gate).data, [index])
 
 
-@_inline
+@llvm
 def _count_in(typing: Any, gate: Any) -> Any:
     """Add 1 to gate[0] and return what it was, at once for all threads."""
 
@@ -38,7 +38,7 @@ def _count_in(typing: Any, gate: Any) -> Any:
     return types.int64(gate), generate
 
 
-@_inline
+@llvm
 def _seen(typing: Any, gate: Any, index: Any) -> Any:
     """Return gate[index] as it is in memory now."""
 
@@ -49,7 +49,7 @@ def _seen(typing: Any, gate: Any, index: Any) -> Any:
     return types.int64(gate, types.int64), generate
 
 
-@_inline
+@llvm
 def _stand_back(typing: Any) -> Any:
     """Offer the core to other threads."""
 
@@ -69,7 +69,7 @@ def _wait(team):
     looks = 0
     while _seen(team.gate, 0) < goal and _seen(team.gate, GIVEN_UP) == 0:
         looks += 1
-        if looks > PATIENCE:
+        if looks > LOOKS_BEFORE_YIELD:
             _stand_back()
 
 
@@ -85,21 +85,23 @@ def largest(team, value):
     """Return the largest of the values of all threads, to each of them."""
     if team.parts == 1:
         return value
-    team.board[team.part, NEARNESS] = value
+    team.nearness[team.part, 0] = value
     meet(team)
-    most = team.board[0, NEARNESS]
+    most = team.nearness[0, 0]
     for part in range(1, team.parts):
-        most = max(most, team.board[part, NEARNESS])
+        most = max(most, team.nearness[part, 0])
     return most
 
 
 @inlined
-def mine(chain):
+def share(chain):
     """Return the first grain of the window that is this thread's, and the one behind its last.
 
     There is none if they agree. A short window is left to the first thread.
     """
-    first, last, team = chain.state.first, chain.state.last, chain.team
+    first = chain.state.first
+    last = chain.state.last
+    team = chain.team
     if team.parts == 1:
         return first, last
     shares = max(1, min(team.parts, (last - first) // LEAST_SHARE))
