@@ -150,10 +150,11 @@ class NativeStepper:
                 self._work.append(
                     (*work, share * self._size // shares, (share + 1) * self._size // shares)
                 )
+        # to no goal: this only compiles, so that the time of the first fill is that of steps
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
             fields = Fields(none, none, NOTHING, NOTHING, 0)
-            self._march(*self._work[0][:3], fields, Goal(0, 0, 0, 0))  # only compiles
+            self._march(*self._work[0][:3], fields, Goal(0, 0, 0, 0))
 
     def _check_state(self, state: NDArray[Any]) -> None:
         """Raise `ValueError` if a state does not fit these chains: compiled loops trust its window."""
@@ -195,9 +196,8 @@ class NativeStepper:
                 self._move(self._work[0], fields, until, max_steps),
                 *(other.result() for other in others),
             ]
-        except (
-            BaseException
-        ):  # Ctrl-C between two of them, too: nobody is to wait for one who does not come
+        except BaseException:
+            # Ctrl-C between two of them, too: nobody is to wait for one who does not come
             self._teams[0].gate[GIVEN_UP] = 1
             raise
         if len(self._teams) == 1:

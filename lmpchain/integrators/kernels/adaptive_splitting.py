@@ -15,7 +15,7 @@ import numpy as np
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
-from .dense_output import fill_jerk, fill_samples, keep, passes
+from .dense_output import Rates, fill_jerk, fill_samples, keep, passes
 from .layout import PAD, RESOLUTION, Rows
 from .right_hand_side import (
     accelerate,
@@ -75,6 +75,7 @@ def _score(gap, rate, bend, weight, omega, nearest):
     fast = towards + root if inside > 0.0 else modulus
     comes = gap if gap > inside else inside
     fast = fast if comes > 0.0 else 0.0
+    # 1e-300: an overlap of nothing gives the nearest, not no number
     near = fast / (2.0 * omega * (abs(gap) + 1e-300))
     near = near if near > 0.0 else 0.0
     near = near if near < nearest else nearest
@@ -136,10 +137,10 @@ def _nearness(y, rates, bends, links, near):
 
 
 @inlined
-def _finish_kick(chain, margin, force, pull):
-    """Complete the kick of the step before with the acceleration (W,), which is left in pull.
+def _finish_kick(chain, margin, rates):
+    """Complete the kick of the step before; forces and accelerations are left in `rates`.
 
-    Returns what `fill_jerk` asks for of the forces, which are left in `force`.
+    Returns what `fill_jerk` asks for of the forces.
     """
     state = chain.state
     widen(chain, margin)
@@ -147,9 +148,9 @@ def _finish_kick(chain, margin, force, pull):
     first, last = share(chain)
     # one grain further on either side: how near contacts are to opening depends on it, too
     above = max(first - 1, state.first)
-    accelerate(chain, chain.x, above, min(last + 1, state.last), force, pull)
+    accelerate(chain, chain.x, above, min(last + 1, state.last), rates.force, rates.pull)
     speeds = chain.v[first:last]
-    a = pull[first:last]
+    a = rates.pull[first:last]
     for n in range(speeds.size):
         speeds[n] = fma(state.pending, a[n], speeds[n])
     state.pending = 0.0
@@ -158,17 +159,16 @@ def _finish_kick(chain, margin, force, pull):
 
 
 @inlined
-def _fill_passed(chain, work, clock, span, out, beyond):
+def _fill_passed(chain, rates, clock, span, out, beyond):
     """Fill the samples that the step before has passed; return whether it took jerks (W,)."""
-    force, pull, rate, jerk = work[2:6]
-    state, (first, last) = chain.state, share(chain)
+    state = chain.state
+    first, last = share(chain)
     if clock.dense == 0 or passes(chain, clock, span, state.step_begin, state.done) == 0:
         return False
-    changes = imposed_rate(
-        chain, span.begin + state.done, span.begin + state.step_begin
-    )  # as before a corner
-    fill_jerk(chain, first, last, force, beyond, rate, jerk, changes)
-    fill_samples(chain, clock, span, first, last, pull, jerk, out)
+    # of what is imposed, by the law before a corner on which the step may have ended
+    changes = imposed_rate(chain, span.begin + state.done, span.begin + state.step_begin)
+    fill_jerk(chain, first, last, rates, beyond, changes)
+    fill_samples(chain, clock, span, first, last, rates, out)
     return True
 
 
@@ -176,7 +176,8 @@ def _fill_passed(chain, work, clock, span, out, beyond):
 def _advance(chain, method, work, clock, span, out):
     """Take one step."""
     (kicks, drifts), openings = method
-    rows, reach, force, pull, rate, jerk, close, nearest = work
+    rows, reach, rates, close, nearest = work
+    pull = rates.pull
     y = chain.x
     w = chain.v
     state = chain.state
@@ -184,8 +185,8 @@ def _advance(chain, method, work, clock, span, out):
     t = span.begin + state.done
     recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
-    beyond = _finish_kick(chain, stages + 1, force, pull)
-    filled = _fill_passed(chain, work, clock, span, out, beyond)
+    beyond = _finish_kick(chain, stages + 1, rates)
+    filled = _fill_passed(chain, rates, clock, span, out, beyond)
     watch(chain)
     look(chain, clock, state.steps, t, 1.0)
     first, last = share(chain)
@@ -209,6 +210,7 @@ def _advance(chain, method, work, clock, span, out):
     nearness = _nearness(y[bodies], w[bodies], pull[bodies], links, contacts)
     nearness = largest(chain.team, nearness)
     h = clock.step
+    # the score goes as the 14th power of how much shorter the step must be for the same error
     if nearness > 0.0:
         h *= min(1.0, openings.shortened * nearness ** (-1 / 14))
     done = end_of_step(chain, span, remaining, h)
@@ -216,8 +218,8 @@ def _advance(chain, method, work, clock, span, out):
     if clock.dense > 0:
         if passes(chain, clock, span, state.done, done) > 0:
             if chain.imposed.acts or not filled:
-                fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed_rate(chain, t, t))
-            keep(chain, first, last, pull, jerk)
+                fill_jerk(chain, first, last, rates, beyond, imposed_rate(chain, t, t))
+            keep(chain, first, last, rates)
             meet(chain.team)  # before the grains next to these move
         state.step_begin = state.done
     hold(chain, w)
@@ -241,8 +243,9 @@ def _advance(chain, method, work, clock, span, out):
 @inlined
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick."""
-    beyond = _finish_kick(chain, method[0].drifts.size + 1, work[2], work[3])
-    _fill_passed(chain, work, clock, span, out, beyond)
+    rates = work[2]
+    beyond = _finish_kick(chain, method[0].drifts.size + 1, rates)
+    _fill_passed(chain, rates, clock, span, out, beyond)
     hold(chain, chain.v)
 
 
@@ -267,7 +270,7 @@ def march(chains, method, clocks, fields, goal):
             reach = clocks[schedule].step * chains.omega[real]
             crosses = max(openings.factor * reach**openings.power, openings.least[schedule])
             nearest[schedule, real] = (openings.shortened * reach / crosses) ** (14 / 9)
-    bodies = np.zeros((4, chains.x.shape[1]))  # force, pull, rate and jerk
-    reach_of = np.cumsum(stages.drifts)
-    work = rows, reach_of, bodies[0], bodies[1], bodies[2], bodies[3], close, nearest
+    bodies = np.zeros((4, chains.x.shape[1]))
+    rates = Rates(force=bodies[0], pull=bodies[1], rate=bodies[2], jerk=bodies[3])
+    work = rows, np.cumsum(stages.drifts), rates, close, nearest
     return _march(chains, method, work, clocks, fields, goal)

@@ -163,6 +163,9 @@ def at(typing: Any, array: Any, n: Any) -> Any:
     return types.CPointer(array.dtype)(array, types.intp), place
 
 
+# no branch in what follows: a loop of conditional values is made of vector instructions
+
+
 @loop
 def hertz_power(s, c):
     """Return p for delta = 3/2, with the digits that 1 + s loses."""
@@ -314,6 +317,7 @@ def _recall_other(p, f, kick, impulse, at_rest, closer, c):
 
 def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: bool = False) -> Any:
     """Make the loop of the way back: rows are undone, or p is kept, and f if it does not follow."""
+    # known when the loop is compiled: what is not asked for is left out of it
     undone = undo is not None
 
     @loop

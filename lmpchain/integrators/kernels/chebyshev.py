@@ -100,6 +100,7 @@ def bessel(z, orders):
 
     More orders than the largest z.
     """
+    # so far beyond the largest argument that what it begins with is forgotten at the first order
     start = orders + int(20 + 10 * _largest(z) ** (1 / 3))
     start += start % 2
     values = np.zeros((orders, z.size))
@@ -127,6 +128,7 @@ def bessel(z, orders):
                     total[i] *= 1e-250
                     for order in range(n, orders):
                         values[order, i] *= 1e-250
+    # scaled so that J_0 + 2 (J_2 + J_4 + ...) = 1
     for i in range(z.size):
         values[0, i] = current[i]
         total[i] += current[i]

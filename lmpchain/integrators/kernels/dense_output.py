@@ -7,9 +7,21 @@ what the steps leave.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+from ...util.arrays import Array
 from .contact_forces import fma, inlined
 from .layout import PAD, WHOLE_ROWS
 from .right_hand_side import forced, place
+
+
+class Rates(NamedTuple):
+    """Forces on bodies, accelerations, rates of the forces, and jerks, (W,) arrays."""
+
+    force: Array
+    pull: Array
+    rate: Array
+    jerk: Array
 
 
 @inlined
@@ -29,8 +41,8 @@ def passes(chain, clock, span, begin, end):
 
 
 @inlined
-def fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed):
-    """Fill jerk (W,) of the bodies first ... last-1 from the forces; rate (W,) is room for work.
+def fill_jerk(chain, first, last, rates, beyond, imposed):
+    """Fill jerk of the bodies first ... last-1 from the forces.
 
     `force` holds that of the contact below body n at n - beyond, less what it carries at rest;
     `imposed` is how fast what is imposed changes.
@@ -39,6 +51,7 @@ def fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed):
     v = chain.v
     pressed = chain.links.precompressed
     delta = chain.links.coefficients[7]
+    force, _, rate, jerk = rates
     pushed = forced(chain)
     if chain.imposed.acts and pushed == 0 and chain.team.part == 0:
         v[chain.imposed.wave.body] = imposed
@@ -62,18 +75,18 @@ def fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed):
 
 
 @inlined
-def keep(chain, first, last, pull, jerk):
+def keep(chain, first, last, rates):
     """Note where the bodies first ... last-1 are, as a step begins over which samples lie."""
     history = chain.history
     for n in range(first, last):
         history[0, n] = chain.x[n]
         history[1, n] = chain.v[n]
-        history[2, n] = pull[n]
-        history[3, n] = jerk[n]
+        history[2, n] = rates.pull[n]
+        history[3, n] = rates.jerk[n]
 
 
 @inlined
-def fill_samples(chain, clock, span, first, last, pull, jerk, out):
+def fill_samples(chain, clock, span, first, last, rates, out):
     """Put the bodies first ... last-1 into all samples that the step that ends here has passed."""
     history = chain.history
     begin = chain.state.step_begin
@@ -84,8 +97,8 @@ def fill_samples(chain, clock, span, first, last, pull, jerk, out):
     j_0 = history[3, first:last]
     u_1 = chain.x[first:last]
     v_1 = chain.v[first:last]
-    a_1 = pull[first:last]
-    j_1 = jerk[first:last]
+    a_1 = rates.pull[first:last]
+    j_1 = rates.jerk[first:last]
     h, sample, interval = end - begin, passes(chain, clock, span, begin, end), clock.interval
     while sample > 0 and sample * interval <= end and sample * interval < span.length:
         s = (sample * interval - begin) / h

@@ -58,6 +58,7 @@ def _begin(chain, work, now, h):
         _move(chain, z, now, h, side)
         accelerate(chain, z, first, last, force, pull)
         for n in range(first, last):
+            # differences of accelerations a step before and after, or a whole and half a step after
             if side == 1.0:
                 derivatives[1, n] = pull[n]
             elif smooth:
@@ -70,6 +71,7 @@ def _begin(chain, work, now, h):
                 bend = 4.0 * (derivatives[1, n] - 2.0 * pull[n] + derivatives[0, n])
                 derivatives[1, n] = slope * h * h / 6
                 derivatives[2, n] = bend
+    # h^k / k! of the derivatives of order 2 and 4; that of order 3 has its factor
     for n in range(first, last):
         derivatives[2, n] = derivatives[2, n] * h * h / 24
         derivatives[0, n] *= 0.5 * h * h

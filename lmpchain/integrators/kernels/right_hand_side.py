@@ -60,7 +60,7 @@ def ahead(chain, t, end, resolution):
             return knots[following] - t
     elif chain.imposed.acts and t + resolution < wave.end < end - resolution:
         return wave.end - t
-    return 1e300
+    return 1e300  # infinity would be none under the flags of the compiler
 
 
 @inlined

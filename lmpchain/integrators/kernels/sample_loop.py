@@ -65,8 +65,8 @@ def _row(fields, real, schedule):
 
 
 @inlined
-def _as_it_is(chain, method, work, clock, span, out):
-    """At a landing nothing is left to do."""
+def _leave(chain, method, work, clock, span, out):
+    """Do nothing at a landing, where displacements and velocities are complete."""
 
 
 @inlined
@@ -77,6 +77,7 @@ def end_of_step(chain, span, remaining, step):
     span, exactly.
     """
     done = chain.state.done
+    # 1e-9: what fits into so many steps but for rounding is not cut into one more
     steps = max(1, math.ceil(remaining / max(step, SHORTEST * span.length) - 1e-9))
     return (
         span.length if steps == 1 and remaining == span.length - done else done + remaining / steps
@@ -84,7 +85,7 @@ def end_of_step(chain, span, remaining, step):
 
 
 def sample_loop(
-    advance: Callable[..., int], counted: bool, land: Callable[..., None] = _as_it_is
+    advance: Callable[..., int], counted: bool, land: Callable[..., None] = _leave
 ) -> Callable[..., int]:
     """Make the march of a method from its steps.
 

@@ -53,6 +53,7 @@ def widen(chain, margin):
         n, inner = last - 1, max(PAD, chain.imposed.reach[1])
         while n > inner and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n -= 1
+        # whole cache lines, so that threads and tiles do not share one
         state.last = min(end, max(last, (n + 1 + margin + PAD - 1) // PAD * PAD))
     first = state.first
     if first > PAD:
@@ -115,15 +116,14 @@ def look(chain, clock, steps, t, complete):
 def record(chain, t, u_out, v_out):
     """Copy the grains up to the end of the window at time t into a sample, (N,) m and m/s."""
     first, last = share(chain)
-    first = PAD if chain.team.part == 0 else first  # before the window, too
+    # the first thread copies what is before the window, too
+    first = PAD if chain.team.part == 0 else first
     last = chain.x.size if v_out.size <= WHOLE_ROWS else last
-    x, v, u_some, v_some = (
-        chain.x[first:last],
-        chain.v[first:last],
-        u_out[first - PAD :],
-        v_out[first - PAD :],
-    )
-    for n in range(min(u_some.size, x.size)):
-        u_some[n] = x[n]
-        v_some[n] = v[n]
+    x = chain.x[first:last]
+    v = chain.v[first:last]
+    u_row = u_out[first - PAD :]
+    v_row = v_out[first - PAD :]
+    for n in range(min(u_row.size, x.size)):
+        u_row[n] = x[n]
+        v_row[n] = v[n]
     impose_velocity(chain, v_out, 0, t)
