@@ -11,7 +11,7 @@ from helpers.plain_methods import WIDE, Column, Motion
 
 from lmpchain import Chain, Drive, Force, Profile, Scene
 from lmpchain.integrators import adjoint
-from lmpchain.integrators.adjoint import DifferentiableRun, Inputs
+from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun, Inputs
 from lmpchain.integrators.kernels.adjoint_rows import Way
 from lmpchain.integrators.splittings import SPLITTINGS
 
@@ -204,7 +204,7 @@ def test_derivatives_of_what_acts_are_differences(name: str, exponent: float):
 )
 def test_derivatives_of_many_steps_are_differences(law: str, monkeypatch: pytest.MonkeyPatch):
     """Through checkpoints, between which steps are undone or made again."""
-    monkeypatch.setattr(adjoint, "ROOM", 1)
+    monkeypatch.setattr(adjoint, "CHECKPOINTS", CHECKPOINTS._replace(kept_bytes=1))
     scene, kind = LAWS[law]
     check(scene, "verlet", kind, [1, 2, 5, 6], accuracy=1e-7, each=90)
 
@@ -213,8 +213,8 @@ def test_derivatives_of_many_steps_are_differences(law: str, monkeypatch: pytest
 def test_derivatives_of_what_acts_in_many_calls_are_differences(
     name: str, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(adjoint, "ROOM", 1)
-    monkeypatch.setattr(adjoint, "CALL", 1)
+    short = CHECKPOINTS._replace(kept_bytes=1, rows_of_call=1)
+    monkeypatch.setattr(adjoint, "CHECKPOINTS", short)
     check(acted(name, exponent=1.7), "verlet", Way.OTHER, [1, 2, 5, 6], each=30)
 
 
