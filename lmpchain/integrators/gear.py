@@ -25,7 +25,10 @@ class Gear:
     evaluations: int = 1
     spread: float = 1.0
     error_constant: float = 1e-3
-    reference: str = "Gear, Numerical Initial Value Problems in Ordinary Differential Equations (1971), chapter 9"
+    reference: str = (
+        "Gear, Numerical Initial Value Problems in Ordinary Differential Equations (1971), "
+        "chapter 9"
+    )
     adaptive: Literal["no"] = "no"
     corrections: tuple[float, ...] = (19 / 120, 3 / 4, 1.0, 1 / 2, 1 / 12)
 

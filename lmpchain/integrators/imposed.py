@@ -36,7 +36,7 @@ class ImposedCourse:
         return CubicSpline(self.waveform.spline.x, np.eye(self.size))
 
     def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:
-        """Return the piece of the spline at each time, and the powers of its coefficients, (4, T)."""
+        """Return the piece of the spline at each time, and powers for its coefficients, (4, T)."""
         knots = self._basis.x
         piece = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, knots.size - 2)
         s = time - knots[piece]
@@ -46,7 +46,7 @@ class ImposedCourse:
         )
 
     def _sine(self, time: Array, order: int) -> Array:
-        """Return derivatives by amplitude and frequency, (2, ...): of a sine of frequency times time."""
+        """Return derivatives by amplitude and frequency, (2, ...)."""
         wave, rate = self.waveform, self.waveform.at(time, order + 1)
         by_frequency = time * rate + (wave.at(time, 1) if order else 0.0)
         return np.array(

@@ -58,7 +58,7 @@ class Method(Protocol):
 
     @property
     def error_constant(self) -> float:
-        """Relative error at omega h = 1 for omega T = 60; analysis/calibration/error_constants.py."""
+        """Relative error at omega h = 1 for omega T = 60: analysis/calibration/error_constants.py."""
 
     @property
     def reference(self) -> str:
@@ -73,7 +73,7 @@ class Method(Protocol):
         """Largest omega h for which a harmonic oscillator stays bounded, or hardly grows."""
 
     def growth(self, reach: float) -> float:
-        """Return the factor by which an oscillator with omega h = reach grows a step, or shrinks."""
+        """Return the factor by which an oscillator grows a step, or shrinks, at omega h = reach."""
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
         """Return what moves a batch of chains by steps of these schedules, of one kind."""

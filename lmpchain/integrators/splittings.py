@@ -90,7 +90,7 @@ class Splitting:
         return "openings" if self.order > 2 else "no"
 
     def growth(self, reach: float) -> float:
-        """Return the factor by which x'' = -omega^2 x grows a step at omega h = reach: 1 if stable."""
+        """Return the growth of x'' = -omega^2 x in a step at omega h = reach: 1 if stable."""
         half = abs(float(self._half_trace(np.array(reach))))
         return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
 

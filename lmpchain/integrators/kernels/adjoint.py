@@ -6,7 +6,7 @@ The force of a contact less that at rest is ``f = F [c s + c p + s p]`` with ``s
 Derivatives with respect to r, and to the force at rest and the constant K of a pressed contact,
 follow from p and f without cancellation, for waves of any strength:
 
-    df/dr = delta F (c + p) / length,     df/dF = p at fixed K,     df/dK = (f - c F p) / K at fixed F.
+    df/dr = delta F (c + p) / length,   df/dF = p at fixed K,   df/dK = (f - c F p) / K at fixed F.
 
 For delta = 3/2, f itself is ``F p (3 c + p (3 c + p))``, so that p is all that the way back must
 know of a contact. Chains lie in rows of W bodies as in `layout`; a contact has the index of the

@@ -322,7 +322,7 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
 
     @loop
     def back(span, rows, bodies, above, adjoint, law, kept):
-        """Take adjoints back through some rows, each a kick and the drift before it, and undo these.
+        """Take adjoints back through rows, each a kick and the drift before it, and undo these.
 
         A contact has the place of the body above it in what belongs to bodies. Every row of a span
         may begin and end some places before the one after it, which it needs nothing of then.

@@ -133,7 +133,8 @@ def _change_row(im, response, change, path, index, kick, drift):
 def tangent(bodies, law, steps, stretch, path, memory, change, looks):
     """Move bodies (W,), and small changes of them, by some rows as `forward` does.
 
-    `memory` is `Above`, room for a `Response`, and (2, BURST). `looks` takes changes of what is seen.
+    `memory` is `Above`, room for a `Response`, and (2, BURST). `looks` takes changes of what is
+    seen.
     """
     x, v, im = bodies
     above, response, room = memory

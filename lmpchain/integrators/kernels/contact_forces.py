@@ -106,7 +106,7 @@ def logarithm(y, rest):
 
 @compiled
 def exponential(t, less):
-    """Return exp(t) - less, for less = 0 or 1 and |t| < 700, by powers of two and a Taylor series."""
+    """Return exp(t) - less, less = 0 or 1, |t| < 700, by powers of two and a Taylor series."""
     power = fma(t, 1.4426950408889634, BITS.shift)
     scale = number((bits(power) - BITS.shift_bits + 1023) << 52)
     power -= BITS.shift

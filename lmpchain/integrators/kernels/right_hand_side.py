@@ -86,7 +86,7 @@ def imposed(chain, t):
 
 @inlined
 def impose(chain, x, t, inside):
-    """Put what is driven in its place at time t in x (W,), or note the force, by the law of `inside`."""
+    """Put what is driven, or the force, into x (W,) at time t, by the law of `inside`."""
     if chain.imposed.acts and chain.team.part == 0:
         x[max(chain.imposed.wave.body, 0)] = _course(chain, t, 0, inside)
 
