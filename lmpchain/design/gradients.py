@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..engines.round_off import native_floor
+from ..engines.native.round_off import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..integrators.adjoint import DifferentiableRun, Inputs
 from ..integrators.held_steps import adaptive_steps

@@ -95,8 +95,8 @@ class ErrorBudget(NamedTuple):
     ----------
     truncation, roundoff : float
         From the step and from rounding.
-    smooth : bool
-        Whether no contact came near to opening, so that the method kept its order.
+    order : float
+        Order at which the truncation error falls with the step, as far as it is trusted.
     differences : (T,) array
         Largest relative difference between runs at two steps, sample by sample.
     model : float
@@ -105,15 +105,18 @@ class ErrorBudget(NamedTuple):
         Why the equation does not hold here, if it is known not to.
     model_bound : float
         A bound on the error of the equation, if that is larger than the estimate.
+    amplified : (T,) array
+        Round-off that the scene has made larger, sample by sample; empty if it was not measured.
     """
 
     truncation: float
     roundoff: float
-    smooth: bool
+    order: float
     differences: Array
     model: float = 0.0
     remark: str = ""
     model_bound: float = 0.0
+    amplified: Array = np.zeros(0)
 
     @property
     def solver(self) -> float:
@@ -135,9 +138,9 @@ class ErrorBudget(NamedTuple):
         """What a trajectory says of it."""
         return ErrorEstimate(self.model, self.solver)
 
-    def first_beyond(self, tolerance: float, time: Array) -> float:
-        """Return the first of these times, (T,) s, at which two runs differ by more, or infinity."""
-        beyond = np.flatnonzero(~(self.differences <= tolerance))
+    def last_known(self, tolerance: float, time: Array) -> float:
+        """Return the first of these times, (T,) s, at which round-off exceeds the tolerance, or infinity."""
+        beyond = np.flatnonzero(self.amplified > tolerance)
         return float(time[beyond[0]]) if beyond.size else float("inf")
 
 
@@ -222,10 +225,6 @@ class Engine(ABC):
         ToleranceNotMet
             If it knows beforehand that it cannot.
         """
-
-    def pilot(self, scene: Scene, candidate: Candidate, tolerance: float) -> Candidate:
-        """Return what to run first: the candidate, or one at longer steps that shows how its error goes."""
-        return candidate
 
     @abstractmethod
     def refine(

@@ -8,35 +8,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Generic, NamedTuple, TypeVar
 
-import numpy as np
-
 from ..errors import RunFailed, ToleranceNotMet
-from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
-from .amplification import COARSE, LAST_DIGIT, walked
 from .base import Candidate, Engine, ErrorBudget, Run
-from .perturbation import divergence
 
-# analysis/calibration/chaos_test.py measures these
-ATTEMPTS = 12
-STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
-STALLED = 0.7  # truncation error over that of the attempt before, from which on it is no help
-WORSE = 2.0  # the same from which on shorter steps may have made it worse, by rounding
-# test for chaos if one of the first attempts misses by so many tolerances or so much: two runs one ulp apart at t = 0
-# must diverge by so many tolerances; of 290 random scenes, 250 of which can be answered, none of these did
-CHAOS_MISS, CHAOS_ERROR, CHAOS_DIVERGENCE, SUSPECT = 1e4, 0.3, 10.0, 2
-ERRATIC = 1e5  # truncation over round-off: an estimate that stalls above that is erratic, or the scene is chaotic
-ROUNDING_ULPS = (
-    30.0  # rounding all along a run does as much as a change of up to so many ulps at t = 0
-)
-ENOUGH = 3e5  # steps that show what a scene makes of a last digit
+
+@dataclass(frozen=True)
+class Patience:
+    """When shorter steps are given up; analysis/calibration/chaos_test.py.
+
+    Attributes
+    ----------
+    attempts : int
+        Most attempts that run through.
+    stalls : int
+        Attempts in a row that do not help, or that break down.
+    stalled : float
+        Truncation error over that of the attempt before, from which on it is no help.
+    """
+
+    attempts: int = 12
+    stalls: int = 2
+    stalled: float = 0.7
+
+
+PATIENCE = Patience()
 T = TypeVar("T")
 
 
@@ -62,10 +66,6 @@ class Attempt(NamedTuple):
         Truncation errors of the attempts before it that ran through.
     breakdowns : int
         How many did not.
-    pilot : bool
-        Whether it is one at longer steps that shows which steps the next one needs.
-    pilots : int
-        How many of these came before.
     """
 
     engine: str
@@ -77,13 +77,11 @@ class Attempt(NamedTuple):
     compiled_s: float = 0.0
     truncations: tuple[float, ...] = ()
     breakdowns: int = 0
-    pilot: bool = False
-    pilots: int = 0
 
     @property
     def number(self) -> int:
         """Which attempt it is, from 1."""
-        return len(self.truncations) + self.breakdowns + self.pilots + 1
+        return len(self.truncations) + self.breakdowns + 1
 
 
 class Outcome(NamedTuple, Generic[T]):
@@ -122,30 +120,17 @@ def first_attempt(
     ToleranceNotMet
         If the engine knows beforehand that it cannot meet the tolerance.
     """
-    began, compiled, refusal = clock(), compiled_s(), ""
+    began = clock()
+    compiled = compiled_s()
+    refusal = ""
     if best_effort:
-        candidate, tolerance, refusal = loosened(partial(engine.candidate, scene), tolerance)
+        candidate, tolerance, refusal = loosen(partial(engine.candidate, scene), tolerance)
     else:
         candidate = engine.candidate(scene, tolerance)
-    return to_begin_with(
-        engine, scene, candidate, tolerance, refusal, clock() - began, compiled_s() - compiled
-    )
-
-
-def to_begin_with(
-    engine: Engine,
-    scene: Scene,
-    candidate: Candidate,
-    tolerance: float,
-    refusal: str = "",
-    planned_s: float = 0.0,
-    compiled_s: float = 0.0,
-) -> Attempt:
-    """Return the attempt to begin with where a candidate was chosen: that, or a pilot; see `Attempt`."""
-    first = engine.pilot(scene, candidate, tolerance)
-    pilot = first is not candidate
+    planned_s = clock() - began
+    compiled = compiled_s() - compiled
     return Attempt(
-        engine.name, first, tolerance, refusal, planned_s, compiled_s=compiled_s, pilot=pilot
+        engine.name, candidate, tolerance, refusal, planned_s=planned_s, compiled_s=compiled
     )
 
 
@@ -194,33 +179,33 @@ def solve_to_tolerance(
             collected = collect(run)
             errors = run.errors()
         except RunFailed:
-            if attempt.candidate.fixed or attempt.breakdowns == STALLS:
+            if attempt.candidate.fixed or attempt.breakdowns == PATIENCE.stalls:
                 raise
         finally:
             cost = run.cost()
             run.close()
-        place = max(range(len(errors)), key=lambda i: errors[i].solver) if len(errors) > 1 else 0
-        error, judged = errors[place] if errors else None, clock()
-        following, missed = next_attempt(engine, scenes[place], attempt, error, patient)
-        judging_s = clock() - judged  # an integration, where chaos is tested for
+        error = max(errors, key=lambda budget: budget.solver) if errors else None
+        scene = scenes[errors.index(error)] if error and len(errors) > 1 else scenes[0]
+        following, missed = next_attempt(engine, scene, attempt, error, patient)
         if not following:
             assert error
-            setup_s, estimate_s = (
-                cost.setup_s + attempt.planned_s,
-                cost.estimate_s + attempt.spent_s + judging_s,
-            )
             cost = cost._replace(
-                setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled
+                setup_s=cost.setup_s + attempt.planned_s,
+                estimate_s=cost.estimate_s + attempt.spent_s,
+                compile_s=compiled_s() - compiled,
             )
             return Outcome(collected, attempt, errors, error, cost, attempt.refusal or missed)
-        run_s = cost.integration_s + cost.estimate_s + judging_s
-        planned_s = clock() - began - run_s
-        spent_s = attempt.spent_s + run_s
-        attempt = following._replace(planned_s=attempt.planned_s + planned_s, spent_s=spent_s)
+        run_s = cost.integration_s + cost.estimate_s
+        planned_s = attempt.planned_s + clock() - began - run_s
+        attempt = following._replace(planned_s=planned_s, spent_s=attempt.spent_s + run_s)
 
 
 def next_attempt(
-    engine: Engine, scene: Scene, attempt: Attempt, error: ErrorBudget | None, patient: bool = False
+    engine: Engine,
+    scene: Scene,
+    attempt: Attempt,
+    error: ErrorBudget | None,
+    patient: bool = False,
 ) -> tuple[Attempt | None, str]:
     """Judge an attempt by its error, None if it broke down.
 
@@ -229,26 +214,23 @@ def next_attempt(
     the next attempt, None if this was the last one; and why it missed the tolerance, empty if it did not
     """
     candidate = attempt.candidate
-    if error and (candidate.fixed or error.solver <= attempt.tolerance):
-        return None, ""
-    better = engine.refine(candidate, error, attempt.tolerance)
-    if attempt.pilot and better:
-        return attempt._replace(candidate=better, pilot=False, pilots=1), ""
     if error is None:
+        better = engine.refine(candidate, None, attempt.tolerance)
         assert better
         return attempt._replace(candidate=better, breakdowns=attempt.breakdowns + 1), ""
-    made = attempt._replace(truncations=(*attempt.truncations, error.truncation))
-    missed = _why_not(scene, error, made, better) or (
-        "" if patient else _chaotic(scene, error, made)
-    )
-    if missed:
-        return None, missed
-    assert better
-    return made._replace(candidate=better), ""
+    if candidate.fixed or error.solver <= attempt.tolerance:
+        return None, ""
+    # who wants the best answer there is goes on until round-off outweighs the rest
+    goal = max(attempt.tolerance, 2 * error.roundoff) if patient else attempt.tolerance
+    better = engine.refine(candidate, error, goal) if error.solver > goal else None
+    attempt = attempt._replace(truncations=(*attempt.truncations, error.truncation))
+    if better is None or _stalls(attempt):
+        return None, _explain(scene, error, attempt)
+    return attempt._replace(candidate=better), ""
 
 
-def loosened(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, str]:
-    """Return what is proposed for a tolerance, or for a looser one while `ToleranceNotMet` is raised.
+def loosen(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, str]:
+    """Return the proposal for a tolerance, or for a looser one while `ToleranceNotMet` is raised.
 
     Returns
     -------
@@ -270,84 +252,27 @@ def loosened(propose: Callable[[float], T], tolerance: float) -> tuple[T, float,
             tolerance *= 4
 
 
-def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candidate | None) -> str:
-    """Return why shorter steps will not help after this attempt, or nothing if they may.
-
-    An estimate that does not fall may be erratic, where contacts open, or show that rounding has grown to that size.
-    """
-    tolerance, truncations = attempt.tolerance, attempt.truncations
-    recent = truncations[-STALLS - 1 :]
-    worse = len(recent) > 1 and recent[-1] > WORSE * recent[-2]
-    stalled = len(recent) > STALLS and all(b > STALLED * a for a, b in pairwise(recent))
-    if better and not stalled and not worse and len(truncations) < ATTEMPTS:
-        return ""
-    rounding = better is None or (stalled and error.truncation < ERRATIC * error.roundoff)
-    rounding = (
-        rounding
-        or _divergence_time(scene, attempt.candidate, tolerance / _ulps(scene, attempt)) is not None
-    )
-    if not rounding and len(truncations) < ATTEMPTS:
-        return ""
-    reason = (
-        f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}, and steps shorter than "
-        f"{attempt.candidate.step:.2g} s do not help"
-    )
-    if better is None:
-        reason += f", for round-off alone makes {error.roundoff:.2g}"
-    time_s = error.first_beyond(tolerance, scene.time)
-    known = rounding and time_s < float("inf")
-    return f"{reason}: {_amplifies(time_s)}" if known else f"{reason}: ask for less"
+def _stalls(attempt: Attempt) -> bool:
+    """Say whether shorter steps have not made the error smaller for some time, or there were many."""
+    truncations = attempt.truncations
+    recent = truncations[-PATIENCE.stalls - 1 :]
+    stalls = all(later > PATIENCE.stalled * earlier for earlier, later in pairwise(recent))
+    return len(truncations) == PATIENCE.attempts or (len(recent) > PATIENCE.stalls and stalls)
 
 
-def _ulps(scene: Scene, attempt: Attempt) -> float:
-    """Return how many last digits at t = 0 do as much as rounding all along a run."""
-    candidate = attempt.candidate
-    steps = candidate.steps(scene.samples)
-    evaluations = METHODS[candidate.integrator].evaluations if candidate.integrator else 0
-    return max(ROUNDING_ULPS, walked(steps * evaluations, alike=not candidate.adaptive))
-
-
-def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
-    """Return why no step will help, if one of the first attempts shows chaos, or nothing."""
+def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
+    """Return why an attempt missed its tolerance, and the cure."""
     tolerance = attempt.tolerance
-    suspect = error.truncation > min(CHAOS_MISS * tolerance, CHAOS_ERROR)
-    if len(attempt.truncations) > SUSPECT or not suspect:
-        return ""
-    time_s = _divergence_time(scene, attempt.candidate, tolerance, CHAOS_DIVERGENCE)
-    if time_s is None:
-        return ""
-    return f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}: {_amplifies(time_s)}"
-
-
-def _divergence_time(
-    scene: Scene, candidate: Candidate, distance: float, times: float = 1.0
-) -> float | None:
-    """Return when two runs one ulp apart at t = 0 reach a distance, s, if they diverge to `times` it.
-
-    Two runs may differ in where their steps shorten, so in more than the scene makes of an ulp; at steps of one length
-    they are the same map, but further off. Both pairs must diverge.
-    """
-    if not candidate.integrator:
-        return None
-    enough = max(ENOUGH, scene.duration * scene.highest_frequency / COARSE) / candidate.steps(
-        scene.samples
+    reason = (
+        f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}, "
+        f"and steps shorter than {attempt.candidate.step:.2g} s do not help"
     )
-    if enough < 1:
-        candidate = candidate.with_steps(math.ceil(candidate.steps_per_landing * enough))
-    time_s = scene.duration
-    for adaptive in {candidate.adaptive, False}:
-        try:
-            apart = divergence(scene, candidate.sampled._replace(adaptive=adaptive), LAST_DIGIT)
-        except RunFailed:
-            return None
-        if apart.max() < times * distance:
-            return None
-        time_s = min(time_s, float(scene.time[np.argmax(apart > distance)]))
-    return time_s
-
-
-def _amplifies(time_s: float) -> str:
+    if error.roundoff > tolerance / 2:
+        reason += f", for round-off alone makes {error.roundoff:.2g}"
+    time_s = error.last_known(tolerance / 2, scene.time)
+    if time_s == math.inf:
+        return f"{reason}: ask for less"
     return (
-        f"this scene amplifies round-off beyond the tolerance at t = {time_s:.4g} s; record up to there, "
-        "or ask for less"
+        f"{reason}: this scene amplifies round-off beyond the tolerance at t = {time_s:.4g} s; "
+        "record up to there, or ask for less"
     )

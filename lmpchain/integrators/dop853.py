@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,7 +38,8 @@ class DormandPrince:
     reference: str = (
         "Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.5"
     )
-    adaptive: Literal["error"] = "error"
+    adaptive: bool = True
+    interpolates: bool = False
 
     @cached_property
     def tables(self) -> tuple[Array, Array, Array]:

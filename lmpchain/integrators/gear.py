@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,8 @@ class Gear:
         "Gear, Numerical Initial Value Problems in Ordinary Differential Equations (1971), "
         "chapter 9"
     )
-    adaptive: Literal["no"] = "no"
+    adaptive: bool = False
+    interpolates: bool = False
     corrections: tuple[float, ...] = (19 / 120, 3 / 4, 1.0, 1 / 2, 1 / 12)
 
     @cached_property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -65,8 +65,12 @@ class Method(Protocol):
         """Where it comes from."""
 
     @property
-    def adaptive(self) -> Literal["no", "openings", "error"]:
-        """Whether its step size adapts: to contacts that open or close, or to an error estimate."""
+    def adaptive(self) -> bool:
+        """Whether its steps can be shorter where a contact is about to open or has just closed."""
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether samples between its steps can be interpolated."""
 
     @property
     def stability_limit(self) -> float:

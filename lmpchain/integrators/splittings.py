@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -85,9 +85,14 @@ class Splitting:
         return float(grid[np.argmin(stable) - 1]) if not stable.all() else float(grid[-1])
 
     @cached_property
-    def adaptive(self) -> Literal["no", "openings"]:
-        """Whether the step size can adapt to openings, which leave an order of 2 as it is."""
-        return "openings" if self.order > 2 else "no"
+    def adaptive(self) -> bool:
+        """Whether steps can be shorter near openings, which leave an order of 2 as it is."""
+        return self.order > 2
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether samples between steps can be interpolated."""
+        return self.adaptive
 
     def growth(self, reach: float) -> float:
         """Return the growth of x'' = -omega^2 x in a step at omega h = reach: 1 if stable."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from .. import engines
 from ..engines.base import Candidate, Engine, ErrorBudget
-from ..engines.step_control import Attempt, first_attempt, loosened, to_begin_with
+from ..engines.step_control import Attempt, first_attempt, loosen
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
 from ..util.compilation import clock, compiled_s
@@ -111,7 +111,7 @@ class Auto:
         choose = partial(_cheapest, scene)
         refusal = ""
         if best_effort:
-            attempt, _, refusal = loosened(choose, tolerance)
+            attempt, _, refusal = loosen(choose, tolerance)
         else:
             attempt = choose(tolerance)
         return attempt._replace(
@@ -146,7 +146,7 @@ class Auto:
             f"{left_out} along the run of {before.name}, {expected}: "
             f"run again with {best.engine}, Eq. (1)"
         )
-        attempt = _attempt(scene, best, tolerance, plan=f"{best.engine}: {redone}", redone=redone)
+        attempt = _attempt(best, tolerance, plan=f"{best.engine}: {redone}", redone=redone)
         return attempt._replace(planned_s=clock() - began)
 
 
@@ -155,16 +155,14 @@ def _cheapest(scene: Scene, tolerance: float) -> Attempt:
     proposals = propose(scene, tolerance)
     best = cheapest(proposals)
     why = reason(best, proposals)
-    return _attempt(scene, best, tolerance, plan=f"{best.engine}: {why}")
+    return _attempt(best, tolerance, plan=f"{best.engine}: {why}")
 
 
-def _attempt(scene: Scene, proposal: Proposal, tolerance: float, **why: str) -> Attempt:
+def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
     """Return the first attempt of a proposal, which keeps on record why it was chosen."""
     assert proposal.candidate
     choices = {**proposal.candidate.choices, **why}
-    candidate = proposal.candidate._replace(choices=choices)
-    engine = engines.plain(proposal.engine)
-    return to_begin_with(engine, engine.part(scene), candidate, tolerance)
+    return Attempt(proposal.engine, proposal.candidate._replace(choices=choices), tolerance)
 
 
 def policy_for(engine: str | Engine, **options: Any) -> Policy:

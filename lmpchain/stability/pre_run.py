@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from ..chain.plausible import LIMITS
 from ..engines.base import Engine
-from ..engines.time_stepping import SAFE_STRAIN
+from ..engines.native.step_choice import FIRST_STEP
 from ..scene.scene import Scene
 from .overlap import deepest, hertz_excess
 from .predictability import amplifies, predicted_time
@@ -26,7 +26,7 @@ def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> I
     if engine and engine.step is not None:
         method, edge = engine.methods[0], scene.reached.chain.band_edge
         longest = limit(scene, method.name) * (
-            TRUSTED if scene.largest_strain > SAFE_STRAIN else 1.0
+            TRUSTED if scene.largest_strain > FIRST_STEP.safe_strain else 1.0
         )
         if (
             longest < engine.step and engine.step * edge <= method.stability_limit

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..engines.native import Native
-from ..engines.perturbation import divergence
+from ..engines.native.amplification import divergence
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array

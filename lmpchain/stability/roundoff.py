@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..chain.contacts import Contacts
 from ..engines import Lammps, Native
-from ..engines.time_stepping import TimeSteppingEngine
+from ..engines.native.time_stepping import TimeSteppingEngine
 from ..errors import InputError
 from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene

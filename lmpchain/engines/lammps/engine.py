@@ -13,7 +13,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
-from ...integrators.methods import Method
 from ...integrators.splittings import SPLITTINGS
 from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
@@ -21,10 +20,11 @@ from ...util.arrays import Array
 from ...util.files import make_folder
 from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
-from ..error_estimate import CompanionRun
 from ..native import Native
-from ..step_control import loosened, run_to_tolerance
-from ..time_stepping import Steps, TimeSteppingEngine
+from ..native.companion_run import CompanionRun
+from ..native.step_choice import StepChoice
+from ..native.time_stepping import TimeSteppingEngine
+from ..step_control import loosen, run_to_tolerance
 from . import deck
 from .column import PAIR_STYLES, Column
 from .launch import gather
@@ -158,13 +158,13 @@ class Lammps(TimeSteppingEngine):
             return error.faults
         return []
 
-    def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
+    def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Find the step with native trials of the same map, and the diameter from the round-off."""
         fixed = self.step is not None
         # the overlaps of a driven column, and so the gauge diameter, are known from a trial only
         bounded = not scene.excitation.does_work
         if fixed and (self.diameter == "physical" or (self.diameter == "gauge" and bounded)):
-            candidate = super().choose_step(scene, tolerance, method, made)
+            candidate = super().propose(scene, tolerance, choice)
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
             return candidate._replace(solver_error=math.nan, choices=_choices(gauge, "as asked"))
         native = Native(self.splitting.name, self.step, adaptive=False)
@@ -184,7 +184,7 @@ class Lammps(TimeSteppingEngine):
         choices = _choices(gauge if small else 0.0, reason) | {"gauge_m": repr(gauge)}
         return trial.attempt.candidate._replace(
             solver_error=trial.error.truncation + errors[small],
-            cost_s=self.cost(scene, method, steps),
+            cost_s=self.cost(scene, choice.method, steps),
             choices=choices,
         )
 
@@ -338,7 +338,7 @@ class Lammps(TimeSteppingEngine):
         Where round-off in heights keeps the tolerance out of reach, it is written for the error
         that can be had.
         """
-        candidate, _, refusal = loosened(partial(self.candidate, self.part(scene)), tolerance)
+        candidate, _, refusal = loosen(partial(self.candidate, self.part(scene)), tolerance)
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
         column = self.column(scene, candidate, remark)
         make_folder(folder)

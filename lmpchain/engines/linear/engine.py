@@ -295,7 +295,7 @@ class LinearRun(Run):
         differences = np.zeros(self._scene.samples)
         roundoff = self._engine.round_off(self._scene)
         return [
-            ErrorBudget(0.0, roundoff, True, differences, phase.error, phase.remark, phase.at_most)
+            ErrorBudget(0.0, roundoff, 1.0, differences, phase.error, phase.remark, phase.at_most)
             for phase in self._phase_errors
         ]
 

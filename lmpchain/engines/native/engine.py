@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numba
 
-from ..errors import InputError, ToleranceNotMet, shown
-from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
-from ..integrators.kernels.contact_forces import ROOTS
-from ..integrators.kernels.layout import PAD
-from ..integrators.method import Method
-from ..integrators.methods import METHODS
-from ..integrators.step_schedule import StepSchedule
-from ..integrators.stepper import NativeStepper
-from ..scene.scene import Scene
-from ..util.arrays import Array
-from ..util.suggestions import not_among
-from .base import Candidate
-from .companions import SAFE_STRAIN
+from ...errors import InputError, ToleranceNotMet, shown
+from ...integrators.batch import FORCES, ChainBatch, force_form, name_of
+from ...integrators.kernels.contact_forces import ROOTS
+from ...integrators.kernels.layout import PAD
+from ...integrators.methods import METHODS
+from ...integrators.step_schedule import StepSchedule
+from ...integrators.stepper import NativeStepper
+from ...scene.scene import Scene
+from ...util.arrays import Array
+from ...util.suggestions import not_among
+from ..base import Candidate
 from .round_off import native_floor, plain_loss
-from .time_stepping import LONGEST_STEP, LONGEST_UNBOUNDED, Steps, TimeSteppingEngine, landing
-
-# how much longer the steps of a first run may be that shows how the error goes with them, and are at least, or there is
-# none; up to which error it may be expected to be off, and the cost of an answer from which on there is one, s
-PILOT, LEAST_PILOT, PILOT_ERROR, PILOT_S = 6.0, 2.0, 1e-2, 2e-3
+from .step_choice import StepChoice
+from .time_stepping import TimeSteppingEngine
 
 
 class Native(TimeSteppingEngine):
@@ -77,17 +71,19 @@ class Native(TimeSteppingEngine):
             raise InputError([("threads", f"must be a whole number from 1 (got {shown(threads)})")])
         if force not in FORCES:
             raise InputError([("force", not_among(force, FORCES))])
-        self.threads, self.force, self.adaptive = threads, force, adaptive
+        self.threads = threads
+        self.force = force
+        self.adaptive = adaptive
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Every chain that can be described can be done."""
         return []
 
-    def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
-        """Propose the step size of a method, unless round-off alone exceeds the tolerance."""
-        candidate = super().choose_step(scene, tolerance, method, made)
+    def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
+        """Propose the steps of a choice, unless round-off alone exceeds the tolerance."""
+        candidate = super().propose(scene, tolerance, choice)
         if not candidate.fixed:
-            evaluations = candidate.steps(scene.samples) * method.evaluations
+            evaluations = candidate.steps(scene.samples) * choice.method.evaluations
             floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
             if floor > tolerance:
                 raise ToleranceNotMet(
@@ -95,34 +91,6 @@ class Native(TimeSteppingEngine):
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
         return candidate
-
-    def pilot(self, scene: Scene, candidate: Candidate, tolerance: float) -> Candidate:
-        """Return a run at longer steps where nothing bounds the motion, or where the answer takes long.
-
-        Its error says how long steps may be, for a fraction of the cost of an answer at steps that are too short. Where
-        contacts may open, but a bound on the strain is known, the candidate is run at once.
-        """
-        strain = scene.largest_strain
-        if candidate.fixed or not (
-            strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)
-        ):
-            return candidate
-        method = METHODS[candidate.integrator]
-        longer = min(PILOT, (PILOT_ERROR / tolerance) ** (1 / method.order))
-        # where contacts may open, only two companions show the order: neither unstable, nor cut by knots like the pilot
-        part = LONGEST_UNBOUNDED if candidate.adaptive else LONGEST_STEP
-        longest = min(
-            part * method.stability_limit / scene.highest_frequency,
-            scene.excitation.knot_spacing / 4,
-        )
-        longer = min(longer, longest / candidate.step)
-        if longer < LEAST_PILOT:
-            return candidate
-        if candidate.stride == 1:
-            return candidate.with_steps(math.ceil(candidate.steps_per_landing / longer))
-        steps, stride = landing(scene, candidate.steps_per_landing / candidate.stride / longer)
-        step = scene.duration / (scene.samples - 1) * stride / steps
-        return candidate._replace(steps_per_landing=steps, stride=stride, step=step)
 
     def choices(self, scene: Scene) -> dict[str, str]:
         """Return the form of the force."""
@@ -154,10 +122,10 @@ class Native(TimeSteppingEngine):
         state: Mapping[str, Array],
     ) -> NativeStepper:
         """Make the stepper of the answer and its companions."""
-        chains, (own, *companions) = ChainBatch(scenes, self.force), schedules
-        return NativeStepper(
-            chains, METHODS[candidate.integrator], own, state, self.threads, companions
-        )
+        answer, *companions = schedules
+        chains = ChainBatch(scenes, self.force)
+        method = METHODS[candidate.integrator]
+        return NativeStepper(chains, method, answer, state, self.threads, companions)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the version of the compiler."""

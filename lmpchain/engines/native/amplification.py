@@ -1,0 +1,156 @@
+"""Amplification of small changes by a scene: native runs that begin a little apart.
+
+Reflections through opening contacts make much of a last digit (a finite-time Lyapunov exponent above 0), and no step
+can give it back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import RunFailed
+from ...integrators.batch import ChainBatch
+from ...integrators.method import Method
+from ...integrators.methods import METHODS
+from ...integrators.step_schedule import StepSchedule
+from ...integrators.stepper import NativeStepper
+from ...scene.excitation import Profile
+from ...scene.scene import Scene
+from ...util.arrays import EPSILON, Array
+from ..base import Candidate
+from .round_off import accumulate
+
+BLOCK_BYTES = 2**24  # of samples held at a time
+BURST = 10**6  # steps between two opportunities to stop
+
+
+@dataclass(frozen=True)
+class DigitGrowth:
+    """How the growth of a last digit is measured; analysis/calibration/amplified_rounding.py.
+
+    Attributes
+    ----------
+    digit : float
+        A last digit, relative to the largest motion: a few units in the last place of a double.
+    changes : tuple of float
+        Changes at t = 0 that are tried, in last digits: what becomes of one alone scatters by ten.
+    reach : float
+        omega h of these runs with velocity Verlet: growth asks for stable steps, not for accurate ones.
+    rate : float
+        Exponent a radian of the fastest motion that no scene exceeds: where that leaves a digit below
+        all that counts, nothing is measured.
+    broken : float
+        Relative distance beyond which a run broke down, for two that keep to the largest motion are
+        never so far apart.
+    """
+
+    digit: float = 1e-15
+    changes: tuple[float, ...] = (1.0, -1.0, 0.5)
+    reach: float = 0.2
+    rate: float = 0.05
+    broken: float = 4.0
+
+
+GROWTH = DigitGrowth()
+
+
+def perturb(scene: Scene, change: float) -> Scene:
+    """Return the scene with every velocity changed by a fraction of the largest, alternating in sign.
+
+    Of the largest displacement where nothing is struck; what does work becomes so much stronger.
+    """
+    if scene.excitation.does_work:
+        return scene.replace(excitation=scene.excitation.scaled(1 + change))
+    displacement, velocity = (field.copy() for field in scene.initial())
+    turns = np.where(np.arange(displacement.size) % 2, -1.0, 1.0)
+    turns[scene.chain.movable :] = 0.0
+    field = velocity if velocity.any() else displacement
+    field += change * np.abs(field).max() * turns
+    return scene.replace(excitation=Profile(displacement=displacement, velocity=velocity))
+
+
+def separate(
+    scene: Scene, changes: Sequence[float], method: Method, schedule: StepSchedule
+) -> Array:
+    """Return how far runs that begin a small change apart come from the unchanged one.
+
+    Parameters
+    ----------
+    scene : Scene
+    changes : sequence of C float
+        See `perturb`.
+    method, schedule
+        Of all runs, which land on every sample; what these leave out is the same in all.
+
+    Returns
+    -------
+    (C, T) array
+        The larger of the distances in displacement and velocity, over the largest motion.
+    """
+    batch = ChainBatch([scene, *(perturb(scene, change) for change in changes)])
+    stepper = NativeStepper(batch, method, schedule, {})
+    grains = scene.chain.grains
+    count = max(1, min(scene.samples, BLOCK_BYTES // (64 * grains)))
+    displacement, velocity = np.zeros((2, 1 + len(changes), count, grains))
+    distances = np.zeros((2, len(changes), scene.samples))
+    initial = batch.initial
+    for kind, field in enumerate(initial):
+        distances[kind, :, 0] = np.abs(field[1:] - field[0]).max(-1)
+    for first in range(1, scene.samples, count):
+        final = min(first + count, scene.samples) - 1
+        while stepper.sample < final:
+            stepper.fill(displacement, velocity, first, final, BURST)
+        for kind, field in enumerate((displacement, velocity)):
+            samples = field[:, : final + 1 - first]
+            distances[kind, :, first : final + 1] = np.abs(samples[1:] - samples[0]).max(-1)
+    largest = stepper.largest()[0]
+    scale = np.where(largest > 0, largest, 1.0)
+    return (distances / scale[:, None, None]).max(0)
+
+
+def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
+    """Return the relative distance of a run and a perturbed one at every sample, (T,).
+
+    Both have the integrator and the steps of the candidate. What remains is the change, rounding,
+    and what the scene makes of them.
+
+    Raises
+    ------
+    RunFailed
+        If a run breaks down.
+    """
+    schedule = candidate.sampled.schedule()
+    distance = separate(scene.reached, (change,), METHODS[candidate.integrator], schedule)[0]
+    if not np.isfinite(distance).all():
+        raise RunFailed("two runs that begin a little apart broke down: use a shorter step")
+    return distance
+
+
+def could_grow(scene: Scene, evaluations: float) -> float:
+    """Return a bound on `amplify_rounding`, from the phase of the fastest motion alone."""
+    exponent = GROWTH.rate * scene.highest_frequency * scene.duration
+    digits = _digits(evaluations)
+    return GROWTH.digit * digits * math.exp(min(exponent, 99.0))  # more than any scene has room for
+
+
+def amplify_rounding(scene: Scene, evaluations: float) -> Array:
+    """Return what becomes of the rounding of so many evaluations of the force at each sample, (T,).
+
+    Relative to the largest motion. The runs that show it take a fraction of the time of an answer.
+    """
+    interval = scene.duration / (scene.samples - 1)
+    steps = math.ceil(interval * scene.highest_frequency / GROWTH.reach)
+    schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
+    changes = [GROWTH.digit * change for change in GROWTH.changes]
+    distances = separate(scene, changes, METHODS["verlet"], schedule)
+    followed = distances.max(1) <= GROWTH.broken
+    return _digits(evaluations) * distances.max(0, where=followed[:, None], initial=0.0)
+
+
+def _digits(evaluations: float) -> float:
+    """Return the rounding of so many evaluations of the force in last digits, at least one."""
+    return max(1.0, EPSILON / GROWTH.digit * accumulate(evaluations))

@@ -1,0 +1,382 @@
+"""A run with its companions: the answer at one step size, beside native runs at others that show its error.
+
+An engine that rounds in another way than the native one also has a native twin at the same steps. Twin and answer are
+the same map in exact arithmetic: what they differ by is round-off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RunFailed
+from ...integrators.batch import ChainBatch
+from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, Runs, compare
+from ...integrators.method import Method
+from ...integrators.step_schedule import StepSchedule
+from ...integrators.stepper import NativeStepper, Stepper, room_for
+from ...scene.scene import Scene
+from ...trajectory.record import Block, Cost
+from ...util.arrays import Array, as_slice
+from ...util.compilation import clock
+from ..base import Candidate, ErrorBudget, Run
+from .amplification import amplify_rounding, could_grow
+from .companions import OPENINGS, Companions
+from .round_off import interpolation_loss, native_floor, plain_loss, rounded_energy
+
+PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
+GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
+BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
+BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
+TOO_CLOSE = "a contact overlaps more than the total energy allows: the run is unstable"
+WRONG = {
+    TOO_FAST: "the kinetic energy exceeds the total energy: the run is unstable",
+    NOT_A_NUMBER: "positions or velocities are no longer numbers",
+}
+
+MakeStepper = Callable[[Sequence[StepSchedule], Mapping[str, Array]], Stepper]
+
+
+class Motion(NamedTuple):
+    """How much moves in a realisation, by which errors and round-off are measured.
+
+    Attributes
+    ----------
+    displacement, velocity : float
+        Largest values of any grain, m and m/s; 1 where nothing moves.
+    lowest : float
+        Smallest r / eps of any contact in any of the runs; -1 is an opening.
+    evaluations : float
+        Of the force, in the answer.
+    """
+
+    displacement: float
+    velocity: float
+    lowest: float
+    evaluations: float
+
+
+class CompanionRun(Run):
+    """An answer at one step size, with companions at others that show its error.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the stepper of the answer from its schedule and its kept state, with its companions if it is native.
+    method : Method
+    scenes : sequence of R scenes
+        One, or a batch of like ones.
+    candidate : Candidate
+    state : mapping, optional
+        What `state` returned.
+    twin : bool
+        Whether the answer is not native, so that a native twin at the same step measures its round-off.
+    """
+
+    def __init__(
+        self,
+        make: MakeStepper,
+        method: Method,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        state: Mapping[str, Array] | None,
+        twin: bool,
+    ):
+        began = clock()
+        self.scene = scenes[0]
+        self.method = method
+        self.candidate = candidate
+        self._scenes = scenes
+        self._twin = twin
+        self._companions = Companions(method, scenes, candidate, twin)
+        self._make_steppers(make, state)
+        self._chains: ChainBatch = self.native.chains
+        self.realisations = len(scenes)
+        self._closest_allowed = self._bound_approach()
+        self._lost: NDArray[np.bool_] | None = None  # realisations that companions have lost
+        runs = len(self._companions.against)
+        samples = self.scene.samples
+        grains = self.scene.chain.grains
+        self._together = math.lcm(self._companions.together, self._answer.stride)
+        bytes_a_sample = 16 * (runs + 1) * self.realisations * grains
+        self._most = fit_block(BLOCK_BYTES // bytes_a_sample, samples, self._together)
+        self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
+        # the fields of the companions, with sample 0 in the first block
+        self._fields = room_for(runs, self.realisations, self._most + 1, grains)
+        self._differences = np.zeros((runs, samples, self.realisations, 2))
+        self._peaks = np.zeros((self.realisations, 2))
+        self._sample = -1
+        if state is not None:
+            self._restore(state)
+        rate = GUESSED_RATE / (self.realisations * grains * method.evaluations)
+        self._rate = [rate] * len(self._steppers)
+        self._seconds = [0.0] * len(self._steppers)
+        self._compared_s = 0.0
+        self._setup_s = clock() - began
+
+    def _make_steppers(self, make: MakeStepper, state: Mapping[str, Array] | None) -> None:
+        """Make the stepper of the answer, and of the native runs beside it."""
+        answer = self._companions.answer
+        beside = self._companions.schedules
+        self._steppers: tuple[Stepper, ...]
+        if self._twin:
+            chains = ChainBatch(self._scenes)
+            kept = restrict("native", state)
+            self.native = NativeStepper(chains, self.method, answer, kept, companions=beside)
+            self._answer = make((answer,), restrict("answer", state))
+            self._steppers = self._answer, self.native
+            evaluations = self.candidate.steps(self.scene.samples) * self.method.evaluations
+            self._allowed = chains.allowed + 3 * rounded_energy(self.scene, evaluations)
+        else:
+            self._answer = make((answer, *beside), restrict("native", state))
+            self.native = cast(NativeStepper, self._answer)
+            self._steppers = (self._answer,)
+            self._allowed = self.native.chains.allowed
+
+    def _bound_approach(self) -> Array:
+        """Return how much closer than at rest grains can come, (R,) m: what is beyond it is broken."""
+        bound = self._chains.contacts.overlap_bound(self._allowed[:, None]).max(1)
+        if self._chains.imposed.acts:
+            # no energy bounds what is driven, but a million times as close as the column is long is broken
+            lengths = [scene.chain.diameters.sum() for scene in self._scenes]
+            bound = np.minimum(bound, 1e6 * min(lengths))
+        return bound
+
+    def _restore(self, state: Mapping[str, Array]) -> None:
+        """Go on from what `state` returned; raises `ValueError` if it does not fit."""
+        differences = state["differences"].copy()
+        peaks = state["peaks"].copy()
+        self._sample = int(state["sample"])
+        apart = any(stepper.sample != max(self._sample, 0) for stepper in self._steppers)
+        fits = differences.shape == self._differences.shape and peaks.shape == self._peaks.shape
+        if apart or not fits:
+            raise ValueError("the state that was kept does not fit")
+        self._differences = differences
+        self._peaks = peaks
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the answer; samples that a restored state already had are not repeated."""
+        final = self.scene.samples - 1
+        while self._sample < final:
+            first = self._sample + 1
+            until = self._end_of_block(final)
+            spent_s = self._spent_s
+            answer = room_for(self.realisations, until + 1 - first, self.scene.chain.grains)
+            if first == 0:
+                answer[0][:, 0], answer[1][:, 0] = self._chains.initial
+            for stepper, fill in enumerate(self._fills(answer, first)):
+                while not self._move(stepper, fill, until):
+                    # adaptive steps of broken runs would be ever shorter
+                    self._leave_broken(first, until)
+                    nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
+                    yield Block(slice(first, first), nothing, nothing)
+            yield self._keep(*answer, first, until + 1)
+            if until < final:
+                self._sample_s = (self._spent_s - spent_s) / (until + 1 - first)
+
+    def _end_of_block(self, final: int) -> int:
+        """Return the last sample of the next block: a multiple of those after which all runs stop together."""
+        begin = max(self._sample, 0)
+        fit = min(self._most, int(BLOCK_S / self._sample_s))
+        if begin + fit >= final:
+            return final
+        count = max(1, fit // self._together) * self._together
+        return min(begin + count, final)
+
+    @property
+    def _spent_s(self) -> float:
+        return sum(self._seconds) + self._compared_s
+
+    def _fills(self, answer: tuple[Array, Array], first: int) -> list[Callable[[int, int], int]]:
+        """Return what moves each stepper on and fills its fields."""
+        if not self._twin:
+            return [partial(self.native.fill, *answer, first, beside=self._fields)]
+        displacement, velocity = self._fields
+        beside = displacement[1:], velocity[1:]
+        return [
+            partial(self._answer.fill, *answer, first),
+            partial(self.native.fill, displacement[0], velocity[0], first, beside=beside),
+        ]
+
+    def _move(self, stepper: int, fill: Callable[[int, int], int], until: int) -> bool:
+        """Move one stepper on for as long as nothing may interrupt; say whether it is there."""
+        max_steps = max(1, int(self._rate[stepper] * PIECE_S))
+        began = clock()
+        steps = fill(until, max_steps)
+        spent_s = clock() - began
+        self._rate[stepper] = steps / max(spent_s, 1e-9)
+        self._seconds[stepper] += spent_s
+        return steps < max_steps or self._steppers[stepper].sample >= until
+
+    def _leave_broken(self, first: int, until: int) -> None:
+        """Leave native chains whose grains are too close; their error is infinite. Raise if it is the answer."""
+        broken = ~(self.native.closest() <= self._closest_allowed)
+        if not broken.any():
+            return
+        if not self._twin and broken[0].any():
+            raise RunFailed(self._describe_breakdown(first, TOO_CLOSE))
+        self.native.leave(broken, until)
+        self._lost = broken[1 - self._twin :]
+
+    def _keep(self, u: Array, v: Array, first: int, stop: int) -> Block:
+        """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
+        began = clock()
+        companions = self._companions
+        runs = Runs(*self._fields, companions.against, companions.strides)
+        verdict = compare(
+            u, v, runs, first, self._chains.masses, self._allowed, self._differences, self._peaks
+        )
+        self._leave_broken(first, stop - 1)
+        if verdict != SOUND:
+            raise RunFailed(self._describe_breakdown(first, WRONG[verdict]))
+        if self._lost is not None:
+            self._differences.swapaxes(1, 2)[self._lost] = np.inf
+        self._sample = stop - 1
+        self._compared_s += clock() - began
+        if self.scene.grains != "all":
+            columns = as_slice(self.scene.recorded - 1)
+            u = np.array(u[:, :, columns])
+            v = np.array(v[:, :, columns])
+        return Block(slice(first, stop), u, v)
+
+    def _describe_breakdown(self, sample: int, cause: str) -> str:
+        t = sample * self.scene.duration / (self.scene.samples - 1)
+        step = self.candidate.step
+        return f"{cause}, after t = {t:.4g} s at steps of {step:.3g} s: use a shorter step or a tolerance"
+
+    @property
+    def peaks(self) -> Array:
+        """Largest displacement and speed so far, (R, 2) m and m/s."""
+        return np.maximum(self._peaks, self.native.largest())
+
+    @property
+    def closest(self) -> Array:
+        """Largest approach of two grains beyond that at rest, (R,) m, in the native companions."""
+        return self.native.closest().max(0)
+
+    @property
+    def progress(self) -> float:
+        """Part of the samples done."""
+        if not self._twin:
+            return self.native.progress
+        return (self._answer.sample / (self.scene.samples - 1) + self.native.progress) / 2
+
+    def errors(self) -> list[ErrorBudget]:
+        """Return the estimate for every realisation; see `estimate` for the formula."""
+        scale = self._scale()
+        differences = np.where(np.isnan(self._differences), np.inf, self._differences) / scale
+        lowest = self.native.watched["least_strain"].reshape(-1, self.realisations).min(0)
+        evaluations = self.native.steps * self.method.evaluations
+        budgets = []
+        for real in range(self.realisations):
+            motion = Motion(scale[real, 0], scale[real, 1], lowest[real], evaluations[real])
+            budgets.append(self._estimate(real, motion, differences[:, :, real]))
+        return budgets
+
+    def _scale(self) -> Array:
+        """Return what errors are relative to: the largest displacement and velocity, (R, 2) m and m/s."""
+        scale = self.peaks.copy()
+        if self._twin and not self.native.largest()[0, 1]:
+            # only what rounding presses moves: its velocities are below those of its displacements
+            farthest = scale[0, 0]
+            scale[0, 1] = max(scale[0, 1], self.scene.highest_frequency * farthest)
+        idle = (
+            self._chains.scale[:, 1] == 0.0
+        )  # where nothing is set in motion, units take its place
+        scale[idle] = self._chains.units[idle]
+        return np.where(scale > 0.0, scale, 1.0)
+
+    def _estimate(self, real: int, motion: Motion, differences: Array) -> ErrorBudget:
+        """Return the estimate for one realisation from its differences, (S, T, 2)."""
+        scene = self._scenes[real]
+        companions = self._companions
+        opens = motion.lowest <= OPENINGS.near
+        order = companions.order(opens, scene.excitation.smooth)
+        largest = differences.max(1)
+        truncation = companions.truncation(real, largest[self._twin :], order, opens)
+        roundoff = self._round(real, motion, opens)
+        amplified = np.zeros(0)
+        if self._twin:
+            roundoff += float(largest[0].max())  # measured, amplification and all
+        elif self._may_amplify(real, motion, opens, truncation + roundoff):
+            began = clock()
+            amplified = amplify_rounding(scene, motion.evaluations)
+            roundoff += float(amplified.max())
+            self._compared_s += clock() - began
+        return ErrorBudget(
+            truncation, roundoff, order, differences.max((0, 2)), amplified=amplified
+        )
+
+    def _round(self, real: int, motion: Motion, opens: bool) -> float:
+        """Return the round-off that the scene does not amplify."""
+        scene = self._scenes[real]
+        radians = scene.highest_frequency * scene.duration
+        drifts = opens and not self.candidate.adaptive
+        roundoff = native_floor(motion.evaluations, radians, drifts)
+        steps = motion.evaluations / self.method.evaluations
+        if self._chains.plain[real] and steps:
+            roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
+        if self.candidate.stride > 1:
+            travelled = motion.displacement / (motion.velocity * scene.duration)
+            roundoff += interpolation_loss(steps, travelled)
+        return roundoff
+
+    def _may_amplify(self, real: int, motion: Motion, opens: bool, estimate: float) -> bool:
+        """Say whether amplified rounding can count: contacts open, waves return, and there is time for it."""
+        complete = self._sample == self.scene.samples - 1
+        recurrent = self._companions.recurrent[real] and opens and self.closest[real] > 0
+        counts = min(estimate, self.candidate.solver_error)
+        return (
+            complete and recurrent and could_grow(self._scenes[real], motion.evaluations) > counts
+        )
+
+    def cost(self) -> Cost:
+        """Return what it has cost so far; steps and evaluations are those of the realisation that took most."""
+        steps = int(max(self._answer.steps.tolist()))
+        share = 1.0 if self._twin else self.native.own_part
+        integration_s = share * self._seconds[0]
+        return Cost(
+            integration_s=integration_s,
+            estimate_s=self._spent_s - integration_s,
+            setup_s=self._setup_s,
+            steps=steps,
+            force_evaluations=steps * self.method.evaluations,
+            active_grains=self.scene.chain.grains,
+            integrator=self.method.name,
+            step_s=self.candidate.step,
+            ranks=self._answer.ranks,
+        )
+
+    def state(self) -> dict[str, Array]:
+        """Return what `start` needs to go on from the last sample with the same bits."""
+        state = {
+            "sample": np.array(self._sample),
+            "differences": self._differences,
+            "peaks": self.peaks,
+        }
+        for stepper in self._steppers:
+            name = "native" if stepper is self.native else "answer"
+            state |= {f"{name}.{key}": array for key, array in stepper.state().items()}
+        return state
+
+    def close(self) -> None:
+        """Release every stepper."""
+        for stepper in self._steppers:
+            stepper.close()
+
+
+def fit_block(fit: int, samples: int, together: int) -> int:
+    """Return the samples of a block: all if they fit, or a multiple of those after which all runs stop together."""
+    return samples - 1 if fit >= samples else max(1, fit // together) * together
+
+
+def restrict(stepper: str, state: Mapping[str, Array] | None) -> dict[str, Array]:
+    """Return what is kept of a stepper, under the names that it knows."""
+    prefix = f"{stepper}."
+    kept = (state or {}).items()
+    return {key.removeprefix(prefix): array for key, array in kept if key.startswith(prefix)}

@@ -1,0 +1,204 @@
+"""Companions of an answer: native runs at other steps, whose distances from it show its truncation error.
+
+They run at 2h and 4h, for the rate at which differences shrink gives the error; where 4h is too long there is one at
+2h, and where that is, one at h/2. Where contacts open again and again errors scatter, and two runs may agree by chance:
+there runs one more, at about 1.5h.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...integrators.method import Method
+from ...integrators.step_schedule import StepSchedule
+from ...scene.scene import Scene
+from ...util.arrays import Array
+from ..base import Candidate
+from .estimate import estimate_truncation
+
+
+@dataclass(frozen=True)
+class Openings:
+    """What openings of contacts do to the order of a method; analysis/calibration/richardson_estimate.py.
+
+    Attributes
+    ----------
+    near : float
+        r / eps below which the force of a contact is no longer a smooth function of time; -1 is an opening.
+    order : float
+        That is trusted at most after steps that shorten near openings.
+    coarse_order : float
+        The same where these steps are coarse.
+    equal_order : float
+        The same after equal steps, which fall on openings as they come.
+    kinked_below : float
+        Exponent below which the force has a kink at an opening.
+    kinked_order : float
+        That is trusted there.
+    returning : float
+        Phase of the fastest motion, in radians a grain, after which waves come back to contacts that
+        opened: errors scatter from there on.
+    nearby, nearby_kinked : float
+        Step of the companion that runs where errors scatter, over that of the answer, and that for forces
+        with kinks.
+    """
+
+    near: float = -0.5
+    order: float = 6.0
+    coarse_order: float = 4.0
+    equal_order: float = 2.0
+    kinked_below: float = 1.25
+    kinked_order: float = 3.0
+    returning: float = 10.0
+    nearby: float = 1.5
+    nearby_kinked: float = 1.75
+
+
+OPENINGS = Openings()
+FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
+
+
+class Companions:
+    """The companions of an answer to a scene, or to R like ones.
+
+    Parameters
+    ----------
+    method : Method
+    scenes : sequence of R scenes
+    candidate : Candidate
+    twin : bool
+        Whether a twin at the same steps runs beside the answer, too.
+
+    Attributes
+    ----------
+    answer : StepSchedule
+        That of the answer.
+    schedules : tuple of StepSchedule
+        Those of the companions.
+    ratios : tuple of float
+        Mean steps of the companions over those of the answer.
+    against, strides : (S,) arrays
+        With which run each of the S beside the answer is compared (0: the answer, from 1: one of these),
+        and every how many samples.
+    together : int
+        After so many samples all of these stop.
+    recurrent : list of R bool
+        Whether contacts may open again and again, so that errors scatter.
+    """
+
+    def __init__(
+        self, method: Method, scenes: Sequence[Scene], candidate: Candidate, twin: bool = False
+    ):
+        self._method = method
+        self._candidate = candidate
+        self.kinked = scenes[0].chain.exponent < OPENINGS.kinked_below
+        longer = longer_steps(method, scenes, candidate)
+        self.recurrent = [recurs(scene) for scene in scenes]
+        self._nearby = len(longer) == 2 and candidate.adaptive and any(self.recurrent)
+        if self._nearby:
+            longer.append(OPENINGS.nearby_kinked if self.kinked else OPENINGS.nearby)
+        self.answer = candidate.schedule()
+        arrangement = _arrange(
+            self.answer, tuple(longer), self._nearby, twin, scenes[0].samples - 1
+        )
+        self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
+
+    def order(self, opens: bool, smooth_excitation: bool) -> float:
+        """Return the order of the method that is trusted, where contacts open or nearly so, or not."""
+        order = self._method.order
+        if not self._candidate.adaptive:
+            regular = smooth_excitation and not opens
+            return order if regular else min(order, OPENINGS.equal_order)
+        if not opens:
+            return order
+        if self.kinked:
+            return min(order, OPENINGS.kinked_order)
+        return min(
+            order, OPENINGS.coarse_order if self._candidate.coarse_openings else OPENINGS.order
+        )
+
+    def truncation(self, real: int, distances: Array, order: float, opens: bool) -> float:
+        """Return the truncation error of a realisation from the distances between its runs.
+
+        Parameters
+        ----------
+        real : int
+            Its number, from 0.
+        distances : (S, 2) array
+            Largest distances in displacements and velocities, relative to the motion, as in `against`.
+        order : float
+            That is trusted.
+        opens : bool
+            Whether contacts open or nearly so.
+        """
+        proper = len(self.schedules) - self._nearby
+        scatters = self._nearby and opens and self.recurrent[real]
+        settled = order == self._method.order and not self._candidate.adaptive
+        return max(
+            estimate_truncation(
+                fine=field[0],
+                coarse=field[1] if proper > 1 else None,
+                nearby=field[-1] if scatters else 0.0,
+                ratios=self.ratios[:proper],
+                order=order,
+                settled=settled,
+            )
+            for field in distances.T.tolist()
+        )
+
+
+class Arrangement(NamedTuple):
+    """Schedules of companions and how they are compared; the fields are those of `Companions`."""
+
+    schedules: tuple[StepSchedule, ...]
+    ratios: tuple[float, ...]
+    against: NDArray[np.int64]
+    strides: NDArray[np.int64]
+    together: int
+
+
+@lru_cache(maxsize=256)  # like scenes have like companions
+def _arrange(
+    answer: StepSchedule, longer: tuple[float, ...], nearby: bool, twin: bool, final: int
+) -> Arrangement:
+    """Arrange companions at steps longer by these ratios, or at half the step if there are none."""
+    schedules = tuple(answer.longer(ratio) for ratio in longer) or (answer.halved,)
+    ratios = tuple(answer.total(final) / schedule.total(final) for schedule in schedules)
+    runs = (*[answer] * twin, *schedules)
+    # each is compared with the one of the next shorter steps, but the nearby one with the answer
+    against = np.array([*range(len(runs) - nearby), *[0] * nearby])
+    strides = np.array([schedule.dense or schedule.stride for schedule in runs])
+    together = math.lcm(4, *(schedule.stride for schedule in runs))
+    return Arrangement(schedules, ratios, against, strides, together)
+
+
+def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
+    """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
+
+    None where these are unstable, too few, or would be cut by the knots of a drive as those of the answer are.
+    """
+    if candidate.steps(scenes[0].samples) < FEWEST_STEPS:
+        return []
+    reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
+    stable = method.stability_limit / reach if reach > 0 else math.inf
+    knots = (
+        min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
+    )
+    limit = min(stable, knots / candidate.step)
+    return [ratio for ratio in (2.0, 4.0) if ratio <= limit]
+
+
+def recurs(scene: Scene) -> bool:
+    """Say whether contacts may open again and again, by reflections or a drive; or once, at a kink."""
+    kinked = scene.chain.exponent < OPENINGS.kinked_below
+    crossed = 1 if scene.excitation.does_work else scene.chain.grains
+    radians = scene.highest_frequency * scene.duration
+    may_open = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
+    return may_open and (kinked or radians > OPENINGS.returning * crossed)

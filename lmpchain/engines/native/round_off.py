@@ -1,0 +1,84 @@
+"""Rounding of a native run, as measured by analysis/calibration/roundoff.py."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...scene.scene import Scene
+from ...util.arrays import EPSILON
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """Last digits that a native run loses.
+
+    Attributes
+    ----------
+    phase : float
+        Of the phase of the fastest motion, a radian: masses, stiffnesses and fractions of a step are rounded.
+    drift : float
+        Of a displacement, an evaluation of the force: in free flight equal steps round to one side.
+    plain : float
+        Of the force at rest, a step: the plain form of the force subtracts it.
+    interpolated : float
+        Of a displacement, a mean step: velocities between steps are differences of displacements.
+    """
+
+    phase: float = 1.5
+    drift: float = 0.125
+    plain: float = 0.9
+    interpolated: float = 8.0
+
+
+ROUNDING = Rounding()
+
+
+def accumulate(evaluations: float, drifts: bool = False) -> float:
+    """Return the last digits that the rounding of so many evaluations of the force adds up to.
+
+    It is a random walk; where it `drifts`, at equal steps through free flight, all may round to one side.
+    """
+    walk = math.sqrt(evaluations)
+    return max(walk, ROUNDING.drift * evaluations) if drifts else walk
+
+
+def native_floor(evaluations: float, radians: float, drifts: bool = False) -> float:
+    """Return the round-off of a native run, relative to the largest motion.
+
+    Parameters
+    ----------
+    evaluations : float
+        Of the force.
+    radians : float
+        Phase of the fastest motion.
+    drifts : bool
+        See `accumulate`.
+    """
+    return EPSILON * (2 + accumulate(evaluations, drifts) + ROUNDING.phase * radians)
+
+
+def plain_loss(scene: Scene, steps: float) -> float:
+    """Return the velocity that the plain form of the force loses in so many steps, m/s.
+
+    The last digit of the force at rest is an acceleration a = 0.9 EPSILON F_n / m; at every step it goes either way,
+    which makes a sqrt(duration h) of the velocity.
+    """
+    return ROUNDING.plain * EPSILON * scene.chain.load_over_mass * scene.duration / math.sqrt(steps)
+
+
+def interpolation_loss(steps: float, travelled: float = 1.0) -> float:
+    """Return what the velocities of interpolated samples lose in so many steps, over the largest one.
+
+    `travelled` is the largest displacement over how far the fastest grain would come in the whole run.
+    """
+    return ROUNDING.interpolated * EPSILON * steps * travelled
+
+
+def rounded_energy(scene: Scene, evaluations: float) -> float:
+    """Return the energy that contacts gain by rounding where heights are held, J: their last digit walks."""
+    height = scene.chain.diameters.sum() + np.abs(scene.initial()[0]).max()
+    closer = np.full(scene.chain.grains + 1, EPSILON * accumulate(evaluations) * height)
+    return float(scene.chain.contacts.energy(closer).sum())

@@ -1,0 +1,271 @@
+"""The step of an answer: the longest that should meet the tolerance, and the next one if it did not.
+
+The error of a method of order p is C (omega h)^p after the time for which C, its `error_constant`, is
+given; it grows in proportion to time, and with how far contacts open. The first step makes it half the
+tolerance, and the next one follows from the error estimate e,
+
+    h' = h (0.7 tolerance / e)^(1/p),
+
+with the order p that the estimate trusts; Hairer, Norsett and Wanner, Solving Ordinary Differential
+Equations I, section II.4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ...errors import InputError
+from ...integrators.method import Method
+from ...scene.scene import Scene
+from ..base import ErrorBudget
+from .companions import OPENINGS
+from .estimate import TRUST
+from .round_off import interpolation_loss
+
+
+@dataclass(frozen=True)
+class FirstStep:
+    """Where the first step comes from; analysis/calibration/opening_error_factor.py.
+
+    Attributes
+    ----------
+    radians : float
+        Phase of the fastest motion for which `Method.error_constant` is given.
+    longest : float
+        Longest step over the stability limit.
+    longest_opening : float
+        The same where contacts may open.
+    foreseen : float
+        Tolerance up to which an error is foreseen where nothing bounds the strain: for a tighter one the
+        first attempt shows how long steps may be.
+    safe_strain : float
+        Strain up to which no contact comes near to opening.
+    opening_error : float
+        Factor on the error where contacts open a little and steps are shorter there; it grows with the
+        root of the strain.
+    largest_opening_error : float
+        The most that it is.
+    equal_error : float
+        Factor where contacts open and steps are equal.
+    coarse_error : float
+        Factor where steps near openings are coarse, over those that are not.
+    """
+
+    radians: float = 60.0
+    longest: float = 0.6
+    longest_opening: float = 0.45
+    foreseen: float = 1e-6
+    safe_strain: float = 0.3
+    opening_error: float = 4.0
+    largest_opening_error: float = 23.0
+    equal_error: float = 30.0
+    coarse_error: float = 16.0
+
+    def opening_factor(self, strain: float, adaptive: bool) -> float:
+        """Return the factor on the error of a scene whose strains are at most this."""
+        if strain <= self.safe_strain:
+            return 1.0
+        if not adaptive:
+            return self.equal_error
+        grown = self.opening_error * math.sqrt(max(strain / 3, 1.0))
+        return min(grown, self.largest_opening_error)
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """Samples that steps pass over, and when they are interpolated; analysis/calibration/long_steps.py.
+
+    Attributes
+    ----------
+    error : float
+        Relative error at omega h = 1.
+    order : float
+        With which it falls with the step.
+    evaluations : float
+        Time that a sample takes, in evaluations of the force.
+    steps : int
+        From landing to landing, at least.
+    values : int
+        Samples times grains between two landings, at most: they are held in memory.
+    """
+
+    error: float = 3e-8
+    order: float = 7.0
+    evaluations: float = 5.0
+    steps: int = 8
+    values: int = 2**19
+
+
+@dataclass(frozen=True)
+class StepControl:
+    """How a step is shortened; analysis/calibration/step_refinement.py.
+
+    Attributes
+    ----------
+    target : float
+        Share of the tolerance at which the next error is aimed.
+    roundoff : float
+        Share of the tolerance beyond which round-off cannot be made up for.
+    least, most : float
+        Bounds on the ratio of the old step to the new one; `most` after a breakdown, too.
+    """
+
+    target: float = 0.7
+    roundoff: float = 0.9
+    least: float = 1.3
+    most: float = 8.0
+
+    def ratio(self, error: ErrorBudget | None, tolerance: float) -> float | None:
+        """Return the old step over the next one; None where round-off alone is too much.
+
+        Parameters
+        ----------
+        error : ErrorBudget, optional
+            None after a run that broke down.
+        tolerance : float
+        """
+        if error is None:
+            return self.most
+        if error.roundoff > self.roundoff * tolerance:
+            return None
+        if not math.isfinite(error.truncation):
+            return self.most
+        room = max(tolerance - error.roundoff, tolerance / 4)
+        ratio = (error.truncation / (self.target * room)) ** (1 / error.order)
+        return min(max(ratio, self.least), self.most)
+
+
+FIRST_STEP = FirstStep()
+INTERPOLATION = Interpolation()
+STEP_CONTROL = StepControl()
+
+
+class StepChoice(NamedTuple):
+    """The step of a method for a scene.
+
+    Attributes
+    ----------
+    method : Method
+    steps : int
+        From one landing on a sample to the next.
+    stride : int
+        Samples from landing to landing; what lies between is interpolated.
+    adaptive : bool
+        Whether steps are shorter where a contact is about to open or has just closed.
+    coarse : bool
+        Whether these are longer than what keeps the order of the method there.
+    work : float
+        Time a sample, in evaluations of the force.
+    """
+
+    method: Method
+    steps: int
+    stride: int
+    adaptive: bool
+    coarse: bool
+    work: float
+
+
+def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
+    """Return the largest step up to the one that was given, s, which divides the sample interval.
+
+    Raises
+    ------
+    InputError
+        If the method is not stable at it.
+    """
+    stable = method.stability_limit
+    edge = scene.chain.band_edge
+    if step * edge > stable:
+        why = f"where {method.name} stops being stable on this chain (got {step:g})"
+        raise InputError([("step", f"must be below {stable / edge:.3g} s, {why}")])
+    interval = scene.duration / (scene.samples - 1)
+    steps = math.ceil(
+        interval / step * (1 - 1e-12)
+    )  # a step that divides it, but for round-off, does
+    return StepChoice(method, steps, 1, False, False, method.evaluations * steps)
+
+
+def choose_step(
+    scene: Scene, method: Method, tolerance: float, adaptive: bool, interpolates: bool
+) -> StepChoice:
+    """Return the longest step of a method that should meet the tolerance.
+
+    Parameters
+    ----------
+    scene : Scene
+    method : Method
+    tolerance : float
+    adaptive : bool
+        Whether steps may be shorter near openings.
+    interpolates : bool
+        Whether samples may be interpolated.
+    """
+    may_open = scene.largest_strain > FIRST_STEP.safe_strain
+    adaptive = adaptive and method.adaptive and may_open
+    reach = expected_reach(scene, method, tolerance, adaptive)
+    phase = scene.highest_frequency * scene.duration / (scene.samples - 1)  # of an interval
+    steps = math.ceil(phase / reach)
+    work = method.evaluations * steps
+    # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
+    if interpolates and scene.chain.compressed and method.interpolates:
+        dense = _interpolate(scene, method, tolerance, adaptive, phase, reach)
+        if dense is not None and dense.work < work:
+            return dense
+    coarse = False
+    if adaptive and scene.chain.exponent >= OPENINGS.kinked_below:
+        # where samples hold steps short, shorter ones near openings would only cost
+        shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, adaptive)
+        coarse = steps == math.ceil(phase / shorter)
+    return StepChoice(method, steps, 1, adaptive, coarse, work)
+
+
+def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> float:
+    """Return omega h of the longest step whose error is expected to be half the tolerance."""
+    strain = scene.largest_strain
+    if strain == math.inf:
+        tolerance = max(tolerance, FIRST_STEP.foreseen)
+    radians = scene.highest_frequency * scene.duration
+    error = method.error_constant * max(1.0, radians / FIRST_STEP.radians)
+    error *= FIRST_STEP.opening_factor(strain, adaptive)
+    reach = (tolerance / TRUST.safety / error) ** (1 / method.order)
+    stable = method.stability_limit
+    if strain <= FIRST_STEP.safe_strain:
+        reach = min(reach, FIRST_STEP.longest * stable)
+    else:
+        # two companions, at up to four times the step, show the rate at which the error falls; of one alone
+        # the distance itself counts, which is 2^order times the error. Where nothing bounds the strain,
+        # errors of longer steps scatter, and two runs may agree by chance.
+        alone = min(reach / 2, FIRST_STEP.longest_opening * stable) if strain < math.inf else 0.0
+        reach = max(min(reach, stable / 4), alone)
+    if adaptive:
+        # steps end on the knots of a drive, which cut longer ones
+        reach = min(reach, scene.highest_frequency * scene.excitation.knot_spacing)
+    return reach
+
+
+def _interpolate(
+    scene: Scene, method: Method, tolerance: float, adaptive: bool, phase: float, reach: float
+) -> StepChoice | None:
+    """Return the choice of steps that pass over samples, or None where these would be wrong or too many."""
+    smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
+    rate = phase / min(reach, smooth)  # steps a sample
+    if interpolation_loss(rate * (scene.samples - 1)) > tolerance / TRUST.safety:
+        return None
+    steps, stride = land(scene, rate)
+    if not 1 < stride <= INTERPOLATION.values // scene.chain.grains:
+        return None
+    # steps that could all be equal cost half as much as those that look for samples between
+    evaluations = method.evaluations * steps / stride * (1.0 if adaptive else 2.0)
+    work = evaluations + INTERPOLATION.evaluations
+    return StepChoice(method, steps, stride, adaptive, False, work)
+
+
+def land(scene: Scene, rate: float) -> tuple[int, int]:
+    """Return steps and samples from one landing to the next, at about so many steps a sample."""
+    stride = min(
+        scene.samples - 1, 4 * math.ceil(INTERPOLATION.steps / rate / 4)
+    )  # blocks count by 4
+    return math.ceil(rate * stride), stride

@@ -1,0 +1,185 @@
+"""Engines that step through time: their options, their steps, and the start of a run with companions."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import ClassVar
+
+from ...errors import InputError, shown
+from ...integrators.method import Method
+from ...integrators.methods import METHODS
+from ...integrators.step_schedule import StepSchedule
+from ...integrators.stepper import Stepper
+from ...scene.scene import Scene
+from ...util.arrays import Array
+from ...util.suggestions import not_among
+from ..base import Candidate, Engine, ErrorBudget
+from ..cost_model import seconds
+from .companion_run import CompanionRun
+from .companions import longer_steps
+from .round_off import interpolation_loss
+from .step_choice import FIRST_STEP, STEP_CONTROL, StepChoice, choose_given_step, choose_step
+
+AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
+LONGEST_RUN_S = 3e8  # ten years
+EVALUATION_OVERHEAD = 40  # of a force evaluation, in grains; analysis/calibration/cost_model.py
+
+
+class TimeSteppingEngine(Engine):
+    """An engine that moves through time with one of the methods.
+
+    Attributes
+    ----------
+    twin : bool
+        Whether a native twin measures its round-off. Its steps must then be those of the native engine in exact
+        arithmetic.
+    dense : bool
+        Whether it interpolates samples that steps pass over.
+    adaptive : bool
+        Whether steps are shorter where contacts open, if the method allows.
+    """
+
+    adaptive: bool = False
+    twin: ClassVar[bool] = True
+    dense: ClassVar[bool] = False
+
+    def __init__(self, integrator: str, step: float | None):
+        if integrator not in self.integrators:
+            raise InputError([("integrator", not_among(integrator, self.integrators))])
+        if step is not None and not (
+            isinstance(step, int | float) and math.isfinite(step) and step > 0
+        ):
+            raise InputError([("step", f"must be a time above 0 s (got {shown(step)})")])
+        self.integrator = integrator
+        self.step = step
+
+    @property
+    def methods(self) -> list[Method]:
+        """The methods that it may take."""
+        names = AUTOMATIC if self.integrator == "auto" else [self.integrator]
+        return [METHODS[name] for name in names]
+
+    @abstractmethod
+    def stepper(
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        schedules: Sequence[StepSchedule],
+        state: Mapping[str, Array],
+    ) -> Stepper:
+        """Make the stepper of the answer, with its companions if native, from the start or a kept state."""
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose a step size: the one given, or the longest that should meet the tolerance."""
+        if self.step is not None:
+            choices = [choose_given_step(scene, method, self.step) for method in self.methods]
+        else:
+            dense = self.dense and self.adaptive
+            choices = [
+                choose_step(scene, method, tolerance, self.adaptive, dense)
+                for method in self.methods
+            ]
+        return self.propose(scene, tolerance, min(choices, key=lambda choice: choice.work))
+
+    def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
+        """Propose the steps of a choice."""
+        steps = -(-choice.steps * (scene.samples - 1) // choice.stride)
+        cost = self.cost(scene, choice.method, steps)
+        if cost > LONGEST_RUN_S:
+            years = cost / 3.15e7
+            cure = "shorten it, or ask for less accuracy"
+            raise InputError([("duration", f"would take some {years:.1g} years: {cure}")])
+        return Candidate(
+            step=scene.duration / (scene.samples - 1) * choice.stride / choice.steps,
+            active_grains=scene.chain.grains,
+            model_error=0.0,
+            solver_error=tolerance,
+            cost_s=cost,
+            steps_per_landing=choice.steps,
+            stride=choice.stride,
+            fixed=self.step is not None,
+            adaptive=choice.adaptive,
+            coarse_openings=choice.coarse,
+            integrator=choice.method.name,
+            choices=self.choices(scene),
+        )
+
+    def choices(self, scene: Scene) -> Mapping[str, str]:
+        """Return what it chooses on behalf of the user."""
+        return {}
+
+    def cost(self, scene: Scene, method: Method, steps: int) -> float:
+        """Return about how long so many steps take, s."""
+        grain_steps = method.evaluations * steps * (self.computed(scene) + EVALUATION_OVERHEAD)
+        return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
+
+    @abstractmethod
+    def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
+        """Predict the relative round-off of so many steps; `speed` is the largest velocity, m/s."""
+
+    def computed(self, scene: Scene) -> float:
+        """Return how many grains it computes in each step, on average."""
+        return scene.chain.grains
+
+    def refine(
+        self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
+    ) -> Candidate | None:
+        """Shorten the step by what the error asks for; where contacts open after all, let steps adapt."""
+        method = METHODS[candidate.integrator]
+        ratio = STEP_CONTROL.ratio(error, tolerance)
+        if ratio is None:
+            return None
+        lost_order = error is None or error.order < method.order
+        if lost_order and self.adaptive and method.adaptive:
+            candidate = candidate._replace(adaptive=True)
+        if candidate.coarse_openings:
+            # steps near openings get their full order, and those elsewhere may stay as long
+            ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
+        shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
+        if error is None or shorter.steps_per_landing > shorter.stride:
+            return shorter.sampled  # with a step a sample or more, to interpolate none is cheaper
+        lost = interpolation_loss(shorter.steps(error.differences.size))
+        return shorter if lost < tolerance / 2 else shorter.sampled
+
+    def start(
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        state: Mapping[str, Array] | None = None,
+    ) -> CompanionRun:
+        """Start one scene, or a batch of scenes that differ in numbers only."""
+        if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
+            raise ValueError("a batch needs chains of one kind and length, recorded alike")
+        make = partial(self.stepper, scenes, candidate)
+        method = METHODS[candidate.integrator]
+        try:
+            return CompanionRun(make, method, scenes, candidate, state, self.twin)
+        except (LookupError, TypeError, ValueError) as error:
+            if state is None or isinstance(error, InputError):
+                raise
+            why = "does not fit its run, or was changed: run the scene anew"
+            raise InputError([("checkpoint", why)]) from error
+
+
+def kind(scene: Scene) -> tuple:
+    """Return what the scenes of a batch have in common: the kind of chain, and what is recorded."""
+    chain = scene.chain
+    excitation = scene.excitation
+    built = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed
+    acted = excitation.driven, excitation.does_work
+    return *built, *acted, scene.samples, scene.duration, scene.grains
+
+
+def alike(scene: Scene, candidate: Candidate) -> tuple:
+    """Return what scenes have in common that have the answer and error in a batch that they have alone."""
+    longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
+    return (
+        *kind(scene),
+        candidate.schedule(),
+        candidate.integrator,
+        *longer,
+        *candidate.choices.items(),
+    )
