@@ -97,8 +97,6 @@ class ErrorBudget(NamedTuple):
         From the step and from rounding.
     order : float
         Order at which the truncation error falls with the step, as far as it is trusted.
-    differences : (T,) array
-        Largest relative difference between runs at two steps, sample by sample.
     model : float
         Estimated error of the equation itself, where it is not Eq. (1).
     remark : str
@@ -112,7 +110,6 @@ class ErrorBudget(NamedTuple):
     truncation: float
     roundoff: float
     order: float
-    differences: Array
     model: float = 0.0
     remark: str = ""
     model_bound: float = 0.0

@@ -292,10 +292,9 @@ class LinearRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return round-off, and what linearising leaves out."""
-        differences = np.zeros(self._scene.samples)
         roundoff = self._engine.round_off(self._scene)
         return [
-            ErrorBudget(0.0, roundoff, 1.0, differences, phase.error, phase.remark, phase.at_most)
+            ErrorBudget(0.0, roundoff, 1.0, phase.error, phase.remark, phase.at_most)
             for phase in self._phase_errors
         ]
 

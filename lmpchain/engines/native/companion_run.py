@@ -269,48 +269,48 @@ class CompanionRun(Run):
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation; see `estimate` for the formula."""
         scale = self._scale()
-        differences = np.where(np.isnan(self._differences), np.inf, self._differences) / scale
+        distances = self._differences.max(1) / scale  # (S, R, 2)
+        distances[np.isnan(distances)] = np.inf
         lowest = self.native.watched["least_strain"].reshape(-1, self.realisations).min(0)
         evaluations = self.native.steps * self.method.evaluations
-        budgets = []
-        for real in range(self.realisations):
-            motion = Motion(scale[real, 0], scale[real, 1], lowest[real], evaluations[real])
-            budgets.append(self._estimate(real, motion, differences[:, :, real]))
-        return budgets
+        table = np.column_stack((scale, lowest, evaluations)).tolist()
+        motions = [Motion(*row) for row in table]
+        return [
+            self._estimate(real, motion, distances[:, real]) for real, motion in enumerate(motions)
+        ]
 
     def _scale(self) -> Array:
         """Return what errors are relative to: the largest displacement and velocity, (R, 2) m and m/s."""
-        scale = self.peaks.copy()
+        scale = self.peaks
         if self._twin and not self.native.largest()[0, 1]:
             # only what rounding presses moves: its velocities are below those of its displacements
-            farthest = scale[0, 0]
-            scale[0, 1] = max(scale[0, 1], self.scene.highest_frequency * farthest)
-        idle = (
-            self._chains.scale[:, 1] == 0.0
-        )  # where nothing is set in motion, units take its place
-        scale[idle] = self._chains.units[idle]
-        return np.where(scale > 0.0, scale, 1.0)
+            scale[0, 1] = max(scale[0, 1], self.scene.highest_frequency * scale[0, 0])
+        idle = self._chains.scale[:, 1] == 0.0
+        if idle.any():  # where nothing is set in motion, units take its place
+            scale[idle] = self._chains.units[idle]
+        scale[scale == 0.0] = 1.0
+        return scale
 
-    def _estimate(self, real: int, motion: Motion, differences: Array) -> ErrorBudget:
-        """Return the estimate for one realisation from its differences, (S, T, 2)."""
+    def _estimate(self, real: int, motion: Motion, distances: Array) -> ErrorBudget:
+        """Return the estimate for one realisation from the distances between its runs, (S, 2)."""
         scene = self._scenes[real]
         companions = self._companions
         opens = motion.lowest <= OPENINGS.near
         order = companions.order(opens, scene.excitation.smooth)
-        largest = differences.max(1)
-        truncation = companions.truncation(real, largest[self._twin :], order, opens)
+        truncation = companions.truncation(real, distances[self._twin :], order, opens)
         roundoff = self._round(real, motion, opens)
         amplified = np.zeros(0)
         if self._twin:
-            roundoff += float(largest[0].max())  # measured, amplification and all
+            # the distance from the twin is measured round-off, amplification and all
+            roundoff += float(distances[0].max())
+            scale = motion.displacement, motion.velocity
+            amplified = (self._differences[0, :, real] / scale).max(-1)
         elif self._may_amplify(real, motion, opens, truncation + roundoff):
             began = clock()
             amplified = amplify_rounding(scene, motion.evaluations)
             roundoff += float(amplified.max())
             self._compared_s += clock() - began
-        return ErrorBudget(
-            truncation, roundoff, order, differences.max((0, 2)), amplified=amplified
-        )
+        return ErrorBudget(truncation, roundoff, order, amplified=amplified)
 
     def _round(self, real: int, motion: Motion, opens: bool) -> float:
         """Return the round-off that the scene does not amplify."""

@@ -200,5 +200,6 @@ def recurs(scene: Scene) -> bool:
     kinked = scene.chain.exponent < OPENINGS.kinked_below
     crossed = 1 if scene.excitation.does_work else scene.chain.grains
     radians = scene.highest_frequency * scene.duration
-    may_open = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
-    return may_open and (kinked or radians > OPENINGS.returning * crossed)
+    if not kinked and radians <= OPENINGS.returning * crossed:
+        return False
+    return min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near

@@ -20,7 +20,6 @@ from ..base import Candidate, Engine, ErrorBudget
 from ..cost_model import seconds
 from .companion_run import CompanionRun
 from .companions import longer_steps
-from .round_off import interpolation_loss
 from .step_choice import FIRST_STEP, STEP_CONTROL, StepChoice, choose_given_step, choose_step
 
 AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
@@ -131,7 +130,8 @@ class TimeSteppingEngine(Engine):
         method = METHODS[candidate.integrator]
         ratio = STEP_CONTROL.ratio(error, tolerance)
         if ratio is None:
-            return None
+            # to interpolate no sample loses less
+            return candidate.sampled if candidate.stride > 1 else None
         lost_order = error is None or error.order < method.order
         if lost_order and self.adaptive and method.adaptive:
             candidate = candidate._replace(adaptive=True)
@@ -139,10 +139,8 @@ class TimeSteppingEngine(Engine):
             # steps near openings get their full order, and those elsewhere may stay as long
             ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
         shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
-        if error is None or shorter.steps_per_landing > shorter.stride:
-            return shorter.sampled  # with a step a sample or more, to interpolate none is cheaper
-        lost = interpolation_loss(shorter.steps(error.differences.size))
-        return shorter if lost < tolerance / 2 else shorter.sampled
+        # with a step a sample or more, to interpolate none is cheaper
+        return shorter.sampled if shorter.steps_per_landing > shorter.stride else shorter
 
     def start(
         self,
