@@ -54,7 +54,7 @@ class FirstStep:
     """
 
     radians: float = 60.0
-    longest: float = 0.6
+    longest: float = 0.5
     longest_opening: float = 0.45
     foreseen: float = 1e-6
     safe_strain: float = 0.3
