@@ -1,13 +1,16 @@
 """Runs of the engines: what they have cost, how far they are, where they go on, how they end, and in which company."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from helpers.example_scenes import paper, smooth
 from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
-from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native, error_estimate
-from lmpchain.engines.time_stepping import alike, kind, landing
+from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
+from lmpchain.engines.native import companion_run
+from lmpchain.engines.native.time_stepping import alike, kind
 from lmpchain.integrators.methods import METHODS
 
 CHAIN = Chain(grains=10, diameter=1e-3)
@@ -17,7 +20,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=4e-5, sam
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Have four samples in a block."""
-    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
 
 
 def test_what_engines_are():
@@ -85,7 +88,6 @@ def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
     again.close()
     assert np.array_equal(rest, np.concatenate([block.velocity for block in blocks[2:]], axis=1))
     assert (other.truncation, other.roundoff) == (errors.truncation, errors.roundoff)
-    assert np.array_equal(other.differences, errors.differences)
     assert peaks[0, 1] == pytest.approx(1e-3, rel=0.05)
     for key in ("differences", "peaks", "sample"):
         spoilt = states[1] | {key: states[1][key][:1] if states[1][key].ndim else np.array(3)}
@@ -99,21 +101,25 @@ def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
             engine.start([SCENE], candidate, spoilt)
 
 
-def test_differences_of_runs_tell_from_which_sample_on_they_are_apart():
-    """They are those of the two companions, at steps two and four times as long, which are farther apart."""
+def test_distances_of_runs_are_those_of_answers_at_their_steps():
+    """Of the answer from the one at twice the step, of that from the one at four times, sample by sample."""
     step = SCENE.duration / 160
     engine = Native("verlet", step=step)
     run = engine.start([SCENE], engine.candidate(SCENE, 1e-6))
     for _ in run.blocks():
         pass
-    apart = run.errors()[0].differences
-    one, other = (simulate(SCENE, Native("verlet", step=length)) for length in (2 * step, 4 * step))
-    largest = run.peaks[0]
-    expected = np.maximum(
-        np.abs(one.displacement - other.displacement).max(1) / largest[0],
-        np.abs(one.velocity - other.velocity).max(1) / largest[1],
-    )
-    np.testing.assert_allclose(apart, expected, rtol=1e-6, atol=1e-12)
+    distances = run.state()["differences"][:, :, 0]
+    answers = [simulate(SCENE, Native("verlet", step=n * step)) for n in (1, 2, 4)]
+    for index, (one, other) in enumerate(pairwise(answers)):
+        for field, name in enumerate(("displacement", "velocity")):
+            expected = np.abs(getattr(one, name) - getattr(other, name)).max(1)
+            scale = 1e-9 * np.abs(getattr(one, name)).max()
+            np.testing.assert_allclose(distances[index, :, field], expected, rtol=1e-6, atol=scale)
+    error = run.errors()[0]
+    largest = distances.max(1) / run.peaks[0]
+    gain = np.clip(largest[1] / largest[0], 1.5, 4)
+    expected = np.maximum(2 * largest[0] / (gain - 1), largest[1] / 12).max()
+    assert error.truncation == pytest.approx(expected, rel=1e-9)
     assert run.closest[0] > 0
 
 
@@ -125,9 +131,12 @@ def test_a_run_that_breaks_down_says_when_and_with_which_steps():
         simulate(scene, Native("verlet", step=step))
     words = str(failed.value)
     exact = scene.duration / 500 / np.ceil(scene.duration / 500 / step)
-    assert words.endswith(f"with steps of {exact:.3g} s: use a shorter step or a tolerance")
-    assert words.split(" after t = ")[0] in error_estimate.WRONG.values()
-    assert 0 <= float(words.split(" after t = ")[1].split(" s ")[0]) < 1e-3
+    assert words.endswith(f"at steps of {exact:.3g} s: use a shorter step or a tolerance")
+    assert words.split(", after t = ")[0] in (
+        *companion_run.WRONG.values(),
+        companion_run.TOO_CLOSE,
+    )
+    assert 0 <= float(words.split(", after t = ")[1].split(" s ")[0]) < 1e-3
 
 
 def test_recorded_grains_are_columns_of_all():
@@ -158,17 +167,6 @@ def test_samples_that_are_interpolated_are_as_exact_as_the_others():
         samples=1001,
     )
     assert Native("rkn6").candidate(vacuum, 1e-6).stride == 1
-
-
-def test_a_landing_is_at_least_eight_steps_later():
-    """On a multiple of four samples, as blocks end on these, or on the last one."""
-    for few in (0.03, 0.1, 0.34, 0.7, 1.9):
-        steps, stride = landing(SCENE.replace(samples=2001), few)
-        assert stride % 4 == 0
-        assert few * stride <= steps < few * stride + 1
-        assert steps >= 8
-        assert (stride - 4) * few < 8
-    assert landing(SCENE.replace(samples=6), 0.1) == (1, 5)
 
 
 def test_scenes_of_a_batch_are_of_one_kind():

@@ -9,8 +9,8 @@ from numba import njit
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene, simulate
 from lmpchain.benchmark.reference import reference
-from lmpchain.engines.companions import Companions
 from lmpchain.engines.native import Native
+from lmpchain.engines.native.companions import Companions
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.dense_output import Rates, fill_samples
 from lmpchain.integrators.kernels.layout import (

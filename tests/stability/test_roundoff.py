@@ -20,7 +20,7 @@ from lmpchain import (
 )
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
-from lmpchain.engines.amplification import perturbed
+from lmpchain.engines.native.amplification import perturb
 from lmpchain.engines.step_control import first_attempt, run_to_tolerance, solve_to_tolerance
 from lmpchain.errors import RunFailed
 from lmpchain.stability.predictability import (
@@ -173,7 +173,7 @@ def crossing(times, apart, value):
 
 
 def apart_in_long_double(scene, change):
-    first, second = reference(scene), reference(perturbed(scene, change))
+    first, second = reference(scene), reference(perturb(scene, change))
     pairs = [(first.displacement, second.displacement), (first.velocity, second.velocity)]
     return np.max([np.abs(y - x).max(1) / np.abs(x).max() for x, y in pairs], axis=0)
 

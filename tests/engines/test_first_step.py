@@ -1,0 +1,201 @@
+"""The first step of an answer, its companions, and what they say of scenes that amplify rounding."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers.example_scenes import paper
+from helpers.independent_integrators import relative_error
+
+from lmpchain import Chain, Force, Impulse, Scene, ToleranceNotMet, resume, simulate, simulate_many
+from lmpchain.benchmark.reference import reference
+from lmpchain.engines import Native
+from lmpchain.engines.native.companions import OPENINGS, Companions
+from lmpchain.engines.native.step_choice import FIRST_STEP, choose_step, expected_reach, land
+from lmpchain.integrators.methods import METHODS
+
+VACUUM = Scene(
+    chain=Chain(grains=20, diameter=1e-3, gravity=0.0, bottom="wall"), excitation=Impulse(velocity=0.1),
+    duration=1e-4, samples=6,
+)  # fmt: skip
+RKN6 = METHODS["rkn6"]
+
+
+def column(velocity: float, **changes) -> Scene:
+    """Return a column that is struck on its top."""
+    excitation = Impulse(velocity=velocity)
+    chain = Chain(grains=120, diameter=1e-3)
+    return Scene(chain=chain, excitation=excitation, duration=1e-4, samples=21).replace(**changes)
+
+
+@pytest.mark.parametrize("name", ["rkn4", "rkn6", "kahan-li8"])
+def test_the_step_follows_from_error_constant_order_and_tolerance(name):
+    """C (omega h)^p for 60 radians, half of the tolerance; for ten times the time it is ten times as large."""
+    method = METHODS[name]
+    weak = paper("weak", samples=3)
+    radians = weak.highest_frequency * weak.duration
+    weak = weak.replace(duration=weak.duration * 60 / radians)
+    for scene, periods in ((weak, 1.0), (weak.replace(duration=10 * weak.duration), 10.0)):
+        for tolerance in (1e-9, 1e-12):
+            reach = expected_reach(scene, method, tolerance, adaptive=False)
+            error = periods * method.error_constant * reach**method.order
+            assert error == pytest.approx(tolerance / 2, rel=1e-6)
+    assert expected_reach(weak, method, 1.0, False) == pytest.approx(
+        method.stability_limit / 2, rel=1e-12
+    )
+
+
+def test_errors_are_larger_where_contacts_open_and_steps_are_shorter():
+    """By the root of the strain, four to 23 times; thirty times at equal steps."""
+    for strain, factor in ((0.3, 1.0), (0.31, 4.0), (3.0, 4.0), (12.0, 8.0), (math.inf, 23.0)):
+        assert FIRST_STEP.opening_factor(strain, adaptive=True) == pytest.approx(factor, rel=1e-9)
+    assert FIRST_STEP.opening_factor(0.31, adaptive=False) == 30.0
+    assert FIRST_STEP.opening_factor(0.3, adaptive=False) == 1.0
+    strong = column(1e-2)
+    ratio = expected_reach(strong, RKN6, 1e-12, True) / expected_reach(strong, RKN6, 1e-12, False)
+    assert ratio == pytest.approx(
+        (30 / FIRST_STEP.opening_factor(strong.largest_strain, True)) ** (1 / 6), rel=1e-9
+    )
+
+
+def test_cost_never_falls_as_the_tolerance_falls():
+    """In weak, strong and unbounded scenes, with few samples and many: the work of the first attempt."""
+    for scene in (
+        paper("weak"),
+        paper("fig1"),
+        VACUUM,
+        column(8.57e-4),
+        column(8.57e-4, samples=301),
+    ):
+        work = []
+        for tolerance in 10.0 ** -np.arange(1, 12.6, 0.25):
+            choices = [
+                choose_step(scene, METHODS[name], tolerance, True, True)
+                for name in ("rkn4", "rkn6")
+            ]
+            work.append(min(choice.work for choice in choices))
+        assert all(later >= 0.999 * earlier for earlier, later in pairwise(work))
+
+
+def test_of_scenes_that_nothing_bounds_the_first_attempt_shows_the_step(tmp_path):
+    """Tolerances below 1e-6 begin with its step; the answer is the same however it was asked for."""
+    engine = Native("rkn6")
+    first = engine.candidate(VACUUM, 1e-6)
+    assert engine.candidate(VACUUM, 1e-9).step == first.step
+    assert engine.candidate(column(1e-2), 1e-9).step < engine.candidate(column(1e-2), 1e-6).step
+    truth = reference(VACUUM)
+    for tolerance in (1e-6, 1e-9):
+        answer = simulate(VACUUM, "native", tolerance)
+        error = relative_error(
+            answer.displacement, answer.velocity, truth.displacement, truth.velocity
+        )
+        assert error / 3 < answer.error_estimate.total <= tolerance
+        others = (
+            *simulate_many([VACUUM, VACUUM], tolerance),
+            simulate(VACUUM, "native", tolerance, folder=tmp_path / f"{tolerance}"),
+        )
+        for other in others:
+            assert np.array_equal(other.velocity, answer.velocity)
+            assert other.error_estimate == answer.error_estimate
+    assert np.array_equal(resume(tmp_path / f"{tolerance}").velocity, answer.velocity)
+
+
+def ratios(scene: Scene, tolerance: float, **options) -> list[float]:
+    candidate = Native("rkn6", **options).candidate(scene, tolerance)
+    companions = Companions(RKN6, [scene], candidate)
+    return [schedule.ratio for schedule in companions.schedules]
+
+
+def test_companions_have_steps_twice_and_four_times_as_long():
+    """As far as these are stable; one more where contacts open and waves come back."""
+    weak = column(1e-6)
+    strong = column(1e-2)
+    assert ratios(weak, 1e-10) == [2, 4]
+    assert ratios(weak, 1e-2) == [2]
+    assert ratios(strong, 1e-10) == [2, 4]
+    returning = strong.replace(chain=Chain(grains=20, diameter=1e-3), duration=2e-3)
+    assert returning.highest_frequency * returning.duration > OPENINGS.returning * 20
+    assert ratios(returning, 1e-10) == [2, 4, 1.5]
+    assert ratios(returning, 1e-10, adaptive=False) == [2, 4]
+    springs = strong.replace(chain=Chain(grains=20, diameter=1e-3, exponent=1.0))
+    assert ratios(springs, 1e-10) == [2, 4, 1.75]
+
+
+def test_the_order_that_is_trusted():
+    """That of the method where nothing opens; six, four if coarse, three at kinks, and two at equal steps."""
+    strong = column(1e-2)
+    candidate = Native("kahan-li8").candidate(strong, 1e-10)
+    method = METHODS["kahan-li8"]
+
+    def order(scene=strong, opens=True, smooth=True, **changes):
+        companions = Companions(method, [scene], candidate._replace(**changes))
+        return companions.order(opens, smooth)
+
+    assert candidate.adaptive
+    assert order(opens=False) == 8
+    assert order(coarse_openings=False) == 6
+    assert order(coarse_openings=True) == 4
+    springs = strong.replace(chain=Chain(grains=120, diameter=1e-3, exponent=1.2))
+    assert order(springs) == 3
+    assert order(adaptive=False) == 2
+    assert order(adaptive=False, opens=False) == 8
+    assert order(adaptive=False, opens=False, smooth=False) == 2
+    verlet = Companions(METHODS["verlet"], [strong], candidate._replace(adaptive=False))
+    assert verlet.order(True, True) == 2
+
+
+def test_estimates_of_calm_answers_are_near_the_truth_and_above_it():
+    scene = Scene(
+        chain=Chain(grains=20, diameter=1e-3),
+        excitation=Impulse(velocity=1e-6),
+        duration=1e-4,
+        samples=11,
+    )
+    truth = reference(scene)
+    for tolerance in (1e-6, 1e-8, 1e-10):
+        answer = simulate(scene, Native("rkn6"), tolerance)
+        error = relative_error(
+            answer.displacement, answer.velocity, truth.displacement, truth.velocity
+        )
+        assert error < answer.error_estimate.total < 4 * error
+
+
+def test_no_companion_alone_has_the_steps_of_the_answer_where_knots_cut_them():
+    """Up to two steps a knot, those of twice the length are cut into the same; 1e-10 was hidden."""
+    times = np.linspace(0, 7e-5, 15)
+    push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
+    scene = Scene(chain=VACUUM.chain, excitation=push, duration=6e-5, samples=2)
+    candidate = Native("rkn6").candidate(scene, 1e-9)
+    knots = scene.excitation.knot_spacing
+    for parts, expected in ((1.6, [0.5]), (1.9, [0.5]), (2.1, [2]), (4.1, [2, 4])):
+        steps = round(parts * scene.duration / knots)
+        schedules = Companions(RKN6, [scene], candidate.with_steps(steps)).schedules
+        assert [schedule.ratio for schedule in schedules if schedule.ratio != 1.5] == expected
+
+
+def test_a_scene_that_amplifies_rounding_is_refused_at_once_with_the_time_up_to_which_it_is_known():
+    """Recorded up to there, it is answered."""
+    rng = np.random.default_rng(2)
+    chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, samples=101)
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:
+        simulate(scene, "native", 1e-7)
+    assert refusal.value.trajectory.cost.step_s > Native().candidate(scene, 1e-7).step / 20
+    known_s = float(refusal.value.reason.split("at t = ")[1].split(" s;")[0])
+    assert 2e-4 < known_s < 1.9e-3
+    samples = int(100 * known_s / scene.duration) - 4
+    shorter = scene.replace(duration=samples * scene.duration / 100, samples=samples + 1)
+    assert simulate(shorter, "native", 1e-7).error_estimate.total <= 1e-7
+
+
+def test_a_landing_is_at_least_eight_steps_later():
+    """On a multiple of four samples, as blocks end on these, or on the last one."""
+    many = column(1e-6, samples=2001)
+    for rate in (0.03, 0.1, 0.34, 0.7, 1.9):
+        steps, stride = land(many, rate)
+        assert stride % 4 == 0
+        assert rate * stride <= steps < rate * stride + 1
+        assert steps >= 8
+        assert (stride - 4) * rate < 8
+    assert land(many.replace(samples=6), 0.1) == (1, 5)
