@@ -109,9 +109,10 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
         when = "once for this machine"
         try:
             dispatcher = numba.njit(cache=True, **options)(function)
-            # numba checks only the source of this module, but a function may call modules beside it
+            # numba checks only the source of this module, but a function may call modules beside it; as a version
+            # it is looked at before the rest is read, which may name records that are no longer there
             file: Any = dispatcher._cache._cache_file
-            file._source_stamp = file._source_stamp, _sources(Path(function.__code__.co_filename))
+            file._version = f"{file._version} {_sources(Path(function.__code__.co_filename))}"
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
             dispatcher = numba.njit(**options)(function)

@@ -203,27 +203,6 @@ def test_equal_steps_may_round_to_one_side():
     assert native_floor(1e8, 0.0, drifts=True) > 1e3 * native_floor(1e8, 0.0)
 
 
-def test_grains_that_fly_at_equal_steps_are_as_far_off_as_is_said():
-    """Two springs that part for good: heights add up the same last digit for a million steps."""
-    chain = Chain(
-        grains=2, diameter=1e-3, gravity=0.0, exponent=1.0, bottom="free", masses=[1e-6, 1e-6],
-        contact_constants=[1e6],
-    )  # fmt: skip
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-3),
-        duration=3e4 / chain.band_edge,
-        samples=2,
-    )
-    run = simulate(scene, Native("rkn4", step=scene.duration / 1e6))
-    with mpmath.workdps(40):
-        # half a swing of the spring, and both have exchanged their velocities
-        omega = mpmath.sqrt(2 * mpmath.mpf(1e6) / mpmath.mpf(1e-6))
-        flown = mpmath.mpf(1e-3) * (mpmath.mpf(scene.duration) - mpmath.pi / omega / 2)
-    error = abs(run.displacement[-1, 1] / float(flown) - 1)
-    assert error < 1.1 * run.error_estimate.solver
-
-
 # --- runs that begin nearby
 
 

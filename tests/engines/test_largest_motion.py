@@ -74,16 +74,18 @@ def largest(scene: str) -> np.ndarray:
 @pytest.mark.parametrize("integrator", METHODS)
 @pytest.mark.parametrize("scene", MOTIONS)
 def test_the_largest_motion_is_found(integrator, scene):
-    """To 5 % at the usual steps, though no sample shows it; never more than there is (known to 1e-3)."""
+    """Though no sample shows it: looked for after steps, 5 % or what these pass over are missed; known to 1e-3."""
     chosen = MOTIONS[scene]
     engine = Native(integrator, adaptive=integrator != "rkn6")
-    run = engine.start(
-        [chosen], engine.candidate(chosen, 1e-4 if METHODS[integrator].order <= 4 else 1e-8)
-    )
+    tolerance = 1e-4 if METHODS[integrator].order <= 4 else 1e-8
+    candidate = engine.candidate(chosen, tolerance)
+    run = engine.start([chosen], candidate)
     for _ in run.blocks():
         pass
     ratio = run.peaks[0] / largest(scene)
-    assert (ratio > 0.95).all()
+    reach = candidate.step * chosen.highest_frequency
+    assert reach < 1.2
+    assert (ratio > 0.995 * np.cos(max(reach, 0.6) / 2)).all()
     assert (ratio < 1.001 + 2 * run.errors()[0].truncation).all()
 
 

@@ -78,7 +78,7 @@ class Swing(Run):
 
     def errors(self):
         """Return the rounding."""
-        return [ErrorBudget(0.0, ROUNDING, True, np.zeros(self.scene.samples))]
+        return [ErrorBudget(0.0, ROUNDING, 1.0)]
 
     def cost(self):
         """Return that it costs next to nothing."""

@@ -1,4 +1,4 @@
-"""A run with its companions: the answer at one step size, beside native runs at others that show its error.
+"""A run with companions: an answer beside native runs at other steps, which show its error.
 
 An engine that rounds in another way than the native one also has a native twin at the same steps. Twin and answer are
 the same map in exact arithmetic: what they differ by is round-off.
@@ -371,7 +371,7 @@ class CompanionRun(Run):
 
 
 def fit_block(fit: int, samples: int, together: int) -> int:
-    """Return the samples of a block: all if they fit, or a multiple of those after which all runs stop together."""
+    """Return the samples of a block: all if they fit, or a multiple of those at which all runs stop."""
     return samples - 1 if fit >= samples else max(1, fit // together) * together
 
 

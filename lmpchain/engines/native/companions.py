@@ -1,4 +1,4 @@
-"""Companions of an answer: native runs at other steps, whose distances from it show its truncation error.
+"""Companions of an answer: native runs at other steps, whose distances show its truncation error.
 
 They run at 2h and 4h, for the rate at which differences shrink gives the error; where 4h is too long there is one at
 2h, and where that is, one at h/2. Where contacts open again and again errors scatter, and two runs may agree by chance:
