@@ -1,4 +1,4 @@
-"""The Runge-Kutta method DOP853 of Dormand and Prince, order 8, with an embedded error estimate."""
+"""The Runge-Kutta method DOP853 of Dormand and Prince, order 8, without its error estimate."""
 
 from __future__ import annotations
 
@@ -11,20 +11,11 @@ import numpy as np
 
 from ..util.arrays import Array
 from .method import March, first_growth
+from .openings import shorten_steps
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
-
-# analysis/calibration/adaptive_steps.py
-STEP_ERROR = 1e-9  # allowed error of an adaptive step with omega h = 1, over the scale of the motion; goes as h^order
-STEP_ERROR_MIN = (
-    2e-18  # least that is asked for: the estimate of less is round-off, and steps would never end
-)
-LONGER, FEWEST = (
-    4.0,
-    8,
-)  # most of an adaptive step over that of the schedule; least steps of a run, if that has as many
 
 
 @dataclass(frozen=True)
@@ -43,12 +34,11 @@ class DormandPrince:
 
     @cached_property
     def tables(self) -> tuple[Array, Array, Array]:
-        """Nodes (12,), inner weights (12, 12), weights of step and errors (6, 12); see `kernels.dop853`."""
+        """Nodes (12,), inner weights (12, 12) and weights of a step (2, 12); see `kernels.dop853`."""
         from scipy.integrate import DOP853
 
         a, b = DOP853.A[:12, :12], DOP853.B
-        outer = [row for e in (b, DOP853.E5[:12], DOP853.E3[:12]) for row in (e @ a, e)]
-        return DOP853.C[:12], a @ a, np.array(outer)
+        return DOP853.C[:12], a @ a, np.array([b @ a, b])
 
     @cached_property
     def spread(self) -> float:
@@ -73,14 +63,5 @@ class DormandPrince:
         """Return what moves a batch of chains by steps of these schedules."""
         from .kernels.dop853 import march
 
-        allowed, most = np.zeros(len(schedules)), np.ones(len(schedules))
-        for index, schedule in enumerate(schedules):
-            if schedule.adaptive:
-                reach = schedule.step / schedule.ratio * batch.omega.max()
-                allowed[index] = (
-                    max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order
-                )
-            if not batch.imposed.knots.size:  # which would cut all alike
-                total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
-                most[index] = min(LONGER, max(1.0, total / FEWEST))
-        return March(march, (*self.tables, allowed, most))
+        openings = shorten_steps(self.order, batch, schedules)
+        return March(march, (self.tables, openings, schedules[0].adaptive))

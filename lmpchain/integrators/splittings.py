@@ -9,31 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ..util.arrays import EPSILON, Array
-from .kernels.layout import Openings, Stages
+from ..util.arrays import Array
+from .kernels.layout import Stages
 from .method import March
+from .openings import shorten_steps
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# of the adaptive step size h' near an opening; analysis/calibration/adaptive_steps.py h' / h at the
-# time 1 / omega from the opening of a contact that matters most, small enough that these steps
-# leave as little error as the others; and of coarse ones, where that does not matter
-ADAPTIVE_STEP = 0.2
-COARSE_STEP = 0.4
 DENSE_ROWS = 4  # what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
-CROSSING_STEP = (
-    0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
-)
-# the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off
-LEAST_CROSSING = 0.1
 
 
 @dataclass(frozen=True)
@@ -107,10 +98,7 @@ class Splitting:
         stages = Stages(kicks, drifts)
         if not adaptive:
             return March(run, stages, shared=True)
-        near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
-        ratios = tuple(schedule.ratio for schedule in schedules)
-        crossing = _crossing(self.order, batch.opening_power, ratios)
-        openings = Openings(near, *crossing, *batch.openings)
+        openings = shorten_steps(self.order, batch, schedules)
         history = DENSE_ROWS if schedule.dense else 0
         return March(run, (stages, openings), history, shared=True)
 
@@ -133,13 +121,6 @@ def _march(adaptive: bool) -> Callable[..., int]:
     from .kernels import adaptive_splitting, splitting
 
     return adaptive_splitting.march if adaptive else splitting.march
-
-
-@lru_cache
-def _crossing(order: int, power: float, ratios: tuple[float, ...]) -> tuple[float, float, Array]:
-    """Return what `kernels.adaptive_splitting` takes of the step that crosses an opening."""
-    falls = 1 / (power + 1)
-    return CROSSING_STEP, (order + 1) * falls, LEAST_CROSSING * EPSILON**falls * np.array(ratios)
 
 
 def _symmetric(half: list[float], count: int) -> tuple[float, ...]:

@@ -231,7 +231,8 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     error = method.error_constant * max(1.0, radians / FIRST_STEP.radians)
     error *= FIRST_STEP.opening_factor(strain, adaptive)
     reach = (tolerance / TRUST.safety / error) ** (1 / method.order)
-    stable = method.stability_limit
+    # some methods are stable for longer steps than half a period of the fastest motion, and no good there
+    stable = min(method.stability_limit, math.pi)
     if strain <= FIRST_STEP.safe_strain:
         reach = min(reach, FIRST_STEP.longest * stable)
     else:

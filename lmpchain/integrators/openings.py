@@ -1,0 +1,56 @@
+"""How steps near contacts that open or close depend on the method and on its schedules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..util.arrays import EPSILON
+from .kernels.layout import Openings
+from .step_schedule import StepSchedule
+
+if TYPE_CHECKING:
+    from .batch import ChainBatch
+
+
+@dataclass(frozen=True)
+class OpeningSteps:
+    """Lengths of steps near an opening; analysis/calibration/adaptive_steps.py.
+
+    Attributes
+    ----------
+    shortened : float
+        h' / h at the time 1 / omega from the opening of the contact that matters most: small enough that
+        these steps leave as little error as the others.
+    coarse : float
+        The same of coarse ones, where samples hold steps short and that does not matter.
+    crossing : float
+        omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening.
+    least_crossing : float
+        omega h' over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off.
+    """
+
+    shortened: float = 0.2
+    coarse: float = 0.4
+    crossing: float = 0.03
+    least_crossing: float = 0.1
+
+
+OPENING_STEPS = OpeningSteps()
+
+
+def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> Openings:
+    """Return how much shorter steps of these schedules, of one kind, are near openings."""
+    steps = OPENING_STEPS
+    falls = 1 / (batch.opening_power + 1)
+    ratios = np.array([schedule.ratio for schedule in schedules])
+    return Openings(
+        steps.coarse if schedules[0].coarse_openings else steps.shortened,
+        steps.crossing,
+        (order + 1) * falls,
+        steps.least_crossing * EPSILON**falls * ratios,
+        *batch.openings,
+    )
