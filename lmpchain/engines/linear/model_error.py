@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from ...integrators.kernels.phase_error import (
     Imposed,
     Law,
     Links,
+    Sums,
     accumulate,
     start,
 )
@@ -128,7 +128,6 @@ class PhaseError:
         self._in_phase = in_phase(scene)
         self._travels = travel(scene) if self._in_phase and chain.grains > FEW else 0.0
         self._state = start() if state is None else np.array(state).view(STATE)
-        self._sums: Any = self._state.view(np.recarray)[0]  # which sees what is added later
 
     def add(self, solution: Evaluations) -> None:
         """Take in the solution at more times."""
@@ -164,15 +163,18 @@ class PhaseError:
     @property
     def estimate(self) -> float:
         """Largest of these parts, and what open contacts add by pulling."""
-        pulled = self._sums.pulled / self.scale[1]
-        error = max(self.scattered, self.steepens) + pulled
-        return float(min(1.0, error)) if self._decidable else 1.0
+        if not self._decidable:
+            return 1.0
+        pulled = _over(self.sums.pulled, self.sums.velocity)
+        return min(1.0, max(self.scattered, self.steepens) + pulled)
 
     @property
     def at_most(self) -> float:
         """Upper bound on that error: reflections or a drive may shift the phase either way."""
+        if self.remark:
+            return 1.0
         bound = max(FACTORS.doubt * self.scattered, self.steepens)
-        return float(bound) if bound < FACTORS.large and not self.remark else 1.0
+        return bound if bound < FACTORS.large else 1.0
 
     @property
     def scattered(self) -> float:
@@ -186,19 +188,22 @@ class PhaseError:
     @property
     def shifted(self) -> float:
         """Error that the shift of the phase makes in samples."""
-        errors = np.array([self._sums.displacement_error, self._sums.velocity_error])
-        return float((errors / self.scale).max())
+        sums = self.sums
+        displacement = _over(sums.displacement_error, sums.displacement)
+        return max(displacement, _over(sums.velocity_error, sums.velocity))
 
     @property
     def resonant(self) -> float:
         """Error of few grains whose waves fit each other."""
-        return float((self._resonance.motion(self._sums.time) / self.scale).max())
+        sums = self.sums
+        displacement, velocity = self._resonance.motion(sums.time)
+        return float(max(_over(displacement, sums.displacement), _over(velocity, sums.velocity)))
 
     @property
     def strayed(self) -> float:
         """Error by strains that add up as a random walk."""
-        squared = self._frequency * self._sums.squared_strain
-        walk = self._sums.largest_strain + math.sqrt(squared)
+        sums = self.sums
+        walk = sums.largest_strain + math.sqrt(self._frequency * sums.squared_strain)
         return FACTORS.strays * self._excess * walk * self._begun
 
     @property
@@ -210,44 +215,52 @@ class PhaseError:
         """
         if not self._travels:
             return 0.0
+        sums = self.sums
         frequency = self._frequency
-        time = self._sums.time
-        strain = self._sums.largest_strain
-        travels = min(time, self._travels)
+        travels = min(sums.time, self._travels)
         if isinstance(self._excitation, Packet) and frequency > 0:
             ratio = min(1.0, frequency / self._fastest)
             apart = frequency * ratio**2 / (1 + math.sqrt(1 - ratio**2))
             travels = min(travels, (1 + 2 * ratio * self._excitation.width) / apart)
-        squared = math.sqrt(self._sums.squared_strain * time)
-        grown = frequency * min(strain * travels, squared)
-        return FACTORS.steepens * self._excess * (strain * self._begun + grown)
+        squared = math.sqrt(sums.squared_strain * sums.time)
+        grown = frequency * min(sums.largest_strain * travels, squared)
+        return FACTORS.steepens * self._excess * (sums.largest_strain * self._begun + grown)
 
     @property
     def _frequency(self) -> float:
         """Frequency of the wave, rad/s: its largest acceleration over its largest velocity."""
-        velocity = self._sums.velocity
-        return min(self._fastest, self._sums.acceleration / velocity) if velocity > 0 else 0.0
+        return min(self._fastest, _over(self.sums.acceleration, self.sums.velocity))
 
     @property
     def _begun(self) -> float:
         """Part of its velocity that the wave has changed: 1 unless the run ends before."""
-        return min(1.0, self._frequency * self._sums.time)
+        return min(1.0, self._frequency * self.sums.time)
 
     @property
     def scale(self) -> Array:
         """Largest displacement and velocity at any time, to which errors are relative, (2,)."""
-        largest = np.array([self._sums.displacement, self._sums.velocity])
+        largest = np.array([self.sums.displacement, self.sums.velocity])
         return np.where(largest > 0, largest, np.inf)
+
+    @property
+    def sums(self) -> Sums:
+        """What has been added up."""
+        return Sums(*self._state[0].item())
 
     @property
     def remark(self) -> str:
         """Why the linear solution does not hold at all, or is not known to, if so."""
-        opened = self._sums.opened
-        if not np.isnan(opened):
+        opened = self.sums.opened
+        if not math.isnan(opened):
             return f"not linear here: contact {opened:.0f} opens"
         if self._decidable:
             return ""
         return "contacts may open: the run is too long to look at every oscillation"
+
+
+def _over(error: float, size: float) -> float:
+    """Return an error relative to a size, 0 where nothing moves."""
+    return error / size if size > 0 else 0.0
 
 
 def expected_error(scene: Scene) -> float:

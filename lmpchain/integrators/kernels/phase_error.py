@@ -11,31 +11,42 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 
 compiled = compiled_once("the phase error of linear theory", 3)
-# Of the accumulation: time of the last evaluation, s, and the strain of largest size in it; phase
-# shift by then, s, and integral of the squared strain, s; largest strain, displacement, velocity
-# and acceleration at any time; largest effect of the shift on displacement and velocity in samples;
-# the first contact that opened, or NaN; largest acceleration, m/s2, by open contacts, which pull in
-# linear theory, in the last evaluation, and the velocity that it has given by then, m/s.
-STATE = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "time",
-            "strain",
-            "shift",
-            "squared_strain",
-            "largest_strain",
-            "displacement",
-            "velocity",
-            "acceleration",
-            "displacement_error",
-            "velocity_error",
-            "opened",
-            "pull",
-            "pulled",
-        )
-    ]
-)
+
+
+class Sums(NamedTuple):
+    """State of the accumulation.
+
+    Attributes
+    ----------
+    time, strain, pull : float
+        Time of the last evaluation, s; the strain of largest size in it; the largest acceleration
+        by open contacts, which pull in linear theory, m/s2.
+    shift, squared_strain, pulled : float
+        By then: phase shift, s; integral of the squared strain, s; velocity given by the pull, m/s.
+    largest_strain, displacement, velocity, acceleration : float
+        Largest ones of all times, m, m/s and m/s2.
+    displacement_error, velocity_error : float
+        Largest effect of the shift in samples, m and m/s.
+    opened : float
+        The first contact that opened, or NaN.
+    """
+
+    time: float
+    strain: float
+    pull: float
+    shift: float
+    squared_strain: float
+    pulled: float
+    largest_strain: float
+    displacement: float
+    velocity: float
+    acceleration: float
+    displacement_error: float
+    velocity_error: float
+    opened: float
+
+
+STATE = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
 class Links(NamedTuple):
