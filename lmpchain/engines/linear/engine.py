@@ -119,7 +119,7 @@ class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
-    start_up_s: ClassVar[float] = 1.7e-4
+    start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene, or no such series of it."""
@@ -156,7 +156,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
-    start_up_s: ClassVar[float] = 2e-4
+    start_up_s: ClassVar[float] = 2.4e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene, or no room for its modes."""
