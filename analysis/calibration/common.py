@@ -18,7 +18,7 @@ from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
 from lmpchain.engines.error_estimate import CompanionRun
 from lmpchain.engines.native import Native
 from lmpchain.errors import RunFailed, ToleranceNotMet
-from lmpchain.util.provenance import session
+from lmpchain.util.provenance import processor
 from lmpchain.util.tables import align
 
 NINE_IN_TEN, ALL_BUT_ONE = 0.9, 0.99
@@ -69,7 +69,7 @@ def command(main: Callable[[bool], list[Row]], doc: str | None) -> None:
     began = time.perf_counter()
     rows = main(quick)
     print("\n".join(table(rows)))
-    print(f"{time.perf_counter() - began:.0f} s on {session()['processor']}")
+    print(f"{time.perf_counter() - began:.0f} s on {processor()}")
 
 
 @dataclass(frozen=True, eq=False)
