@@ -1,272 +1,100 @@
-"""Measure the constants of the test for chaos and of the number of attempts.
+"""Measure when shorter steps are given up: PATIENCE.
 
-Short columns, weakly to strongly struck, for up to hundreds of periods, so that some are chaotic: each is tried at
-ever shorter steps, without the test. It can be answered if a try meets the tolerance and agrees with another
-integrator, kahan-li8, to the tolerance; no integrator shares its steps. Beside it two runs begin a last digit
-(LAST_DIGIT) apart. CHAOS_DIVERGENCE must lie between what scenes that can be answered and those that cannot make of
-that digit; a first miss beyond CHAOS_MISS tolerances should be rare among the former. ROUNDING_ULPS and SEED: what
-all rounding of a run makes of it, against the same steps in extended precision, over what a last digit at t = 0
-becomes.
+Short columns, weakly to strongly struck, for up to hundreds of periods, so that some make more of a last digit than any
+tolerance allows: each is tried at ever shorter steps, and never given up. PATIENCE.attempts is supported from the most
+that a scene took that could be answered, PATIENCE.stalls from what 95 in 100 of these took in a row that did not help.
+PATIENCE.stalled is supported where 95 in 100 of these are not given up, and half of the others are.
 
-    python analysis/calibration/chaos_test.py           # two minutes
+    python analysis/calibration/chaos_test.py           # a minute
     python analysis/calibration/chaos_test.py --quick   # seconds
 """
 
 from __future__ import annotations
 
-import itertools
-import math
-from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
-from common import NATIVE, Answer, Row, answer, command, distance, proposal, quantile, with_reach
+from common import Row, answer, command, label, proposal, quantile
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines.amplification import LAST_DIGIT
 from lmpchain.engines.native import Native
-from lmpchain.engines.perturbation import divergence
-from lmpchain.engines.step_control import (
-    ATTEMPTS,
-    CHAOS_DIVERGENCE,
-    CHAOS_ERROR,
-    CHAOS_MISS,
-    ERRATIC,
-    ROUNDING_ULPS,
-    STALLED,
-    STALLS,
-    WORSE,
-)  # fmt: skip
-from lmpchain.errors import RunFailed
-from lmpchain.stability.predictability import SEED
-from lmpchain.stability.roundoff import STEP, measured_floor
-from lmpchain.stability.roundoff import floor as predicted_floor
+from lmpchain.engines.step_control import PATIENCE
 
-MOST_STEPS = 400_000  # of one run
-PATIENT = 16  # tries, more than ATTEMPTS
+MOST_STEPS = 200_000  # of one run
+PATIENT = 20  # attempts, more than PATIENCE has
 TOLERANCES = (1e-4, 1e-6, 1e-8)
 
 
-@dataclass(frozen=True)
-class Story:
-    """The tries of a scene: their estimated errors over the tolerance and in all, and how a last digit grows."""
+class Story(NamedTuple):
+    """The attempts at a scene: their truncation errors, and whether one met the tolerance."""
 
-    tolerance: float
-    errors: tuple[float, ...]
-    roundoff: float
+    truncations: list[float]
     met: bool
-    right: bool
-    grown: float
 
     @property
-    def first(self) -> float:
-        """Error of the first try over the tolerance."""
-        return self.errors[0] / self.tolerance
+    def ratios(self) -> list[float]:
+        """Errors over those of the attempts before."""
+        return [after / before for before, after in pairwise(self.truncations)]
+
+    @property
+    def turn(self) -> float:
+        """The largest PATIENCE.stalled at which these attempts would be given up."""
+        ends = len(self.ratios) - PATIENCE.stalls + 1
+        return max((min(self.ratios[k : k + PATIENCE.stalls]) for k in range(ends)), default=0.0)
+
+    @property
+    def stall(self) -> int:
+        """Most attempts in a row that did not help."""
+        longest = length = 0
+        for ratio in self.ratios:
+            length = length + 1 if ratio > PATIENCE.stalled else 0
+            longest = max(longest, length)
+        return longest
 
 
 def story(scene: Scene, tolerance: float) -> Story | None:
-    """Try a scene until it is answered, or the steps become too many."""
+    """Try a scene until it is answered, or round-off is too much, or the steps are too many."""
     engine = Native("rkn6")
-    candidate, errors, met = proposal(engine, scene, tolerance), [], False
-    if candidate is None:
-        return None
-    first, run = candidate, None
-    while candidate and len(errors) < PATIENT and candidate.steps(scene.samples) < MOST_STEPS:
+    candidate = proposal(engine, scene, tolerance)
+    truncations: list[float] = []
+    while candidate and len(truncations) < PATIENT and candidate.steps(scene.samples) < MOST_STEPS:
         run = answer(engine, scene, candidate)
         if run is not None:
-            errors.append(run.error.truncation)
-            met = run.error.total <= tolerance
-            if met:
-                break
+            truncations.append(run.error.truncation)
+            if run.error.total <= tolerance:
+                return Story(truncations, True)
         candidate = engine.refine(candidate, run.error if run else None, tolerance)
-    if run is None or (len(errors) < 3 and not met):
-        return None
-    try:
-        grown = float(divergence(scene, first, LAST_DIGIT).max())
-    except RunFailed:
-        return None
-    right = met and _agrees(scene, run, tolerance)
-    return Story(tolerance, tuple(errors), run.error.roundoff, met, right, grown)
-
-
-def _agrees(scene: Scene, run: Answer, tolerance: float) -> bool:
-    """Say whether kahan-li8, left to itself, finds the same."""
-    other = proposal(Native("kahan-li8"), scene, tolerance)
-    if other is None:
-        return True
-    other = other.sampled
-    finer = other.with_steps(max(other.steps_per_landing, run.candidate.sampled.steps_per_landing))
-    second = answer(Native("kahan-li8"), scene, finer)
-    return second is None or distance(second.motion, run.motion) < 3 * (
-        tolerance + second.error.total
-    )
-
-
-def rounding(scene: Scene) -> tuple[float, float] | None:
-    """Return what rounding makes of a run, over what a last digit at t = 0 becomes, and over the law of a random walk.
-
-    The run is held against the same steps in extended precision, so that only rounding is left.
-    """
-    floor, law = measured_floor(scene), predicted_floor(scene)
-    candidate = NATIVE.candidate(scene, 0.1).sampled._replace(integrator="rkn6", adaptive=False)
-    try:
-        grown = float(divergence(scene, with_reach(scene, candidate, STEP), LAST_DIGIT).max())
-    except RunFailed:
-        return None
-    return (floor / grown, floor / law) if max(floor, grown) < 0.1 else None
+    return Story(truncations, False) if len(truncations) > PATIENCE.stalls else None
 
 
 def main(quick: bool = False) -> list[Row]:
-    """Return a row for each constant."""
-    short, long = (4, 28) if quick else (80, 80)
+    """Return a row for each field."""
+    short, long = (8, 20) if quick else (60, 100)
     ranges = {"grains": (3, 5, 8, 12, 20), "strength": (-2.0, 3.0), "samples": 21}
-    scenes = drawn(short, 31, spans=(2.0, 60.0), **ranges) + drawn(
-        long, 32, spans=(60.0, 400.0), **ranges
-    )
-    told = [found for k, scene in enumerate(scenes) if (found := story(scene, TOLERANCES[k % 3]))]
-    can, cannot = [x for x in told if x.right], [x for x in told if not x.met]
-    wrong = len(told) - len(can) - len(cannot)
-    suspects = [x for x in can if x.errors[0] > min(CHAOS_MISS * x.tolerance, CHAOS_ERROR)]
-    harmless, lost = [x.grown / x.tolerance for x in can], [x.grown / x.tolerance for x in cannot]
-    worst, least = max(harmless, default=math.nan), quantile(lost, 0.25)
-    accused = sum(x.grown >= CHAOS_DIVERGENCE * x.tolerance for x in suspects)
-    rows = [
-        Row(
-            "CHAOS_DIVERGENCE",
-            CHAOS_DIVERGENCE,
-            worst,
-            quantile(harmless, 0.95),
-            max(least, worst),
-            (
-                f"last digit grown, in tolerances: at most {worst:.2g} (95 "
-                f"%: {quantile(harmless, 0.95):.2g}) in {len(can)} scenes "
-                "that can be answered, "
-                f"a quarter below {least:.2g} in {len(cannot)} that cannot; "
-                f"{accused} of {len(suspects)} suspects accused wrongly; {wrong} "
-                "met ones differ"
-            ),
-        ),
-        Row(
-            "CHAOS_MISS",
-            CHAOS_MISS,
-            quantile([x.first for x in can], 0.95),
-            quantile([x.first for x in can], 0.9),
-            quantile([x.first for x in cannot], 0.75),
-            (
-                f"first error in tolerances: 90 % {quantile([x.first for x in can], 0.9):.2g} "
-                "of those that can be answered, "
-                f"{quantile([x.first for x in cannot], 0.5):.2g} half of the others"
-            ),
-        ),
-        Row(
-            "CHAOS_ERROR",
-            CHAOS_ERROR,
-            quantile([x.errors[0] for x in cannot], 0.25),
-            quantile([x.errors[0] for x in can], 0.75),
-            quantile([x.errors[0] for x in cannot], 0.9),
-            "first error: three quarters of those that can be answered are below, one in ten of the others above",
-        ),
+    scenes = drawn(short, 31, spans=(2.0, 60.0), **ranges)
+    scenes += drawn(long, 32, spans=(60.0, 400.0), **ranges)
+    stories = [
+        found
+        for number, scene in enumerate(scenes)
+        if (found := story(scene, TOLERANCES[number % 3]))
     ]
-    stalls = [_longest_stall(x.errors) for x in can]
-    some = quantile(stalls, 0.95)
-    rows.append(
-        Row(
-            "STALLS",
-            STALLS,
-            some,
-            some,
-            max(some, 3.0),
-            f"tries in a row that hardly helped, in scenes that can be answered: 95 %; most {max(stalls):.0f}",
-        )
-    )
-    for name, shipped, turn in (
-        ("STALLED", STALLED, _least_helpful),
-        ("WORSE", WORSE, _worst_turn),
-    ):
-        rows.append(
-            _falling(name, shipped, [turn(x.errors) for x in can], [turn(x.errors) for x in cannot])
-        )
-    needed = [len(x.errors) for x in can]
-    rows.append(
-        Row(
-            "ATTEMPTS",
-            ATTEMPTS,
-            max(needed),
-            max(needed),
-            PATIENT,
-            "most tries that a scene took that could be answered; 99 "
-            f"%: {quantile(needed, 0.99):.0f}, half {quantile(needed, 0.5):.0f}",
-        )
-    )
-    few = drawn(
-        12 if quick else 80,
-        33,
-        strength=(-2.0, 3.0),
-        grains=(3, 5, 8, 12),
-        spans=(10.0, 150.0),
-        samples=21,
-        driven=0.0,
-    )
-    made = [found for scene in few if (found := rounding(scene))]
-    ratios, walks = [ratio for ratio, _ in made], [walk for _, walk in made]
-    low, middle, high = (quantile(ratios, part) for part in (0.5, 0.9, 1.0))
-    says = f"half {low:.2g}, 9 in 10 {middle:.2g}, most {high:.2g} of {len(made)} runs"
-    rows.append(
-        Row(
-            "ROUNDING_ULPS",
-            ROUNDING_ULPS,
-            middle,
-            low,
-            max(high, middle),
-            f"rounding of a run over what {LAST_DIGIT:g} at t = 0 becomes: {says}",
-        )
-    )
-    least, median, most = (LAST_DIGIT * quantile(ratios, part) for part in (0.05, 0.5, 0.95))
-    rows.append(
-        Row(
-            "SEED",
-            SEED,
-            median,
-            least,
-            most,
-            "change at t = 0 that does as much as rounding: median, 5 to 95 %",
-        )
-    )
-    stuck = [x.errors[-1] / x.roundoff for x in cannot]
-    worst, far = quantile(walks, 0.95), quantile(stuck, 0.25)
-    says = (
-        f"error over expected round-off: 95 % of ordinary runs {worst:.2g}; "
-        f"a quarter of those that nothing helps {far:.2g}"
-    )
-    rows.append(Row("ERRATIC", ERRATIC, math.sqrt(worst * far), worst, far, says))
-    return rows
-
-
-def _least_helpful(errors: tuple[float, ...]) -> float:
-    """Return the error over that of the try before, of the STALLS tries in a row that helped least; 0 of fewer."""
-    ratios = [after / before for before, after in itertools.pairwise(errors)]
-    return max((min(ratios[k : k + STALLS]) for k in range(len(ratios) - STALLS + 1)), default=0.0)
-
-
-def _worst_turn(errors: tuple[float, ...]) -> float:
-    """Return the largest error over that of the try before; 0 of one try."""
-    return max((after / before for before, after in itertools.pairwise(errors)), default=0.0)
-
-
-def _falling(name: str, shipped: float, can: list[float], cannot: list[float]) -> Row:
-    """Return the row of a ratio of errors that few scenes exceed that can be answered, and most others do."""
-    low, high = quantile(can, 0.95), quantile(cannot, 0.25)
-    beyond = sum(x > shipped for x in can)
-    says = f"95 % of {len(can)} scenes that can be answered stay below {low:.2g}, {beyond} exceed {shipped:g}; "
-    says += f"three quarters of {len(cannot)} others reach {high:.2g}"
-    return Row(name, shipped, low, low, max(low, high), says)
-
-
-def _longest_stall(errors: tuple[float, ...]) -> int:
-    longest = here = 0
-    for before, after in itertools.pairwise(errors):
-        here = here + 1 if after > STALLED * before else 0
-        longest = max(longest, here)
-    return longest
+    can = [found for found in stories if found.met]
+    cannot = [found for found in stories if not found.met]
+    needed = [len(found.truncations) for found in can]
+    stalls = [found.stall for found in can]
+    harmless = quantile([found.turn for found in can], 0.95)
+    hopeless = quantile([found.turn for found in cannot], 0.5)
+    given_up = sum(found.turn > PATIENCE.stalled for found in can)
+    says = f"in {len(can)} scenes that can be answered"
+    lost = f"95 % of {len(can)} that can be answered stay below, half of {len(cannot)} others not"
+    attempts, enough = max(needed), quantile(stalls, 0.95)
+    return [
+        Row(label(PATIENCE, "attempts"), PATIENCE.attempts, attempts, attempts, PATIENT, says),
+        Row(label(PATIENCE, "stalls"), PATIENCE.stalls, enough, enough, max(stalls) + 1, says),
+        Row(label(PATIENCE, "stalled"), PATIENCE.stalled, harmless, harmless,
+            max(harmless, hopeless), f"{lost}; {given_up} are given up"),
+    ]  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 
 from lmpchain import Scene
 from lmpchain.benchmark.reference import Reference, reference
 from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
-from lmpchain.engines.error_estimate import CompanionRun
 from lmpchain.engines.native import Native
+from lmpchain.engines.native.companion_run import CompanionRun
+from lmpchain.engines.step_control import first_attempt, solve_to_tolerance
 from lmpchain.errors import RunFailed, ToleranceNotMet
 from lmpchain.util.provenance import processor
 from lmpchain.util.tables import align
@@ -81,7 +85,7 @@ class Answer:
     motion : (2, T, G) array
         Displacement and velocity.
     differences : tuple of float
-        Largest relative differences from its companions: at 2h and 4h, as far as there are any.
+        Largest relative differences of its companions, at 2h and 4h as far as there are any.
     lowest : float
         The smallest r / eps that any contact had in any of these runs; -1 is an opening.
     """
@@ -130,15 +134,23 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
 
 
 def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
-    """Return the candidate with the longest step up to omega h = reach that divides the sample interval.
-
-    Its companions are at 2h and 4h, for it asks for no accuracy.
-    """
+    """Return the candidate with the longest step up to omega h = reach that divides the sample interval."""
     interval = scene.duration / (scene.samples - 1)
-    candidate = candidate.sampled._replace(solver_error=0.0)
-    return candidate.with_steps(
+    return candidate.sampled.with_steps(
         max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12)))
     )
+
+
+@contextmanager
+def changed(record: Any, **values: object) -> Iterator[None]:
+    """Change fields of a frozen record of constants in every module that knows it by name."""
+    other = replace(record, **values)
+    modules = [module for name, module in sys.modules.items() if name.startswith("lmpchain")]
+    with ExitStack() as stack:
+        for module in modules:
+            for name in [name for name, value in vars(module).items() if value is record]:
+                stack.enter_context(mock.patch.object(module, name, other))
+        yield
 
 
 def proposal(engine: Engine, scene: Scene, tolerance: float) -> Candidate | None:
@@ -208,6 +220,61 @@ def near_best(costs: dict[float, float], within: float = 1.1) -> tuple[float, fl
     best = min(costs, key=lambda value: costs[value])
     good = [value for value, cost in costs.items() if cost <= within * costs[best]]
     return best, min(good), max(good)
+
+
+class Job(NamedTuple):
+    """A scene to answer to a tolerance, from a first step so many times the usual one."""
+
+    engine: Engine
+    scene: Scene
+    tolerance: float
+    longer: float = 1.0
+
+    @property
+    def work(self) -> float:
+        """Evaluations of the force in all attempts together; infinite if the tolerance is not met."""
+        evaluations = []
+
+        def collect(run: Run) -> None:
+            for _ in run.blocks():
+                pass
+            evaluations.append(run.cost().force_evaluations)
+
+        try:
+            attempt = first_attempt(self.engine, self.scene, self.tolerance)
+            if self.longer > 1:
+                steps = math.ceil(attempt.candidate.steps_per_landing / self.longer)
+                attempt = attempt._replace(candidate=attempt.candidate.with_steps(steps))
+            outcome = solve_to_tolerance(self.engine, [self.scene], attempt, collect)
+        except (RunFailed, ToleranceNotMet):
+            return math.inf
+        return math.inf if outcome.missed else sum(evaluations)
+
+
+def row_of_work(
+    record: Any, field: str, values: Sequence[float], jobs: Sequence[Job], what: str
+) -> Row:
+    """Return the row of a field by which steps are chosen: supported within 10 % of the least work."""
+    shipped = getattr(record, field)
+    each = {}
+    for value in sorted({*values, shipped}):
+        with changed(record, **{field: value}):
+            each[value] = np.array([job.work for job in jobs])
+    met = np.all([np.isfinite(work) for work in each.values()], axis=0)
+    usual = np.log(each[shipped][met])
+    costs = {
+        value: float(np.exp(np.mean(np.log(work[met]) - usual))) for value, work in each.items()
+    }
+    listed = ", ".join(f"{value:g}: {cost:.2f}" for value, cost in costs.items())
+    says = f"{what}; evaluations in {met.sum()} answers: {listed}"
+    return Row(label(record, field), shipped, *near_best(costs), says)
+
+
+def label(record: Any, field: str) -> str:
+    """Return the name of a field of a record as the code has it, such as TRUST.safety."""
+    module = sys.modules[type(record).__module__]
+    name = next(name for name, value in vars(module).items() if value is record)
+    return f"{name}.{field}"
 
 
 NATIVE = Native()

@@ -1,14 +1,13 @@
-"""Measure how long steps may be that show an error or pass over samples: FAR, SMALL, PILOT, BETWEEN, INTERPOLATED.
+"""Measure when samples between steps are interpolated, and how well: INTERPOLATION and ROUNDING.interpolated.
 
-In random scenes where no contact comes near to opening, companions run at steps so many times as long: FAR is supported
-as far as 99 estimates in 100 are bounds. SMALL, up to which one companion alone is trusted, is supported up to the
-smallest difference of which that does not hold. In scenes whose motion nothing bounds, answers are found after a pilot
-whose steps are so many times as long: PILOT is supported where all attempts together cost within 10 % of the least, in
-evaluations of the force for the answer. BETWEEN and LOST_BETWEEN are held against what samples between steps are
-further off than those on which steps end, where the polynomial or rounding makes it: within the middle nine tenths.
-INTERPOLATED, a bound on what rounding makes, is supported from where nine in ten runs stay below it to ten times that.
+In random scenes some samples lie between steps: how much further off they are than those on which steps end is the
+error of the polynomial where steps are long, and rounding where they are short. INTERPOLATION.error is supported within
+the middle nine tenths, INTERPOLATION.order within the quartiles of the slope between two steps. ROUNDING.interpolated,
+a bound, is supported from where nine in ten runs stay below it to ten times that. In columns an interpolated sample is
+timed against an evaluation of the force, supported within a factor of three, and whole answers against the least number
+of steps between two landings, supported within 10 % of the least time.
 
-    python analysis/calibration/long_steps.py           # three minutes
+    python analysis/calibration/long_steps.py           # a minute
     python analysis/calibration/long_steps.py --quick   # seconds
 """
 
@@ -16,189 +15,124 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from unittest import mock
 
 import numpy as np
-from common import (
-    ALL_BUT_ONE,
-    Case,
-    Row,
-    answer,
-    command,
-    near_best,
-    proposal,
-    quantile,
-    with_reach,
-)
+from common import Case, Row, answer, best, changed, command, label, near_best, proposal, quantile
 from scenes import drawn
 
-from lmpchain import RunFailed, Scene
-from lmpchain.engines import companions, native
-from lmpchain.engines.base import Run
+from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.native import Native
-from lmpchain.engines.richardson import SMALL
-from lmpchain.engines.round_off import INTERPOLATED, between_loss
-from lmpchain.engines.step_control import run_to_tolerance
-from lmpchain.engines.time_stepping import BETWEEN, LOST_BETWEEN, ORDER_BETWEEN
+from lmpchain.engines.native.round_off import ROUNDING, interpolation_loss
+from lmpchain.engines.native.step_choice import INTERPOLATION
 
-RATIOS, PILOTS = (2, 3, 4, 6), (1.0, 2.0, 4.0, 6.0, 8.0)
-TOLERANCES = 1e-6, 1e-8, 1e-10
-CLEAR = 30.0  # times round-off and the doubt about the truth, above which an error counts
 STEPS = 8  # from one sample on which one ends to the next
+REPEATS = 7  # of which the shortest time counts
 
 
-def far(calm: list[Case]) -> Iterator[Row]:
-    """Yield the rows of companions where nothing opens."""
-    found: dict[int, list[float]] = {ratio: [] for ratio in RATIOS}
-    alone = []
-    for case in calm:
-        for name in ("rkn4", "rkn6"):
-            if (proposed := proposal(Native(name), case.scene, 1e-3)) is None:
-                continue
-            for reach in (0.1, 0.2, 0.35, 0.9, 1.4):
-                candidate = with_reach(case.scene, proposed, reach)._replace(solver_error=1.0)
-                for ratio in RATIOS if reach < 0.5 else (2,):
-                    with mock.patch.object(companions, "FAR", (ratio,)):
-                        run = answer(Native(name), case.scene, candidate)
-                    if run is None:
-                        continue
-                    error = case.error(run.motion)
-                    if error < CLEAR * run.error.roundoff + 10 * case.reference.error:
-                        continue
-                    if reach < 0.5:
-                        found[ratio].append(run.error.total / error)
-                    elif len(run.differences) == 1:
-                        alone.append((run.differences[0], run.error.total / error))
-    low = {ratio: quantile(said, 1 - ALL_BUT_ONE) for ratio, said in found.items()}
-    good = [ratio for ratio in RATIOS if low[ratio] >= 1]
-    listed = "; ".join(
-        f"{r}: 1 % below {low[r]:.2f}, half below {quantile(found[r], 0.5):.2f}" for r in RATIOS
-    )
-    yield Row(
-        "FAR",
-        companions.FAR[0],
-        max(good, default=2),
-        2,
-        max(good, default=2),
-        f"estimate over truth: {listed}",
-    )
-    wrong = min((size for size, part in alone if size <= SMALL and part < 1), default=math.inf)
-    least = min((part for size, part in alone if size <= SMALL), default=math.nan)
-    says = f"of {len(alone)} differences of one companion; the least estimate up to SMALL is {least:.2f} of the truth"
-    yield Row("SMALL", SMALL, wrong, 0.0, wrong, says)
+def errors(case: Case, passed: int) -> tuple[float, float, float] | None:
+    """Return omega h, the error of samples between steps, and that over the law of its rounding.
+
+    None where it is no larger than that of the samples on which steps end.
+    """
+    scene = case.scene
+    proposed = proposal(Native("rkn6"), scene, 1e-6)
+    step = passed * scene.time[1]
+    reach = step * scene.highest_frequency
+    stride = STEPS * passed
+    if proposed is None or reach > 1.5:
+        return None
+    candidate = proposed.sampled._replace(steps_per_landing=STEPS, stride=stride, step=step)
+    run = answer(Native("rkn6"), scene, candidate)
+    if run is None:
+        return None
+    farthest, fastest = np.abs(case.motion).max((1, 2))
+    landed = np.abs(run.motion - case.motion)[:, ::stride].max((1, 2)) / (farthest, fastest)
+    error = case.error(run.motion)
+    if error < 3 * landed.max() + 10 * case.reference.error:
+        return None
+    law = interpolation_loss(run.steps, farthest / (fastest * scene.duration))
+    return reach, error, error / law
 
 
-def pilots(unbounded: list[Scene]) -> Row:
-    """Return the row of the first run at longer steps."""
-    costs: dict[float, list[float]] = {ratio: [] for ratio in PILOTS}
-    for scene in unbounded:
-        for tolerance in TOLERANCES:
-            each = {}
-            for ratio in PILOTS:
-                spent = 0
-
-                def collect(run: Run) -> None:
-                    nonlocal spent
-                    for _ in run.blocks():
-                        pass
-                    spent += run.cost().force_evaluations
-
-                try:
-                    with mock.patch.object(native, "PILOT", ratio):
-                        if not run_to_tolerance(Native("rkn6"), scene, tolerance, collect).missed:
-                            each[ratio] = spent
-                except RunFailed:
-                    break
-            if len(each) == len(PILOTS):
-                for ratio in PILOTS:
-                    costs[ratio].append(math.log(each[ratio] / each[1.0]))
-    mean = {ratio: math.exp(np.mean(each)) if each else math.nan for ratio, each in costs.items()}
-    best, low, high = near_best(mean)
-    listed = ", ".join(f"{ratio:g}: {cost:.2f}" for ratio, cost in mean.items())
-    return Row(
-        "PILOT",
-        native.PILOT,
-        best,
-        low,
-        high,
-        f"cost over that without, {len(costs[1.0])} answers: {listed}",
-    )
-
-
-def between(cases: list[Case]) -> Iterator[Row]:
-    """Yield the rows of samples between steps."""
-    steep, lost, digits = [], [], []
+def samples(cases: list[Case]) -> Iterator[Row]:
+    """Yield the rows of how far off samples between steps are."""
+    steep, slopes, digits = [], [], []
     for case in cases:
-        scene = case.scene
-        if (proposed := proposal(Native("rkn6"), scene, 1e-6)) is None:
-            continue
-        for passed in (3, 8, 25, 75):  # samples a step
-            step = passed * scene.time[1]
-            reach, stride = step * scene.highest_frequency, STEPS * passed
-            if not reach < 1.5:
-                continue
-            candidate = proposed.sampled._replace(steps_per_landing=STEPS, stride=stride, step=step)
-            if (run := answer(Native("rkn6"), scene, candidate)) is None:
-                continue
-            error = case.error(run.motion)
-            landed = np.abs(run.motion - case.motion)[:, ::stride].max((1, 2)) / np.abs(
-                case.motion
-            ).max((1, 2))
-            if error > 3 * landed.max() + 10 * case.reference.error:
-                if reach > 0.3:
-                    steep.append(error / reach**ORDER_BETWEEN)
-                elif reach < 0.03:
-                    lost.append(error / candidate.steps(scene.samples))
-                    farthest, fastest = np.abs(case.motion).max((1, 2))
-                    digits.append(
-                        INTERPOLATED
-                        * error
-                        / between_loss(run.steps, farthest / (fastest * scene.duration))
-                    )
-    for name, shipped, found, what in (
-        ("BETWEEN", BETWEEN, steep, "error at omega h = 1"),
-        ("LOST_BETWEEN", LOST_BETWEEN, lost, "error a step"),
-    ):
-        low, middle, high = (quantile(found, part) for part in (0.05, 0.5, 0.95))
-        most = max(high, middle) if name == "BETWEEN" else math.inf  # rounding is to be excluded
-        yield Row(
-            name,
-            shipped,
-            middle,
-            low,
-            most,
-            f"{what} of {len(found)} runs: {low:.2g} ... {high:.2g}",
-        )
+        found = [each for passed in (3, 8, 25, 50, 75) if (each := errors(case, passed))]
+        digits += [ROUNDING.interpolated * law for reach, _, law in found if reach < 0.03]
+        long = [(reach, error) for reach, error, _ in found if reach > 0.3]
+        steep += [error / reach**INTERPOLATION.order for reach, error in long]
+        if len(long) > 1:
+            slopes.append(float(np.polyfit(*np.log(long).T, 1)[0]))
+    low, middle, high = (quantile(steep, part) for part in (0.05, 0.5, 0.95))
+    name = label(INTERPOLATION, "error")
+    yield Row(name, INTERPOLATION.error, middle, low, high, f"of {len(steep)} runs: 5 to 95 %")
+    low, middle, high = (quantile(slopes, part) for part in (0.25, 0.5, 0.75))
+    name = label(INTERPOLATION, "order")
+    yield Row(name, INTERPOLATION.order, middle, low, high, f"slopes of {len(slopes)} scenes")
     nine = quantile(digits, 0.9)
+    name = label(ROUNDING, "interpolated")
+    says = f"last digits of {len(digits)} runs, nine in ten"
+    yield Row(name, ROUNDING.interpolated, nine, nine, 10 * nine, says)
+
+
+def column(grains: int, samples: int) -> Scene:
+    """Return a weakly struck column, recorded for 2000 radians or so."""
+    chain = Chain(grains=grains, diameter=1e-3)
+    strike = Impulse(velocity=1e-6)
+    return Scene(chain=chain, excitation=strike, duration=500 * chain.time_scale, samples=samples)
+
+
+def times(quick: bool) -> Iterator[Row]:
+    """Yield the rows of what interpolation costs."""
+    sizes = (12, 120) if quick else (12, 120, 1000)
+    engine = Native("rkn6")
+    over = []
+    for grains in sizes:
+        few, many = (column(grains, samples) for samples in (401, 4001))
+        candidate = engine.candidate(few, 1e-6).sampled
+        steps = candidate.steps(few.samples)
+        spent = []
+        for scene, step_count in ((few, steps), (few, 2 * steps), (many, steps)):
+            stride = (scene.samples - 1) // 10
+            each = candidate._replace(
+                steps_per_landing=step_count // 10, stride=stride, step=scene.duration / step_count
+            )
+            spent.append(best(lambda scene=scene, each=each: answer(engine, scene, each), REPEATS))
+        force = (spent[1] - spent[0]) / (steps * engine.methods[0].evaluations)
+        over.append((spent[2] - spent[0]) / 3600 / force)
+    middle = quantile(over, 0.5)
+    listed = ", ".join(f"{grains}: {value:.2g}" for grains, value in zip(sizes, over, strict=True))
+    says = f"time of a sample over that of a force evaluation, by grains: {listed}"
+    name = label(INTERPOLATION, "evaluations")
+    yield Row(name, INTERPOLATION.evaluations, middle, middle / 3, 3 * middle, says)
+    costs = {}
+    for value in (2, 4, 8, 16, 32):
+        spent = []
+        with changed(INTERPOLATION, steps=value):
+            for scene in (column(grains, samples) for grains in sizes for samples in (1001, 8001)):
+                each = engine.candidate(scene, 1e-6)
+                spent.append(
+                    best(lambda scene=scene, each=each: answer(engine, scene, each), REPEATS)
+                )
+        costs[value] = math.exp(np.mean(np.log(spent)))
+    listed = ", ".join(f"{value}: {1e3 * cost:.2f}" for value, cost in costs.items())
+    name = label(INTERPOLATION, "steps")
     yield Row(
-        "INTERPOLATED",
-        INTERPOLATED,
-        nine,
-        nine,
-        10 * nine,
-        f"last digits of {len(digits)} runs, nine in ten",
+        name, INTERPOLATION.steps, *near_best(costs), f"ms of {2 * len(sizes)} answers: {listed}"
     )
 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    count = 6 if quick else 60
-    calm = drawn(
-        count, 31, lambda s: s.largest_strain < 0.3 and s.excitation.smooth, strength=(-4.0, -0.3)
-    )
-    unbounded = drawn(count, 32, lambda s: s.largest_strain == math.inf, spans=(5.0, 60.0))
     dense = drawn(
-        count,
+        8 if quick else 60,
         33,
         lambda s: s.chain.compressed and not s.excitation.does_work,
         strength=(-4.0, 1.0),
         samples=601,
     )
-    return [
-        *far([case for case in map(Case, calm) if case.known]),
-        pilots(unbounded),
-        *between([case for case in map(Case, dense) if case.known]),
-    ]
+    return [*samples([case for case in map(Case, dense) if case.known]), *times(quick)]
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Measure the constants of the Richardson estimate of the error: SAFETY, ORDER_AT_OPENINGS and others.
+"""Measure the constants of the error estimate: TRUST, OPENINGS, FEWEST_STEPS and MANY_STEPS.
 
-Random scenes of every kind are run at three to four steps and the estimate is held against the true error, which comes
-from the Taylor series in extended precision. What is asked of every constant is that 99 in 100 estimates are no smaller
-than the true error. A factor is supported from there on up to half again what the worst estimate needs, or to where the
-median one is five times the error. EVERY and EVERY_STRETCHED are supported where as many estimates are bounds as with
-the best value, to one in two hundred.
+Random scenes of every kind are run at some steps with other values of each constant, and the estimate is held against
+the true error, which comes from the Taylor series in extended precision. A value is supported where 99 in 100 estimates
+are no smaller than the true error, or as many as with the best value, to one in 200, and where the median one is at
+most twice that of the tightest of such values. OPENINGS.near and OPENINGS.returning say where the full order, or two
+companions alone, may be trusted: they are supported as far as 99 in 100 of these estimates are bounds.
 
-    python analysis/calibration/richardson_estimate.py           # two to three minutes
+    python analysis/calibration/richardson_estimate.py           # three minutes
     python analysis/calibration/richardson_estimate.py --quick   # seconds
 """
 
@@ -14,379 +14,269 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
-from common import ALL_BUT_ONE, Case, Row, answer, command, proposal, quantile, with_reach
+from common import ALL_BUT_ONE, Case, Row, answer, changed, command, label, proposal, with_reach
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines import companions
-from lmpchain.engines.companions import (
-    CLOSE_TO_OPENING,
-    FEWEST,
-    KINKED_BELOW,
-    ORDER_AT_KINKS,
-    ORDER_AT_OPENINGS,
-    ORDER_WHERE_COARSE,
-)
-from lmpchain.engines.native import Native
-from lmpchain.engines.richardson import SAFETY, extrapolate
-from lmpchain.engines.time_stepping import REFINEMENT
+from lmpchain.engines.base import Candidate
+from lmpchain.engines.native import Native, companions
+from lmpchain.engines.native.companions import FEWEST_STEPS, OPENINGS
+from lmpchain.engines.native.estimate import TRUST
 from lmpchain.integrators import step_schedule
-from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.step_schedule import MANY_STEPS
 
-MARGIN = 1.5  # over what the worst estimate needs, for scenes that were not drawn
-LOOSE = 5.0  # times the true error: the largest median estimate
 REACHES = (1.6, 0.8, 0.4, 0.2)  # omega h
+SPLITTINGS = ("rkn4", "rkn6", "kahan-li8")
 KNOWN = 0.1  # errors above it obey no order
 CLEAR = 30.0  # times round-off
+RARE = 0.005  # share of estimates by which two values may differ
+WIDE = 2.0  # over the median estimate of the tightest value
 
 
-@dataclass(frozen=True)
-class Look:
-    """One run: the differences from its companions at 2h and 4h, and the true error."""
+class Look(NamedTuple):
+    """A run that is to be made, and its true error."""
 
-    scene: int
-    exponent: float
-    order: int
-    adaptive: bool
-    reach: float
-    lowest: float
-    fine: float
-    coarse: float
+    engine: Native
+    case: Case
+    candidate: Candidate
     error: float
 
     @property
-    def opens(self) -> bool:
-        """Whether a contact came close to opening, as the code says."""
-        return self.lowest <= CLOSE_TO_OPENING
+    def ratio(self) -> float:
+        """The estimate over the true error, with the constants as they are now."""
+        run = answer(self.engine, self.case.scene, self.candidate)
+        return run.error.total / self.error if run else math.nan
 
-    def estimate(self, order: float, smooth: bool) -> float:
-        """Return what `extrapolate` makes of it."""
-        return extrapolate(order, smooth, self.coarse, self.fine)
+    @property
+    def crossings(self) -> float:
+        """The phase of the fastest motion a grain, or in all where something acts on the chain."""
+        scene = self.case.scene
+        crossed = 1 if scene.excitation.does_work else scene.chain.grains
+        return scene.highest_frequency * scene.duration / crossed
 
 
-def looks(cases: list[Case], name: str, adaptive: bool, coarse: bool = False) -> list[Look]:
-    """Run the scenes at some steps; keep the runs whose errors are neither round-off nor out of all order."""
-    found, method = [], METHODS[name]
-    engine = Native(name, adaptive=adaptive)
-    for number, case in enumerate(cases):
-        if (
-            proposed := proposal(engine, case.scene, 1e-3)
-        ) is None or proposed.adaptive != adaptive:
+def look(engine: Native, case: Case, candidate: Candidate, opens: bool | None) -> Look | None:
+    """Hold a run against the truth; None where its error is round-off, beyond all order, or contacts do not fit."""
+    run = answer(engine, case.scene, candidate)
+    if run is None or opens not in (None, run.lowest <= OPENINGS.near):
+        return None
+    # of few samples, which may be far below the largest motion
+    error = float((np.abs(run.motion - case.motion).max((1, 2)) / case.reference.scale).max())
+    known = CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN
+    return Look(engine, case, candidate, error) if known else None
+
+
+def looks(
+    cases: Sequence[Case],
+    names: Sequence[str],
+    adaptive: bool,
+    opens: bool | None = None,
+    coarse: bool = False,
+    reaches: Sequence[float] = REACHES,
+) -> list[Look]:
+    """Return runs of the scenes at some steps, whose contacts open, do not, or either."""
+    found = []
+    for case, name in itertools.product(cases, names):
+        engine = Native(name, adaptive=adaptive)
+        proposed = proposal(engine, case.scene, 1e-3)
+        if proposed is None or proposed.adaptive != adaptive:
             continue
-        for reach in REACHES:
-            if 4 * reach > method.stability_limit:
-                continue
+        for reach in reaches:
             candidate = with_reach(case.scene, proposed, reach)._replace(coarse_openings=coarse)
-            if (run := answer(engine, case.scene, candidate)) is None:
-                continue
-            error = case.error(run.motion)
-            if not CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
-                continue
-            exponent = case.scene.chain.exponent
-            found.append(
-                Look(
-                    number,
-                    exponent,
-                    method.order,
-                    adaptive,
-                    reach,
-                    run.lowest,
-                    *run.differences[:2],
-                    error,
-                )
-            )
-    return found
+            if reach < engine.methods[0].stability_limit:
+                found.append(look(engine, case, candidate, opens))
+    return [each for each in found if each]
 
 
-def covered(found: list[Look], order: float, smooth: bool = True) -> float:
-    """Return the part of the estimates that are no smaller than the true error."""
-    return float(
-        np.mean([look.estimate(min(order, look.order), smooth) >= look.error for look in found])
-    )
-
-
-def row_of_factor(
-    name: str, shipped: float, found: list[Look], order: float, smooth: bool, what: str
+def judge(
+    name: str,
+    shipped: float,
+    values: Iterable[float],
+    change: Callable[[Any], AbstractContextManager[object]],
+    found: Sequence[Look],
+    what: str,
 ) -> Row:
-    """Return the row of a factor in front of an estimate."""
-    needed = [
-        look.error / look.estimate(look.order if smooth else order, smooth) * shipped
-        for look in found
-    ]
-    low, most, middle = quantile(needed, ALL_BUT_ONE), max(needed), quantile(needed, 0.5)
-    enough = np.mean(np.array(needed) <= shipped)
-    says = (
-        f"half need {middle:.2g}, 99 % {low:.2g}, all {most:.2g}; "
-        f"{100 * enough:.1f} % of {len(found)} {what} are bounds"
+    """Return the row of a constant that `change` sets: which estimates are bounds, and how large they are."""
+    parts: dict[float, float] = {}
+    middles: dict[float, float] = {}
+    for value in sorted({*values, shipped}):
+        with change(value):
+            ratios = np.array([each.ratio for each in found])
+        parts[value] = float(np.mean(ratios >= 1)) if found else math.nan
+        middles[value] = float(np.median(ratios)) if found else math.nan
+    enough = min(ALL_BUT_ONE, max(parts.values())) - RARE
+    bounds = [value for value, part in parts.items() if part >= enough]
+    tightest = min((middles[value] for value in bounds), default=math.nan)
+    good = [value for value in bounds if middles[value] <= WIDE * tightest]
+    best = min(good, key=lambda value: middles[value], default=math.nan)
+    listed = ", ".join(
+        f"{value:g}: {100 * part:.1f} ({middles[value]:.2g})" for value, part in parts.items()
     )
-    return Row(name, shipped, low, low, max(MARGIN * most, LOOSE * middle), says)
+    says = (
+        f"% of {len(found)} estimates of {what} that are bounds (median over the truth): {listed}"
+    )
+    return Row(name, shipped, best, min(good, default=math.nan), max(good, default=math.nan), says)
+
+
+def field(record: Any, name: str, values: Iterable[float], found: Sequence[Look], what: str) -> Row:
+    """Return the row of a field of a record."""
+    shipped = getattr(record, name)
+    return judge(
+        label(record, name), shipped, values, lambda x: changed(record, **{name: x}), found, what
+    )
+
+
+def edge(name: str, shipped: float, steps: Sequence[float], where: Callable[[Look], float],
+         found: Sequence[Look]) -> Row:  # fmt: skip
+    """Return the row of how far the first of these steps estimates are bounds, by where they are."""
+    places = np.array([where(each) for each in found])
+    bounds = np.array([each.ratio >= 1 for each in found])
+    parts = {}
+    for begin, end in itertools.pairwise(steps):
+        inside = (places - begin) * (places - end) <= 0
+        if inside.any():
+            parts[end] = float(np.mean(bounds[inside]))
+    holds = list(itertools.takewhile(lambda end: parts[end] >= ALL_BUT_ONE - RARE, parts))
+    last = max(holds, key=abs, default=steps[0])
+    listed = ", ".join(f"{end:g}: {100 * part:.1f}" for end, part in parts.items())
+    says = f"% of {len(found)} estimates that are bounds, up to there: {listed}"
+    return Row(name, shipped, last, min(steps[0], last), max(steps[0], last), says)
+
+
+def cases_of(count: int, seed: int, keep: Callable[[Scene], bool], **ranges: object) -> list[Case]:
+    """Draw scenes whose true motion is known."""
+    return [case for case in map(Case, drawn(count, seed, keep, **ranges)) if case.known]
+
+
+def lowest(each: Look) -> float:
+    """Return the lowest r / eps of a run, at least -1."""
+    run = answer(each.engine, each.case.scene, each.candidate)
+    return max(run.lowest, -1.0) if run else -1.0
 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    count = 8 if quick else 100
-    calm = [
-        case
-        for case in map(Case, drawn(count, 2, lambda s: s.largest_strain < 0.3, strength=(-4, 0.0)))
-        if case.known
-    ]
-    hard = [
-        case
-        for case in map(Case, drawn(count, 3, lambda s: s.largest_strain > 1, strength=(0.0, 3.0)))
-        if case.known
-    ]
-    between = [
-        case
-        for case in map(
-            Case, drawn(count, 5, lambda s: 0.3 < s.largest_strain < 3, strength=(-1.0, 1.0))
-        )
-        if case.known
-    ]
-    springy = [
-        case
-        for case in map(
-            Case,
-            drawn(
-                count,
-                4,
-                lambda s: s.largest_strain > 1,
-                strength=(0.0, 3.0),
-                exponents=(1.0, 1.1, 1.2),
-            ),
-        )
-        if case.known
-    ]
-    smooth = [
-        look
-        for name in ("verlet", "rkn4", "rkn6", "kahan-li6")
-        for look in looks(calm, name, False)
-    ]
-    fixed = [look for name in ("rkn4", "rkn6") for look in looks(hard, name, False) if look.opens]
-    steered = [
-        look
-        for name in ("rkn4", "rkn6", "kahan-li8")
-        for look in looks(hard, name, True)
-        if look.opens
-    ]
-    sprung = [
-        look
-        for name in ("rkn4", "rkn6", "kahan-li8")
-        for look in looks(springy, name, True)
-        if look.opens
-    ]
-    hertz = [look for look in steered if look.exponent >= KINKED_BELOW]
-    coarse = [
-        look
-        for name in ("rkn4", "rkn6", "kahan-li8")
-        for look in looks(hard, name, True, coarse=True)
-    ]
-    coarse = [look for look in coarse if look.opens and look.exponent >= KINKED_BELOW]
-    rows = [row_of_factor("SAFETY", SAFETY, smooth, 0, True, "smooth runs")]
-
-    factor = extrapolate(4, False, 0.0, 1.0)
-    divisor = factor / extrapolate(4, False, 1.0, 0.0)
-    rows.append(
-        row_of_factor(
-            "extrapolate: 1.5", factor, fixed, 0, False, "runs of fixed steps through openings"
-        )
-    )
-    alone = [look.error / (factor * look.fine) for look in fixed if look.error > factor * look.fine]
-    caught = {
-        d: np.mean([factor * max(x.fine, x.coarse / d) >= x.error for x in fixed])
-        for d in (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0)
-    }
-    good = [d for d, part in caught.items() if part > ALL_BUT_ONE - 0.005] or [min(caught)]
-    says = (
-        f"{100 * caught[4.0]:.0f} % are bounds with it, {100 - 100 * len(alone) / max(1, len(fixed)):.0f} "
-        "% without the run at 4h"
-    )
-    rows.append(Row("extrapolate: / 4", divisor, max(good), min(good), max(good), says))
-
-    slopes = _orders(fixed)
-    rows.append(
-        Row(
-            "StepRefinement.order_at_openings",
-            REFINEMENT.order_at_openings,
-            quantile(slopes, 0.5),
-            quantile(slopes, 0.25),
-            quantile(slopes, 0.75),
-            "order of rkn6 with fixed steps through openings, Hertz, "
-            f"{len(slopes)} scenes: median and quartiles; theory delta "
-            "+ 1",
-        )
-    )
-    for name, shipped, found, what in (
-        (
-            "ORDER_AT_OPENINGS",
-            ORDER_AT_OPENINGS,
-            hertz,
-            f"adaptive runs, exponents from {KINKED_BELOW}",
+    count = 8 if quick else 40
+    calm = cases_of(count, 2, lambda s: s.largest_strain < 0.3, strength=(-4, 0.0))
+    hard = cases_of(count, 3, lambda s: s.largest_strain > 1, strength=(0.0, 3.0))
+    springs = {"exponents": (1.0, 1.0, 1.1, 1.2), "strength": (0.0, 3.0)}
+    springy = cases_of(count, 4, lambda s: s.largest_strain > 1, **springs)
+    between = cases_of(2 * count, 5, lambda s: 0.3 < s.largest_strain < 3, strength=(-1.0, 1.0))
+    hertz = [case for case in hard if case.scene.chain.exponent >= OPENINGS.kinked_below]
+    smooth = looks(calm, ("verlet", "rkn4", "rkn6", "kahan-li6"), False)
+    equal = looks(hard, ("rkn4", "rkn6"), False, True)
+    open_ones = looks(hertz, SPLITTINGS, True, True)
+    sprung = looks(springy, SPLITTINGS, True, True, reaches=REACHES[1:])
+    coarse = looks(hertz, SPLITTINGS, True, True, coarse=True)
+    alone = looks(calm, ("rkn4", "rkn6"), False, reaches=(0.9, 1.2, 1.5))
+    return [
+        field(TRUST, "safety", (1.0, 1.5, 3.0, 4.0), smooth, "smooth runs"),
+        field(
+            TRUST, "least_gain", (1.1, 1.25, 2.0, 3.0), [*equal, *sprung], "runs through openings"
         ),
-        (
-            "ORDER_WHERE_COARSE",
-            ORDER_WHERE_COARSE,
-            coarse,
-            "the same where steps at openings are coarse",
-        ),
-        (
-            "ORDER_AT_KINKS",
-            ORDER_AT_KINKS,
-            sprung,
-            f"adaptive runs, exponents below {KINKED_BELOW}",
-        ),
-    ):
-        parts = {order: covered(found, order) for order in (1, 2, 3, 4, 5, 6, 8)}
-        most = max(
-            (order for order, part in parts.items() if part > ALL_BUT_ONE - 0.005), default=1
-        )
-        listed = ", ".join(f"{order}: {100 * part:.0f}" for order, part in parts.items())
-        rows.append(
-            Row(
-                name,
-                shipped,
-                most,
-                1,
-                most,
-                f"% of {len(found)} {what} that are bounds at order {listed}",
-            )
-        )
-    parts = {}
-    for low, high in (
-        (1.0, 1.0),
-        (1.1, 1.1),
-        (1.2, 1.2),
-        (1.25, 1.25),
-        (1.5, 1.5),
-        (2.0, 2.0),
-        (2.5, 3.0),
-    ):
-        found = [look for look in steered + sprung if low <= look.exponent <= high]
-        if len(found) >= 5:
-            parts[low] = covered(found, ORDER_AT_OPENINGS)
-    failing = [delta for delta, part in parts.items() if part < ALL_BUT_ONE - 0.005]
-    holding = [delta for delta in parts if delta > max(failing, default=1.0)]
-    listed = ", ".join(f"{delta:g}: {100 * part:.0f}" for delta, part in parts.items())
-    low, high = max(failing, default=1.0), min(holding, default=math.inf)
-    rows.append(
-        Row(
-            "KINKED_BELOW",
-            KINKED_BELOW,
-            high,
-            low,
-            high,
-            f"% of estimates of order {ORDER_AT_OPENINGS} that are bounds, by exponent: {listed}",
-        )
-    )
-    rows += [_closeness(calm + between, quick), _fewest(count)]
-    opening = (hard + springy)[:: 4 if quick else 2]
-    rows += [_landings(opening, "rkn4", "EVERY"), _landings(opening, "dop853", "EVERY_STRETCHED")]
-    return rows
+        field(TRUST, "settled", (0.0, 1e-3, 0.03, 0.1), alone, "smooth runs of long steps"),
+        _near([*calm, *between]),
+        field(OPENINGS, "order", (1, 2, 4, 8), open_ones, "adaptive runs"),
+        field(OPENINGS, "coarse_order", (1, 2, 6, 8), coarse, "runs with coarse openings"),
+        field(OPENINGS, "equal_order", (1, 1.5, 2.5, 3, 4), equal, "equal steps through openings"),
+        _kinked(springy + hertz),
+        field(OPENINGS, "kinked_order", (1, 2, 4, 6), sprung, "adaptive runs of springs"),
+        *_returning(count, quick),
+        _fewest(count),
+        _landings((hard + springy)[:: 3 if quick else 2]),
+    ]
 
 
-def _landings(cases: list[Case], name: str, constant: str) -> Row:
-    """Return the row of how many steps lie between two samples where companions land on each."""
-    shipped, parts, runs = getattr(step_schedule, constant), {}, 0
-    for value in sorted({8, 16, 32, 64, 128, 2**30, shipped}):
-        bounds = []
-        with mock.patch.object(step_schedule, constant, value):
-            for case, steps in itertools.product(cases, (9, 17, 33, 65, 129)):
-                engine = Native(name)
-                if (proposed := proposal(engine, case.scene, 1e-3)) is None:
-                    continue
-                if (run := answer(engine, case.scene, proposed.sampled.with_steps(steps))) is None:
-                    continue
-                error = case.error(run.motion)
-                if CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
-                    bounds.append(run.error.total >= error)
-        parts[value], runs = float(np.mean(bounds)), len(bounds)
-    best = max(parts.values())
-    good = [value for value, part in parts.items() if part > best - 0.005]
-    listed = ", ".join(
-        f"{value if value < 2**30 else 'none'}: {100 * part:.1f}" for value, part in parts.items()
+def _near(cases: list[Case]) -> Row:
+    """Return the row of how low r / eps may fall while the full order of equal steps holds."""
+    found = looks(cases, ("rkn6",), False)
+    with changed(OPENINGS, near=-2.0):
+        steps = (0.0, -0.25, -0.5, -0.75, -1.0)
+        return edge(label(OPENINGS, "near"), OPENINGS.near, steps, lowest, found)
+
+
+def _kinked(cases: list[Case]) -> Row:
+    """Return the row of the exponent below which an opening is a kink: as far as others are bounds."""
+    found = looks(cases, SPLITTINGS, True, True)
+    with changed(OPENINGS, kinked_below=1.0):
+        steps = (3.01, 1.75, 1.4, 1.24, 1.15, 1.05, 1.0)
+        return edge(label(OPENINGS, "kinked_below"), OPENINGS.kinked_below, steps,
+                    lambda each: each.case.scene.chain.exponent, found)  # fmt: skip
+
+
+def _returning(count: int, quick: bool) -> list[Row]:
+    """Return the rows of scenes in which waves come back to contacts that opened."""
+    rattling = {"grains": (2, 3, 4, 6), "spans": (5.0, 40.0 if quick else 200.0)}
+    cases = cases_of(
+        2 * count, 11, lambda s: s.largest_strain > 0.5, strength=(-0.5, 2.0), **rattling
     )
-    says = f"% of {runs} estimates of {name} that are bounds, 9 to 129 steps between samples, by it: {listed}"
-    return Row(
-        constant, shipped, good[0], good[0], good[-1] if good[-1] < 2**30 else math.inf, says
-    )
+    hertz = [case for case in cases if case.scene.chain.exponent >= OPENINGS.kinked_below]
+    found = looks(hertz, SPLITTINGS, True, True, reaches=REACHES[1:])
+    late = [each for each in found if each.crossings > OPENINGS.returning]
+    once = {"exponents": (1.0, 1.0, 1.1), "grains": (2, 3, 4, 6, 10, 20), "strength": (-0.5, 3.0)}
+    springy = cases_of(count, 12, lambda s: s.largest_strain > 0.5, spans=(2.0, 80.0), **once)
+    sprung = looks(springy, SPLITTINGS, True, True, reaches=REACHES[1:])
+    with changed(OPENINGS, returning=math.inf):
+        steps = (0.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+        returning = edge(label(OPENINGS, "returning"), OPENINGS.returning, steps,
+                         lambda each: each.crossings, found)  # fmt: skip
+    ratios = (1.25, 1.5, 1.75, 3.0)
+    rattles = "runs in which waves come back"
+    return [
+        returning,
+        field(OPENINGS, "nearby", ratios, late, rattles),
+        field(OPENINGS, "nearby_kinked", ratios, sprung, "adaptive runs of springs"),
+        field(TRUST, "nearby", (0.1, 0.3, 0.5, 1.0), late, rattles),
+    ]
 
 
 def _fewest(count: int) -> Row:
-    """Return the row of FEWEST: from how many steps of a run on companions at 2h and 4h show its error."""
-    short = drawn(
-        2 * count, 6, lambda s: s.largest_strain < 0.3, strength=(-4.0, 0.0), spans=(0.5, 6.0)
-    )
-    cases = [
-        case for scene in short if (case := Case(Scene(**scene.given() | {"samples": 2}))).known
-    ]
-    parts, runs = {}, 0
-    for steps in (1, 2, 3, 4, 6, 8, 12, 16):
-        bounds = []
-        for case, name in itertools.product(cases, ("verlet", "rkn4", "rkn6", "kahan-li8")):
-            proposed = proposal(engine := Native(name, adaptive=False), case.scene, 1e-3)
-            if proposed is None:
-                continue
-            try:
-                with mock.patch.object(companions, "FEWEST", 1):
-                    run = answer(engine, case.scene, proposed.sampled.with_steps(steps))
-            except ZeroDivisionError:  # the companions are alike
-                bounds.append(False)
-                continue
-            if run is None or len(run.differences) < 2:
-                continue
-            # of one sample, which may be far below the largest motion
-            error = float(
-                (np.abs(run.motion - case.motion).max((1, 2)) / case.reference.scale).max()
-            )
-            if CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
-                bounds.append(run.error.total >= error)
-        if bounds:
-            parts[steps], runs = float(np.mean(bounds)), runs + len(bounds)
-    failing = [steps for steps, part in parts.items() if part < ALL_BUT_ONE - 0.005]
-    first = min((steps for steps in parts if steps > max(failing, default=0)), default=math.inf)
-    listed = ", ".join(f"{steps}: {100 * part:.0f}" for steps, part in parts.items())
-    says = (
-        f"% of {runs} estimates from 2h and 4h that are bounds, by the steps of the run: {listed}"
-    )
-    return Row("FEWEST", FEWEST, first, first, max(first, 4 * first), says)
+    """Return the row of the fewest steps of a run whose companions have longer ones."""
+    calm = {"strength": (-4.0, 0.0), "spans": (0.5, 6.0)}
+    scenes = drawn(2 * count, 6, lambda s: s.largest_strain < 0.3, **calm)
+    short = map(Case, (scene.replace(samples=2) for scene in scenes))
+    found = []
+    with mock.patch.object(companions, "FEWEST_STEPS", 2):
+        for case, name in itertools.product(short, ("verlet", "rkn4", "rkn6", "kahan-li8")):
+            engine = Native(name, adaptive=False)
+            proposed = proposal(engine, case.scene, 1e-3) if case.known else None
+            for steps in (2, 4, 6, 8, 12, 16) if proposed else ():
+                found.append(look(engine, case, proposed.sampled.with_steps(steps), None))
+        runs = [each for each in found if each]
+        parts = {}
+        for steps in (2, 4, 6, 8, 12, 16):
+            each = [run.ratio >= 1 for run in runs if run.candidate.steps_per_landing == steps]
+            parts[steps] = float(np.mean(each)) if each else 1.0
+    failing = [steps for steps, part in parts.items() if part < ALL_BUT_ONE - RARE]
+    first = min((steps for steps in parts if steps > max(failing, default=0)), default=math.nan)
+    listed = ", ".join(f"{steps}: {100 * part:.1f}" for steps, part in parts.items())
+    says = f"% of {len(runs)} estimates from longer steps that are bounds, by steps: {listed}"
+    return Row("FEWEST_STEPS", FEWEST_STEPS, first, first, 4 * first, says)
 
 
-def _orders(found: list[Look]) -> list[float]:
-    """Return the observed orders of rkn6 between the longest and the shortest step of a scene, exponent 1.5."""
-    orders = []
-    for number in {look.scene for look in found}:
-        mine = sorted(
-            (x for x in found if x.scene == number and x.order == 6 and x.exponent == 1.5),
-            key=lambda x: x.reach,
-        )
-        if len(mine) > 1 and mine[0].reach < mine[-1].reach:
-            orders.append(
-                math.log(mine[-1].error / mine[0].error) / math.log(mine[-1].reach / mine[0].reach)
-            )
-    return orders
+def _landings(cases: list[Case]) -> Row:
+    """Return the row of how many steps lie between two samples where companions land on each."""
+    found = []
+    for case, name, steps in itertools.product(cases, ("rkn4", "dop853"), (9, 17, 33, 65)):
+        engine = Native(name)
+        proposed = proposal(engine, case.scene, 1e-3)
+        if proposed is not None:
+            found.append(look(engine, case, proposed.sampled.with_steps(steps), None))
 
+    def change(value: float) -> AbstractContextManager[object]:
+        companions._arrange.cache_clear()
+        return mock.patch.object(step_schedule, "MANY_STEPS", value)
 
-def _closeness(cases: list[Case], quick: bool) -> Row:
-    """Return the row of CLOSE_TO_OPENING: how low r / eps may fall while Richardson's estimate at fixed steps holds."""
-    found = [look for look in looks(cases, "rkn6", False) if math.isfinite(look.fine)]
-    edges, parts = (0.0, -0.25, -0.5, -0.75, -1.0, -1e9), {}
-    for top, bottom in itertools.pairwise(edges):
-        inside = [look for look in found if bottom < look.lowest <= top]
-        if len(inside) >= (3 if quick else 8):
-            parts[bottom] = float(
-                np.mean([look.estimate(6, True) >= look.error for look in inside])
-            )
-    last = 0.0
-    for bottom, part in parts.items():
-        if part < ALL_BUT_ONE - 0.005:
-            break
-        last = max(bottom, -1.0)
-    listed = ", ".join(f"{max(bottom, -2):g}: {100 * part:.0f}" for bottom, part in parts.items())
-    says = f"% of smooth estimates that are bounds, by the lowest r / eps down to: {listed}"
-    return Row("CLOSE_TO_OPENING", CLOSE_TO_OPENING, last, last, 0.0, says)
+    runs = [each for each in found if each]
+    row = judge("MANY_STEPS", MANY_STEPS, (8, 16, 64, 128), change, runs, "9 to 65 steps a sample")
+    companions._arrange.cache_clear()
+    return row
 
 
 if __name__ == "__main__":

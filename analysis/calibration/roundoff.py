@@ -20,15 +20,7 @@ from lmpchain import Chain, Drive, Impulse, Scene
 from lmpchain.engines.lammps.engine import HEIGHTS, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import CANCELS, Chebyshev, LinearEngine, Modes
 from lmpchain.engines.native import Native
-from lmpchain.engines.round_off import (
-    DISPLACED,
-    DRIFTED,
-    EPSILON,
-    PHASE_ULPS,
-    PLAIN,
-    native_floor,
-    plain_loss,
-)
+from lmpchain.engines.native.round_off import ROUNDING, native_floor, plain_loss
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS
@@ -37,6 +29,7 @@ from lmpchain.integrators.splittings import RKN6
 from lmpchain.simulation.api import simulate
 from lmpchain.stability.roundoff import floor as predicted_floor
 from lmpchain.stability.roundoff import measured_floor
+from lmpchain.util.arrays import EPSILON
 
 STEP = 0.3  # omega h
 
@@ -66,8 +59,7 @@ def radians(scene: Scene) -> float:
 def _native(count: int) -> Row:
     """Return the row of the random walk of the native engine: its factor, 1 in the code."""
     ratios = [
-        measured_floor(scene, force="exact")
-        / native_floor(evaluations(scene), radians(scene), _displaced(scene))
+        measured_floor(scene, force="exact") / native_floor(evaluations(scene), radians(scene))
         for scene in gentle(count, 51)
     ]
     low, middle = quantile(ratios, 0.9), quantile(ratios, 0.5)
@@ -82,16 +74,8 @@ def _native(count: int) -> Row:
     )
 
 
-def _displaced(scene: Scene) -> float:
-    """Return by how much displacements exceed velocities over the highest frequency."""
-    run = simulate(scene, Native("rkn6"), 1e-6)
-    return float(
-        scene.highest_frequency * np.abs(run.displacement).max() / np.abs(run.velocity).max()
-    )
-
-
 def _phases(count: int) -> Row:
-    """Return the row of PHASE_ULPS: what rounding makes of long runs, less the random walk."""
+    """Return the row of ROUNDING.phase: what rounding makes of long runs, less the random walk."""
     shifts = []
     for scene in gentle(
         count,
@@ -101,35 +85,20 @@ def _phases(count: int) -> Row:
         grains=(2, 3, 5),
         spans=(100.0, 500.0),
     ):
-        walk = native_floor(evaluations(scene), 0.0, _displaced(scene))
+        walk = native_floor(evaluations(scene), 0.0)
         shifts.append(
             max(0.0, measured_floor(scene, force="exact") - walk) / (EPSILON * radians(scene))
         )
     middle, high = quantile(shifts, 0.5), quantile(shifts, 0.9)
     says = f"ulps of the phase in long runs: half {middle:.2g}, 9 in 10 {high:.2g}, most {max(shifts):.2g}"
-    return Row("PHASE_ULPS", PHASE_ULPS, high, high, 10 * high, says)
-
-
-def _stiff(count: int) -> Row:
-    """Return the row of DISPLACED: the random walk where a soft chain has a stiff contact."""
-    walks, rng = [], np.random.default_rng(58)
-    ranges = {"strength": (-4.0, -0.5), "kinds": ("gravity", "load"), "exponents": (1.5, 2.0, 3.0)}
-    for scene in gentle(count, 58, **ranges):
-        try:
-            scene = _with_light_grain(scene, rng)
-        except InputError:  # squeezed too much
-            continue
-        if (displaced := _displaced(scene)) > 1 / DISPLACED:
-            others = native_floor(0.0, radians(scene))
-            walk = max(0.0, measured_floor(scene, force="exact") - others)
-            walks.append(walk / (EPSILON * math.sqrt(evaluations(scene)) * displaced))
-    middle, high = quantile(walks, 0.5), quantile(walks, 0.9)
-    says = f"walk over omega x / v, from {1 / DISPLACED:.0f} on: half {middle:.2g}, 9 in 10 {high:.2g} of {len(walks)}"
-    return Row("DISPLACED", DISPLACED, high, high, 10 * high, says)
+    return Row("ROUNDING.phase", ROUNDING.phase, high, high, 10 * high, says)
 
 
 def _flight(count: int) -> Row:
-    """Return the row of DRIFTED: two equal grains fly apart; the sum of their displacements is that of one at t = 0."""
+    """Return the row of ROUNDING.drift: two equal grains fly apart.
+
+    The sum of their displacements is that of one at t = 0.
+    """
     lost, rng = [], np.random.default_rng(61)
     chain, steps = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free"), 10**5
     for name in ("verlet", "gear4", "rkn4", "rkn6"):
@@ -144,15 +113,7 @@ def _flight(count: int) -> Row:
             lost.append(off / (EPSILON * run.cost.force_evaluations))
     middle, low, most = quantile(lost, 0.5), quantile(lost, 0.99), max(lost)
     says = f"last digits an evaluation in free flight: half {middle:.2g}, 99 % {low:.2g}, all {most:.2g} of {len(lost)}"
-    return Row("DRIFTED", DRIFTED, low, low, 3 * low, says)
-
-
-def _with_light_grain(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Return the scene with one movable grain much smaller, so that its frequency is far above that of the wave."""
-    chain = scene.chain
-    diameters = np.broadcast_to(chain.diameters, chain.grains).copy()
-    diameters[rng.integers(chain.movable)] *= 10 ** rng.uniform(-1.5, -0.5)
-    return scene.replace(chain=chain.replace(diameter=diameters))
+    return Row("ROUNDING.drift", ROUNDING.drift, low, low, 3 * low, says)
 
 
 def _spread(count: int) -> list[Row]:
@@ -210,7 +171,7 @@ def _bursts(count: int) -> Row:
 
 
 def _plain(count: int) -> list[Row]:
-    """Return the rows of PLAIN and STRONG: what the plain form of the force loses."""
+    """Return the rows of ROUNDING.plain and STRONG: what the plain form of the force loses."""
     lost, strong = [], []
     ranges = {"kinds": ("gravity", "load"), "exponents": (1.5,)}
     for scene in gentle(count, 52, strength=(-4.0, -1.0), **ranges):
@@ -219,15 +180,15 @@ def _plain(count: int) -> list[Row]:
         law = predicted_floor(scene, force="plain") - native_floor(
             evaluations(scene), radians(scene) / 4
         )
-        lost.append(PLAIN * measured_floor(scene, force="plain") / law)
+        lost.append(ROUNDING.plain * measured_floor(scene, force="plain") / law)
     for scene in gentle(count, 53, strength=(math.log10(STRONG), 2.0), **ranges):
         strong.append(measured_floor(scene, force="plain") / measured_floor(scene, force="exact"))
     low, middle, high = (quantile(lost, part) for part in (0.25, 0.5, 0.9))
     most = quantile(strong, 0.9)
     return [
         Row(
-            "PLAIN",
-            PLAIN,
+            "ROUNDING.plain",
+            ROUNDING.plain,
             middle,
             low,
             max(high, low),
@@ -353,7 +314,6 @@ def main(quick: bool = False) -> list[Row]:
         *(
             _native(count),
             _phases(count // 2),
-            _stiff(2 * count),
             _flight(count),
             *_plain(count),
             *_spread(count // 2),
