@@ -86,7 +86,7 @@ def field(name: str, values: tuple, found: list[Look]) -> Row:
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    count = 40 if quick else 250
+    count = 40 if quick else 300
     few = {"grains": (2, 3, 5, 8), "spans": (10.0, 60.0 if quick else 150.0), "driven": 0.0}
     scenes = drawn(count, 111, lambda s: s.largest_strain > 1, strength=(0.0, 3.0), **few)
     found = [each for scene in scenes if (each := look(scene))]

@@ -273,7 +273,7 @@ def row_of_work(
 def label(record: Any, field: str) -> str:
     """Return the name of a field of a record as the code has it, such as TRUST.safety."""
     module = sys.modules[type(record).__module__]
-    name = next(name for name, value in vars(module).items() if value is record)
+    name = next(name for name, value in vars(module).items() if isinstance(value, type(record)))
     return f"{name}.{field}"
 
 

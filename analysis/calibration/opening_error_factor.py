@@ -6,7 +6,7 @@ together, in evaluations of the force, in the geometric mean over the scenes. A 
 FIRST_STEP.safe_strain is supported up to the bound on the strain of the first scene in ten of those in which a contact
 comes near to opening.
 
-    python analysis/calibration/opening_error_factor.py           # three minutes
+    python analysis/calibration/opening_error_factor.py           # a minute
     python analysis/calibration/opening_error_factor.py --quick   # seconds
 """
 
@@ -47,7 +47,7 @@ def jobs(scenes: list[Scene], *engines: Native, tolerances: tuple = TOLERANCES) 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each field."""
-    count = 5 if quick else 40
+    count = 5 if quick else 100
     strong = drawn(count, 11, lambda s: 0.3 < s.largest_strain < math.inf)
     calm = drawn(count, 12, lambda s: s.largest_strain < 0.3, strength=(-4.0, -0.3))
     unbounded = drawn(count, 13, lambda s: s.largest_strain == math.inf)

@@ -199,7 +199,7 @@ def _plain(count: int) -> list[Row]:
             STRONG,
             STRONG if most < 10 else 10.0,
             0.0 if most < 10 else STRONG * 2,
-            math.inf,
+            10.0 * STRONG,
             "round-off of the plain form over that of the exact one beyond "
             f"it: half {quantile(strong, 0.5):.2g}, 9 in 10 {most:.2g}",
         ),

@@ -18,7 +18,7 @@ OPENING, FLYING = (
     50.0,
 )  # strike number, and that over N, between which `growth_rate` has been measured
 FEW, MANY = 6, 40  # and for how many grains
-# analysis/calibration/chaos_test.py
+# analysis/calibration/amplified_rounding.py
 SEED = 1e-14  # change at t = 0 that does as much as all rounding of a run: measured median, 1e-15.4 to 1e-12.4
 
 

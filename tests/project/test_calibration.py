@@ -12,16 +12,13 @@ FOLDER = ROOT / "analysis" / "calibration"
 SHARED = ("common", "scenes")
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
 # the longest
-LONG = (
-    *("adaptive_steps", "chaos_test", "halved_steps", "linear_model_error", "opening_error_factor"),
-    *("returning_waves", "richardson_estimate", "roundoff"),
-)
+LONG = ("adaptive_steps", "halved_steps", "linear_model_error", "richardson_estimate", "roundoff")
 # what few scenes already show; the README has what many do, and what none does
 SHOWN = {
     "adaptive_steps": ["CROSSING_STEP", "LEAST_CROSSING", "STEP_ERROR", "STEP_ERROR_MIN"],
-    "amplified_rounding": ["COARSE", "LONGER", "NEAR_ROUNDOFF", "SHORT", "GROWTH"],
+    "amplified_rounding": ["GROWTH.digit", "GROWTH.changes", "GROWTH.reach", "GROWTH.rate"],
     "between_samples": ["RESOLVED", "RESOLVED_BY_DIFFERENCES", "SAFETY (samples)"],
-    "chaos_test": ["STALLS", "ATTEMPTS", "ERRATIC", "CHAOS_ERROR"],
+    "chaos_test": ["PATIENCE.attempts", "PATIENCE.stalls", "PATIENCE.stalled"],
     "error_constants": ["rkn4.error_constant", "kahan-li8.error_constant", "dop853.error_constant"],
     "fit_thresholds": ["SOLITARY (height)", "SOLITARY (speed, width)", "WEAK_STRIKE"],
     "halved_steps": ["SAFETY (orbits)"],
@@ -34,12 +31,9 @@ SHOWN = {
         "FACTORS.doubt",
         "FACTORS.large",
     ],
-    "long_steps": ["FAR", "SMALL", "LOST_BETWEEN"],
+    "long_steps": ["INTERPOLATION.error", "ROUNDING.interpolated"],
     "linear_openings": ["FEW (waves)"],
-    "opening_error_factor": [
-        "SAFE_STRAIN",
-        "LONGEST_STEP",
-    ],  # of OPENING_ERROR and the rest quick runs say nothing
+    "opening_error_factor": ["FIRST_STEP.foreseen", "FIRST_STEP.longest", "FIRST_STEP.safe_strain"],
     "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
     "richardson_estimate": [
         "SAFETY",
@@ -48,19 +42,13 @@ SHOWN = {
         "CLOSE_TO_OPENING",
         "FEWEST",
     ],
-    "returning_waves": ["COMES_BACK", "NEARBY", "NEARBY_AT_KINKS"],
     "roundoff": [
-        *("native_floor", "DISPLACED", "PLAIN", "STRONG", "dop853.spread"),
+        *("native_floor", "ROUNDING.phase", "ROUNDING.drift", "ROUNDING.plain", "STRONG"),
         *("HEIGHTS.rounding", "HEIGHTS.headroom", "modes.round_off", "chebyshev.round_off"),
     ],
     "stability_limits": ["TRUSTED", "SAFE_STRAIN (pre_run)", "limit: verlet"],
     "transfer_matrices": ["WARM_UP"],
-    "step_refinement": [
-        "refine: 0.7 (aim)",
-        "refine: 16 (most)",
-        "refine: 1.3 (least)",
-        "refine: 2 (least, erratic)",
-    ],
+    "step_refinement": ["STEP_CONTROL.target", "STEP_CONTROL.least", "STEP_CONTROL.most"],
 }
 
 
