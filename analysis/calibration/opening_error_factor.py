@@ -1,10 +1,10 @@
-"""Measure where the first step comes from: FIRST_STEP, and COARSE_STEP.
+"""Measure where the first step comes from: FIRST_STEP, and OPENING_STEPS.coarse.
 
 Random scenes are answered at several tolerances with other values of each field. The work is that of all attempts
 together, in evaluations of the force, in the geometric mean over the scenes. A value is supported where that is within
-10 % of the least. FIRST_STEP.coarse_error and COARSE_STEP are varied in scenes with 101 samples, which hold steps short.
-FIRST_STEP.safe_strain is supported up to the bound on the strain of the first scene in ten of those in which a contact
-comes near to opening.
+10 % of the least. FIRST_STEP.coarse_error and OPENING_STEPS.coarse are varied in scenes with 101 samples, which hold
+steps short. FIRST_STEP.safe_strain is supported up to the bound on the strain of the first scene in ten of those in
+which a contact comes near to opening.
 
     python analysis/calibration/opening_error_factor.py           # a minute
     python analysis/calibration/opening_error_factor.py --quick   # seconds
@@ -14,16 +14,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from unittest import mock
 
-import numpy as np
 from common import (
     Job,
     Row,
     answer,
     command,
     label,
-    near_best,
     proposal,
     quantile,
     row_of_work,
@@ -35,7 +32,7 @@ from lmpchain import Scene
 from lmpchain.engines.native import Native
 from lmpchain.engines.native.companions import OPENINGS
 from lmpchain.engines.native.step_choice import FIRST_STEP
-from lmpchain.integrators import splittings
+from lmpchain.integrators.openings import OPENING_STEPS
 
 TOLERANCES = (1e-3, 1e-6, 1e-9)
 
@@ -71,23 +68,8 @@ def main(quick: bool = False) -> list[Row]:
         ),
         row_of_work(FIRST_STEP, "equal_error", (3.0, 10.0, 100.0, 300.0), equal, "equal steps"),
         row_of_work(FIRST_STEP, "coarse_error", (1.0, 4.0, 64.0, 256.0), sampled, "101 samples"),
-        _coarse_step(sampled),
+        row_of_work(OPENING_STEPS, "coarse", (0.2, 0.3, 0.6, 0.8), sampled, "101 samples"),
     ]
-
-
-def _coarse_step(sampled: list[Job]) -> Row:
-    """Return the row of the length of steps near openings where samples hold steps short."""
-    shipped = splittings.COARSE_STEP
-    each = {}
-    for value in (0.2, 0.3, 0.4, 0.6, 0.8):
-        with mock.patch.object(splittings, "COARSE_STEP", value):
-            each[value] = np.log([job.work for job in sampled])
-    met = np.all([np.isfinite(work) for work in each.values()], axis=0)
-    costs = {
-        value: float(np.exp(np.mean((work - each[shipped])[met]))) for value, work in each.items()
-    }
-    listed = ", ".join(f"{value:g}: {cost:.2f}" for value, cost in costs.items())
-    return Row("COARSE_STEP", shipped, *near_best(costs), f"evaluations of {met.sum()}: {listed}")
 
 
 def _safe_strain(quick: bool) -> Row:

@@ -15,7 +15,7 @@ SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in S
 LONG = ("adaptive_steps", "halved_steps", "linear_model_error", "richardson_estimate", "roundoff")
 # what few scenes already show; the README has what many do, and what none does
 SHOWN = {
-    "adaptive_steps": ["CROSSING_STEP", "LEAST_CROSSING", "STEP_ERROR", "STEP_ERROR_MIN"],
+    "adaptive_steps": ["OPENING_STEPS.crossing", "OPENING_STEPS.least_crossing"],
     "amplified_rounding": ["GROWTH.digit", "GROWTH.changes", "GROWTH.reach", "GROWTH.rate"],
     "between_samples": ["RESOLVED", "RESOLVED_BY_DIFFERENCES", "SAFETY (samples)"],
     "chaos_test": ["PATIENCE.attempts", "PATIENCE.stalls", "PATIENCE.stalled"],
