@@ -1,6 +1,6 @@
-"""Measure when a cut at the light cone pays: WORTH of the cut, and WINDOW_MIN.
+"""Measure when a cut at the light cone pays: CUT.share of the cut, and WINDOW_MIN.
 
-WORTH: the time to answer a scene with the grains that the wave reaches over that with all of them, for cuts that leave
+CUT.share: the time to answer a scene with the grains that the wave reaches over that with all of them, for cuts that leave
 more and more; the largest part that saves anything is measured. WINDOW_MIN: chains up to which computing all grains is
 no slower than following the wave.
 
@@ -10,6 +10,7 @@ no slower than following the wave.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from unittest import mock
 
@@ -23,7 +24,7 @@ from lmpchain.engines.native import Native
 from lmpchain.integrators import batch
 from lmpchain.integrators.kernels.splitting import PAD
 from lmpchain.scene import light_cone
-from lmpchain.scene.light_cone import WORTH as WORTH_OF_CUT
+from lmpchain.scene.light_cone import CUT
 
 
 def struck(grains: int, periods: float, strike_number: float = 0.01, samples: int = 11) -> Scene:
@@ -45,13 +46,13 @@ def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:
 
 
 def _cut(engine: Engine, quick: bool) -> Row:
-    """Return the row of WORTH of the light cone for one engine."""
+    """Return the row of CUT.share of the light cone for one engine."""
     repeats, ratios, periods = (3 if quick else 9), {}, 20.0
     needed = struck(3000, periods).reached.chain.grains
     for part in (0.3, 0.7, 0.97) if quick else (0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97):
         scene, times = struck(math.ceil(needed / part), periods), []
         for worth in (1.1, 0.0):  # always, and never
-            with mock.patch.object(light_cone, "WORTH", worth):
+            with mock.patch.object(light_cone, "CUT", dataclasses.replace(CUT, share=worth)):
                 times.append(best(lambda scene=scene: fresh(engine, scene), repeats))  # type: ignore[misc]
         ratios[part] = times[0] / times[1]
     saving = [part for part, ratio in ratios.items() if ratio < 0.97]
@@ -61,8 +62,8 @@ def _cut(engine: Engine, quick: bool) -> Row:
         f"{needed} grains; time with the cut over that without, by the part that is left: {listed}"
     )
     return Row(
-        f"WORTH (light cone, {engine.name})",
-        WORTH_OF_CUT,
+        f"CUT.share (light cone, {engine.name})",
+        CUT.share,
         max(saving, default=0.0),
         0.0,
         max(harmless, default=0.0),

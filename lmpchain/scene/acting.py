@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -16,11 +17,27 @@ from .base import Excitation, Number, OneGrain, Push
 from .profile import Profile
 from .waveform import Waveform
 
-SAMPLED = 1e-12  # least distance of two times, of the last one
-FASTEST, LARGEST = (
-    1e20,
-    1e100,
-)  # rad/s, and of a value in SI units: what nobody means, and what does not overflow
+
+@dataclass(frozen=True)
+class WaveformLimits:
+    """What nobody means by a waveform in SI units, and what overflows.
+
+    Attributes
+    ----------
+    frequency : float
+        Highest frequency, and one over the least time between two points, rad/s.
+    value : float
+        Largest displacement or force, m or N.
+    spacing : float
+        Least time between two points over the time of the last one.
+    """
+
+    frequency: float = 1e20
+    value: float = 1e100
+    spacing: float = 1e-12
+
+
+LIMITS = WaveformLimits()
 
 
 class _Acting(Excitation):
@@ -41,27 +58,18 @@ class _Acting(Excitation):
         return Waveform.sine(self.amplitude, self.frequency, self.cycles)
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        values, given = (
-            self.strength[1],
-            {key for key, value in self if value is not None} - {"grain", "start"},
-        )
-        ways = self._ways(values)
-        if given not in ways:
+        values = self.strength[1]
+        given = {key for key, value in self if value is not None} - {"grain", "start"}
+        if given not in self._ways(values):
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
-            return
-        if self.times is not None:
+        elif self.times is not None:
             yield from self._samples(values, getattr(self, values))
-        elif not self.waveform.fastest < FASTEST:
-            swift = 2 * np.pi * (self.frequency or 0.0) >= FASTEST
-            key = (
-                "frequency"
-                if swift
-                else next(key for key in ("cycles", "duration") if key in given)
-            )
-            yield (
-                key,
-                f"makes for {self.waveform.fastest:.2g} rad/s, too fast to compute with: use SI units",
-            )
+        elif not self.waveform.fastest < LIMITS.frequency:
+            key = "frequency"
+            if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
+                key = "cycles" if "cycles" in given else "duration"
+            frequency = f"makes for {self.waveform.fastest:.2g} rad/s"
+            yield key, f"{frequency}, too fast to compute with: use SI units"
 
     def _ways(self, values: str) -> list[set[str]]:
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
@@ -70,20 +78,17 @@ class _Acting(Excitation):
         return f"amplitude and frequency, with or without cycles, or times and {values}"
 
     def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
-        if (np.abs(values) > LARGEST).any():
-            yield key, f"must be at most {LARGEST:g} in size"
+        if (np.abs(values) > LIMITS.value).any():
+            yield key, f"must be at most {LIMITS.value:g} in size"
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
-        if self.times[0] != 0 or not (np.diff(self.times) > SAMPLED * self.times[-1]).all():
-            yield (
-                "times",
-                f"must begin with 0 and increase, each by more than {SAMPLED:g} of the last",
-            )
-        elif (np.diff(self.times) < 1 / FASTEST).any():
-            yield (
-                "times",
-                f"are {np.diff(self.times).min():.2g} s apart, too little to compute with: use SI units",
-            )
+        steps = np.diff(self.times)
+        if self.times[0] != 0 or not (steps > LIMITS.spacing * self.times[-1]).all():
+            least = f"{LIMITS.spacing:g} of the last"
+            yield "times", f"must begin with 0 and increase, each by more than {least}"
+        elif (steps < 1 / LIMITS.frequency).any():
+            apart = f"are {steps.min():.2g} s apart"
+            yield "times", f"{apart}, too little to compute with: use SI units"
 
     def _too_short(self, duration: float) -> Iterator[tuple[str, str]]:
         if self.times is not None and self.times[-1] < duration:

@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from ..chain.chain import Chain
 from ..chain.contacts import FEW_GRAINS
 from .base import Excitation
 
-UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
-WORTH = 0.7  # of the grains: where more than that are reached, all are computed; analysis/calibration/light_cone.py
-SHORT = 128  # grains: a shorter chain is computed as a whole, for less than it takes to cut it
+
+@dataclass(frozen=True)
+class Cut:
+    """When a chain is cut to the grains that the wave can have reached.
+
+    Attributes
+    ----------
+    unseen : float
+        Motion over that of the grain that is struck which no answer holds.
+    share : float
+        Of the grains: where more are reached, all are computed
+        (analysis/calibration/light_cone.py).
+    shortest : int
+        Grains: a shorter chain is computed as a whole, for less than it takes to cut it.
+    """
+
+    unseen: float = 1e-22
+    share: float = 0.7
+    shortest: int = 128
+
+
+CUT = Cut()
 
 
 def reached(
@@ -33,7 +53,7 @@ def reached(
         s.
     """
     grains = chain.grains
-    if not math.isfinite(energy) or grains < SHORT:
+    if not math.isfinite(energy) or grains < CUT.shortest:
         return 1, grains
     top, bottom = excitation.reach(chain)
     few = chain.contacts if grains <= FEW_GRAINS else None  # of many only some are looked at
@@ -41,7 +61,7 @@ def reached(
     away = 32
     while True:
         first, last = max(1, top - away), min(grains, bottom + away)
-        if last - first + 1 > WORTH * grains:
+        if last - first + 1 > CUT.share * grains:
             return 1, grains
         if known is None:
             part = chain.part(first, last)
@@ -65,7 +85,7 @@ def _distance(x: float) -> int:
     """
     d, log, square, further = max(8.0, x / 2), math.log(x / 2 + 1e-300), x * x, 1.0
     while abs(further) > 0.5 and d >= 8:
-        seen = 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) - UNSEEN
+        seen = 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) - math.log(CUT.unseen)
         further = seen / (2 * (math.log(2 * d + 0.5) - log) + 8 * square / (8 * d + 4) ** 2)
         d += further
     return max(8, math.ceil(d)) + 2

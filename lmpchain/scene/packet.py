@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -12,8 +13,24 @@ from ..util.arrays import Array
 from ..util.validation import Positive, Real
 from .base import Excitation, Number
 
-INSIDE = 6.0  # widths on either side of its middle that must lie in the chain: it is 1.5e-8 of its height there
-CUT = 9.0  # widths beyond which it is nothing
+
+@dataclass(frozen=True)
+class Extent:
+    """Half lengths of a packet in units of its width.
+
+    Attributes
+    ----------
+    inside : float
+        Must lie in the chain: the packet is 1.5e-8 of its height there.
+    cut : float
+        Beyond, the packet is nothing.
+    """
+
+    inside: float = 6.0
+    cut: float = 9.0
+
+
+EXTENT = Extent()
 
 
 class Packet(Excitation):
@@ -62,11 +79,11 @@ class Packet(Excitation):
         elif not chain.compressed:
             yield "kind", "there are no linear waves without gravity and load: give a top_load"
         else:
-            first, last = self._within(chain, INSIDE)
+            first, last = self._within(chain, EXTENT.inside)
             if first < 1 or last > chain.movable:
                 yield (
                     "width",
-                    f"the packet is {INSIDE:g} widths long on either side, which does not fit in the chain",
+                    f"the packet is {EXTENT.inside:g} widths long on either side, which does not fit in the chain",
                 )
                 return
             speed = self._hops(chain, first, last)
@@ -89,7 +106,7 @@ class Packet(Excitation):
 
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return the first and the last grain that it moves."""
-        first, last = self._within(chain, CUT)
+        first, last = self._within(chain, EXTENT.cut)
         return max(1, first), min(chain.movable, last)
 
     def part(self, first: int, last: int) -> Packet:

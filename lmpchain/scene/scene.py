@@ -17,7 +17,7 @@ from pydantic import InstanceOf
 from ..chain.chain import Chain
 from ..chain.picture import DRAWN, MOST
 from ..chain.plausible import LIMITS
-from ..util.arrays import Array, as_slice, evenly
+from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
 from . import toml_file
@@ -162,7 +162,7 @@ class Scene(Recording):
     @property
     def time(self) -> Array:
         """Recorded times, (T,) s."""
-        return evenly(self.duration, self.samples)
+        return np.linspace(0.0, self.duration, self.samples)
 
     @cached_property
     def finer(self) -> int:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,8 +23,25 @@ from .excitation import EXCITATIONS, Profile
 from .recording import Recording
 from .strike import squeezed, strike_faults, surroundings
 
-LARGEST_FILE, LARGEST_TABLE = 2**25, 2**33  # bytes
-LONGEST_LINE = 2**20  # of a table, characters
+
+@dataclass(frozen=True)
+class FileSizes:
+    """Largest files that are read.
+
+    Attributes
+    ----------
+    scene, table : int
+        Of a scene or sweep, and of a CSV file, bytes.
+    line : int
+        Of a CSV file, characters.
+    """
+
+    scene: int = 2**25
+    table: int = 2**33
+    line: int = 2**20
+
+
+FILE_SIZES = FileSizes()
 SECTIONS = ("chain", "excitation", "recording")
 T = TypeVar("T")
 
@@ -36,7 +54,8 @@ def read(path: str | PathLike[str]) -> dict[str, Any]:
 
 def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]:
     """Return the fields of a scene from the tables of its file; its CSV files lie in `folder`."""
-    faults: list[tuple[str, str]] = []
+    faults = list(_section_faults(data))
+    given = {key: dict(data[key]) for key in SECTIONS if isinstance(data.get(key), dict)}
 
     def attempt(section: str, make: Callable[[dict[str, Any]], T]) -> T | None:
         if section not in given:
@@ -47,34 +66,34 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
             faults.extend(error.under(section))
             return None
 
-    faults += [(key, _misplaced(key)) for key in data if key not in SECTIONS]
-    given: dict[str, dict[str, Any]] = {}
-    for section in SECTIONS:
-        table = data.get(section)
-        if isinstance(table, dict):
-            given[section] = dict(table)
-        elif table is None:
-            faults.append((section, f"is missing; add a [{section}] table"))
-        else:
-            faults.append((section, f"must be a table, [{section}]"))
-
     chain = attempt("chain", lambda keys: _chain(keys, folder))
     excitation = attempt("excitation", lambda keys: _excitation(keys, folder))
     recording = attempt("recording", lambda keys: Recording(**keys))
     counted = chain or _of_this_length(given.get("chain", {}))
     if counted and excitation:
-        found = list(excitation.faults(counted, recording.duration if recording else 0.0))
-        if chain and not found:
-            found = list(strike_faults(excitation, *squeezed(*surroundings(chain, excitation))))
-        faults.extend(InputError(found).under("excitation"))
+        duration = recording.duration if recording else 0.0
+        misfits = list(excitation.faults(counted, duration))
+        if chain and not misfits:
+            misfits = list(strike_faults(excitation, *squeezed(*surroundings(chain, excitation))))
+        faults.extend(InputError(misfits).under("excitation"))
     if counted and recording:
         faults.extend(InputError(recording.faults(counted)).under("recording"))
-    if faults:
+    if faults or not (chain and excitation and recording):
         raise InputError(faults)
-    assert chain
-    assert excitation
-    assert recording
     return {"chain": chain, "excitation": excitation, **recording.given()}
+
+
+def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield keys that are no sections, and sections that are missing or no tables."""
+    for key in data:
+        if key not in SECTIONS:
+            yield key, _misplaced(key)
+    for section in SECTIONS:
+        table = data.get(section)
+        if table is None:
+            yield section, f"is missing; add a [{section}] table"
+        elif not isinstance(table, dict):
+            yield section, f"must be a table, [{section}]"
 
 
 def _misplaced(key: str) -> str:
@@ -117,7 +136,7 @@ def parse(path: Path) -> dict[str, Any]:
     """Return what a TOML file holds; raises `InputError` if it cannot be read."""
     name = str(path)
     try:
-        check_readable(path, LARGEST_FILE)
+        check_readable(path, FILE_SIZES.scene)
         return tomllib.loads(path.read_bytes().decode("utf-8"))
     except FileNotFoundError:
         raise InputError([(name, "there is no such file")]) from None
@@ -183,50 +202,62 @@ def _fill(keys: dict[str, Any], made: type[Excitation], folder: Path | None) -> 
 
 
 def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]:
-    """Read the known columns of a CSV file with a header, as lists of numbers, of words for `material`."""
+    """Return known columns of a CSV file: lists of numbers, of words for `material`."""
     if not isinstance(name, str):
-        raise InputError([("file", "must be the name of a CSV file")])
+        raise InputError.at("file", "must be the name of a CSV file")
     if folder is None:
-        raise InputError(
-            [("file", "a scene without a folder can name no file: give the numbers themselves")]
-        )
+        cure = "give the numbers themselves"
+        raise InputError.at("file", f"a scene without a folder can name no file: {cure}")
     path = folder / name
-    try:
-        check_readable(path, LARGEST_TABLE)
-        with open(path, encoding="utf-8-sig", newline="") as opened:
-            lines = iter(lambda: opened.readline(LONGEST_LINE), "")
-            header, *rows = (
-                [cell.strip() for cell in row] for row in csv.reader(lines) if any(row)
-            )
-    except (OSError, ValueError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or "not a table with a header"
-        raise InputError([("file", f"{path} cannot be read as CSV: {reason}")]) from None
-    counted = "time" not in known  # a row a grain, so that a column may count them
-    if (
-        set(header) - {*known, *(["grain"] if counted else [])}
-        or not set(header) & set(known)
-        or len(set(header)) < len(header)
-    ):
-        raise InputError([("file", f"{path} must have a header with some of {', '.join(known)}")])
-    if bad := next((line for line, row in enumerate(rows, 2) if len(row) != len(header)), 0):
-        raise InputError(
-            [("file", f"{path}, line {bad}: must have {len(header)} values, as the header has")]
-        )
-    columns: dict[str, Any] = (
-        dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else {}
-    )
-    if not rows:
-        raise InputError([("file", f"{path} has a header and nothing below it")])
+    header, rows = _read_table(path)
+    # where a row is a grain, a column may count the grains
+    counters = set() if "time" in known else {"grain"}
+    _check_table(path, header, rows, known, counters)
+    columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True))
     for key in columns.keys() - {"material"}:
         try:
             columns[key] = [float(value) for value in columns[key]]
         except ValueError as error:
-            raise InputError(
-                [("file", f"{path}: the column {key} must hold numbers ({short(error)})")]
-            ) from None
-    if columns.pop("grain", None) not in (None, [float(n) for n in range(1, len(rows) + 1)]):
-        raise InputError([("file", f"{path}: the column grain must count 1, 2, 3 ...")])
+            message = f"{path}: the column {key} must hold numbers ({short(error)})"
+            raise InputError.at("file", message) from None
+    count = [float(number) for number in range(1, len(rows) + 1)]
+    if columns.pop("grain", count) != count:
+        raise InputError.at("file", f"{path}: the column grain must count 1, 2, 3 ...")
     return columns
+
+
+def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the header and the rows of a CSV file."""
+    try:
+        check_readable(path, FILE_SIZES.table)
+        with open(path, encoding="utf-8-sig", newline="") as opened:
+            lines = iter(lambda: opened.readline(FILE_SIZES.line), "")
+            filled = (row for row in csv.reader(lines) if any(row))
+            header, *rows = ([cell.strip() for cell in row] for row in filled)
+    except (OSError, ValueError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or "not a table with a header"
+        raise InputError.at("file", f"{path} cannot be read as CSV: {reason}") from None
+    return header, rows
+
+
+def _check_table(
+    path: Path,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    known: Sequence[str],
+    counters: set[str],
+) -> None:
+    """Raise `InputError` unless a table has known columns and full rows."""
+    names = set(header)
+    if names - {*known, *counters} or not names & {*known} or len(names) < len(header):
+        message = f"{path} must have a header with some of {', '.join(known)}"
+        raise InputError.at("file", message)
+    for line, row in enumerate(rows, 2):
+        if len(row) != len(header):
+            message = f"{path}, line {line}: must have {len(header)} values, as the header has"
+            raise InputError.at("file", message)
+    if not rows:
+        raise InputError.at("file", f"{path} has a header and nothing below it")
 
 
 def _toml(value: Any) -> Any:

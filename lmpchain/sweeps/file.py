@@ -21,7 +21,7 @@ from ..chain.materials import MATERIALS
 from ..disorder.draws import Law, Of, realisation
 from ..errors import InputError, check_tolerance, shown
 from ..scene.scene import Scene
-from ..scene.toml_file import LARGEST_TABLE, SECTIONS, parse
+from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
 from ..util.files import check_readable
 from ..util.suggestions import did_you_mean
@@ -226,7 +226,7 @@ def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -
     hashes = {}
     for name in sorted({name for name in names if isinstance(name, str)}):
         try:
-            check_readable(folder / name, LARGEST_TABLE)
+            check_readable(folder / name, FILE_SIZES.table)
             with open(folder / name, "rb") as opened:
                 hashes[name] = hashlib.file_digest(opened, "sha256").hexdigest()
         except (OSError, ValueError):

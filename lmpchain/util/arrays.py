@@ -1,6 +1,5 @@
 """The type of arrays that hold physical quantities, and the precision of their numbers."""
 
-from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -9,10 +8,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
-MANY = 10**4  # numbers, which are not kept
-MAGNITUDE = (
-    1 << 63
-) - 1  # the bits of a double without its sign; those of positive ones compare like the numbers
+# the bits of a double without its sign; those of positive ones compare like the numbers
+MAGNITUDE = (1 << 63) - 1
 
 
 def read_only(array: AnyArray) -> AnyArray:
@@ -26,26 +23,6 @@ def read_only(array: AnyArray) -> AnyArray:
     if isinstance(array, np.ndarray):
         array.flags.writeable = False
     return array
-
-
-def evenly(end: float, count: int) -> Array:
-    """Return `np.linspace(0.0, end, count)` in a fourth of the time.
-
-    Examples
-    --------
-    >>> evenly(0.3, 4).tolist() == np.linspace(0.0, 0.3, 4).tolist()
-    True
-    """
-    return _evenly(end, count).copy() if count <= MANY else _spread(end, count)
-
-
-def _spread(end: float, count: int) -> Array:
-    values = np.arange(float(count)) * (end / (count - 1))
-    values[-1] = end
-    return values
-
-
-_evenly = lru_cache(maxsize=4)(_spread)  # scenes are often recorded alike
 
 
 def as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:

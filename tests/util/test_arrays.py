@@ -1,41 +1,10 @@
-"""Arrays: even spacing to the last bit, slices, magnitudes, and what is computed once."""
+"""Arrays: slices, magnitudes, and what is computed once."""
 
 from functools import cached_property
 
 import numpy as np
-import pytest
 
-from lmpchain.util import arrays
-from lmpchain.util.arrays import EPSILON, MAGNITUDE, as_slice, evenly, read_only
-
-
-@pytest.mark.parametrize("count", [2, 3, 11, 101, 9_999, 10_000, 10_001, 30_000])
-def test_even_numbers_are_those_of_numpy(count: int):
-    for end in (1e-4, 0.3, 1 / 3, 7.7e-5, 2.4e-4):
-        values = evenly(end, count)
-        assert values.tobytes() == np.linspace(0.0, end, count).tobytes()
-        values[:] = 0.0  # which changes none to come
-        assert evenly(end, count).tobytes() == np.linspace(0.0, end, count).tobytes()
-
-
-def test_the_last_of_even_numbers_is_the_end():
-    """Also where the sum of the spacings is not."""
-    inexact = [
-        (end, n) for n in range(2, 60) for end in (0.3, 0.7) if end / (n - 1) * (n - 1) != end
-    ]
-    assert inexact
-    assert all(evenly(end, count)[-1] == end for end, count in inexact)
-
-
-def test_what_is_kept_of_even_numbers_is_small():
-    kept = []
-    for count in (5_000, 10_000, 12_000, 20_000, 60_000):
-        arrays._evenly.cache_clear()
-        evenly(1.0, count)
-        if arrays._evenly.cache_info().currsize:
-            kept.append(count)
-    assert kept[:1] == [5_000]
-    assert 8 * kept[-1] * arrays._evenly.cache_info().maxsize < 0.35e6  # bytes
+from lmpchain.util.arrays import EPSILON, MAGNITUDE, as_slice, read_only
 
 
 def test_indices_in_a_row_are_a_slice():
