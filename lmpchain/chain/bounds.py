@@ -1,4 +1,4 @@
-"""Bounds on a chain whose grains are alike but for a few: plain numbers, known sooner than its arrays."""
+"""Bounds on a chain of grains that are alike but for a few, known before its arrays."""
 
 from __future__ import annotations
 

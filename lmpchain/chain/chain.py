@@ -26,7 +26,8 @@ from .plausible import LIMITS, least_compression, remarks, too_compressed
 class Chain(AtRest, Checked):
     """A vertical column of grains that touch, numbered 1 to N from the top.
 
-    Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0 below 0.
+    Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0
+    below 0.
 
     Parameters
     ----------
@@ -42,19 +43,21 @@ class Chain(AtRest, Checked):
     top_load : float
         Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
     top, bottom : str
-        top "free" or "wall"; bottom "fixed" (grain N is held), "wall" or "free" (only without gravity and load).
-        Walls stand still; a wall at the top just touches grain 1 at rest unless there is a top load.
+        top "free" or "wall"; bottom "fixed" (grain N is held), "wall" or "free" (only without
+        gravity and load). Walls stand still; a wall at the top just touches grain 1 at rest unless
+        there is a top load.
     masses : (N,) array, optional
         kg; instead of those that follow from material and diameter.
     contact_constants : (N-1,) array, optional
-        K_n, N/m^delta; instead of ``(4/3) E* sqrt(R*) dbar^(1.5 - delta)``. The constant of a wall is then in the
-        same proportion to that of the contact next to it as it would be without.
+        K_n, N/m^delta; instead of ``(4/3) E* sqrt(R*) dbar^(1.5 - delta)``. The constant of a wall
+        is then in the same proportion to that of the contact next to it as it would be without.
     impurity : list of Impurity, optional
         Grains that differ.
     top_material, bottom_material : Material or name, optional
         Of the walls; by default that of the grain which touches it, so that K_wall = sqrt(2) K.
     wall_constants : (top, bottom), optional
-        N/m^delta, instead of those of the materials; 0 where there is no wall. One of ``2^delta K`` mirrors the chain.
+        N/m^delta, instead of those of the materials; 0 where there is no wall. One of ``2^delta K``
+        mirrors the chain.
 
     Raises
     ------
@@ -164,7 +167,7 @@ class Chain(AtRest, Checked):
 
     @property
     def _kinds(self) -> Array:
-        """Plane-strain modulus, diameter and mass of a common grain and all impurities, (3, I+1)."""
+        """Plane-strain modulus, diameter and mass of the kinds of grains, (3, I+1)."""
         return kinds(self.material, self.diameter, self.impurity)
 
     @cached_property
@@ -259,7 +262,7 @@ class Chain(AtRest, Checked):
 
     @property
     def contact_lengths(self) -> Array:
-        """Mean diameter of the two grains of every contact, at a wall that of the grain, (N+1,) m."""
+        """Mean diameter of the grains of every contact, at a wall that of one, (N+1,) m."""
         return self.equilibrium.contact_lengths
 
     @property

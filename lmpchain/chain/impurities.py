@@ -63,7 +63,7 @@ Impurities = Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)]
 def misfits(
     impurities: Sequence[Impurity], grains: int, constants_given: bool
 ) -> Iterator[tuple[str, str]]:
-    """Yield the faults of impurities in a chain of this length, with its own contact constants or not."""
+    """Yield the faults of impurities in a chain of this length."""
     for place, impurity in enumerate(impurities):
         if impurity.grain > grains:
             yield (

@@ -24,7 +24,8 @@ __dir__ = listed(__name__)
 def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
     """Return a tapered chain, with diameters d_n = d_1 (1 - taper)^(n-1).
 
-    Harbola, Rosas, Esposito and Lindenberg, Pulse propagation in tapered granular chains, arXiv:0905.4512.
+    Harbola, Rosas, Esposito and Lindenberg, Pulse propagation in tapered granular chains,
+    arXiv:0905.4512.
 
     Parameters
     ----------
@@ -60,8 +61,9 @@ def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
 def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **rest: Any) -> Chain:
     """Return a decorated chain: large grains, tapered or not, with a small one below each.
 
-    The small grain is `ratio` times as wide as the large one above it. The large ones, 1, 3, 5 ..., shrink by
-    the same share from each to the next, so that d_1, ratio d_1, (1 - taper) d_1, ratio (1 - taper) d_1, ...
+    The small grain is `ratio` times as wide as the large one above it. The large ones, 1, 3, 5 ...,
+    shrink by the same share from each to the next, so that d_1, ratio d_1, (1 - taper) d_1, ratio
+    (1 - taper) d_1, ...
 
     Harbola, Rosas, Romero, Esposito and Lindenberg, Pulse propagation in decorated granular chains,
     Phys. Rev. E 80, 051302 (2009).
@@ -106,8 +108,8 @@ def periodic(
 
     The first cell starts at grain 1; the last one is cut where the chain ends.
 
-    Porter, Daraio, Herbold, Szelengowicz and Kevrekidis, Highly nonlinear solitary waves in periodic dimer
-    granular chains, arXiv:0705.3471.
+    Porter, Daraio, Herbold, Szelengowicz and Kevrekidis, Highly nonlinear solitary waves in
+    periodic dimer granular chains, arXiv:0705.3471.
 
     Parameters
     ----------

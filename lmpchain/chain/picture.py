@@ -13,10 +13,8 @@ from ..util.plotting import axes_in_units, legend
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST, DRAWN = (
-    1_000_000,
-    2000,
-)  # grains of a chain that a notebook looks at in detail; that are drawn
+DETAILED_GRAINS = 1_000_000  # longest chain that a notebook looks at in detail
+DRAWN = 2000  # points of a curve in a picture
 
 
 class AtRest(Shown):
@@ -24,7 +22,7 @@ class AtRest(Shown):
 
     def _summary(self: Any) -> Iterator[Sequence[str]]:
         yield from super()._summary()
-        if self.grains <= MOST:
+        if self.grains <= DETAILED_GRAINS:
             yield (
                 "unit of length",
                 f"{self.length_scale:.6g} m",
@@ -34,10 +32,10 @@ class AtRest(Shown):
             yield "mass", f"{self.masses.sum():.6g} kg", "of all grains"
 
     def _picture(self: Any) -> str:
-        return super()._picture() if self.grains <= MOST else ""
+        return super()._picture() if self.grains <= DETAILED_GRAINS else ""
 
     def plot(self: Any, ax: Axes | None = None) -> Axes:
-        """Draw masses of grains and overlaps of contacts at rest, over their largest values; returns the axes."""
+        """Draw masses and overlaps at rest over their largest values; returns the axes."""
         ax = axes_in_units(ax, "", "")
         number = np.arange(1, self.grains + 1)
         some = slice(None, None, -(-self.grains // DRAWN))

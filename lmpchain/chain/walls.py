@@ -11,7 +11,7 @@ from ..util.arrays import Array
 def misfits(
     ends: Sequence[str], materials: Sequence[Any], given: Array | None
 ) -> Iterator[tuple[str, str]]:
-    """Yield the faults of materials and constants of walls, top and bottom, where these are the ends."""
+    """Yield the faults of materials and constants of the walls at these ends."""
     for name, end, material in zip(("top", "bottom"), ends, materials, strict=True):
         if material is not None and end != "wall":
             yield f"{name}_material", f'is that of a wall; there is none unless {name} = "wall"'

@@ -99,12 +99,12 @@ class _Acting(Excitation):
 
     @property
     def smooth(self) -> bool:
-        """Whether its third derivative never jumps but where a step can end, as at knots of a spline."""
+        """Whether its third derivative jumps only where a step can end, as at knots of a spline."""
         return self.waveform.smooth
 
     @property
     def knot_spacing(self) -> float:
-        """Least time between two knots of a spline, at which adaptive steps end, s; infinite for a sine."""
+        """Least time between knots of a spline, at which adaptive steps end, s; else infinite."""
         return self.waveform.knot_spacing
 
     @property
@@ -126,13 +126,16 @@ class Drive(_Acting):
     amplitude, frequency : float
         m and Hz, for ``phi_1 = A sin(2 pi f t)``,
     cycles : float, optional
-        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and rest afterwards; or else
+        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and rest
+        afterwards; or else
     times, displacement : arrays
-        s and m: the cubic spline (not-a-knot) through these points; two of them make a piston of constant speed.
+        s and m: the cubic spline (not-a-knot) through these points; two of them make a piston of
+        constant speed.
     grain : 0 or 1
         0 moves the top wall, of a chain with ``top = "wall"``.
     start : Profile, optional
-        Displacement and velocity at t = 0 of the grains that it does not move; at rest unless given.
+        Displacement and velocity at t = 0 of the grains that it does not move; at rest unless
+        given.
 
     Examples
     --------
@@ -198,7 +201,7 @@ class Drive(_Acting):
         return u, v
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return those of the start, and the largest of grain 1 or the wall, as if of grain 1, (N,)."""
+        """Return those of the start, (N,); of grain 1 the largest of it or of the wall."""
         fields = self._others(chain)
         for order, values in enumerate(fields):
             values[0] = max(abs(values[0]), self.waveform.largest(order))
@@ -240,7 +243,7 @@ class Drive(_Acting):
         return float(begun + np.sqrt(k[self.grain]) * self.waveform.path(duration))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
-        """Return what keeps it on its path: the forces of its contacts, besides the inertia of a grain."""
+        """Return what keeps it on its path: forces of its contacts and inertia of a grain."""
         speed, acceleration = self.motion(time)[1], self.acceleration(time)
         if not self.grain:
             return Push(force[:, 0], rate[:, 0], speed, acceleration, 0.0, False)
@@ -257,9 +260,11 @@ class Force(OneGrain, _Acting):
     amplitude, frequency : float
         N and Hz, for ``A sin(2 pi f t)``,
     cycles : float, optional
-        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and nothing afterwards; or
+        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and
+        nothing afterwards; or
     shape, amplitude, duration
-        "half-sine": ``A sin(pi t / duration)``, N and s, as of a hammer, and nothing afterwards; or else
+        "half-sine": ``A sin(pi t / duration)``, N and s, as of a hammer, and nothing afterwards; or
+        else
     times, force : arrays
         s and N: the cubic spline (not-a-knot) through these points.
 

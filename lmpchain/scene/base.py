@@ -23,7 +23,8 @@ class Push(NamedTuple):
     Attributes
     ----------
     force, rate : (T,) arrays
-        N and N/s; without what the inertia of a driven grain takes, its mass times the acceleration.
+        N and N/s; without what the inertia of a driven grain takes, its mass times the
+        acceleration.
     speed, acceleration : (T,) arrays
         Of the body, m/s and m/s2.
     inertia : float
@@ -43,14 +44,16 @@ class Push(NamedTuple):
 class Excitation(Checked):
     """How the chain is set in motion.
 
-    What stands here holds for initial data, after which nothing acts on the chain; others override it.
+    What stands here holds for initial data, after which nothing acts on the chain; others override
+    it.
 
     Attributes
     ----------
     kind : str
         Its name in scene files.
     strength : tuple of str
-        Fields that the motion of a linear chain is proportional to, the first of them the one to blame if too strong.
+        Fields that the motion of a linear chain is proportional to, the first of them the one to
+        blame if too strong.
     columns : dict
         Columns of its CSV file, and the fields that they fill; empty if it has no file.
     does_work : bool
@@ -82,12 +85,12 @@ class Excitation(Checked):
 
     @property
     def smooth(self) -> bool:
-        """Whether its third derivative in time never jumps after t = 0, but where a step can end."""
+        """Whether its third derivative in time jumps only where a step can end."""
         return True
 
     @property
     def knot_spacing(self) -> float:
-        """Least time between two knots of a spline that acts, at which adaptive steps end, s; else infinite."""
+        """Least time between knots of a spline, at which adaptive steps end, s; else infinite."""
         return np.inf
 
     @property
@@ -124,7 +127,7 @@ class Excitation(Checked):
         """Yield what this chain, or a scene that lasts so long, does not allow."""
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return the displacement (N,) m and velocity (N,) m/s that it imposes, at their largest."""
+        """Return the largest displacement (N,) m and velocity (N,) m/s that it imposes."""
         return self.initial(chain)
 
     def strongest(self, chain: Chain) -> tuple[float, float]:
@@ -142,7 +145,7 @@ class Excitation(Checked):
 
     @abstractmethod
     def part(self, first: int, last: int) -> Excitation:
-        """Return what it does to the grains of `Chain.part(first, last)`, all that it moves among them."""
+        """Return the same for `Chain.part(first, last)`, which has all grains that it moves."""
 
     def scaled(self, factor: float) -> Self:
         """Return the same excitation, so many times as strong."""
@@ -152,7 +155,7 @@ class Excitation(Checked):
         )
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E), in J^(1/2), for the energy E that it puts into the linearised chain after t = 0."""
+        """Bound sqrt(2 E), J^(1/2), of the energy E that it puts into the linearised chain."""
         return np.inf
 
     def push(

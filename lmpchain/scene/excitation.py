@@ -35,7 +35,7 @@ class Impulse(OneGrain):
         return np.zeros(chain.grains), self.at_grain(chain, self.velocity)
 
     def strongest(self, chain: Chain) -> tuple[float, float]:
-        """Return the largest displacement and speed, m and m/s: those of the grain that is struck."""
+        """Return the largest displacement and speed, m and m/s, those of the struck grain."""
         return 0.0, abs(self.velocity)
 
     def energy(self, chain: Chain) -> float:

@@ -36,12 +36,12 @@ CUT = Cut()
 def reached(
     chain: Chain, excitation: Excitation, energy: float, duration: float
 ) -> tuple[int, int]:
-    """Return the first and the last grain that can have moved by 1e-22 of the strike when the scene ends.
+    """Return the first and last grain that can have moved by 1e-22 of the strike at the end.
 
-    Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel function I_2d(W t) over d
-    grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms of the series of the exact solution are
-    positive there. The stiffest contact is bounded by the energy above rest; a driven chain has no such bound, and the
-    light cone is all of it.
+    Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel
+    function I_2d(W t) over d grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms
+    of the series of the exact solution are positive there. The stiffest contact is bounded by the
+    energy above rest; a driven chain has no such bound, and the light cone is all of it.
 
     Parameters
     ----------
@@ -81,7 +81,8 @@ def reached(
 def _distance(x: float) -> int:
     """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is too small to be seen.
 
-    The logarithm of that is concave where it falls: Newton's method ends beyond its root, never before.
+    The logarithm of that is concave where it falls: Newton's method ends beyond its root, never
+    before.
     """
     d, log, square, further = max(8.0, x / 2), math.log(x / 2 + 1e-300), x * x, 1.0
     while abs(further) > 0.5 and d >= 8:

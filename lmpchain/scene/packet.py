@@ -36,25 +36,28 @@ EXTENT = Extent()
 class Packet(Excitation):
     """A Gaussian packet of linear waves of one frequency that travels downward.
 
-    Velocities of grains and strains of contacts are samples of one wave ``A(x) cos(theta(x))`` at whole and half
-    numbers: the chain is a row of both in turn, each of which drives its neighbours, so waves that go down differ from
-    those that go up in wave number. The local wave number q follows from ``w = 2 sqrt(k/m) sin(q/2)`` contact by
-    contact, the amplitude from the energy that flows, the envelope from the travel time (WKB). On a uniform chain the
-    part that goes up is what is left of the Gaussian in q below 0 and above pi: in amplitude some
-    ``exp(-(q width)^2/2)`` and ``exp(-((pi - q) width)^2/2)``. Where stiffness and mass change it is what the chain
-    reflects on the way, and what a change within a wavelength adds.
+    Velocities of grains and strains of contacts are samples of one wave ``A(x) cos(theta(x))`` at
+    whole and half numbers: the chain is a row of both in turn, each of which drives its neighbours,
+    so waves that go down differ from those that go up in wave number. The local wave number q
+    follows from ``w = 2 sqrt(k/m) sin(q/2)`` contact by contact, the amplitude from the energy that
+    flows, the envelope from the travel time (WKB). On a uniform chain the part that goes up is what
+    is left of the Gaussian in q below 0 and above pi: in amplitude some ``exp(-(q width)^2/2)`` and
+    ``exp(-((pi - q) width)^2/2)``. Where stiffness and mass change it is what the chain reflects on
+    the way, and what a change within a wavelength adds.
 
     Parameters
     ----------
     frequency : float
         Hz.
     width : float
-        Standard deviation of the envelope ``exp(-x^2 / (2 width^2))``, in grains, where its middle is.
+        Standard deviation of the envelope ``exp(-x^2 / (2 width^2))``, in grains, where its middle
+        is.
     grain : int
         Its middle.
     amplitude : float
-        Height of the envelope of displacements in its middle, m, where the wave itself is 0 and velocities have their
-        crest: no grain need be displaced as far. Linear theory holds if it is small.
+        Height of the envelope of displacements in its middle, m, where the wave itself is 0 and
+        velocities have their crest: no grain need be displaced as far. Linear theory holds if it is
+        small.
 
     Examples
     --------
@@ -100,7 +103,7 @@ class Packet(Excitation):
 
     @staticmethod
     def _hops(chain: Chain, first: int, last: int) -> Array:
-        """Return sqrt(k/m), 1/s, from every grain to the contact below it, and on to the next grain."""
+        """Return sqrt(k/m), 1/s, from each grain to the contact below, and on to the next grain."""
         k, m = chain.contacts.stiffness[first:last], chain.masses[first - 1 : last]
         return np.sqrt(np.column_stack((k / m[:-1], k / m[1:]))).ravel()
 

@@ -14,7 +14,7 @@ from .base import Excitation
 
 
 class Profile(Excitation):
-    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0; what is left out is zero."""
+    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0, by default zero."""
 
     kind: ClassVar[str] = "profile"
     strength: ClassVar[tuple[str, ...]] = ("velocity", "displacement")

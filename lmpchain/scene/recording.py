@@ -44,7 +44,7 @@ OF_CONTACTS = ("peak_force", "force")  # and of a contact, as in "force:40"
 
 
 def contact_of(name: str) -> int | None:
-    """Return the contact that a quantity names, 40 of "force:40"; None if that is no plain number."""
+    """Return the contact that a quantity names, 40 of "force:40"; None if it names none."""
     number = name.partition(":")[2]
     plain = number.isascii() and number.isdigit() and str(int(number[:18])) == number
     return int(number) if plain else None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import InstanceOf
 
 from ..chain.chain import Chain
-from ..chain.picture import DRAWN, MOST
+from ..chain.picture import DETAILED_GRAINS, DRAWN
 from ..chain.plausible import LIMITS
 from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
@@ -58,10 +58,10 @@ class Scene(Recording):
     grains : "all", "first:last" or list of int
         Recorded grains.
     quantities : list of str, optional
-        What is gathered all along the run, also between the samples, without keeping more of these; the answer has it
-        as `Trajectory.gathered`, each with its error: "peak_displacement", "peak_velocity" and "arrival_time" of every
-        recorded grain, "peak_force:40" and "force:40" of contact 40, the latter at times so close that no motion hides
-        between them.
+        What is gathered all along the run, also between the samples, without keeping more of these;
+        the answer has it as `Trajectory.gathered`, each with its error: "peak_displacement",
+        "peak_velocity" and "arrival_time" of every recorded grain, "peak_force:40" and "force:40"
+        of contact 40, the latter at times so close that no motion hides between them.
 
     Raises
     ------
@@ -92,7 +92,8 @@ class Scene(Recording):
 
     def _remarks(self) -> Iterator[str]:
         if self.duration > LONGEST:
-            yield f"duration: {self.duration:g} s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
+            long = f"{self.duration:g} s is long for a wave in a chain"
+            yield f"duration: {long}; times are in seconds (100 us is 1e-4)"
         if not self._gentle:
             yield from strike_remarks(
                 self.chain, self.excitation, self._surroundings, self._squeezed[1]
@@ -100,7 +101,7 @@ class Scene(Recording):
 
     @cached_property
     def _overlap_at_most(self) -> float:
-        """Bound on overlaps at rest and in the first collision, m; infinite where only arrays can tell."""
+        """Bound on overlaps at rest and in the first collision, m; else infinite."""
         bounds, speed = self.chain.bounds, self.excitation.strike_velocity
         return bounds.struck(speed) if bounds and speed else np.inf
 
@@ -127,7 +128,7 @@ class Scene(Recording):
             f"{self.samples} times to {self.duration:g} s, {self.count(self.chain)} grains",
             "",
         )
-        if self.chain.grains <= MOST:
+        if self.chain.grains <= DETAILED_GRAINS:
             yield (
                 "strike number",
                 f"{self.strike_number:.4g}",
@@ -135,10 +136,10 @@ class Scene(Recording):
             )
 
     def _picture(self) -> str:
-        return super()._picture() if self.chain.grains <= MOST else ""
+        return super()._picture() if self.chain.grains <= DETAILED_GRAINS else ""
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the excitation: its course over time, or what it gives the grains at t = 0; returns the axes."""
+        """Draw the excitation over time, or what it gives the grains at t = 0; returns the axes."""
         waveform = getattr(self.excitation, "waveform", None)
         if waveform:
             name = self.excitation.strength[1]
@@ -180,7 +181,7 @@ class Scene(Recording):
 
     @property
     def fine(self) -> Scene:
-        """The scene that engines answer: with the times and grains that gathering quantities takes."""
+        """The scene that engines answer, with times and grains that gathering quantities takes."""
         return self._fine if self.quantities else self
 
     @cached_property
@@ -215,7 +216,7 @@ class Scene(Recording):
 
     @cached_property
     def imposed(self) -> tuple[float, float]:
-        """The largest displacement and speed that the excitation imposes on any grain, m and m/s."""
+        """The largest displacement and speed that the excitation imposes, m and m/s."""
         _, chain, excitation = self._surroundings
         return excitation.strongest(chain)
 
@@ -243,7 +244,8 @@ class Scene(Recording):
     def highest_frequency(self) -> float:
         """The highest frequency that can be excited, rad/s, which bounds the steps of every method.
 
-        The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
+        The band edge of the chain at rest, that of two grains pressed together by the strike, or
+        that of a drive.
         """
         bounds = self.chain.bounds
         fastest = max(self.chain.band_edge, self.excitation.fastest)
@@ -260,15 +262,16 @@ class Scene(Recording):
 
     @cached_property
     def largest_strain(self) -> float:
-        """A bound on ``|r / eps|`` of every contact, rigorous while it is small; infinite where there is none."""
+        """A bound on ``|r / eps|`` of all contacts, rigorous while it is small; else infinite."""
         return float(self.chain.contacts.largest_strain(self.energy))
 
     @cached_property
     def linear_strain(self) -> float:
         """A bound on ``|r / eps|`` of every contact of the linear chain at any time, or infinity.
 
-        Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its compliance c is 1/k
-        or, between two ends that stand still, where the others must give way, ``(1 - (1/k) / sum 1/k) / k``.
+        Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its
+        compliance c is 1/k or, between two ends that stand still, where the others must give way,
+        ``(1 - (1/k) / sum 1/k) / k``.
         """
         chain, contacts, excitation = self.chain, self.chain.contacts, self.excitation
         k, pressed = contacts.stiffness, contacts.pressed
@@ -286,7 +289,7 @@ class Scene(Recording):
 
     @cached_property
     def light_cone(self) -> LightCone | None:
-        """The grains that the wave can have reached when the scene ends; None if that is all of them."""
+        """The grains that the wave can have reached at the end; None if that is all of them."""
         first, last = reached(self.chain, self.excitation, self.energy, self.duration)
         if last - first + 1 == self.chain.grains:
             return None
@@ -296,11 +299,11 @@ class Scene(Recording):
 
     @property
     def reached(self) -> Scene:
-        """The scene of the grains that the wave can have reached, all of them recorded if they are not all."""
+        """The scene of the grains that the wave can have reached, recorded if not all."""
         return self.light_cone.scene if self.light_cone else self
 
     def part(self, first: int, last: int) -> Scene:
-        """Return grains first ... last, all recorded, as a scene: right until a wave meets their ends."""
+        """Return grains first ... last, all recorded: right until a wave meets their ends."""
         return Scene._unchecked(  # a part of a valid scene is valid
             chain=self.chain.part(first, last),
             excitation=self.excitation.part(first, last),
@@ -315,9 +318,9 @@ class Scene(Recording):
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:
-        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`.
+        """Make a scene from the tables of a scene file with CSV files in `folder`.
 
-        Without a folder the tables may name no files.
+        Raises `InputError` with every fault. Without a folder the tables may name no files.
         """
         return cls(**toml_file.fields(tables, folder))
 
@@ -346,7 +349,7 @@ class Scene(Recording):
 
 
 class LightCone(NamedTuple):
-    """The part of a scene that a wave can have reached; all else is at rest and need not be computed.
+    """The part of a scene that a wave can have reached; the rest need not be computed.
 
     Attributes
     ----------

@@ -53,12 +53,11 @@ def strike_number(chain: Chain, excitation: Excitation) -> float:
 
 
 def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
-    """Cut out the grains that an excitation moves and their neighbours, all that it acts on at first.
+    """Cut out the grains that an excitation moves, and their neighbours.
 
-    Returns
-    -------
-    the number of the first of these grains, these grains as a chain, and the excitation of that chain; a chain of few
-    grains, of which all contacts are known as soon, as a whole
+    Returns ------- the number of the first of these grains, these grains as a chain, and the
+    excitation of that chain; a chain of few grains, of which all contacts are known as soon, as a
+    whole
     """
     if chain.grains <= FEW_GRAINS:
         return 1, chain, excitation
@@ -68,7 +67,7 @@ def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Exci
 
 
 def squeezed(first: int, near: Chain, strike: Excitation) -> tuple[int, float]:
-    """Return the contact in these surroundings that is squeezed most, and to what part of the diameter."""
+    """Return the contact that is squeezed most, and to what part of the diameter."""
     with np.errstate(over="ignore"):  # of a strike that is refused
         relative = first_overlaps(near, strike) / near.contact_lengths
     worst = int(relative.argmax())

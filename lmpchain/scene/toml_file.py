@@ -111,7 +111,7 @@ def _misplaced(key: str) -> str:
 
 
 def _of_this_length(table: dict[str, Any]) -> Chain | None:
-    """Return a sound chain with the grains and ends of a faulty one, to check other tables against."""
+    """Return a sound chain of this length and ends, to check other tables against."""
     kept = {key: table[key] for key in ("grains", "top", "bottom") if key in table}
     try:
         return Chain(**kept, diameter=1e-3, gravity=0.0)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
-    """A function of time: ``A sin(w t) sin(e t)^2`` up to its end and 0 afterwards, or a cubic spline.
+    """A function of time: ``A sin(w t) sin(e t)^2`` up to its end, or a cubic spline.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Waveform:
 
     @classmethod
     def sine(cls, amplitude: float, frequency: float, cycles: float | None = None) -> Waveform:
-        """Return a sine, or a Hann burst of so many cycles: ``A sin(2 pi f t) sin(pi f t / cycles)^2``."""
+        """Return a sine, or a Hann burst ``A sin(2 pi f t) sin(pi f t / cycles)^2``."""
         omega = 2 * np.pi * frequency
         if cycles is None:
             return cls(amplitude, omega)
@@ -112,11 +112,11 @@ class Waveform:
 
     @property
     def knot_spacing(self) -> float:
-        """Least time between two knots of a spline, at which adaptive steps end, s; infinite for a sine."""
+        """Least time between knots of a spline, at which adaptive steps end, s; else infinite."""
         return np.inf if self.spline is None else float(np.diff(self.spline.x).min())
 
     def largest(self, order: int = 0) -> float:
-        """Return the largest size of its values or derivative: of a burst a bound, of a spline nearly."""
+        """Return the largest value or derivative: of a burst a bound, of a spline nearly."""
         if self.spline is not None:
             return float(np.abs(self.at(self._dense, order)).max())
         return float(abs(self.amplitude) * (self.omega + self.envelope) ** order)
@@ -139,7 +139,7 @@ class Waveform:
         return float(abs(self.amplitude) * min(2 * arches / self.omega, until))
 
     def path(self, duration: float) -> float:
-        """Bound the integral of the size of its derivative up to a time, s; infinite for a spline."""
+        """Bound the integral of its absolute derivative up to a time, s."""
         if self.spline is not None:
             return np.inf
         until = min(duration, self.end)

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from lmpchain import PTFE, Chain
-from lmpchain.chain.picture import DRAWN, MOST
+from lmpchain.chain.picture import DETAILED_GRAINS, DRAWN
 
 
 def remarks(**fields: object) -> list[str]:
@@ -49,7 +49,7 @@ def test_a_notebook_shows_the_units_of_a_chain() -> None:
     assert rows["unit of time"] == [f"{time:.6g} s", "unit of the paper&#x27;s tau"]
     assert rows["mass"] == [f"{3 * glass + 2 * ptfe:.6g} kg", "of all grains"]
     assert "data:image/png" in chain._repr_html_()
-    long = Chain(grains=MOST + 1, diameter=1e-3, gravity=1e-3)
+    long = Chain(grains=DETAILED_GRAINS + 1, diameter=1e-3, gravity=1e-3)
     assert "unit of length" not in long._repr_html_()
     assert "data:image/png" not in long._repr_html_()
 
