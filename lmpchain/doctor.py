@@ -48,7 +48,7 @@ class Limits(NamedTuple):
     memory_gb: float = 1.0
 
 
-LIMITS = Limits()
+DIAGNOSIS_LIMITS = Limits()
 SIZES_SEEN = (
     "from lmpchain.util import mpi; w = mpi.library().COMM_WORLD; s = w.gather(w.size); w.rank "
     "or print(s)"
@@ -106,7 +106,7 @@ class Diagnosis:
         return "\n".join([*map(str, self.findings), self.summary])
 
     def to_json(self) -> dict[str, Any]:
-        """Return what goes into a JSON file."""
+        """Return summary and findings for a JSON file."""
         return {"summary": self.summary, "findings": [asdict(finding) for finding in self.findings]}
 
 
@@ -154,7 +154,7 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
 
 
 def _check(name: str, cure: str) -> Callable[[Check], None]:
-    """Register a check, with the name and the cure for what it raises or warns of."""
+    """Register a check, with its name and the cure of its faults."""
     return lambda run: _CHECKS.append((name, cure, run))
 
 
@@ -202,10 +202,12 @@ def _mpiexec() -> Iterator[Finding]:
             capture_output=True,
             text=True,
             stdin=subprocess.DEVNULL,
-            timeout=LIMITS.answer_s,
+            timeout=DIAGNOSIS_LIMITS.answer_s,
         )
     except subprocess.TimeoutExpired:
-        raise LmpchainError(f"{path} gave no answer within {LIMITS.answer_s:g} s") from None
+        raise LmpchainError(
+            f"{path} gave no answer within {DIAGNOSIS_LIMITS.answer_s:g} s"
+        ) from None
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if re.search(r"\w", line)] or [
             "it does not say why"
@@ -259,7 +261,7 @@ def _memory() -> Iterator[Finding]:
     kilobytes = dict(re.findall(r"(\w+): +(\d+) kB", Path("/proc/meminfo").read_text()))
     free, total = (int(kilobytes[key]) * 1.024e-6 for key in ("MemAvailable", "MemTotal"))
     yield Finding("memory", "ok", f"{free:.1f} of {total:.1f} GB are free")
-    if free < LIMITS.memory_gb:
+    if free < DIAGNOSIS_LIMITS.memory_gb:
         warnings.warn("memory is scarce", stacklevel=1)
 
 
@@ -302,8 +304,8 @@ def _eigenmodes() -> Iterator[Finding]:
 
     chain = Chain(grains=20, diameter=1e-3)
     error = abs(float(eigenmodes(chain).frequency[-1]) / chain.band_edge - 1)
-    text = f"the highest is {error:.0e} from the band edge (must be {LIMITS.rounding:.0e} or less)"
-    if not error <= LIMITS.rounding:
+    text = f"the highest is {error:.0e} from the band edge (must be {DIAGNOSIS_LIMITS.rounding:.0e} or less)"
+    if not error <= DIAGNOSIS_LIMITS.rounding:
         raise LmpchainError(text)
     yield Finding("eigenmodes", "ok", text)
 
@@ -319,11 +321,11 @@ def _engine(name: str) -> Iterator[Finding]:
     chain = Chain(grains=20, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=20e-6, samples=11)
     start = time.perf_counter()
-    answer = simulate(scene, name, LIMITS.error)
+    answer = simulate(scene, name, DIAGNOSIS_LIMITS.error)
     time_s = time.perf_counter() - start
     wrong = error(answer, reference(scene))
-    text = f"error {wrong:.1e} (must be {LIMITS.error:g} or less) in {time_s:.2g} s"
-    if not wrong <= LIMITS.error:
+    text = f"error {wrong:.1e} (must be {DIAGNOSIS_LIMITS.error:g} or less) in {time_s:.2g} s"
+    if not wrong <= DIAGNOSIS_LIMITS.error:
         raise LmpchainError(text)
     yield Finding(f"{name} engine", "ok", text)
 

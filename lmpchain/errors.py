@@ -10,7 +10,7 @@ SHOWN_LETTERS = 80  # letters of a value that an error line shows
 
 
 def short(text: object) -> str:
-    """Return a text as an error line shows it: whole, or what it begins with.
+    """Return a text for an error line, cut short where it is long.
 
     Examples
     --------
@@ -22,7 +22,7 @@ def short(text: object) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value as an error line shows it: as Python writes it, cut short where it is long.
+    """Return a value for an error line, as Python writes it, cut short where it is long.
 
     Examples
     --------

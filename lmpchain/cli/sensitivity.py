@@ -1,4 +1,4 @@
-"""The command `sensitivity`: what an answer of a saved run depends on."""
+"""The command `sensitivity`: how an answer of a saved run depends on the grains."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class PictureLimits(NamedTuple):
     onward: float = 0.9
 
 
-LIMITS = PictureLimits()
+PANEL_LIMITS = PictureLimits()
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def wave(run: Trajectory) -> Panel:
 
 
 def waveforms(run: Trajectory) -> Panel:
-    """Draw velocity against grain number at some times, with linear theory where it applies."""
+    """Draw velocity over grains at some times, with linear theory where there is one."""
     run = crop(run)
     picture = figure(WIDTH, 4.4)
     rows = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
@@ -96,7 +96,7 @@ def waveforms(run: Trajectory) -> Panel:
     for moment, shade in MOMENTS.items():
         row = round(moment * (run.time.size - 1))
         label = si(run.time[row], "s")
-        dense = run.grains.size > LIMITS.markers
+        dense = run.grains.size > PANEL_LIMITS.markers
         above.plot(
             run.grains,
             run.velocity[row],
@@ -187,10 +187,10 @@ def _front(run: Trajectory) -> front.Front:
         raise InputError.at(
             "excitation", "sends no single front: there is one after a strike or a push on a grain"
         )
-    track = front.track(run).between(source + 1, run.scene.chain.grains - LIMITS.reflected)
+    track = front.track(run).between(source + 1, run.scene.chain.grains - PANEL_LIMITS.reflected)
     fewest = front.FEWEST
     onward = np.mean(np.diff(track.time) > 0) if track.grain.size >= fewest else 0.0
-    if onward < LIMITS.onward:
+    if onward < PANEL_LIMITS.onward:
         raise InputError.at(
             "front", f"none travels downward from grain {source} past {fewest} grains or more"
         )

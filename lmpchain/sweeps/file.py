@@ -48,7 +48,7 @@ class Disorder(Checked):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep: the tables of its scenes, the axes along which they change, and what is kept.
+    """Sweep: tables of its scenes, axes along which they change, quantities to keep.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Sweep:
 
     @cached_property
     def text(self) -> str:
-        """All that shapes the answers, and what is kept of them, as JSON."""
+        """All options that shape the answers and their quantities, as JSON."""
         # in order: that of the axes is in it
         return json.dumps({"format": FORMAT, **self.source}, default=plain)
 
@@ -103,7 +103,7 @@ class Sweep:
         )
 
     def key(self, number: int) -> bytes:
-        """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""
+        """Return a hash of all options that shape the answer to one scene and its quantities."""
         position = self.place(number)
         laws = [
             (law.key, type(law.law).__name__, law.law.given(), law.seed, index)
@@ -116,7 +116,7 @@ class Sweep:
         return hashlib.sha256(text.encode()).digest()[:16]
 
     def tables_at(self, position: Place) -> dict[str, Any]:
-        """Return the tables of one scene, without what is drawn for every grain."""
+        """Return the tables of one scene, without the numbers that are drawn for each grain."""
         tables = self.tables
         for axis, index in zip(self.axes, position, strict=True):
             for key, values in axis.columns.items():
@@ -235,7 +235,7 @@ def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -
 
 
 def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
-    """Read a sweep file, or the same as a mapping.
+    """Read a sweep from a file or a mapping.
 
     Raises
     ------

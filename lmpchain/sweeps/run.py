@@ -115,7 +115,7 @@ def sweep(
 
 
 def _try_scenes(plan: Sweep) -> int:
-    """Make a scene of each value, warn of what is odd, and return how many fit in a batch."""
+    """Make a scene of each value, with warnings; return the number of scenes in a batch."""
     with warnings.catch_warnings(record=True, action="always") as caught:
         batch = min(count_scenes(plan.engine, scene) for scene in plan.trials())
     # one warning of each kind, the first: they differ in their numbers

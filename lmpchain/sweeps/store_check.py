@@ -1,4 +1,4 @@
-"""The check that the store of a sweep is laid out as lmpchain does it.
+"""Check of the layout of the store of a sweep.
 
 It reads plain JSON and file names only: no codec is made and no chunk opened before it has passed.
 """

@@ -55,7 +55,7 @@ TASKS = TaskLimits()
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Scenes to answer, from the number `first` on, and what their results look like.
+    """Scenes to answer, from the number `first` on, and the layout of their results.
 
     Attributes
     ----------

@@ -227,7 +227,7 @@ def _find_axis(name: str, first: Sequence[Array]) -> str:
 
 
 def _describe_precision(heights: Array, speeds: Array, motion: _Motion) -> str:
-    """Return in words what the digits leave unknown, from numbers of the grain that moves most."""
+    """Return the precision of a dump in words, from numbers of the grain that moves most."""
     texts = []
     for quantity, unit, numbers, values in (
         ("displacement", "m", heights, motion.displacement),

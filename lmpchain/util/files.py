@@ -47,7 +47,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove what processes of this machine were writing in a folder as they were killed."""
+    """Remove files that processes of this machine were writing as they were killed."""
     pattern = re.compile(
         rf"\..*\.{re.escape(platform.node())}-(\d+)-[0-9a-f]{{8}}\.partial", re.DOTALL
     )

@@ -31,7 +31,7 @@ def unname_shared_memory() -> None:
 
 @cache
 def sweep() -> None:
-    """Remove what killed runs of this user have left of MPI: shared memory, files of its launcher.
+    """Remove leftovers of killed MPI runs of this user: shared memory, files of its launcher.
 
     A rank that starts later than `OLD_S` after its launcher finds out by itself what that file
     says.

@@ -1,4 +1,4 @@
-"""How many threads BLAS and LAPACK may take."""
+"""Threads of BLAS and LAPACK."""
 
 from __future__ import annotations
 

@@ -258,7 +258,7 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
 
 
 def _name_kind(fault: str, value: Any, limits: Mapping[str, Any], message: str) -> str:
-    """Return what a value must be, and what it is; pydantic's own message for rare faults."""
+    """Return the message of a fault in our words; that of pydantic for rare faults."""
     simple = isinstance(value, bool | int | float | str | list)
     got = f"(got {shown(value) if simple else f'a {type(value).__name__}'})"
     if fault == "finite_number":

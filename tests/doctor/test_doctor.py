@@ -134,7 +134,7 @@ def no_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
 
 
 def slow_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    monkeypatch.setattr(doctor, "LIMITS", doctor.LIMITS._replace(answer_s=0.3))
+    monkeypatch.setattr(doctor, "DIAGNOSIS_LIMITS", doctor.DIAGNOSIS_LIMITS._replace(answer_s=0.3))
     mpiexec("exec sleep inf")(monkeypatch, folder)
 
 
@@ -306,7 +306,7 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
         (
             "memory",
             lambda monkeypatch, _: monkeypatch.setattr(
-                doctor, "LIMITS", doctor.LIMITS._replace(memory_gb=1e9)
+                doctor, "DIAGNOSIS_LIMITS", doctor.DIAGNOSIS_LIMITS._replace(memory_gb=1e9)
             ),
             "scarce",
         ),
@@ -367,7 +367,8 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     (tmp_path / "mpiexec").chmod(0o755)
     script = (
         "import sys; from lmpchain import doctor; from lmpchain.cli import main; from lmpchain.util import mpi\n"
-        f"doctor.LIMITS = doctor.LIMITS._replace(answer_s=1e6); mpi.launcher = lambda: '{tmp_path}/mpiexec'\n"
+        "doctor.DIAGNOSIS_LIMITS = doctor.DIAGNOSIS_LIMITS._replace(answer_s=1e6)\n"
+        f"mpi.launcher = lambda: '{tmp_path}/mpiexec'\n"
         f"sys.exit(main(['doctor', '--json', '{tmp_path}/d.json']))"
     )
     process = subprocess.Popen(

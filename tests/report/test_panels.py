@@ -114,7 +114,7 @@ def test_points_that_are_many_become_pixels(draw: Any, run: Trajectory, monkeypa
     shown = np.flatnonzero(np.any(run.displacement != 0, 0)).size
     size = min(shown + MARGIN, 40)
     for limit, pixels in ((size, False), (size - 1, True)):
-        monkeypatch.setattr(panels, "LIMITS", panels.LIMITS._replace(markers=limit))
+        monkeypatch.setattr(panels, "PANEL_LIMITS", panels.PANEL_LIMITS._replace(markers=limit))
         axes = draw("waveforms", run).axes
         assert axes[0].lines[0].get_rasterized() == pixels
         assert not axes[0].lines[1].get_rasterized()

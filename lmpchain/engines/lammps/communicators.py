@@ -23,12 +23,12 @@ SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
 
 class Communicator(Protocol):
-    """Ranks that do what they are asked to, all of them at once."""
+    """Ranks of a LAMMPS run, which all obey the same calls."""
 
     ranks: int
 
     def ask(self, name: str, *values: Any) -> list[Any]:
-        """Let every rank call this method of its `Worker` and return what they answered."""
+        """Call a method of the `Worker` of every rank; return their answers."""
 
     def close(self) -> None:
         """End the LAMMPS instances."""
@@ -43,7 +43,7 @@ class Serial:
         self._rank = Worker(mpi.alone(), log)
 
     def ask(self, name: str, *values: Any) -> list[Any]:
-        """Do it."""
+        """Call a method of the only worker."""
         try:
             return [getattr(self._rank, name)(*values)]
         except Exception as error:
@@ -66,7 +66,7 @@ class MpiRanks:
         self.ask("open", log)
 
     def ask(self, name: str, *values: Any) -> list[Any]:
-        """Let every rank do it; none is left behind by a signal."""
+        """Call a method of all workers; no signal comes between them."""
         # a signal between two sends would leave some ranks waiting for ever
         with signals_blocked():
             for rank in range(1, self.ranks):

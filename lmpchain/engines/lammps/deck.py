@@ -1,4 +1,4 @@
-"""LAMMPS input from the templates: what the library runs, and decks that run by themselves."""
+"""LAMMPS input from the templates: commands for the library, and decks for `lmp`."""
 
 from __future__ import annotations
 

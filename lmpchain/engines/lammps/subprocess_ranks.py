@@ -77,7 +77,7 @@ class SubprocessRanks:
                         ) from None
 
     def ask(self, name: str, *values: Any) -> list[Any]:
-        """Let every rank do it."""
+        """Call a method of all workers."""
         try:
             self._line.send((name, values))
         except OSError:
@@ -115,7 +115,7 @@ class SubprocessRanks:
         return lines[-1] if lines else "no reason is known"
 
     def close(self) -> None:
-        """Shut the ranks down, and end those that do not go."""
+        """Shut the ranks down, and kill those that stay."""
         line: Connection | None = getattr(self, "_line", None)
         mpiexec: subprocess.Popen[bytes] | None = getattr(self, "_mpiexec", None)
         if line:

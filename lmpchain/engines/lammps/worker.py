@@ -17,7 +17,7 @@ from .library import open_lammps
 
 @dataclass(frozen=True)
 class StepPlan:
-    """How to move a column forward.
+    """Plan of the steps of a column: method, step, and imposed motion or force.
 
     Attributes
     ----------

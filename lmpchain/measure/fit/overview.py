@@ -72,7 +72,7 @@ class Summary(Shown):
     left_out: tuple[tuple[str, str], ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Return what goes into a JSON file; numbers that are not finite become None."""
+        """Return the rows for a JSON file; numbers that are not finite become None."""
         return finite({"strike_number": self.strike_number}) | {
             "rows": [finite(asdict(row)) for row in self.rows],
             "left_out": [{"fit": fit, "reason": reason} for fit, reason in self.left_out],
