@@ -99,7 +99,7 @@ def page(
         still=still,
         live=numbers,
         sections=sections,
-        fits=list(fits._summary()) if fits.rows else [],
+        fits=list(fits.cells()) if fits.rows else [],
         left_out=fits.left_out,
         facts=list(_facts(trajectory)),
         provenance=list(trajectory.provenance.items()),

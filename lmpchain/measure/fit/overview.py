@@ -78,7 +78,8 @@ class Summary(Shown):
             "left_out": [{"fit": fit, "reason": reason} for fit, reason in self.left_out],
         }
 
-    def _summary(self) -> Iterator[Sequence[str]]:
+    def cells(self) -> Iterator[Sequence[str]]:
+        """Yield the rows of the table as text, titles first."""
         yield "fit", "quantity", "value", "error", "expected", "unit"
         for _, rows in groupby(self.rows, key=lambda row: row.fit):
             for first, row in enumerate(rows):
@@ -89,9 +90,11 @@ class Summary(Shown):
                 )
                 yield "" if first else row.fit, row.quantity, *numbers, row.unit
 
+    _summary = cells
+
     def table(self) -> str:
         """Return the numbers as text."""
-        lines = align(self._summary()) if self.rows else []
+        lines = align(self.cells()) if self.rows else []
         lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
         remark = (
             ""
