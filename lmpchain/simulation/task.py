@@ -148,7 +148,7 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         if order["sha256"] != _seal(order, text):
             raise ValueError("they are not those that the run began with")
         parallel = "ranks" in options
-        if parallel and (ranks is not None or mpi.joined_world()):
+        if parallel and (ranks is not None or mpi.current_world()):
             # those of mpirun serve
             options["ranks"] = ranks
         policy = policy_for(str(order["engine"]), **options)
@@ -191,7 +191,7 @@ def _session(options: dict[str, Any]) -> dict[str, Any]:
     """Return the record of this session, with its ranks where the engine can use several."""
     record = describe_session()
     if "ranks" in options:
-        world = mpi.joined_world()
+        world = mpi.current_world()
         record["ranks"] = world.size if world else options["ranks"] or 1
     return record
 

@@ -51,7 +51,7 @@ def settle(world: Any) -> None:
     unname_shared_memory()
 
 
-def joined_world() -> Any:
+def current_world() -> Any:
     """Return the MPI world that this process has joined, or None."""
     return _joined[0] if _joined else None
 

@@ -55,12 +55,12 @@ def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any):
     monkeypatch.setattr(mpi, "unname_shared_memory", lambda: done.append("no name is left"))
     monkeypatch.setattr(mpi, "launcher", lambda: "/bin/mpiexec")
     assert mpi.alone() is None
-    assert mpi.joined_world() is None
+    assert mpi.current_world() is None
     monkeypatch.setenv("PMI_SIZE", "2")
     assert mpi.alone() == "self"
     monkeypatch.setenv("PMI_SIZE", "3")
     assert mpi.join() is world
-    assert mpi.joined_world() is world
+    assert mpi.current_world() is world
     assert done == ["all are there", "no name is left"]
     monkeypatch.setenv("PMI_SIZE", "2")
     with pytest.raises(

@@ -18,7 +18,7 @@ def gather(ranks: int | None, log: str) -> Communicator:
     EngineUnavailable
         If MPI does not work here.
     """
-    world = mpi.joined_world()
+    world = mpi.current_world()
     if mpi.count_processes() > 1 and ranks not in (None, 1 if world is None else world.size):
         raise InputError.at(
             "ranks",

@@ -399,13 +399,13 @@ def test_who_runs_a_column(monkeypatch):
     assert launch.gather(None, "none") == launch.gather(1, "none") == ("serial", "none")
     assert launch.gather(2, "none") == ("started", 2, "none")
     monkeypatch.setattr(mpi, "count_processes", lambda: 3)
-    monkeypatch.setattr(mpi, "joined_world", lambda: SimpleNamespace(size=3))
+    monkeypatch.setattr(mpi, "current_world", lambda: SimpleNamespace(size=3))
     assert launch.gather(None, "none") == launch.gather(3, "none") == ("world", 3, "none")
     with pytest.raises(
         InputError, match="ranks: mpirun has started 3 processes; leave the number of ranks out"
     ):
         launch.gather(2, "none")
-    monkeypatch.setattr(mpi, "joined_world", lambda: None)
+    monkeypatch.setattr(mpi, "current_world", lambda: None)
     assert launch.gather(1, "none") == ("serial", "none")
     with pytest.raises(InputError, match="mpirun has started 3"):
         launch.gather(3, "none")
