@@ -13,7 +13,7 @@ from scipy import optimize, stats
 
 from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate
 from lmpchain.measure.fit.column import fit_continuum, fit_exponents
-from lmpchain.measure.fit.column_front import bottom, front_before_echo, struck_at_the_top
+from lmpchain.measure.fit.column_front import bottom, front_before_echo, strike_at_top
 from lmpchain.measure.fit.inverse import Trace, fit_parameter
 from lmpchain.measure.fit.overview import Row, Summary, summary
 from lmpchain.measure.front import Front, asymptotic, exponent, track
@@ -221,7 +221,7 @@ def test_which_scenes_are_columns_struck_at_their_top():
         scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=2)
         trajectory: Any = SimpleNamespace(scene=scene)
         try:
-            assert struck_at_the_top(trajectory) == -2e-9
+            assert strike_at_top(trajectory) == -2e-9
         except InputError as error:
             return [key for key, _ in error.faults]
         return []
