@@ -2,6 +2,7 @@
 
 import base64
 import importlib.util
+import pickle
 import struct
 import sys
 import threading
@@ -276,6 +277,20 @@ def test_what_is_kept_follows_from_a_module_and_those_it_imports_beside_it(tmp_p
     version = toy.half._cache._cache_file._version
     assert version.endswith(compilation._sources(tmp_path / "toy_stamped.py"))
     del sys.modules["toy_stamped"]
+
+
+@pytest.mark.parametrize("gone", ["clmpchain.errors\nGone\n.", "clmpchain.gone\nGone\n."])
+def test_what_an_older_version_kept_is_compiled_anew(gone: str, tmp_path: Path):
+    """Its types of arguments may be gone, and numba unpickles them before it looks at the stamp."""
+    toy = module(tmp_path, "toy_outdated", TOY.format(name="three"))
+    file = toy.twice._cache._cache_file
+    path = Path(file._index_path)
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(pickle.dumps(file._version, protocol=-1) + gone.encode())
+    assert file._load_index() == {}
+    assert toy.twice(3.0) == 6.0
+    assert file._load_index()
+    del sys.modules["toy_outdated"]
 
 
 def test_compiled_functions_of_two_processes_have_different_names():
