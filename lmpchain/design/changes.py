@@ -1,4 +1,4 @@
-"""Scenes with other parameters than they were made with."""
+"""Scenes with other parameters, by the names that gradients know."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from ..chain.chain import Chain
+from ..chain.materials import Material
 from ..errors import InputError
 from ..scene.excitation import Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from . import parameters as params
 
-ONE = ("top_load", "gravity", "amplitude", "frequency")  # numbers, not arrays
+NUMBERS = ("top_load", "gravity", "amplitude", "frequency")
 
 
 def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
@@ -32,43 +34,44 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
     >>> changed(scene, {"diameters": [1e-3, 2e-3, 1e-3]}).chain.diameters.tolist()
     [0.001, 0.002, 0.001]
     """
-    chain: dict[str, Any] = {}
-    acts: dict[str, Any] = {}
     names = params.check(scene, values)
+    chain: dict[str, Any] = {}
+    excitation: dict[str, Any] = {}
     for name in names:
-        given = np.array(values[name], dtype=float)
-        wanted = params.values(scene, name).shape
-        if given.shape != wanted:
-            raise InputError([(name, f"must be of shape {wanted}, not {given.shape}")])
-        value: Any = float(given[0]) if name in ONE else given
-        if name in ("displacement", "velocity"):
-            start = dict(zip(("displacement", "velocity"), scene.initial(), strict=True)) | {
-                name: value
-            }
-            scene = scene.replace(excitation=Profile(**start))
-        elif name in ("drive", "force"):
-            acts[scene.excitation.strength[1]] = value
-        elif name in ("amplitude", "frequency"):
-            acts[name] = value
-        elif name == "youngs_moduli":
-            made = scene.chain.material
-            each = made if isinstance(made, tuple) else (made,) * scene.chain.grains
-            kinds = {
-                pair: None for pair in zip(each, given.tolist(), strict=True)
-            }  # few, as a rule
-            kinds = {
-                (material, modulus): material.replace(youngs_modulus=modulus)
-                for material, modulus in kinds
-            }
-            chain["material"] = tuple(
-                kinds[pair] for pair in zip(each, given.tolist(), strict=True)
-            )
-        else:
-            chain["diameter" if name == "diameters" else name] = value
+        value = np.array(values[name], dtype=float)
+        shape = params.values(scene, name).shape
+        if value.shape != shape:
+            raise InputError.at(name, f"must be of shape {shape}, not {value.shape}")
+        number = float(value[0]) if name in NUMBERS else value
+        match name:
+            case "displacement" | "velocity":
+                start = dict(zip(("displacement", "velocity"), scene.initial(), strict=True))
+                scene = scene.replace(excitation=Profile(**start | {name: value}))
+            case "drive" | "force":
+                excitation[scene.excitation.strength[1]] = value
+            case "amplitude" | "frequency":
+                excitation[name] = number
+            case "youngs_moduli":
+                chain["material"] = _materials(scene.chain, value)
+            case "diameters":
+                chain["diameter"] = value
+            case _:
+                chain[name] = number
     if scene.chain.impurity and {"diameter", "masses", "material"} & chain.keys():
-        raise InputError(
-            [("impurity", "give every grain its own diameter and material in place of impurities")]
-        )
+        message = "give every grain its own diameter and material in place of impurities"
+        raise InputError.at("impurity", message)
     if chain:
         scene = scene.replace(chain=scene.chain.replace(**chain))
-    return scene.replace(excitation=scene.excitation.replace(**acts)) if acts else scene
+    if excitation:
+        scene = scene.replace(excitation=scene.excitation.replace(**excitation))
+    return scene
+
+
+def _materials(chain: Chain, moduli: Array) -> tuple[Material, ...]:
+    """Return the material of every grain with another modulus (N,), Pa."""
+    material = chain.material
+    materials = material if isinstance(material, tuple) else (material,) * chain.grains
+    pairs = list(zip(materials, moduli.tolist(), strict=True))
+    # a checked copy takes long, and few of the grains differ as a rule
+    copies = {pair: pair[0].replace(youngs_modulus=pair[1]) for pair in dict.fromkeys(pairs)}
+    return tuple(copies[pair] for pair in pairs)

@@ -1,14 +1,16 @@
-"""A scene fitted to measured traces, and what is known of its parameters afterwards."""
+"""Scenes fitted to measured traces, and the uncertainty of their parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InputError, RunFailed, ToleranceNotMet, shown
+from ..integrators.halving import SAFETY, Attempt, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .changes import changed
@@ -18,13 +20,12 @@ from .unknowns import Problem
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BIAS = 0.05  # of a standard deviation: what the steps may add to an estimate
-HALVINGS = 8
+BIAS = 0.05  # error of an estimate by the steps, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted scene, and how well its parameters are known.
+    """A fitted scene, and the uncertainty of its parameters.
 
     Attributes
     ----------
@@ -32,10 +33,11 @@ class Fit:
     names : list of str
         Of the K numbers that were fitted.
     estimate : (K,) array
-        A factor where entries of one parameter differ and change together, else in the unit of the parameter.
+        A factor where entries of one parameter differ and change together, else in the unit of the
+        parameter.
     covariance : (K, K) array
     chi_square : float
-        Sum of squares of what is left, over the noise.
+        Sum of squares of the residuals, over the noise.
     freedom : int
         Measured values less K.
     values : dict
@@ -63,8 +65,10 @@ class Fit:
         """Return the numbers as text, a line each."""
         from ..util.tables import align
 
-        rows = [(name, f"{value:.8g}", f"+- {off:.2g}") for name, value, off in
-                zip(self.names, self.estimate, self.error, strict=True)]  # fmt: skip
+        rows = [
+            (name, f"{value:.8g}", f"+- {error:.2g}")
+            for name, value, error in zip(self.names, self.estimate, self.error, strict=True)
+        ]
         return "\n".join([*align(rows), f"chi square: {self.chi_square:.5g} of {self.freedom}"])
 
     def profile(self, name: str, reach: float = 3.0, points: int = 13) -> tuple[Array, Array]:
@@ -78,48 +82,45 @@ class Fit:
             Standard deviations to either side.
         """
         if name not in self.names:
-            raise InputError(
-                [("name", f"must be one of {', '.join(self.names)} (got {shown(name)})")]
-            )
-        at, problem = self.names.index(name), self._problem
-        others = np.arange(self.estimate.size) != at
-        offsets, growth = np.linspace(-reach, reach, points), np.zeros(points)
-        along = self.covariance[:, at] / self.covariance[at, at]
-        for k, offset in enumerate(offsets * self.error[at]):
+            message = f"must be one of {', '.join(self.names)} (got {shown(name)})"
+            raise InputError.at("name", message)
+        problem = self._problem
+        index = self.names.index(name)
+        others = np.arange(self.estimate.size) != index
+        along = self.covariance[:, index] / self.covariance[index, index]
+        offsets = np.linspace(-reach, reach, points) * self.error[index]
+        growth = np.zeros(points)
+        for k, offset in enumerate(offsets):
             theta = problem.free(self.estimate + along * offset)
 
-            def whole(rest: Array, theta: Array = theta) -> Array:
-                together = theta.copy()
-                together[others] = rest
-                return together
+            def complete(rest: Array, theta: Array = theta) -> Array:
+                complete = theta.copy()
+                complete[others] = rest
+                return complete
 
             if others.any():
-                theta = whole(problem.least(theta[others], whole, others))
-            growth[k] = (
-                problem.residuals(theta)[0] ** 2
-            ).sum() / problem.variance - self.chi_square
-        return self.estimate[at] + offsets * self.error[at], growth
+                theta = complete(problem.least(theta[others], complete, others))
+            growth[k] = problem.chi_square(theta) - self.chi_square
+        return self.estimate[index] + offsets, growth
 
     def posterior(self, samples: int = 10000, walkers: int = 32, seed: int = 0) -> Array:
         """Return draws (S, K) from the posterior with flat priors, by the sampler of `emcee`.
 
-        Foreman-Mackey, Hogg, Lang, Goodman, Publ. Astron. Soc. Pacific 125, 306 (2013); it must be installed.
+        It must be installed; D. Foreman-Mackey, D. W. Hogg, D. Lang and J. Goodman, Publ. Astron.
+        Soc. Pacific 125, 306 (2013).
         """
         try:
             import emcee
         except ImportError as error:
-            raise InputError([("posterior", "needs emcee: pip install emcee")]) from error
+            raise InputError.at("posterior", "needs emcee: pip install emcee") from error
         rng = np.random.default_rng(seed)
-        count, problem = self.estimate.size, self._problem
+        problem = self._problem
+        count = self.estimate.size
         walkers = max(walkers, 2 * count + 2)
 
         def log_probability(estimate: Array) -> float:
             try:
-                return (
-                    -0.5
-                    * float((problem.residuals(problem.free(estimate))[0] ** 2).sum())
-                    / problem.variance
-                )
+                return -0.5 * problem.chi_square(problem.free(estimate))
             except (InputError, RunFailed):
                 return -np.inf
 
@@ -133,22 +134,18 @@ class Fit:
         return np.asarray(sampler.get_chain(flat=True))[:samples]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw what was measured and what the fitted scene says; returns the axes."""
+        """Draw the measured values and those of the fitted scene, and return the axes."""
         from ..util.plotting import COLOURS, axes_in_units, legend
 
         ax = axes_in_units(ax, "s", "")
-        colours = list(COLOURS.values())
-        column = 0
-        for traces, said in zip(
-            self._problem.traces,
-            self._problem.predicted(self._problem.free(self.estimate)),
-            strict=True,
-        ):
-            for place, measured, line in zip(traces.places, traces.values.T, said.T, strict=True):
-                colour = colours[column % len(colours)]
-                ax.plot(traces.time, measured, ".", ms=2, color=colour, alpha=0.5)
-                ax.plot(traces.time, line, color=colour, label=f"{traces.field} {place}")
-                column += 1
+        colours = cycle(COLOURS.values())
+        fitted = self._problem.predict(self._problem.free(self.estimate))
+        for traces, prediction in zip(self._problem.traces, fitted, strict=True):
+            for column, place in enumerate(traces.places):
+                colour = next(colours)
+                ax.plot(traces.time, traces.values[:, column], ".", ms=2, color=colour, alpha=0.5)
+                label = f"{traces.field} {place}"
+                ax.plot(traces.time, prediction[:, column], color=colour, label=label)
         legend(ax)
         return ax
 
@@ -156,18 +153,18 @@ class Fit:
 def _check_reach(scene: Scene, latest: float) -> None:
     """Raise `InputError` if the scene ends before the last value of a trace."""
     if latest > scene.duration * (1 + 1e-6):
-        raise InputError(
-            [("duration", f"of the scene must reach to the last value, {latest:.6g} s or more")]
-        )
+        message = f"of the scene must reach to the last value, {latest:.6g} s or more"
+        raise InputError.at("duration", message)
 
 
 def fit(
     traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str]
 ) -> Fit:
-    """Return the scene that fits measured traces best, with the covariance of what was fitted.
+    """Return the scene that fits measured traces best, with the covariance of its parameters.
 
-    Gauss-Newton with exact Jacobians, from the tangent of the native integrator along each unknown number. Steps are
-    halved until they add less than a twentieth of a standard deviation to every estimate.
+    Gauss-Newton with exact Jacobians, from the tangent of the native integrator along each unknown
+    number. Steps are halved until they add less than a twentieth of a standard deviation to every
+    estimate.
 
     Parameters
     ----------
@@ -175,8 +172,8 @@ def fit(
     scene : Scene
         With a guess of the parameters, and long enough for the traces.
     parameters : mapping, or names
-        By a name that `gradient` knows: "common", one factor for all entries, which a name alone means; "each"; or the
-        numbers of entries, from 1.
+        By a name that `gradient` knows: "common", one factor for all entries, which a name alone
+        means; "each"; or the numbers of entries, from 1.
 
     Returns
     -------
@@ -186,7 +183,8 @@ def fit(
     Raises
     ------
     InputError
-        If traces, scene and parameters do not fit together, or the traces do not tell the parameters apart.
+        If traces, scene and parameters do not fit together, or the traces do not tell the
+        parameters apart.
     ToleranceNotMet
         If halving steps does not help any more.
 
@@ -201,46 +199,73 @@ def fit(
     >>> round(float(fit(measured, guess, ["velocity"]).estimate[0]), 9)
     0.001
     """
-    given: list[Any] = list(traces) if isinstance(traces, list | tuple) else [traces]
-    if not given or not all(isinstance(one, Traces) for one in given):
-        raise InputError([("traces", f"must be Traces, or several (got {shown(traces)})")])
+    measured: list[Any] = list(traces) if isinstance(traces, list | tuple) else [traces]
+    if not measured or not all(isinstance(trace, Traces) for trace in measured):
+        raise InputError.at("traces", f"must be Traces, or several (got {shown(traces)})")
     names = [parameters] if isinstance(parameters, str) else parameters
     wanted = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names, "common")
-    _check_reach(scene, max((one.time[-1] for one in given if not one.trigger), default=0.0))
-    problem = Problem(scene, given, wanted)
+    ends = [trace.time[-1] for trace in measured if not trace.trigger]
+    _check_reach(scene, max(ends, default=0.0))
+    problem = Problem(scene, measured, wanted)
+    first = problem.looks
     theta = np.zeros(len(problem.names))
-    for _ in range(HALVINGS):
+
+    def attempt(halvings: int) -> Attempt[_Estimate]:
+        nonlocal theta
+        problem.looks = first * 2**halvings
         theta = problem.least(theta, lambda rest: rest, slice(None))
-        left, jacobian = problem.residuals(theta, True)
-        scale = np.linalg.norm(jacobian, axis=0)
-        if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
-            raise InputError(
-                [("parameters", "the traces do not tell these apart: fit fewer of them")]
-            )
-        inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
-        freedom = left.size - theta.size
-        square = float(left @ left)
-        known = all(one.noise is not None for one in given)
-        problem.variance = 1.0 if known else max(square, np.finfo(float).tiny) / max(freedom, 1)
-        covariance = problem.variance * inverse
-        problem.looks *= 2
-        finer = problem.residuals(theta)[0]
-        problem.looks //= 2
-        bias = inverse @ jacobian.T @ (finer - left)
-        if (np.abs(bias) <= BIAS * np.sqrt(np.diag(covariance)) + 1e-9).all():
-            break
-        problem.looks *= 2
-    else:
-        raise ToleranceNotMet(
-            "the steps change the estimates however short they are: use a shorter time"
-        )
-    for one, name in (
-        (one, name) for name in problem.names for one in given if name.startswith("trigger")
-    ):
-        _check_reach(scene, one.time[-1] - problem.estimates(theta)[problem.names.index(name)])
+        estimate = _estimate(problem, theta)
+        allowed = BIAS * np.sqrt(np.diag(estimate.covariance)) + 1e-9
+        return Attempt(estimate, float((estimate.bias / allowed).max()))
+
+    # where the motion is chaotic no step is short enough, and every halving takes twice as long
+    best, excess, _ = halve(attempt, 8)
+    if excess > 1:
+        message = "the steps change the estimates however short they are: use a shorter time"
+        raise ToleranceNotMet(message)
+    estimates = problem.estimates(theta)
+    for name, value in zip(problem.names, estimates, strict=True):
+        if name.startswith("trigger"):
+            for trace in measured:
+                _check_reach(scene, trace.time[-1] - value)
     units = np.array(problem.units)
     values = problem.by_name(theta)
     return Fit(
-        changed(scene, values), problem.names, problem.estimates(theta), covariance * np.outer(units, units),
-        square / problem.variance, freedom, values, np.abs(bias) * np.abs(units), problem,
-    )  # fmt: skip
+        scene=changed(scene, values),
+        names=problem.names,
+        estimate=estimates,
+        covariance=best.covariance * np.outer(units, units),
+        chi_square=best.square / problem.variance,
+        freedom=best.freedom,
+        values=values,
+        bias=best.bias * np.abs(units),
+        _problem=problem,
+    )
+
+
+class _Estimate(NamedTuple):
+    """The uncertainty of relative changes (K,) that fit best, and their error by the steps (K,)."""
+
+    covariance: Array
+    square: float
+    freedom: int
+    bias: Array
+
+
+def _estimate(problem: Problem, theta: Array) -> _Estimate:
+    """Return the uncertainty of relative changes, and their error as half the steps show it."""
+    left, jacobian = problem.residuals(theta, True)
+    scale = np.linalg.norm(jacobian, axis=0)
+    if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
+        message = "the traces do not tell these apart: fit fewer of them"
+        raise InputError.at("parameters", message)
+    inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
+    freedom = left.size - theta.size
+    square = float(left @ left)
+    if not problem.noisy:
+        problem.variance = max(square, np.finfo(float).tiny) / max(freedom, 1)
+    problem.looks *= 2
+    finer = problem.residuals(theta)[0]
+    problem.looks //= 2
+    bias = SAFETY * np.abs(inverse @ jacobian.T @ (finer - left))
+    return _Estimate(problem.variance * inverse, square, freedom, bias)

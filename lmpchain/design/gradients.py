@@ -1,30 +1,51 @@
-"""Gradients of an objective with respect to what a scene is made of, with an estimate of their error."""
+"""Gradients of an objective by the parameters of a scene, with an estimate of their error."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from ..engines.native.round_off import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..integrators.adjoint import DifferentiableRun, Inputs
+from ..integrators.halving import SAFETY, Attempt, halve
 from ..integrators.held_steps import adaptive_steps
 from ..integrators.splittings import SPLITTINGS, Splitting
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from . import parameters as params
-from .objectives import Objective, Seen
+from .objectives import Objective
+from .seen import Seen
 
-TURN = 0.25  # of the fastest motion between two looks of a dense objective, rad
-HALVINGS = 12
-# on the differences of a gradient from those at two other steps, where the order of the method may be lost
-SAFETY = 2.5  # analysis/calibration/halved_steps.py
-NEARBY = 1.5  # ratio of one of them: where contacts open, two steps often agree by chance
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs of which gradients, and the values of an optimum, are made.
+
+    Attributes
+    ----------
+    look : float
+        Turn of the fastest motion between two looks of a dense objective at most, rad.
+    turn : float
+        Turn of the fastest motion in a step of an optimisation at most, rad.
+    halvings : int
+        How often steps are halved at most.
+    nearby : float
+        Ratio of the steps of the third run that an answer is compared with.
+    """
+
+    look: float = 0.25
+    turn: float = 1.0
+    halvings: int = 12
+    nearby: float = 1.5
+
+
+RUNS = Runs()
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +60,8 @@ class Gradient(Mapping[str, Array]):
     errors : dict
         Estimated largest error of each gradient, in the same units.
     error : float
-        The largest error relative to the largest derivative with respect to the same kind of parameter; where these are
-        nothing but round-off, whose size is then their error, relative to the terms that they are the sum of.
+        The largest error relative to the largest derivative by the same kind of parameter. Where
+        these are nothing but round-off, relative to the terms that they are the sum of.
     value_error : float
         Of the value, in its unit.
     step_s : float
@@ -66,49 +87,56 @@ class Gradient(Mapping[str, Array]):
 
 
 def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
-    """Return how often an objective looks at a scene after t = 0: at the samples, or a multiple of that."""
-    interval = scene.duration / (scene.samples - 1)
-    more = (
-        finer * max(1, math.ceil(interval * scene.highest_frequency / TURN))
-        if objective.dense
-        else 1
-    )
-    return (scene.samples - 1) * more
+    """Return the number of times after t = 0 of an objective: samples, or a multiple of them."""
+    looks = scene.samples - 1
+    if objective.dense:
+        turn = scene.duration / looks * scene.highest_frequency
+        looks *= finer * max(1, math.ceil(turn / RUNS.look))
+    return looks
 
 
-Judged = TypeVar("Judged")
-Answer = tuple[float, Any, DifferentiableRun]  # with derivatives by all inputs, or by name
+class Answer(NamedTuple):
+    """A value, its derivatives by all inputs or by name, and the run that they are of."""
+
+    value: float
+    slopes: Any
+    run: DifferentiableRun
 
 
-def _answer(
-    scene: Scene,
-    objective: Objective,
-    names: Iterable[str],
-    method: Splitting,
-    step: float,
-    finer: int,
-    adaptive: bool,
-) -> Answer:
-    """Return value, its derivatives by all inputs, and the run, of `at_step`."""
-    grains = np.unique(objective.grains(scene))
-    looks = looks_of(scene, objective, finer)
-    held = adaptive_steps(scene, method, step, looks) if adaptive else step
-    run = DifferentiableRun(scene, method, held, looks, grains)
-    if not np.isfinite(run.velocity).all():
-        raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones")
-    slopes = objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
-    everywhere = not {"displacement", "velocity"}.isdisjoint(names)
-    inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
-    nothing = (
-        np.zeros(scene.chain.grains),
-        np.zeros(scene.chain.grains),
-        np.zeros(inputs.drive.size),
-    )
-    return (
-        slopes.value,
-        inputs + Inputs(slopes.masses, slopes.constants, slopes.forces, *nothing),
-        run,
-    )
+class Task(NamedTuple):
+    """An objective of a scene, the names of parameters, and how the scene is integrated."""
+
+    scene: Scene
+    objective: Objective
+    names: tuple[str, ...]
+    method: Splitting
+    adaptive: bool = False
+
+    def solve(self, step: float, finer: int = 1) -> Answer:
+        """Return the value and its derivatives by all inputs, by steps of this length at most.
+
+        Raises
+        ------
+        RunFailed
+            If the motion breaks down.
+        """
+        scene = self.scene
+        grains = np.unique(self.objective.grains(scene))
+        looks = looks_of(scene, self.objective, finer)
+        steps = adaptive_steps(scene, self.method, step, looks) if self.adaptive else step
+        run = DifferentiableRun(scene, self.method, steps, looks, grains)
+        if not np.isfinite(run.velocity).all():
+            message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
+            raise RunFailed(message)
+        slopes = self.objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
+        # derivatives by the motion at t = 0 are needed of all grains, or of those that it reaches
+        everywhere = not {"displacement", "velocity"}.isdisjoint(self.names)
+        inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
+        zero = np.zeros(scene.chain.grains)
+        direct = Inputs(
+            slopes.masses, slopes.constants, slopes.forces, zero, zero, np.zeros(inputs.drive.size)
+        )
+        return Answer(slopes.value, inputs + direct, run)
 
 
 def at_step(
@@ -118,98 +146,111 @@ def at_step(
     method: Splitting,
     step: float,
     adaptive: bool = False,
-) -> tuple[float, dict[str, Array], DifferentiableRun]:
-    """Return value and gradients of a run by steps of this length at most, and the run.
+) -> Answer:
+    """Return the value and its derivatives by name, by steps of this length at most.
 
     Raises
     ------
     RunFailed
         If the motion breaks down.
     """
-    names = tuple(names)
-    value, inputs, run = _answer(scene, objective, names, method, step, 1, adaptive)
-    return value, {name: params.pull(scene, inputs, name) for name in names}, run
+    task = Task(scene, objective, tuple(names), method, adaptive)
+    value, inputs, run = task.solve(step)
+    return Answer(value, {name: params.pull(scene, inputs, name) for name in task.names}, run)
 
 
-def halved(
-    answer: Callable[[float, int], Answer],
+Judgement = TypeVar("Judgement")
+
+
+def refine(
+    solve: Callable[[float, int], Answer],
+    judge: Callable[[Answer, Sequence[Answer]], Judgement],
+    excess: Callable[[Judgement], float],
     first: float,
     most: int,
-    judged: Callable[[Answer, Sequence[Answer]], Judged],
-    enough: Callable[[Judged], bool],
-) -> Judged:
-    """Halve steps until what others than the last one show of it is enough, or `most` times.
+) -> Judgement:
+    """Halve steps until the error of an answer, which runs with other steps show, is allowed.
 
     Parameters
     ----------
-    answer : function
+    solve : function
         Of the longest step and of how much finer than at first an objective is to look.
+    judge : function
+        Of the answer and of those with other steps: twice as long, and if that is enough half again
+        as long or shorter, too, as where contacts open two may agree by chance.
+    excess : function
+        Of a judgement: its error over the error allowed.
     first : float
         The longest step of an answer, s; it is judged by one twice as long.
-    judged : function
-        Of the answer and of those at other steps: one twice as long, and if that is enough one half again as long or
-        shorter, too, as where contacts open two may agree by chance.
-    enough : function
-        Of a judgement.
+    most : int
+        Most answers.
 
     Returns
     -------
-    the last judgement
+    the best judgement
     """
-    now = answer(2 * first, 1)
-    for halving in range(1, most + 1):
-        before, step, finer = now, min(first, now[2].step / 2), 2**halving
-        now = answer(step, finer)
-        found = judged(now, [before])
-        if enough(found):
-            run = now[2]
-            near = run.step * NEARBY if run.steps > 2 * (run.time.size - 1) else run.step / NEARBY
-            found = judged(now, [before, answer(near, finer)])
-            if enough(found):
-                break
-        first = now[2].step / 2
-    return found
+    before = solve(2 * first, 1)
+
+    def attempt(halvings: int) -> Attempt[Judgement]:
+        nonlocal before
+        finer = 2 ** (halvings + 1)
+        coarse = before
+        answer = before = solve(coarse.run.step / 2, finer)
+        judgement = judge(answer, [coarse])
+        if excess(judgement) <= 1:
+            run = answer.run
+            # few steps between two looks do not divide them in another ratio: take shorter ones
+            few = run.steps <= 2 * (run.time.size - 1)
+            step = run.step / RUNS.nearby if few else run.step * RUNS.nearby
+            judgement = judge(answer, [coarse, solve(step, finer)])
+        return Attempt(judgement, excess(judgement))
+
+    return halve(attempt, most).answer
 
 
-def _with_errors(
-    scene: Scene, names: Iterable[str], method: Splitting, now: Answer, others: Sequence[Answer]
-) -> Gradient:
-    """Return a gradient with its errors, from those at other steps and from round-off."""
-    value, inputs, run = now
-    floor = 10 * native_floor(
-        run.steps * method.evaluations, scene.highest_frequency * scene.duration
-    )
-    terms, gradients, errors, relative = _terms(scene, value, inputs), {}, {}, {}
-    for name in names:
-        mine = gradients[name] = params.pull(scene, inputs, name)
-        off = SAFETY * sum(
-            float(np.abs(mine - params.pull(scene, other, name)).max()) for _, other, _ in others
+def _compare(task: Task, answer: Answer, others: Sequence[Answer]) -> Gradient:
+    """Return a gradient with its errors, from answers with other steps and from round-off."""
+    scene = task.scene
+    value, inputs, run = answer
+    evaluations = run.steps * task.method.evaluations
+    floor = 10 * native_floor(evaluations, scene.highest_frequency * scene.duration)
+    terms = _terms(scene, value, inputs)
+    gradients = {}
+    errors = {}
+    relative = {}
+    for name in task.names:
+        slope = params.pull(scene, inputs, name)
+        difference = sum(
+            float(np.abs(slope - params.pull(scene, other.slopes, name)).max()) for other in others
         )
-        size, whole = (
-            float(np.abs(mine).max()),
-            float(np.abs(params.pull(scene, terms, name)).max()),
-        )
-        if size <= floor * whole:
-            size = whole
-        errors[name] = off + floor * size
+        size = float(np.abs(slope).max())
+        sum_of_terms = float(np.abs(params.pull(scene, terms, name)).max())
+        # a derivative that is nothing but round-off: its terms cancel
+        if size <= floor * sum_of_terms:
+            size = sum_of_terms
+        gradients[name] = slope
+        errors[name] = SAFETY * difference + floor * size
         relative[name] = errors[name] / size if size > 0 else 0.0
-    off = SAFETY * sum(abs(value - other) for other, _, _ in others) + floor * abs(value)
-    return Gradient(value, gradients, errors, max(relative.values()), off, run.step, method.name)
+    difference = sum(abs(value - other.value) for other in others)
+    error = SAFETY * difference + floor * abs(value)
+    return Gradient(
+        value, gradients, errors, max(relative.values()), error, run.step, task.method.name
+    )
 
 
 def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
     """Return how large the terms are whose sums are the derivatives of a value by all inputs.
 
-    Such as that value over an input, or, as it may be 0 itself, what an initial motion or a drive adds to it.
+    Such as that value over an input, or, as it may be 0 itself, the part of it that an initial
+    motion or a drive adds.
     """
-    own = params.inputs(scene)
-    whole = abs(value) + sum(
-        float(np.abs(slope) @ np.abs(x)) for slope, x in list(zip(inputs, own, strict=True))[3:]
-    )
+    present = params.inputs(scene)
+    pairs = list(zip(inputs, present, strict=True))
+    total = abs(value) + sum(float(np.abs(slope) @ np.abs(x)) for slope, x in pairs[3:])
     return Inputs(
         *(
-            np.abs(slope) + np.divide(whole, np.abs(x), out=np.zeros(x.size), where=x != 0)
-            for slope, x in zip(inputs, own, strict=True)
+            np.abs(slope) + np.divide(total, np.abs(x), out=np.zeros(x.size), where=x != 0)
+            for slope, x in pairs
         )
     )
 
@@ -223,12 +264,13 @@ def gradient(
     step: float | None = None,
     adaptive: bool = False,
 ) -> Gradient:
-    """Return an objective and its exact derivatives with respect to what a scene is made of.
+    """Return an objective and its exact derivatives by the parameters of a scene.
 
-    The adjoint of the native integrator is run at the step of the answer and at one twice as long, whose difference is
-    the error; steps are halved until it is within the tolerance. Where contacts open, the two may agree by chance: what
-    a third one differs, at a step half again as long, is added. An objective that looks between samples looks half as
-    often in the run of the longest steps, so that the difference shows what it misses in between, too.
+    The adjoint of the native integrator is run at the step of the answer and at one twice as long,
+    whose difference is the error; steps are halved until it is within the tolerance. Where contacts
+    open, the two may agree by chance: the difference to a third one, at a step half again as long,
+    is added. An objective that looks between samples looks half as often in the run of the longest
+    steps, so that the difference shows motion that it misses in between, too.
 
     Parameters
     ----------
@@ -236,8 +278,9 @@ def gradient(
     objective : Objective
         Such as `PeakForce(40)`.
     parameters : names
-        Of "masses", "contact_constants", "wall_constants", "diameters", "youngs_moduli", "top_load", "gravity",
-        "displacement" and "velocity" (at t = 0), "drive" (its samples), "amplitude" and "frequency".
+        Of "masses", "contact_constants", "wall_constants", "diameters", "youngs_moduli",
+        "top_load", "gravity", "displacement" and "velocity" (at t = 0), "drive" and "force" (their
+        samples), "amplitude" and "frequency".
     tolerance : float
         Of the gradient, relative to its largest entry of each name.
     integrator : "verlet", "rkn4", "rkn6", "kahan-li6" or "kahan-li8", optional
@@ -245,8 +288,8 @@ def gradient(
     step : float, optional
         s; no tolerance is enforced then.
     adaptive : bool
-        Whether steps are shorter where contacts open or close, which keeps the order of the method; in the derivatives
-        they are held. Not of verlet.
+        Whether steps are shorter where contacts open or close, which keeps the order of the
+        method; in the derivatives they are held. Not of verlet.
 
     Returns
     -------
@@ -266,30 +309,30 @@ def gradient(
     >>> from lmpchain.design import PeakForce
     >>> chain = Chain(grains=10, diameter=1e-3)
     >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=2e-5, samples=21)
-    >>> found = gradient(scene, PeakForce(5), ["masses", "gravity"], tolerance=1e-5)
-    >>> found["masses"].shape, found.error < 1e-5
+    >>> slopes = gradient(scene, PeakForce(5), ["masses", "gravity"], tolerance=1e-5)
+    >>> slopes["masses"].shape, slopes.error < 1e-5
     ((10,), True)
     """
     names = params.check(scene, parameters)
     check_tolerance(tolerance)
     if step is not None and not 0 < step < math.inf:
-        raise InputError([("step", f"must be above 0, in s (got {shown(step)})")])
+        raise InputError.at("step", f"must be above 0, in s (got {shown(step)})")
     chosen = integrator or ("rkn4" if objective.dense else "rkn6")
     if chosen not in SPLITTINGS:
-        raise InputError([("integrator", not_among(chosen, tuple(SPLITTINGS)))])
+        raise InputError.at("integrator", not_among(chosen, tuple(SPLITTINGS)))
     method = SPLITTINGS[chosen]
     if adaptive and method.adaptive == "no":
-        raise InputError([("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")])
-    first = step or min(1.5, method.stability_limit / 4) / scene.highest_frequency
-    found = halved(
-        lambda length, finer: _answer(scene, objective, names, method, length, finer, adaptive),
-        first,
-        1 if step else HALVINGS,
-        lambda now, others: _with_errors(scene, names, method, now, others),
-        lambda found: bool(step) or found.error <= tolerance,
+        raise InputError.at("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")
+    task = Task(scene, objective, names, method, adaptive)
+    answer = refine(
+        task.solve,
+        lambda answer, others: _compare(task, answer, others),
+        lambda judgement: 0.0 if step else judgement.error / tolerance,
+        step or min(1.5, method.stability_limit / 4) / scene.highest_frequency,
+        RUNS.halvings,
     )
-    if step or found.error <= tolerance:
-        return found
+    if step or answer.error <= tolerance:
+        return answer
     raise ToleranceNotMet(
-        f"the gradient is known to {found.error:.2g} only; use a shorter time or less accuracy"
+        f"the gradient is known to {answer.error:.2g} only; use a shorter time or less accuracy"
     )

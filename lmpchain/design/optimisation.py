@@ -1,4 +1,4 @@
-"""The chain that does best: bounded optimisation by exact gradients, from several starts."""
+"""Bounded optimisation of a scene by exact gradients, from several starts."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InputError, RunFailed, shown
+from ..integrators.halving import SAFETY
 from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
 from ..util.arrays import Array
@@ -21,14 +22,11 @@ from ..util.files import replacing
 from ..util.progress import ProgressBar
 from . import parameters as params
 from .changes import changed
-from .gradients import HALVINGS, SAFETY, at_step, halved
+from .gradients import RUNS, Answer, at_step, refine
 from .objectives import Objective
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-TURN = 1.0  # of the fastest motion in a step of rkn4 at most, rad
-HARDLY = 1e-9  # a relative gain that is none
 
 Values = dict[str, Array]
 Constraint = Callable[[Values], tuple[float, Mapping[str, Array]]]
@@ -36,7 +34,7 @@ Constraint = Callable[[Values], tuple[float, Mapping[str, Array]]]
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The best scene that was found, and how.
+    """The best scene of an optimisation, and the values on the way to it.
 
     Attributes
     ----------
@@ -48,7 +46,7 @@ class Optimum:
     history : list of arrays
         The value of every run, one array a start.
     runs : int
-        How many runs with gradients there were.
+        Number of runs with gradients.
     """
 
     scene: Scene
@@ -59,17 +57,20 @@ class Optimum:
 
     @property
     def runs(self) -> int:
-        """How many runs with gradients there were."""
+        """Number of runs with gradients."""
         return sum(map(len, self.history))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the best value so far over the runs, a line a start; returns the axes."""
+        """Draw the best value so far over the runs, a line a start, and return the axes."""
         from ..util.plotting import COLOURS, axes_in_units, legend
 
         ax = axes_in_units(ax, "", "")
-        less = self.value <= min(part.min() for part in self.history) + HARDLY * abs(self.value)
-        for number, part in enumerate(self.history, 1):
-            best = (np.minimum if less else np.maximum).accumulate(part)
+        # the value is the least or the largest of all runs, but for its error
+        lowest = min(values.min() for values in self.history)
+        highest = max(values.max() for values in self.history)
+        less = abs(self.value - lowest) <= abs(self.value - highest)
+        for number, values in enumerate(self.history, 1):
+            best = (np.minimum if less else np.maximum).accumulate(values)
             ax.plot(np.arange(1, best.size + 1), best, lw=1, label=f"start {number}")
         ax.set_xlabel("runs")
         ax.set_ylabel("best value")
@@ -94,43 +95,60 @@ class _Box:
         ]
         if faults:
             raise InputError(faults)
-        self.scene, self.names = scene, names
-        own = [params.values(scene, name) for name in names]
-        self.sizes = np.cumsum([0, *(part.size for part in own)])
-        low, high = (
-            np.concatenate([np.broadcast_to(np.asarray(bounds[name][side], float), part.shape)
-                            for name, part in zip(names, own, strict=True)])
-            for side in (0, 1)
-        )  # fmt: skip
+        self.scene = scene
+        self.names = names
+        present = [params.values(scene, name) for name in names]
+        self.sizes = np.cumsum([0, *(values.size for values in present)])
+
+        def bound(side: int) -> Array:
+            return np.concatenate(
+                [
+                    np.broadcast_to(np.asarray(bounds[name][side], float), values.shape)
+                    for name, values in zip(names, present, strict=True)
+                ]
+            )
+
+        low = bound(0)
+        high = bound(1)
         if not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
-            raise InputError([("bounds", "must be finite, the lower one not above the upper one")])
-        self.low, self.width, self.free = low, high - low, high > low
+            raise InputError.at("bounds", "must be finite, the lower one not above the upper one")
+        self.low = low
+        self.width = high - low
+        self.free = high > low
         if not self.free.any():
-            raise InputError([("bounds", "leave nothing free")])
-        self.start = np.clip(
-            (np.concatenate(own) - low)[self.free] / self.width[self.free], 0.0, 1.0
-        )
+            raise InputError.at("bounds", "leave nothing free")
+        start = (np.concatenate(present) - low)[self.free] / self.width[self.free]
+        self.start = np.clip(start, 0.0, 1.0)
 
     def values(self, at: Array) -> Values:
         """Return parameters by name."""
-        whole = self.low.copy()
-        whole[self.free] += at * self.width[self.free]
-        return {
-            name: whole[a:b]
-            for name, a, b in zip(self.names, self.sizes, self.sizes[1:], strict=False)
-        }
+        entries = self.low.copy()
+        entries[self.free] += at * self.width[self.free]
+        return dict(zip(self.names, np.split(entries, self.sizes[1:-1]), strict=True))
 
-    def gathered(self, by_name: Mapping[str, Array]) -> Array:
-        """Return derivatives by the numbers from 0 to 1; what is not named has none."""
-        sizes = np.diff(self.sizes)
-        parts = [
-            np.broadcast_to(by_name.get(name, np.zeros(1)), (size,))
-            for name, size in zip(self.names, sizes, strict=True)
-        ]
-        return (np.concatenate(parts) * self.width)[self.free]
+    def slopes(self, by_name: Mapping[str, Array]) -> Array:
+        """Return derivatives by the numbers from 0 to 1: 0 by parameters that are not named."""
+        entries = np.concatenate(
+            [
+                np.broadcast_to(by_name.get(name, np.zeros(1)), (size,))
+                for name, size in zip(self.names, np.diff(self.sizes), strict=True)
+            ]
+        )
+        return (entries * self.width)[self.free]
 
 
-class _Enough(Exception):
+class Start(NamedTuple):
+    """A finished start: its least value, the parameters there, and the values of all its runs.
+
+    The value has the sign of a minimisation; parameters are numbers from 0 to 1.
+    """
+
+    value: float
+    at: Array
+    history: Array
+
+
+class _Exhausted(Exception):
     """A start has had its runs."""
 
 
@@ -151,9 +169,10 @@ def optimise(
 ) -> Optimum:
     """Return the scene that makes an objective least, or largest.
 
-    SciPy's L-BFGS-B, or SLSQP where there are constraints, goes down from the scene itself and from points of a Latin
-    hypercube, by exact gradients of runs with rkn4. One start comes after another: the compiled loops take a quarter of
-    a run with gradients of 100 grains, so that a batch of starts, or a thread for each, would gain little.
+    SciPy's L-BFGS-B, or SLSQP where there are constraints, goes down from the scene itself and from
+    points of a Latin hypercube, by exact gradients of runs with rkn4. One start comes after
+    another: the compiled loops take a quarter of a run with gradients of 100 grains, so that a
+    batch of starts, or a thread for each, would gain little.
 
     Parameters
     ----------
@@ -163,16 +182,17 @@ def optimise(
     parameters : names
         As of `gradient`.
     bounds : mapping
-        By name a lower and an upper bound, numbers or arrays; what has equal bounds stays there.
+        By name a lower and an upper bound, numbers or arrays; entries with equal bounds stay there.
     constraints : sequence of functions, optional
-        Each takes parameters by name and returns a number that must be 0 or above, and its derivatives by name.
+        Each takes parameters by name and returns a number that must be 0 or above, and its
+        derivatives by name.
     maximise : bool
     starts, runs, seed : int
-        How many starts, the most runs of each, and what the starts are drawn with.
+        Number of starts, the most runs of each, and the seed that starts are drawn with.
     tolerance : float
-        Relative, of the value that is given in the end. Steps on the way are those that it needs at the start.
+        Relative, of the value at the end. Steps on the way are those that it needs at the start.
     folder : path, optional
-        Where every finished start is kept; a call with the same task goes on from there.
+        Keeps every finished start; a call with the same task goes on from there.
     progress : bool
         Whether to show a progress bar.
 
@@ -194,145 +214,185 @@ def optimise(
     >>> from lmpchain.design import Momentum, gradient
     >>> chain = Chain(grains=4, diameter=1e-3)
     >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=5e-6, samples=2)
-    >>> found = optimise(scene, Momentum([2]), ["masses"], {"masses": (1e-6, 2e-6)}, starts=1, maximise=True)
-    >>> found.value > gradient(scene, Momentum([2]), ["masses"]).value
+    >>> bounds = {"masses": (1e-6, 2e-6)}
+    >>> best = optimise(scene, Momentum([2]), ["masses"], bounds, starts=1, maximise=True)
+    >>> best.value > gradient(scene, Momentum([2]), ["masses"]).value
     True
     """
     from scipy.stats import qmc
 
     names = params.check(scene, parameters)
     box = _Box(scene, names, bounds)
-    begins = np.vstack(
-        [box.start, qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))]
-    )[:starts]
+    drawn = qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))
+    begins = np.vstack([box.start, drawn])[:starts]
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         numbers = box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed
         task = repr((scene.to_text(), type(objective).__name__, vars(objective), names, numbers))
     store = None if folder is None else _Store(Path(folder), sha256(task.encode()).hexdigest())
-    found: list[tuple[float, Array, Array]] = [] if store is None else store.finished()
+    finished = [] if store is None else store.finished()
     sign = -1.0 if maximise else 1.0
-    turn = min(TURN, _value(changed(scene, box.values(box.start)), objective, tolerance)[2])
-    with ProgressBar(len(begins), "starts", done=len(found), shown=progress) as bar:
-        for begin in begins[len(found) :]:
-            found.append(_descend(box, objective, constraints, begin, sign, runs, turn))
+    first = _value(changed(scene, box.values(box.start)), objective, tolerance)
+    descent = _Descent(box, objective, constraints, sign, runs, min(RUNS.turn, first.turn))
+    with ProgressBar(len(begins), "starts", done=len(finished), shown=progress) as bar:
+        for begin in begins[len(finished) :]:
+            finished.append(_descend(descent, begin))
             if store is not None:
-                store.keep(found)
+                store.keep(finished)
             bar.advance()
-            bar.describe(f"starts, best {sign * min(part[0] for part in found):.6g}")
-    least, at, _ = min(found, key=lambda part: part[0])
-    if not np.isfinite(least):
+            bar.describe(f"starts, best {sign * min(start.value for start in finished):.6g}")
+    best = min(finished, key=lambda start: start.value)
+    if not np.isfinite(best.value):
         raise RunFailed("no start came to an answer: use narrower bounds")
-    best = box.values(at)
-    there = changed(scene, best)
-    value, error, _ = _value(there, objective, tolerance)
-    return Optimum(there, value, error, best, [sign * part[2] for part in found])
+    values = box.values(best.at)
+    optimum = changed(scene, values)
+    value, error, _ = _value(optimum, objective, tolerance)
+    return Optimum(optimum, value, error, values, [sign * start.history for start in finished])
 
 
-def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float, float, float]:
-    """Return an objective, its error from other steps, and the turn of the longest one that is enough."""
-    method, fastest = SPLITTINGS["rkn4"], scene.highest_frequency
-    value, error, step = halved(
+class _Value(NamedTuple):
+    """An objective, its error, and the turn of the fastest motion in the longest step, rad."""
+
+    value: float
+    error: float
+    turn: float
+
+
+def _value(scene: Scene, objective: Objective, tolerance: float) -> _Value:
+    """Return an objective, its error, and how long steps may be for this relative tolerance."""
+    method = SPLITTINGS["rkn4"]
+    fastest = scene.highest_frequency
+
+    def judge(answer: Answer, others: Sequence[Answer]) -> _Value:
+        error = SAFETY * sum(abs(answer.value - other.value) for other in others)
+        return _Value(answer.value, error, 2 * answer.run.step * fastest)
+
+    return refine(
         lambda step, _: at_step(scene, objective, (), method, step),
-        TURN / fastest,
-        HALVINGS,
-        lambda now, others: (
-            now[0],
-            SAFETY * sum(abs(now[0] - other[0]) for other in others),
-            now[2].step,
-        ),
-        lambda found: found[1] <= tolerance * abs(found[0]),
+        judge,
+        lambda found: found.error / (tolerance * abs(found.value) or np.finfo(float).tiny),
+        RUNS.turn / fastest,
+        RUNS.halvings,
     )
-    return value, error, 2 * step * fastest
 
 
-def _descend(
-    box: _Box,
-    objective: Objective,
-    constraints: Sequence[Constraint],
-    begin: Array,
-    sign: float,
-    runs: int,
-    turn: float,
-) -> tuple[float, Array, Array]:
-    """Return the least value, where it is, and the values of all runs, of one start."""
+class _Descent(NamedTuple):
+    """An optimisation, whatever its start.
+
+    Attributes
+    ----------
+    box : _Box
+    objective : Objective
+    constraints : sequence of functions
+    sign : float
+        -1 to maximise.
+    runs : int
+        Most runs.
+    turn : float
+        Of the fastest motion in a step, rad.
+    """
+
+    box: _Box
+    objective: Objective
+    constraints: Sequence[Constraint]
+    sign: float
+    runs: int
+    turn: float
+
+    def solve(self, at: Array) -> tuple[float, Array]:
+        """Return the value to minimise and its derivatives; infinity without an answer."""
+        method = SPLITTINGS["rkn4"]
+        try:
+            scene = changed(self.box.scene, self.box.values(at))
+            step = self.turn / scene.highest_frequency
+            value, by_name, _ = at_step(scene, self.objective, self.box.names, method, step)
+        except (RunFailed, InputError):
+            return np.inf, np.zeros(at.size)
+        return self.sign * value, self.sign * self.box.slopes(by_name)
+
+    def allows(self, at: Array) -> bool:
+        """Return whether a point holds all constraints, but for round-off of the optimiser."""
+        values = self.box.values(at)
+        return all(constraint(values)[0] >= -1e-6 for constraint in self.constraints)
+
+
+def _descend(descent: _Descent, begin: Array) -> Start:
+    """Return the least value of a start, its point, and the values of all runs."""
     from scipy.optimize import minimize
 
-    method = SPLITTINGS["rkn4"]
+    box = descent.box
     history: list[float] = []
-    best = np.inf, begin
+    best = Start(np.inf, begin, np.zeros(0))
     scale = 0.0
 
     def value(at: Array) -> tuple[float, Array]:
         nonlocal best, scale
-        if len(history) == runs:
-            raise _Enough
+        if len(history) == descent.runs:
+            raise _Exhausted
         at = np.clip(at, 0.0, 1.0)
-        try:
-            scene = changed(box.scene, box.values(at))
-            found, by_name, _ = at_step(
-                scene, objective, box.names, method, turn / scene.highest_frequency
-            )
-        except (RunFailed, InputError):
-            history.append(np.inf)
-            return 1e3, np.zeros(at.size)
-        history.append(sign * found)
+        found, slopes = descent.solve(at)
+        history.append(found)
+        if not np.isfinite(found):
+            return 1e3, slopes
         scale = scale or abs(found) or 1.0
-        if sign * found < best[0] and all(
-            limit(box.values(at))[0] >= -1e-6 for limit in constraints
-        ):
-            best = sign * found, at.copy()
-        return sign * found / scale, sign * box.gathered(by_name) / scale
+        if found < best.value and descent.allows(at):
+            best = Start(found, at.copy(), best.history)
+        return found / scale, slopes / scale
 
     limits = [
         {
             "type": "ineq",
             "fun": lambda at, limit=limit: limit(box.values(at))[0],
-            "jac": lambda at, limit=limit: box.gathered(limit(box.values(at))[1]),
+            "jac": lambda at, limit=limit: box.slopes(limit(box.values(at))[1]),
         }
-        for limit in constraints
+        for limit in descent.constraints
     ]
-    options: dict[str, Any] = (
-        {"maxiter": runs} if limits else {"maxfun": runs, "ftol": 1e-10, "gtol": 1e-9}
-    )
-    with suppress(_Enough):
+    options: dict[str, Any] = {"maxiter": descent.runs}
+    if not limits:
+        options = {"maxfun": descent.runs, "ftol": 1e-10, "gtol": 1e-9}
+    with suppress(_Exhausted):
         minimize(
-            value, begin, jac=True, bounds=[(0.0, 1.0)] * begin.size, constraints=limits,
-            method="SLSQP" if limits else "L-BFGS-B", options=options,
-        )  # fmt: skip
-    return best[0], best[1], np.array(history)
+            value,
+            begin,
+            jac=True,
+            bounds=[(0.0, 1.0)] * begin.size,
+            constraints=limits,
+            method="SLSQP" if limits else "L-BFGS-B",
+            options=options,
+        )
+    return best._replace(history=np.array(history))
 
 
 class _Store:
-    """The folder where finished starts are kept."""
+    """The folder that keeps finished starts."""
 
     def __init__(self, folder: Path, task: str):
-        self.path, self.task = folder / "starts.json", task
+        self.path = folder / "starts.json"
+        self.task = task
         folder.mkdir(parents=True, exist_ok=True)
 
-    def finished(self) -> list[tuple[float, Array, Array]]:
+    def finished(self) -> list[Start]:
         """Return the starts that are finished; raises `InputError` if they are of another task."""
         if not self.path.exists():
             return []
         try:
-            kept = json.loads(self.path.read_text(encoding="utf-8"))
-            same = kept["task"] == self.task
-            found = [
-                (float(one["value"]), np.array(one["at"]), np.array(one["history"]))
-                for one in kept["starts"]
+            text = json.loads(self.path.read_text(encoding="utf-8"))
+            task = text["task"]
+            starts = [
+                Start(float(start["value"]), np.array(start["at"]), np.array(start["history"]))
+                for start in text["starts"]
             ]
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError([("folder", f"{self.path} is damaged: remove it")]) from error
-        if not same:
-            raise InputError(
-                [("folder", f"{self.path} is of another task: use another folder, or remove it")]
-            )
-        return found
+            raise InputError.at("folder", f"{self.path} is damaged: remove it") from error
+        if task != self.task:
+            message = f"{self.path} is of another task: use another folder, or remove it"
+            raise InputError.at("folder", message)
+        return starts
 
-    def keep(self, found: list[tuple[float, Array, Array]]) -> None:
-        """Write all that is finished."""
-        starts = [
+    def keep(self, starts: list[Start]) -> None:
+        """Write all starts that are finished."""
+        rows = [
             {"value": value, "at": at.tolist(), "history": history.tolist()}
-            for value, at, history in found
+            for value, at, history in starts
         ]
         with replacing(self.path) as path:
-            path.write_text(json.dumps({"task": self.task, "starts": starts}), encoding="utf-8")
+            path.write_text(json.dumps({"task": self.task, "starts": rows}), encoding="utf-8")

@@ -1,9 +1,10 @@
-"""What a chain and its excitation are made of, and how their motion depends on it.
+"""Parameters of a chain and its excitation, and how the motion depends on them.
 
-The motion depends on masses, contact constants K_n, forces at rest ``F_n = F_top + g (m_1 + ... + m_n)`` and on what
-the excitation gives. Displacements are from equilibrium, whose overlaps ``eps_n = (F_n / K_n)^(1/delta)`` depend on all
-of them, so that a mass acts by its inertia and by its weight on every contact below. Diameters and moduli act through
-Hertz's constants ``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and masses, where these are not given on their own.
+The motion depends on masses, contact constants K_n, forces at rest
+``F_n = F_top + g (m_1 + ... + m_n)`` and on the excitation. Displacements are from equilibrium,
+whose overlaps ``eps_n = (F_n / K_n)^(1/delta)`` depend on all of them, so that a mass acts by its
+inertia and by its weight on every contact below. Diameters and moduli act through Hertz's constants
+``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and masses, where these are not given on their own.
 """
 
 from __future__ import annotations
@@ -37,59 +38,40 @@ UNITS = {
     "amplitude": "m or N",
     "frequency": "Hz",
 }
-DIRECT = (
-    "masses",
-    "top_load",
-    "gravity",
-    "displacement",
-    "velocity",
-    "drive",
-    "force",
-)  # inputs as they are
+# parameters that are inputs of the motion themselves
+DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", "force")
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names; raises `InputError` for those that are unknown or without a derivative here."""
+    """Return the names; raises `InputError` for those that are unknown or have no derivative."""
     names = (names,) if isinstance(names, str) else tuple(names)
-    chain, course, faults = scene.chain, _course(scene), []
-    for name in names:
-        if name not in UNITS:
-            faults.append(("parameters", not_among(name, tuple(UNITS))))
-        elif name in ("top_load", "gravity") and not chain.compressed:
-            faults.append(
-                (
-                    name,
-                    "has no derivative in a chain that nothing presses: give it a load or gravity",
-                )
-            )
-        elif name == "top_load" and chain.top == "wall" and chain.top_load == 0:
-            faults.append(
-                (name, "has no derivative at 0, where the top wall only touches: give it a load")
-            )
-        elif name == "contact_constants" and chain.grains == 1:
-            faults.append((name, "there is no contact between grains: use wall_constants"))
-        elif name == "wall_constants" and not chain.wall_constants.any():
-            faults.append((name, 'there is no wall: use top or bottom = "wall"'))
-        elif name in ("amplitude", "frequency") and getattr(course, name, None) is None:
-            faults.append(
-                (
-                    name,
-                    "is that of a sine or a burst that drives or pushes, which this scene has not",
-                )
-            )
-        elif name in ("drive", "force") and (
-            scene.excitation.kind != name or course is None or course.times is None
-        ):
-            faults.append(
-                (name, f"is the samples of a {name} along points, which this scene has not")
-            )
+    faults = [(name if name in UNITS else "parameters", _refuse(scene, name)) for name in names]
     if not names:
-        faults.append(
-            ("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})")
-        )
+        faults = [("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})")]
+    faults = [(key, message) for key, message in faults if message]
     if faults:
         raise InputError(faults)
     return names
+
+
+def _refuse(scene: Scene, name: str) -> str:
+    """Return why a scene has no derivative by a parameter of this name; empty if it has one."""
+    chain = scene.chain
+    course = _course(scene)
+    match name:
+        case "top_load" | "gravity" if not chain.compressed:
+            return "has no derivative in a chain that nothing presses: give it a load or gravity"
+        case "top_load" if chain.top == "wall" and chain.top_load == 0:
+            return "has no derivative at 0, where the top wall only touches: give it a load"
+        case "contact_constants" if chain.grains == 1:
+            return "there is no contact between grains: use wall_constants"
+        case "wall_constants" if not chain.wall_constants.any():
+            return 'there is no wall: use top or bottom = "wall"'
+        case "amplitude" | "frequency" if getattr(course, name, None) is None:
+            return "is that of a sine or a burst that drives or pushes, which this scene has not"
+        case "drive" | "force" if course is None or course.kind != name or course.times is None:
+            return f"is the samples of a {name} along points, which this scene has not"
+    return "" if name in UNITS else not_among(name, tuple(UNITS))
 
 
 def values(scene: Scene, name: str) -> Array:
@@ -100,14 +82,16 @@ def values(scene: Scene, name: str) -> Array:
     if name in ("displacement", "velocity"):
         return scene.initial()[name == "velocity"]
     if name in ("drive", "force"):
-        return getattr(scene.excitation, scene.excitation.strength[1])  # type: ignore[no-any-return]
+        samples: Array = getattr(scene.excitation, scene.excitation.strength[1])
+        return samples
     owner = scene.excitation if name in ("amplitude", "frequency") else chain
     return np.atleast_1d(getattr(owner, name))
 
 
 def inputs(scene: Scene) -> Inputs:
-    """Return what the motion depends on, as it is in the scene."""
-    chain, course = scene.chain, _course(scene)
+    """Return all inputs of the motion as they are in the scene."""
+    chain = scene.chain
+    course = _course(scene)
     if course is None:
         drive = np.zeros(0)
     elif course.times is None:
@@ -122,17 +106,18 @@ def inputs(scene: Scene) -> Inputs:
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
     """Return derivatives by the parameters of this name, (P,), from those by all inputs."""
     if name in DIRECT:
-        return _whole(scene.chain, gradient, name)
+        return _with_weight(scene.chain, gradient, name)
     return sum(
-        matrix.T @ _whole(scene.chain, gradient, key)
+        matrix.T @ _with_weight(scene.chain, gradient, key)
         for key, matrix in _dependence(scene, name).items()
     )
 
 
-def _whole(chain: Chain, gradient: Inputs, key: str) -> Array:
-    """Return derivatives by inputs of this name, (P,), with what they do to the forces at rest."""
+def _with_weight(chain: Chain, gradient: Inputs, key: str) -> Array:
+    """Return derivatives by inputs of this name, (P,), by way of the forces at rest, too."""
     match key:
-        case "masses":  # by their inertia, and by their weight on all contacts below, (N,)
+        case "masses":
+            # by their inertia, and by their weight on all contacts below
             return gradient.masses + chain.gravity * np.cumsum(gradient.forces[:0:-1])[::-1]
         case "top_load":
             return np.array([gradient.forces.sum()])
@@ -144,8 +129,8 @@ def _whole(chain: Chain, gradient: Inputs, key: str) -> Array:
 
 
 def push(scene: Scene, name: str, change: Array) -> Inputs:
-    """Return the directions in which all inputs change with parameters of this name, for changes (D, P)."""
-    chain, count = scene.chain, len(change)
+    """Return the change of all inputs, (D, ...), for changes (D, P) of parameters of this name."""
+    chain = scene.chain
     course = _course(scene)
     sizes = {
         "masses": chain.grains,
@@ -156,47 +141,38 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
         "velocity": chain.grains,
         "drive": 0 if course is None else 2 if course.times is None else len(course.times),
     }
-    whole = {key: np.zeros((count, size)) for key, size in sizes.items()}
+    changes = {key: np.zeros((len(change), size)) for key, size in sizes.items()}
     for key, matrix in _dependence(scene, name).items():
-        whole[key] = (matrix @ change.T).T
-    weight = chain.gravity * np.cumsum(whole["masses"], axis=1) + whole["gravity"] * np.cumsum(
-        chain.masses
-    )
-    forces = whole["top_load"] + np.pad(weight, ((0, 0), (1, 0)))
-    forces = np.where(chain.contacts.pressed, forces, 0.0)
-    return Inputs(
-        whole["masses"],
-        whole["constants"],
-        forces,
-        whole["displacement"],
-        whole["velocity"],
-        whole["drive"],
-    )
+        changes[key] = (matrix @ change.T).T
+    heavier = chain.gravity * np.cumsum(changes["masses"], axis=1)
+    weight = heavier + changes.pop("gravity") * np.cumsum(chain.masses)
+    forces = changes.pop("top_load") + np.pad(weight, ((0, 0), (1, 0)))
+    return Inputs(forces=np.where(chain.contacts.pressed, forces, 0.0), **changes)
 
 
 def _course(scene: Scene) -> Drive | Force | None:
-    """Return what acts after t = 0."""
+    """Return the excitation if it acts after t = 0."""
     return scene.excitation if isinstance(scene.excitation, (Drive, Force)) else None
 
 
 def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
-    """Return derivatives of what the motion depends on by the parameters of this name, as matrices."""
+    """Return derivatives of inputs by the parameters of this name, as matrices by input."""
     chain = scene.chain
     if name == "contact_constants":
         return {"constants": _between(chain)}
     if name == "wall_constants":
         walls = sparse.lil_array((chain.grains + 1, 2))
-        walls[0, 0], walls[chain.grains, 1] = chain.contacts.exists[[0, -1]]
+        walls[0, 0] = chain.contacts.exists[0]
+        walls[-1, 1] = chain.contacts.exists[-1]
         return {"constants": walls.tocsr()}
     if name == "youngs_moduli":
         return {"constants": _by_modulus(chain)}
     if name == "diameters":
-        follow = ~np.isin(
-            np.arange(chain.grains) + 1, [odd.grain for odd in chain.impurity if odd.mass]
-        )
-        follow &= chain.given_masses is None
+        fixed = [impurity.grain for impurity in chain.impurity if impurity.mass]
+        follows = ~np.isin(np.arange(chain.grains) + 1, fixed)
+        follows &= chain.given_masses is None
         return {
-            "masses": _diagonal(follow * 3 * chain.masses / chain.diameters),
+            "masses": _diagonal(follows * 3 * chain.masses / chain.diameters),
             "constants": _by_diameter(chain),
         }
     if name in ("amplitude", "frequency"):
@@ -208,29 +184,40 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
 
 def _between(chain: Chain) -> sparse.csr_array:
     """Return dK/dK of contacts between grains, (N+1, N-1): those of walls follow, unless given."""
-    grains, constant = chain.grains, chain.contacts.constant
-    row, column, entry = np.arange(1, grains), np.arange(grains - 1), np.ones(grains - 1)
+    grains = chain.grains
+    constant = chain.contacts.constant
+    row = np.arange(1, grains)
+    column = np.arange(grains - 1)
+    entry = np.ones(grains - 1)
     if chain.given_wall_constants is None:
-        row, column = np.append(row, [0, grains]), np.append(column, [0, grains - 2])
+        row = np.append(row, [0, grains])
+        column = np.append(column, [0, grains - 2])
         entry = np.append(entry, constant[[0, -1]] / constant[[1, -2]])
     return sparse.csr_array((entry, (row, column)), shape=(grains + 1, grains - 1))
 
 
 def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
-    """Return dK/d(of a grain), (N+1, N), from d(log of Hertz's constant) by the grains above and below.
+    """Return dK by a number of the grains, (N+1, N), from d(log K) by those above and below.
 
-    What is given does not follow, and a wall's constant that does has the share of its neighbour that does not.
+    What is given does not follow, and a wall's constant that does has the share of its neighbour
+    that does not.
     """
-    last, constant, own = chain.grains, chain.contacts.constant, np.arange(chain.grains + 1)
+    last = chain.grains
+    contact = np.arange(last + 1)
     follow = np.full(last + 1, float(chain.given_contact_constants is None))
-    walls, near = [0, last], [1, last - 1]
+    walls = [0, last]
+    near = [1, last - 1]
     follow[walls] = float(chain.given_wall_constants is None)
-    row, of = np.append(own, walls), np.append(own, near)
-    rate = constant[row] * np.append(follow, follow[walls] * (follow[near] - 1))
-    upper, lower = of > 0, of < last
-    entries = np.concatenate(((rate * above[of])[upper], (rate * below[of])[lower]))
-    places = np.concatenate((row[upper], row[lower])), np.concatenate((of[upper] - 1, of[lower]))
-    return sparse.csr_array((entries, places), shape=(last + 1, last))
+    # a wall's constant changes with its own bodies, less the share that its neighbour has
+    row = np.append(contact, walls)
+    source = np.append(contact, near)
+    rate = chain.contacts.constant[row] * np.append(follow, follow[walls] * (follow[near] - 1))
+    upper = source > 0
+    lower = source < last
+    entries = np.concatenate(((rate * above[source])[upper], (rate * below[source])[lower]))
+    rows = np.concatenate((row[upper], row[lower]))
+    columns = np.concatenate((source[upper] - 1, source[lower]))
+    return sparse.csr_array((entries, (rows, columns)), shape=(last + 1, last))
 
 
 def _diagonal(entries: Array) -> sparse.csr_array:
@@ -239,7 +226,7 @@ def _diagonal(entries: Array) -> sparse.csr_array:
 
 
 def _by_modulus(chain: Chain) -> sparse.csr_array:
-    """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below), a wall having its grain's by default."""
+    """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below); a wall has its grain's M."""
     young = chain.by_grain("youngs_modulus")
     walls = (chain.top_material, chain.bottom_material)
     of_grains = chain.by_grain("plane_strain_modulus")
@@ -261,7 +248,8 @@ def _by_diameter(chain: Chain) -> sparse.csr_array:
     """Return dK/dd, (N+1, N), by sqrt(R*), R* that of the radii d/2 or a plane, and by dbar."""
     diameters = chain.diameters
     upper, lower = pair_slopes(np.concatenate(([np.inf], diameters / 2, [np.inf])))
-    share = np.full(chain.grains + 1, 0.5)  # of a grain in the mean diameter
+    # of a grain in the mean diameter
+    share = np.full(chain.grains + 1, 0.5)
     share[[0, -1]] = 1.0
     by_length = (1.5 - chain.exponent) * share / chain.contact_lengths
     above = np.zeros(chain.grains + 1)

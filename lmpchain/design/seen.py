@@ -1,4 +1,4 @@
-"""What is seen of a motion, a value with its derivatives by that, and the force of a contact."""
+"""A motion at the times of an objective, a value with its derivatives, and contact forces."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..util.arrays import Array
 
 
 class Seen(NamedTuple):
-    """What is seen of a motion.
+    """The motion of some grains at the times of an objective.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class Seen(NamedTuple):
     velocity: Array
 
     def slopes(self, value: float) -> Slopes:
-        """Return a value whose derivatives are all 0 so far, to be filled in."""
+        """Return a value with derivatives of 0, to be filled in."""
         chain = self.scene.chain
         contacts = np.zeros((2, chain.grains + 1))
-        return Slopes(value, np.zeros(self.displacement.shape), np.zeros(self.velocity.shape),
-                      np.zeros(chain.grains), *contacts)  # fmt: skip
+        motion = (np.zeros(self.displacement.shape), np.zeros(self.velocity.shape))
+        return Slopes(value, *motion, np.zeros(chain.grains), *contacts)
 
     def column(self, grain: int) -> int:
         """Return the column of a grain."""
@@ -50,9 +50,10 @@ class Slopes(NamedTuple):
     ----------
     value : float
     displacement, velocity : (T, G) arrays
-        With respect to what was seen.
+        By the motion in view.
     masses, constants, forces : (N,), (N+1,) and (N+1,) arrays
-        With respect to masses, constants and forces at rest of all contacts, where the objective itself has them.
+        By masses, constants and forces at rest of all contacts, where the objective itself has
+        them.
     """
 
     value: float
@@ -63,21 +64,43 @@ class Slopes(NamedTuple):
     forces: Array
 
 
-def contact_force(seen: Seen, contact: int) -> tuple[Array, Array, Array, Array, list[int]]:
-    """Return the force of a contact, (T,) N, its derivatives by r, F and K, and the grains it joins."""
-    chain = seen.scene.chain
+class ContactForce(NamedTuple):
+    """The force of a contact, and its derivatives.
+
+    Attributes
+    ----------
+    value : (T,) array
+        N.
+    by_closer, by_force, by_constant : (T,) arrays
+        By the approach of the two bodies (m), the force at rest (N) and the constant (N/m^delta).
+    grains : list of int
+        One or two that it joins.
+    """
+
+    value: Array
+    by_closer: Array
+    by_force: Array
+    by_constant: Array
+    grains: list[int]
+
+
+def contact_force(view: Seen, contact: int) -> ContactForce:
+    """Return the force of a contact and its derivatives."""
+    chain = view.scene.chain
     law = chain.contacts.of(contact)
-    ends = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]
-    closer = np.zeros(seen.time.size)
-    for grain in ends:
-        closer += seen.displacement[:, seen.column(grain)] * (1 if grain == contact else -1)
+    grains = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]
+    closer = np.zeros(view.time.size)
+    for grain in grains:
+        closer += view.displacement[:, view.column(grain)] * (1 if grain == contact else -1)
     overlap = np.maximum(law.overlap + closer, 0.0)
     stiffness = law.stiffness_at(overlap) * (overlap > 0)
-    by_force, by_constant = np.zeros(closer.shape), overlap**law.exponent
-    if law.force > 0:  # eps = (F / K)^(1/delta)
+    by_force = np.zeros(closer.shape)
+    by_constant = overlap**law.exponent
+    if law.force > 0:
+        # the overlap at rest is (F / K)^(1/delta)
         by_force = stiffness * law.overlap / (law.exponent * law.force)
         by_constant = by_constant - stiffness * law.overlap / (law.exponent * law.constant)
-    return law.force_at(overlap), stiffness, by_force, by_constant, ends
+    return ContactForce(law.force_at(overlap), stiffness, by_force, by_constant, grains)
 
 
 def quadrature(size: int) -> Array:
@@ -86,7 +109,7 @@ def quadrature(size: int) -> Array:
     weight[[0, -1]] = 0.5
     for k, gregory in enumerate((1 / 12, 1 / 24, 19 / 720, 3 / 160, 863 / 60480), 1):
         if 2 * k < size:
-            part = [gregory * (-1) ** j * math.comb(k, j) for j in range(k + 1)]
-            weight[: k + 1] -= part
-            weight[-k - 1 :] -= part[::-1]
+            change = [gregory * (-1) ** j * math.comb(k, j) for j in range(k + 1)]
+            weight[: k + 1] -= change
+            weight[-k - 1 :] -= change[::-1]
     return weight

@@ -1,4 +1,4 @@
-"""Measured traces, and what a run says of them."""
+"""Measured traces, and their values in a run."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ..util.arrays import Array
 from .seen import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
-LARGEST = 2**28  # bytes of a file
+LARGEST_FILE = 2**28  # bytes
 
 
 @dataclass(frozen=True, eq=False)
 class Traces:
-    """What was measured at the same times at some grains or contacts.
+    """Values measured at the same times at some grains or contacts.
 
     Parameters
     ----------
@@ -33,12 +33,13 @@ class Traces:
     values : (T, G) array
         m/s, m or N, velocity and displacement positive downward.
     field : "velocity", "displacement", "force" or "contact"
-        A force is what a sensor in a grain shows above that at rest, the mean of its two contacts; a contact's is its
-        own above that at rest.
+        The force that a sensor in a grain shows, the mean of its two contacts, or the force of a
+        contact, both above rest.
     noise : float or (G,) array, optional
-        Standard deviation, in the unit of the values; without it, what the fit leaves is taken for it.
+        Standard deviation, in the unit of the values; by default that of the residuals of the fit.
     trigger, gain, offset : bool
-        Whether the time of the strike, a factor of all values, and a constant added to each trace are not known.
+        Whether the time of the strike, a factor of all values, and a constant added to each trace
+        are unknown.
 
     Raises
     ------
@@ -56,33 +57,25 @@ class Traces:
     offset: bool = False
 
     def __post_init__(self) -> None:
-        time, values = np.asarray(self.time, dtype=float), np.asarray(self.values, dtype=float)
+        time = np.asarray(self.time, dtype=float)
+        values = np.asarray(self.values, dtype=float)
         values = values[:, None] if values.ndim == 1 else values
         places = np.atleast_1d(np.asarray(self.places))
+        shape = time.size, places.size
+        missing = (~np.isfinite(values)).sum()
+        increasing = time.ndim == 1 and time.size >= 2 and np.isfinite(time).all()
         faults = []
-        if (
-            time.ndim != 1
-            or time.size < 2
-            or not np.isfinite(time).all()
-            or not (np.diff(time) > 0).all()
-        ):
+        if not increasing or not (np.diff(time) > 0).all():
             faults.append(("time", "must be two or more increasing numbers"))
-        if values.shape != (time.size, places.size):
-            wanted = time.size, places.size
-            faults.append(
-                ("values", f"must be of shape {wanted}, times and places, not {values.shape}")
-            )
-        elif not np.isfinite(values).all():
-            faults.append(
-                (
-                    "values",
-                    f"must be finite: leave out the times of {(~np.isfinite(values)).sum()} that are not",
-                )
-            )
+        if values.shape != shape:
+            message = f"must be of shape {shape}, times and places, not {values.shape}"
+            faults.append(("values", message))
+        elif missing:
+            message = f"must be finite: leave out the times of {missing} that are not"
+            faults.append(("values", message))
         if self.field not in get_args(Field):
-            faults.append(
-                ("field", f"must be one of {', '.join(get_args(Field))} (got {shown(self.field)})")
-            )
+            message = f"must be one of {', '.join(get_args(Field))} (got {shown(self.field)})"
+            faults.append(("field", message))
         if self.noise is not None and not (np.asarray(self.noise) > 0).all():
             faults.append(("noise", f"must be above 0 (got {shown(self.noise)})"))
         if faults:
@@ -91,7 +84,7 @@ class Traces:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def from_csv(cls, path: str | PathLike[str], places: Sequence[int], **known: Any) -> Traces:
+    def from_csv(cls, path: str | PathLike[str], places: Sequence[int], **options: Any) -> Traces:
         """Read lines of time, s, and one value a place, as oscilloscopes write them; skip others.
 
         Raises
@@ -101,44 +94,37 @@ class Traces:
         """
         from ..util.files import check_readable
 
-        columns, rows = len(places) + 1, []
+        columns = len(places) + 1
+        rows = []
         try:
-            check_readable(Path(path), LARGEST)
+            check_readable(Path(path), LARGEST_FILE)
             lines = Path(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
         except OSError as error:
-            raise InputError([(str(path), error.strerror or "cannot be read")]) from error
+            raise InputError.at(str(path), error.strerror or "cannot be read") from error
         for line in lines:
-            parts = line.replace(";", ",").replace("\t", ",").split(",")
+            words = line.replace(";", ",").replace("\t", ",").split(",")
             try:
-                rows.append([float(part) for part in parts[:columns]])
+                rows.append([float(word) for word in words[:columns]])
             except ValueError:
                 continue
         rows = [row for row in rows if len(row) == columns]
         if len(rows) < 2:
-            raise InputError(
-                [
-                    (
-                        str(path),
-                        f"has not two lines of {columns} numbers, time and {columns - 1} values",
-                    )
-                ]
-            )
+            message = f"has not two lines of {columns} numbers, time and {columns - 1} values"
+            raise InputError.at(str(path), message)
         table = np.array(rows)
-        return cls(table[:, 0], places, table[:, 1:], **known)
+        return cls(table[:, 0], places, table[:, 1:], **options)
 
     def grains(self, scene: Scene) -> list[int]:
-        """Return the grains that must be looked at; raises `InputError` if the chain has no such place."""
-        least, most = (
-            (0, scene.chain.grains) if self.field == "contact" else (1, scene.chain.grains)
-        )
+        """Return the grains to look at; raises `InputError` if the chain has no such place."""
+        grains = scene.chain.grains
+        first = 0 if self.field == "contact" else 1
         exists = scene.chain.contacts.exists
         for place in self.places:
-            if not least <= place <= most or (self.field == "contact" and not exists[place]):
-                raise InputError([("places", f"the chain has no {place}: use {least} to {most}")])
-        around = {"force": (-1, 0, 1), "contact": (0, 1)}.get(self.field, (0,))
-        return sorted(
-            {int(p) + k for p in self.places for k in around if 1 <= p + k <= scene.chain.grains}
-        )
+            if not first <= place <= grains or (self.field == "contact" and not exists[place]):
+                raise InputError.at("places", f"the chain has no {place}: use {first} to {grains}")
+        offsets = {"force": (-1, 0, 1), "contact": (0, 1)}.get(self.field, (0,))
+        near = {int(place) + offset for place in self.places for offset in offsets}
+        return sorted(near & set(range(1, grains + 1)))
 
 
 def model(
@@ -146,42 +132,41 @@ def model(
     run: DifferentiableRun,
     traces: Traces,
     change: Inputs | None,
-    moved: tuple[Array, Array] | None,
+    motion: tuple[Array, Array] | None,
 ) -> tuple[Array, Array]:
-    """Return what a run says of traces at all looks, (T, G), and its changes, (D, T, G)."""
-    seen = Seen(scene, run.time, run.grains, run.displacement, run.velocity)
-    columns = (
-        [seen.column(int(place)) for place in traces.places]
-        if traces.field in ("velocity", "displacement")
-        else []
-    )
-    count = 0 if change is None else len(change.masses)
-    if columns:
-        which = int(traces.field == "velocity")
-        rates = (
-            np.empty((0, run.time.size, len(columns)))
-            if moved is None
-            else moved[which][..., columns]
-        )
+    """Return the values of traces in a run at all looks, (T, G), and their changes, (D, T, G).
+
+    Parameters
+    ----------
+    change : Inputs, optional
+        D changes of the inputs.
+    motion : pair of (D, T, grains) arrays, optional
+        How displacements and velocities change with them.
+    """
+    view = Seen(scene, run.time, run.grains, run.displacement, run.velocity)
+    if traces.field in ("velocity", "displacement"):
+        columns = [view.column(int(place)) for place in traces.places]
+        rates = np.empty((0, run.time.size, len(columns)))
+        if motion is not None:
+            rates = motion[int(traces.field == "velocity")][..., columns]
         return getattr(run, traces.field)[:, columns], rates
-    values, rates = (
-        np.zeros((run.time.size, len(traces.places))),
-        np.zeros((count, run.time.size, len(traces.places))),
-    )
-    carried = scene.chain.contacts.force
+    count = 0 if change is None else len(change.masses)
+    values = np.zeros((run.time.size, len(traces.places)))
+    rates = np.zeros((count, *values.shape))
+    rest = scene.chain.contacts.force
     for column, place in enumerate(traces.places):
-        both = [place] if traces.field == "contact" else [place - 1, place]
-        for contact in (int(c) for c in both if scene.chain.contacts.exists[c]):
-            share = 1.0 / len(both)
-            force, stiffness, by_force, by_constant, ends = contact_force(seen, contact)
-            values[:, column] += share * (force - carried[contact])
-            if change is None or moved is None:
+        contacts = [place] if traces.field == "contact" else [place - 1, place]
+        share = 1.0 / len(contacts)
+        for contact in (int(number) for number in contacts if scene.chain.contacts.exists[number]):
+            force = contact_force(view, contact)
+            values[:, column] += share * (force.value - rest[contact])
+            if change is None or motion is None:
                 continue
-            rates[:, :, column] += share * np.outer(change.constants[:, contact], by_constant)
+            rates[:, :, column] += share * np.outer(change.constants[:, contact], force.by_constant)
             rates[:, :, column] += share * np.outer(
-                change.forces[:, contact], by_force - (carried[contact] > 0)
+                change.forces[:, contact], force.by_force - (rest[contact] > 0)
             )
-            for grain in ends:
-                closer = moved[0][..., seen.column(grain)] * (1 if grain == contact else -1)
-                rates[:, :, column] += share * stiffness * closer
+            for grain in force.grains:
+                closer = motion[0][..., view.column(grain)] * (1 if grain == contact else -1)
+                rates[:, :, column] += share * force.by_closer * closer
     return values, rates

@@ -436,15 +436,15 @@ def _curve(
 ) -> tuple[Curve, Point]:
     """Return the family of an orbit, and the point of the orbit on it."""
     if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
-        raise InputError([("until", f"must be a number (got {shown(until)})")])
+        raise InputError.at("until", f"must be a number (got {shown(until)})")
     if hold not in ("period", "energy") or (hold == "energy" and orbit.drive is not None):
-        raise InputError([("hold", 'must be "period", or "energy" of an orbit that is not driven')])
+        raise InputError.at("hold", 'must be "period", or "energy" of an orbit that is not driven')
     if parameter in ("energy", "period"):
         if parameter == "energy" and orbit.drive is not None:
             message = "energy is not conserved in a driven chain: follow period or amplitude"
-            raise InputError([("parameter", message)])
+            raise InputError.at("parameter", message)
         if until <= 0:
-            raise InputError([("until", f"must be above 0 for the {parameter} (got {until:g})")])
+            raise InputError.at("until", f"must be above 0 for the {parameter} (got {until:g})")
         equations = _equations(orbit, lambda _: orbit.flow, 0.0)
         return Curve(equations, (), str(parameter)), Point(orbit.state, orbit.period)
     chain_at, value, drive_at = _vary(orbit, parameter, start)
@@ -475,12 +475,12 @@ def _vary(
     if not isinstance(parameter, str):
         if start is None:
             message = "is missing: the value for which the function gives the chain of the orbit"
-            raise InputError([("start", message)])
+            raise InputError.at("start", message)
         return parameter, float(start), lambda _: drive
     if parameter == "amplitude":
         if drive is None:
             message = "amplitude is that of a drive, and the orbit is not driven"
-            raise InputError([("parameter", message)])
+            raise InputError.at("parameter", message)
         amplitude = float(drive.amplitude)
         return lambda _: chain, amplitude, lambda number: drive.replace(amplitude=number)
     element = ELEMENT.fullmatch(parameter)
@@ -498,5 +498,5 @@ def _vary(
         return with_element, float(value[index]), lambda _: drive
     if element or not field or type(value) is not float:
         message = "must be energy, period, amplitude or a number of the chain"
-        raise InputError([("parameter", f"{message} (got {shown(parameter)})")])
+        raise InputError.at("parameter", f"{message} (got {shown(parameter)})")
     return lambda number: chain.replace(**{name: number}), value, lambda _: drive

@@ -70,12 +70,12 @@ class Flow:
         if drive is not None:
             if drive.times is not None or getattr(drive, "cycles", None) is not None:
                 message = "must be a sine that never ends: give amplitude and frequency alone"
-                raise InputError([("drive", message)])
+                raise InputError.at("drive", message)
             if faults := list(drive.faults(chain, 1.0)):
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
         elif not chain.compressed and (chain.top == "free" or chain.bottom == "free"):
             message = "flies apart: use a top load, gravity, or walls at both ends"
-            raise InputError([("chain", message)])
+            raise InputError.at("chain", message)
 
     @cached_property
     def _kernel_arrays(self) -> tuple[Links, Array]:

@@ -158,10 +158,10 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     heavier = chain.masses > mass
     if chain.gravity > 0 or not chain.compressed:
         message = "must be pressed by a top load, without gravity, which other masses would change"
-        raise InputError([("chain", message)])
+        raise InputError.at("chain", message)
     if not heavier[max(grain - 2, 0) : grain + 1].any():
         message = "has no heavier neighbour: there is no limit in which it moves alone"
-        raise InputError([("grain", f"{grain} {message}")])
+        raise InputError.at("grain", f"{grain} {message}")
 
     def chain_at(share: float) -> Chain:
         factor = np.where(heavier, LIMITS.heavy ** (1 - share), 1.0)
@@ -223,5 +223,5 @@ def _alone(chain: Chain, grain: int, period: float) -> float:
         message = (
             f"must be between {shortest:.5g} and {longest:.5g} s, those of grain {grain} alone"
         )
-        raise InputError([("period", f"{message} (got {period:g})")])
+        raise InputError.at("period", f"{message} (got {period:g})")
     return float(overlap * np.exp(brentq(excess, *amplitudes[crossing[0] : crossing[0] + 2])))

@@ -147,8 +147,8 @@ class Orbit(Shown):
         growing = self.unstable
         if not 1 <= number <= growing.size:
             many = f"has {growing.size} unstable directions" if growing.size else "is stable"
-            raise InputError(
-                [("number", f"the orbit {many}: there is no direction {shown(number)}")]
+            raise InputError.at(
+                "number", f"the orbit {many}: there is no direction {shown(number)}"
             )
         shifted = self.monodromy - growing[number - 1] * np.eye(len(self.monodromy))
         vector = svd(shifted)[2][-1].conj()

@@ -77,13 +77,13 @@ def find(
         drive = drive.replace(start=None)
     if energy is not None:
         if drive is not None:
-            raise InputError([("energy", "is not conserved in a driven chain: give the period")])
+            raise InputError.at("energy", "is not conserved in a driven chain: give the period")
         energy = check_positive("energy", energy)
     flow, period = _flow(chain, period, drive)
     state = flow.canonical(*(_linear_answer(flow) if guess is None else _state(chain, guess)))
     size = float(np.abs(state).max())
     if not size > 0:
-        raise InputError([("guess", "is the chain at rest: give displacements or velocities")])
+        raise InputError.at("guess", "is the chain at rest: give displacements or velocities")
     # momenta that round-off leaves, over displacements, are none
     reversible = drive is None and bool(np.abs(state[1]).max() < 1e-12 * size)
     equations = Equations(lambda _: flow, reversible, size)
@@ -106,8 +106,8 @@ def _flow(chain: Chain, period: float | None, drive: Drive | None) -> tuple[Flow
     period = check_positive("period", period)
     turns = 1.0 if frequency is None else frequency * period
     if round(turns) < 1 or abs(turns - round(turns)) > 1e-9 * turns:
-        raise InputError(
-            [("period", f"must be a whole number of those of the drive, {period / turns:g} s")]
+        raise InputError.at(
+            "period", f"must be a whole number of those of the drive, {period / turns:g} s"
         )
     return Flow(chain, 2 * np.pi / period, drive, round(turns)), period
 
@@ -147,14 +147,14 @@ def check_number(key: str, value: Any, most: int) -> None:
     integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not integer or not 1 <= value <= most:
         message = f"must be a whole number from 1 to {most} (got {shown(value)})"
-        raise InputError([(key, message)])
+        raise InputError.at(key, message)
 
 
 def check_positive(key: str, value: Any) -> float:
     """Return a number above 0; raise `InputError` for anything else."""
     real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
     if not real or not 0 < value < np.inf:
-        raise InputError([(key, f"must be a number above 0 (got {shown(value)})")])
+        raise InputError.at(key, f"must be a number above 0 (got {shown(value)})")
     return float(value)
 
 
@@ -165,7 +165,7 @@ def _state(chain: Chain, guess: Profile | tuple[Array, Array]) -> tuple[Array, A
             displacement, velocity = guess
         except (TypeError, ValueError):
             message = "must be a Profile, an Orbit, or displacements and velocities"
-            raise InputError([("guess", message)]) from None
+            raise InputError.at("guess", message) from None
         guess = Profile(displacement=displacement, velocity=velocity)
     if faults := list(guess.faults(chain, 1.0)):
         raise InputError([(f"guess.{key}", message) for key, message in faults])
@@ -178,10 +178,10 @@ def _linear_answer(flow: Flow) -> tuple[Array, Array]:
     drive = flow.drive
     if drive is None:
         message = "give displacements and velocities, such as those of a linear mode"
-        raise InputError([("guess", f"is missing: {message}")])
+        raise InputError.at("guess", f"is missing: {message}")
     if not chain.compressed:
         message = "a chain that is not compressed has no linear answer to a drive"
-        raise InputError([("guess", f"is missing, and {message}")])
+        raise InputError.at("guess", f"is missing, and {message}")
     stiffness = chain.contacts.stiffness
     omega = 2 * np.pi * drive.frequency
     free = np.arange(flow.free.start, flow.free.stop)

@@ -211,7 +211,7 @@ def test_traces_are_what_another_integrator_says(field: str):
     problem = Problem(scene, [traces], {"masses": [2]})
     problem.looks *= 16
     theta = problem.free(np.array([chain.masses[1], late, gain, *offset]))
-    (model,) = problem.predicted(theta)
+    (model,) = problem.predict(theta)
     assert np.abs(model - expected).max() < 3e-5 * size
     left, _ = problem.residuals(theta)
     np.testing.assert_allclose(left, model.ravel() / 2.0, rtol=1e-12)

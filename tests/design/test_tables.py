@@ -19,7 +19,7 @@ from lmpchain.design import (
     optimise,
 )
 from lmpchain.design import optimisation as optima
-from lmpchain.design.gradients import Gradient, halved
+from lmpchain.design.gradients import Answer, Gradient, refine
 from lmpchain.design.optimisation import Optimum, _Box
 from lmpchain.design.sensitivities import Sensitivity, objective, sensitivity
 from lmpchain.errors import RunFailed, ToleranceNotMet
@@ -233,28 +233,26 @@ def test_steps_are_halved_until_two_comparisons_are_enough():
         def __init__(self, step: float, steps: int):
             self.step, self.steps, self.time = step, steps, np.zeros(5)
 
-    def answer(step: float, finer: int) -> Any:
+    def solve(step: float, finer: int) -> Answer:
         asked.append((round(step, 12), finer))
-        return 1 + step**2, None, Run(step, round(8 / step))
+        return Answer(1 + step**2, None, Run(step, round(8 / step)))
 
-    def judged(now: Any, others: Any) -> float:
-        return sum(abs(now[0] - other[0]) for other in others)
+    def judge(answer: Answer, others: Any) -> float:
+        return sum(abs(answer.value - other.value) for other in others)
 
-    error = halved(answer, 1.0, 12, judged, lambda off: off < 0.05)
+    error = refine(solve, judge, lambda off: off / 0.05, 1.0, 12)
     # 3 h^2 is enough at 1/8, with 1.25 h^2 more no longer; at 1/16 both are
     last = [(0.125, 16), (0.1875, 16), (0.0625, 32), (0.09375, 32)]
     assert asked == [(2.0, 1), (1.0, 2), (0.5, 4), (0.25, 8), *last]
     assert error == pytest.approx(4.25 / 256, rel=1e-12)
     asked.clear()
-    halved(answer, 1.0, 1, judged, lambda _: True)
-    assert asked == [
-        (2.0, 1),
-        (1.0, 2),
-        (round(1 / 1.5, 12), 2),
-    ]  # 8 steps between 4 looks: a shorter one
+    refine(solve, judge, lambda _: 0.0, 1.0, 1)
+    # 8 steps between 4 looks: a shorter one
+    assert asked == [(2.0, 1), (1.0, 2), (round(1 / 1.5, 12), 2)]
     asked.clear()
-    halved(answer, 1.0, 3, judged, lambda _: False)
+    error = refine(solve, judge, lambda off: 1e9 * off, 1.0, 3)
     assert asked == [(2.0, 1), (1.0, 2), (0.5, 4), (0.25, 8)]
+    assert error == pytest.approx(3 / 16, rel=1e-12)
 
 
 def test_a_box_takes_parameters_to_numbers_from_0_to_1():
@@ -266,9 +264,9 @@ def test_a_box_takes_parameters_to_numbers_from_0_to_1():
     values = box.values(np.array([0.5, 1.0, 0.75]))
     np.testing.assert_allclose(values["masses"], [1e-3, 3.5e-3, 12e-3], rtol=1e-12)
     np.testing.assert_allclose(values["top_load"], [0.4], rtol=1e-12)
-    slopes = box.gathered({"masses": np.array([7.0, 2.0, 3.0])})
+    slopes = box.slopes({"masses": np.array([7.0, 2.0, 3.0])})
     np.testing.assert_allclose(slopes, [2.0 * 5e-3, 3.0 * 2e-3, 0.0], rtol=1e-12)
-    slopes = box.gathered({"top_load": np.array([3.0])})
+    slopes = box.slopes({"top_load": np.array([3.0])})
     np.testing.assert_allclose(slopes, [0.0, 0.0, 1.2], rtol=1e-12)
     for wrong, message in (
         ({"masses": (0, 1)}, "^bounds: give a lower and an upper one of top_load"),
