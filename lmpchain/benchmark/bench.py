@@ -6,10 +6,10 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,22 +24,53 @@ from ..trajectory.trajectory import Trajectory
 from ..util.lazy import listed
 from ..util.progress import ProgressBar
 from .comparison import Row, compare
-from .curves import KNOWN, Curve, Point, WorkPrecision, front
+from .curves import Curve, Point, WorkPrecision
+from .pareto import KNOWN, front
 from .reference import Reference, expected_seconds, reference
 
 __dir__ = listed(__name__)
 
-DENSITY = math.sqrt(2)  # ratio of the steps of neighbouring points
-SHARPNESS = 1.1  # factor to which the longest stable step is known; the search takes a quarter of the time at most
-MOST_STEPS = 2**20  # between two samples: the search for a stable step ends there
-RUNS, ENOUGH_S, MOST_RUNS = (
-    3,
-    0.05,
-    15,
-)  # runs timed for a point: at least, until this time is spent, at most
-PATIENCE, BETTER = 4, 0.8  # points in a row that do not improve by this factor: round-off dominates
+BUDGET_S = 60.0
 TOLERANCES = tuple(10.0 ** -np.arange(1, 15, 0.5))
 VERSIONS = ("lmpchain", "python", "numpy", "numba", "lammps")
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many points are measured, and how often.
+
+    Attributes
+    ----------
+    density : float
+        Ratio of the steps of neighbouring points.
+    sharpness : float
+        Factor to which the longest stable step is known.
+    steps : int
+        Most steps between two samples: the search for a stable step ends there.
+    runs, most_runs : int
+        Least and largest number of runs timed for a point.
+    enough_s : float
+        Time after which no more are timed, s.
+    better : float
+        Factor on the error of a point that counts as an improvement.
+    patience : int
+        Points in a row without an improvement after which round-off dominates.
+    reference_s : float
+        Longest time of the reference, s.
+    """
+
+    density: float = math.sqrt(2)
+    sharpness: float = 1.1
+    steps: int = 2**20
+    runs: int = 3
+    most_runs: int = 15
+    enough_s: float = 0.05
+    better: float = 0.8
+    patience: int = 4
+    reference_s: float = 600.0
+
+
+EFFORT = Effort()
 
 
 class Bench:
@@ -56,8 +87,10 @@ class Bench:
     """
 
     def __init__(self, scene: Scene, reference: Reference):
-        self.scene, self.reference = scene, reference
-        self.share_s, self.dropped = math.inf, 0
+        self.scene = scene
+        self.reference = reference
+        self.share_s = math.inf
+        self.dropped = 0
         self.versions: dict[str, str] = {}
         self._begun = time.perf_counter()
 
@@ -91,15 +124,17 @@ class Bench:
             steps = points[0].steps if points else steps
 
     def over_steps(self, name: str, integrator: str) -> Iterator[Point]:
-        """Yield points at ever shorter steps, from the longest stable one until the error falls no more."""
+        """Yield points at ever shorter steps, from the longest stable one to round-off."""
         interval = self.scene.duration / (self.scene.samples - 1)
 
         def at(steps: int) -> Engine:
             return engines.get(name, integrator=integrator, step=interval / steps)
 
-        steps, longest = self._fewest(at), True
-        best, stalled = math.inf, 0
-        while steps < MOST_STEPS and stalled < PATIENCE:
+        steps = self._fewest_steps(at)
+        longest = True
+        best = math.inf
+        stalled = 0
+        while steps < EFFORT.steps and stalled < EFFORT.patience:
             before = self.spent_s
             try:
                 points = list(self._points(at(steps)))
@@ -109,55 +144,60 @@ class Bench:
                 yield replace(point, longest=longest)
                 longest = False
             error = min((point.error for point in points), default=best)
-            stalled = 0 if error < BETTER * best else stalled + 1
+            stalled = 0 if error < EFFORT.better * best else stalled + 1
             best = min(best, error)
             if self._late(before):
                 return
-            steps = math.ceil(steps * DENSITY)
+            steps = math.ceil(steps * EFFORT.density)
 
-    def _fewest(self, at: Callable[[int], Engine]) -> int:
+    def _fewest_steps(self, at: Callable[[int], Engine]) -> int:
         """Return about the fewest steps between two samples at which a run is stable."""
-        failing, steps = 0, 1
-        while not self._holds(at(steps)):
-            failing, steps = steps, 2 * steps
-            if steps >= MOST_STEPS:
+        failing = 0
+        steps = 1
+        while not self._is_stable(at(steps)):
+            failing = steps
+            steps *= 2
+            if steps >= EFFORT.steps:
                 return steps
         self._begun = time.perf_counter()
-        while (
-            steps - failing > 1 and steps > SHARPNESS * failing and self.spent_s < self.share_s / 4
-        ):
+        # the search takes a quarter of the time at most
+        while steps > max(EFFORT.sharpness * failing, failing + 1):
+            if self.spent_s >= self.share_s / 4:
+                break
             middle = (failing + steps) // 2
-            failing, steps = (failing, middle) if self._holds(at(middle)) else (middle, steps)
+            if self._is_stable(at(middle)):
+                steps = middle
+            else:
+                failing = middle
         return steps
 
-    def _holds(self, engine: Engine) -> bool:
+    def _is_stable(self, engine: Engine) -> bool:
         try:
             return self._row(self._run(engine)).error < 1
-        except (
-            InputError,
-            RunFailed,
-        ):  # beyond the stability limit of the linear chain or of this run
+        except (InputError, RunFailed):
+            # beyond the stability limit of the linear chain, or of this run
             return False
 
     def _late(self, before: float) -> bool:
-        """Whether another point, which takes longer than the one begun then, would exceed the time."""
-        return self.spent_s + DENSITY * (self.spent_s - before) > self.share_s
+        """Whether another point, longer than the one begun at `before`, would exceed the time."""
+        return self.spent_s + EFFORT.density * (self.spent_s - before) > self.share_s
 
     def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[Point]:
-        """Yield the point of an engine as it is, unless the reference is not accurate enough for it."""
-        row = self._row(self._run(engine, tolerance))  # to warm up
+        """Yield the point of an engine, unless the reference is not accurate enough for it."""
+        # this first run warms up, too
+        row = self._row(self._run(engine, tolerance))
         if row.error < KNOWN * self.reference.error:
             self.dropped += 1
             return
-        costs = repeated(lambda: self._run(engine, tolerance).cost)
+        costs = repeat(lambda: self._run(engine, tolerance).cost)
         integration = min(cost.integration_s for cost in costs)
-        whole = min(cost.integration_s + cost.estimate_s for cost in costs)
+        total = min(cost.integration_s + cost.estimate_s for cost in costs)
         yield Point(
             **vars(row) | {"integration_s": integration},
             tolerance=tolerance,
             setup_s=min(cost.setup_s for cost in costs),
             estimate_s=min(cost.estimate_s for cost in costs),
-            seconds=integration if tolerance is None else whole,
+            seconds=integration if tolerance is None else total,
             step_s=costs[0].step_s,
             grain_steps_per_s=row.force_evaluations * costs[0].active_grains / integration,
         )
@@ -169,7 +209,8 @@ class Bench:
         options: dict[str, Any] = (
             {"on_miss": "warn"} if tolerance is None else {"tolerance": tolerance}
         )
-        with warnings.catch_warnings(action="ignore"):  # the error is measured here
+        # engines warn of errors that are measured here
+        with warnings.catch_warnings(action="ignore"):
             answer = simulate(self.scene, engine, **options)
         self.versions |= {
             key: answer.provenance[key] for key in VERSIONS if key in answer.provenance
@@ -177,19 +218,23 @@ class Bench:
         return answer
 
 
-def repeated(run: Callable[[], Cost]) -> list[Cost]:
-    """Return what some runs cost, more of them if they are short; one before should have warmed up."""
+def repeat(run: Callable[[], Cost]) -> list[Cost]:
+    """Return the cost of some runs, more of them if they are short; one should have warmed up."""
     costs: list[Cost] = []
     began = time.perf_counter()
-    while len(costs) < RUNS or (time.perf_counter() - began < ENOUGH_S and len(costs) < MOST_RUNS):
+    while len(costs) < EFFORT.runs or (
+        time.perf_counter() - began < EFFORT.enough_s and len(costs) < EFFORT.most_runs
+    ):
         costs.append(run())
     return costs
 
 
-BUDGET_S = 60.0
-LONGEST_S = 600.0  # for the reference
-LOOSEST = 0.5  # tolerance that every engine meets
-Scan = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator, measurement
+class Scan(NamedTuple):
+    """An engine, its integrator, and the measurement of its points."""
+
+    engine: str
+    integrator: str
+    points: Callable[[Bench], Iterator[Point]]
 
 
 def work_precision(
@@ -197,14 +242,15 @@ def work_precision(
 ) -> WorkPrecision:
     """Measure error and time of every engine and integrator that can solve a scene.
 
-    Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops falling or the time is
-    used up, tolerances by factors of sqrt(10). Each time is the least of three runs or more after one to warm up.
+    Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops
+    falling or the time is used up, tolerances by factors of sqrt(10). Each time is the least of
+    three runs or more after one to warm up.
 
     Parameters
     ----------
     scene : Scene
     budget_s : float
-        About how long it may take beside the reference and what has to be compiled, s.
+        About how long it may take beside the reference and compilation, s.
     progress : bool
         Whether to show a progress bar.
 
@@ -216,64 +262,64 @@ def work_precision(
     Raises
     ------
     InputError
-        If the budget is not a time above 0, or the reference would take more than `LONGEST_S`.
+        If the budget is not a time above 0, or the reference would take more than ten minutes.
     """
     if not 0 < budget_s < math.inf:
-        raise InputError([("budget", f"must be a time above 0 s (got {budget_s:g})")])
-    if (needed := expected_seconds(scene)) > LONGEST_S:
-        raise InputError(
-            [("duration", f"the reference alone would take about {needed:.2g} s: shorten it")]
-        )
+        raise InputError.at("budget", f"must be a time above 0 s (got {budget_s:g})")
+    needed = expected_seconds(scene)
+    if needed > EFFORT.reference_s:
+        message = f"the reference alone would take about {needed:.2g} s: shorten it"
+        raise InputError.at("duration", message)
     scene = scene.ungathered
     solution = reference(scene)
-    bench, curves = Bench(scene, solution), []
-    ways, left_out = _ways(scene, budget_s)
+    bench = Bench(scene, solution)
+    curves = []
+    scans, left_out = _scans(scene, budget_s)
     left_s = budget_s
-    with ProgressBar(len(ways), shown=progress) as bar:
-        for place, (engine, integrator, scan) in enumerate(ways):
-            bar.reach(place)
-            bar.describe(f"{engine} {integrator}".strip())
-            bench.share_s = left_s / (len(ways) - place)
+    with ProgressBar(len(scans), shown=progress) as bar:
+        for number, scan in enumerate(scans):
+            bar.reach(number)
+            bar.describe(f"{scan.engine} {scan.integrator}".strip())
+            bench.share_s = left_s / (len(scans) - number)
             try:
-                points = tuple(scan(bench))
+                points = tuple(scan.points(bench))
             except EngineUnavailable as error:
-                left_out.append(f"{engine}: {error}")
+                left_out.append(f"{scan.engine}: {error}")
                 continue
             left_s -= bench.spent_s
             if points:
-                curves.append(Curve(engine, integrator, points))
+                curves.append(Curve(scan.engine, scan.integrator, points))
     return WorkPrecision(
-        scene, solution, _with_front(curves), bench.dropped, tuple(left_out), bench.versions
+        scene, solution, _mark_front(curves), bench.dropped, tuple(left_out), bench.versions
     )
 
 
-def _ways(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
+def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
     """Return all engines and integrators to measure, LAMMPS last, and why some are left out."""
-    ways: list[Scan] = []
+    scans = [Scan("native", "", partial(Bench.over_tolerances, name="native"))]
     refusals = []
     for name in (*engines.automatic(), *engines.ON_REQUEST):
         engine = engines.get(name)
         if reasons := engine.obstacles(scene):
             refusals.append(f"{name}: {reasons[0][1]}")
         elif engine.integrators:
-            kinds = [kind for kind in METHODS if kind in engine.integrators]
-            ways += [
-                (name, kind, partial(Bench.over_steps, name=name, integrator=kind))
-                for kind in kinds
+            scans += [
+                Scan(name, kind, partial(Bench.over_steps, name=name, integrator=kind))
+                for kind in METHODS
+                if kind in engine.integrators
             ]
-        elif (cost := engine.candidate(engine.part(scene), LOOSEST).cost_s) > budget_s / 10:
+        # every engine meets a tolerance of one half
+        elif (cost := engine.candidate(engine.part(scene), 0.5).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:
-            ways.append((name, "", partial(Bench.once, name=name)))
-    return [("native", "", partial(Bench.over_tolerances, name="native")), *ways], refusals
+            scans.append(Scan(name, "", partial(Bench.once, name=name)))
+    return scans, refusals
 
 
-def _with_front(curves: Sequence[Curve]) -> tuple[Curve, ...]:
+def _mark_front(curves: Sequence[Curve]) -> tuple[Curve, ...]:
     """Mark the points of the Pareto front of time and error."""
     points = [point for curve in curves for point in curve.points]
-    for place in front([(point.seconds, point.error) for point in points]):
-        points[place] = replace(points[place], pareto=True)
-    marked = iter(points)
-    return tuple(
-        replace(curve, points=tuple(islice(marked, len(curve.points)))) for curve in curves
-    )
+    for index in front([(point.seconds, point.error) for point in points]):
+        points[index] = replace(points[index], pareto=True)
+    rest = iter(points)
+    return tuple(replace(curve, points=tuple(islice(rest, len(curve.points)))) for curve in curves)

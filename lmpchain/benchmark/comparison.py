@@ -26,8 +26,8 @@ __dir__ = listed(__name__)
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     """Return the relative errors of displacement and velocity.
 
-    Each is ``max|x - x_true|`` over all samples and recorded grains over the largest ``|x_true|`` of any grain
-    of the chain at any time of the run. It is NaN where the trajectory is.
+    Each is ``max|x - x_true|`` over all samples and recorded grains over the largest ``|x_true|``
+    of any grain of the chain at any time of the run. It is NaN where the trajectory is.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
 
 
 def error(trajectory: Trajectory, reference: Reference) -> float:
-    """Return the error as this package defines it: the larger of those of displacement and velocity.
+    """Return the error of a trajectory: the larger of those of displacement and velocity.
 
     Parameters
     ----------
@@ -61,7 +61,8 @@ def error(trajectory: Trajectory, reference: Reference) -> float:
     float
         Relative to the largest value.
     """
-    return float(np.max(errors(trajectory, reference)))  # unlike max(), this keeps a NaN
+    # unlike max(), this keeps a NaN
+    return float(np.max(errors(trajectory, reference)))
 
 
 def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
@@ -80,27 +81,24 @@ def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
 
 
 def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Array]:
-    grains, time = reference.displacement.shape[1], reference.time
-    if trajectory.time.shape != time.shape or not np.allclose(
-        trajectory.time, time, rtol=1e-12, atol=0
-    ):
-        raise InputError(
-            [("time", "the trajectory and the reference were recorded at different times")]
-        )
+    grains = reference.displacement.shape[1]
+    time = reference.time
+    alike = trajectory.time.shape == time.shape
+    if not alike or not np.allclose(trajectory.time, time, rtol=1e-12, atol=0):
+        message = "the trajectory and the reference were recorded at different times"
+        raise InputError.at("time", message)
     if trajectory.scene.chain.grains != grains:
-        raise InputError(
-            [("grains", f"{trajectory.scene.chain.grains} grains, but {grains} in the reference")]
-        )
+        message = f"{trajectory.scene.chain.grains} grains, but {grains} in the reference"
+        raise InputError.at("grains", message)
     columns = trajectory.grains - 1
-    pairs = (
-        (trajectory.displacement, reference.displacement),
-        (trajectory.velocity, reference.velocity),
+
+    def relative(x: Array, true: Array, scale: float) -> Array:
+        return np.asarray(np.abs(x - true[:, columns]).max(1) / scale)
+
+    return (
+        relative(trajectory.displacement, reference.displacement, reference.scale[0]),
+        relative(trajectory.velocity, reference.velocity, reference.scale[1]),
     )
-    u, v = (
-        np.abs(x - true[:, columns]).max(1) / s
-        for (x, true), s in zip(pairs, reference.scale, strict=True)
-    )
-    return u, v
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ class Row:
     expected_error : float
         `Trajectory.error_estimate.total`, the engine's own estimate.
     integration_s, compile_s : float
-        s; what is compiled or loaded, the first time, is no part of the integration.
+        s; compilation, the first time, is no part of the integration.
     steps, force_evaluations : int
     """
 
@@ -154,7 +152,7 @@ class Comparison(Shown):
         return [error_over_time(answer, self.reference) for answer in self.trajectories]
 
     def to_json(self) -> dict[str, Any]:
-        """Return what goes into a JSON file; numbers that are not finite become None."""
+        """Return the rows for a JSON file; numbers that are not finite become None."""
         reference = finite({"method": self.reference.method, "error": self.reference.error})
         rows = []
         for row in self.rows:
@@ -181,9 +179,8 @@ class Comparison(Shown):
 
     def table(self) -> str:
         """Return the comparison as text."""
-        source = (
-            f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
-        )
+        error = f"{self.reference.error:.1e}"
+        source = f"reference: {self.reference.method}; its own error is about {error}"
         meaning = (
             "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
             "the larger of displacement and velocity"
@@ -191,12 +188,12 @@ class Comparison(Shown):
         return "\n".join([*align(self._summary()), source, meaning])
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
-        """Draw the trajectories, their errors over time and their cost; returns the axes of the first.
+        """Draw the trajectories, their errors over time and their cost, and return the first axes.
 
         Parameters
         ----------
         ax : axes, or three of them, optional
-            In one the trajectories alone are drawn; by default all three in a figure of their own.
+            In one the trajectories alone are drawn; by default all three in their own figure.
         """
         return draw_comparison(self, ax)
 
@@ -235,7 +232,7 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
     return Comparison(reference, tuple(trajectories), tuple(rows))
 
 
-WIDEST, MARGIN = 60, 4  # grains of the wave shown, and grains at rest on either side
+WIDEST = 60  # grains of the wave that are shown
 
 
 def draw_comparison(comparison: Comparison, ax: Axes | Sequence[Axes] | None = None) -> Axes:
@@ -256,31 +253,34 @@ def draw_comparison(comparison: Comparison, ax: Axes | Sequence[Axes] | None = N
         ax = list(window(8.0, 7.0).subplot_mosaic([["wave", "wave"], ["error", "cost"]]).values())
     wave, *others = panels(ax)
     _draw_wave(comparison, wave)
-    legend(wave)  # the only one: colours and markers are the same below
-    for draw, place in zip((_draw_errors, _draw_cost), others, strict=False):
-        draw(comparison, place)
+    # the only legend: colours and markers are the same below
+    legend(wave)
+    for draw, axes in zip((_draw_errors, _draw_cost), others, strict=False):
+        draw(comparison, axes)
     return wave
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     """Draw velocity against grain number at the end, reference as a line, engines as markers."""
-    reference, scene = comparison.reference, comparison.trajectories[0].scene
-    if scene.excitation.strike_velocity:
-        unit, label = scene.excitation.strike_velocity, r"velocity / strike velocity $v_0$"
-    else:
-        unit, label = 1.0, "velocity downward (m/s)"
+    reference = comparison.reference
+    scene = comparison.trajectories[0].scene
+    unit = scene.excitation.strike_velocity
+    label = r"velocity / strike velocity $v_0$"
+    if not unit:
+        unit = 1.0
+        label = "velocity downward (m/s)"
     last = reference.velocity[-1] / unit
     axes.plot(np.arange(1, last.size + 1), last, color="0.55", lw=2, label="reference")
     first, end = _window(reference.velocity[-1])
     count = len(comparison.trajectories)
-    for place, answer in enumerate(comparison.trajectories):
+    for index, answer in enumerate(comparison.trajectories):
         shown = (answer.grains >= first) & (answer.grains <= end)
         axes.plot(
             answer.grains[shown],
             answer.velocity[-1, shown] / unit,
             linestyle="none",
             marker=MARKERS.get(answer.engine, "x"),
-            markersize=7.5 - 3.5 * place / max(1, count - 1),
+            markersize=7.5 - 3.5 * index / max(1, count - 1),
             markerfacecolor="none",
             markeredgewidth=1.3,
             color=_colour(answer.engine),
@@ -288,32 +288,32 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
         )
     axes.axhline(0, color="0.8", lw=0.8, zorder=0)
     axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
-    set_title(
-        axes, f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs"
-    )
+    grains = f"Grains {first} to {end} of {scene.chain.grains}"
+    set_title(axes, f"{grains} at t = {scene.duration * 1e6:g} µs")
+    # the truth sets the scale, which answers that are far off leave
     span = np.array([last.min(), last.max()])
-    if np.ptp(span):  # of the truth: what is far off leaves the picture, not the scale
+    if np.ptp(span):
         axes.set_ylim(span + 0.25 * np.ptp(span) * np.array([-1, 1]))
+    limits = axes.get_ylim()
     far = [
-        a.engine for a in comparison.trajectories if _beyond(a.velocity[-1] / unit, axes.get_ylim())
+        answer.engine
+        for answer in comparison.trajectories
+        if _leaves(answer.velocity[-1] / unit, limits)
     ]
     if far:
-        axes.text(
-            0.01,
-            0.02,
-            f"partly beyond the scale: {', '.join(far)}",
-            transform=axes.transAxes,
-            fontsize=8,
-        )
+        text = f"partly beyond the scale: {', '.join(far)}"
+        axes.text(0.01, 0.02, text, transform=axes.transAxes, fontsize=8)
 
 
 def _window(velocity: Array) -> tuple[int, int]:
-    """Return the first and last grain of the part that moves, at most `WIDEST` grains around the fastest."""
+    """Return the first and last grain that move, at most `WIDEST` grains around the fastest."""
     speed = np.abs(velocity)
     moving = np.flatnonzero(speed > 1e-3 * speed.max())
     if moving.size == 0:
         return 1, min(WIDEST, velocity.size)
-    first, last = max(0, moving[0] - MARGIN), min(velocity.size - 1, moving[-1] + MARGIN)
+    # with four grains at rest on either side
+    first = max(0, moving[0] - 4)
+    last = min(velocity.size - 1, moving[-1] + 4)
     if last - first >= WIDEST:
         first = int(np.clip(speed.argmax() - WIDEST // 2, first, last - WIDEST + 1))
         last = first + WIDEST - 1
@@ -328,9 +328,8 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     for answer, row, curve in zip(comparison.trajectories, comparison.rows, curves, strict=True):
         values = np.maximum(curve, LEAST_ERROR)
         colour = _colour(answer.engine)
-        axes.semilogy(
-            time[1:], values[1:], color=colour, lw=1.3, label=answer.engine
-        )  # at t = 0 the error is 0
+        # at t = 0 the error is 0
+        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)
         axes.axhline(max(row.expected_error, LEAST_ERROR), color=colour, ls="--", lw=1.3)
     axes.axhline(max(reference.error, LEAST_ERROR), color="0.55", ls=":", lw=1.5)
     axes.set(xlabel="time (µs)", ylabel="relative error")
@@ -341,29 +340,20 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
 def _draw_cost(comparison: Comparison, axes: Axes) -> None:
     """Draw the error against the time of the integration."""
     for row in comparison.rows:
-        x, y = max(row.integration_s, 1e-9), max(row.error, LEAST_ERROR)
+        x = max(row.integration_s, 1e-9)
+        y = max(row.error, LEAST_ERROR)
         expected = max(row.expected_error, LEAST_ERROR)
         colour = _colour(row.engine)
         axes.loglog([x, x], [y, expected], color=colour, ls="--", lw=1.3)
-        axes.loglog(
-            x, expected, marker="_", markersize=10, markeredgewidth=1.8, color=colour, ls="none"
-        )
+        axes.loglog(x, expected, "_", ms=10, mew=1.8, color=colour)
         name = row.engine if row.integrator == row.engine else f"{row.engine}, {row.integrator}"
-        axes.loglog(
-            x,
-            y,
-            marker=MARKERS.get(row.engine, "x"),
-            markersize=8,
-            color=colour,
-            ls="none",
-            label=name,
-        )
+        axes.loglog(x, y, MARKERS.get(row.engine, "x"), ms=8, color=colour, label=name)
     axes.set(xlabel="integration time (s)", ylabel="relative error")
     set_title(axes, "Error and cost; bar: expected error")
     axes.margins(x=0.2, y=0.15)
 
 
-def _beyond(values: Array, limits: tuple[float, float]) -> bool:
+def _leaves(values: Array, limits: tuple[float, float]) -> bool:
     return bool(np.any((values < limits[0]) | (values > limits[1])))
 
 

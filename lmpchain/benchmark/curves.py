@@ -33,13 +33,15 @@ class Point(Row):
     setup_s, estimate_s : float
         Time for setting up and for the error estimate, s; not part of `integration_s`.
     seconds : float
-        Time in the chart, s: of the integration, with that of the error estimate where a tolerance was asked for.
+        Time in the chart, s: of the integration, with that of the error estimate where a tolerance
+        was asked for.
     step_s : float
         s.
     grain_steps_per_s : float
         Force evaluations times computed grains, per second of integration.
     longest : bool
-        Whether this is the longest stable step: at longer ones the run breaks down or its error exceeds 1.
+        Whether this is the longest stable step: at longer ones the run breaks down or its error
+        exceeds 1.
     pareto : bool
         Whether the point is on the Pareto front: no other is faster and as accurate.
     """
@@ -81,9 +83,8 @@ class Curve:
     @property
     def name(self) -> str:
         """Engine, and integrator or "to a tolerance"."""
-        return ", ".join(
-            filter(None, (self.engine, "to a tolerance" if self.to_tolerance else self.integrator))
-        )
+        choice = "to a tolerance" if self.to_tolerance else self.integrator
+        return ", ".join(filter(None, (self.engine, choice)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,11 +119,16 @@ class WorkPrecision(Shown):
         return [point for curve in self.curves for point in curve.points]
 
     def to_json(self) -> dict[str, Any]:
-        """Return what goes into a JSON file; numbers that are not finite become None."""
+        """Return the points for a JSON file; numbers that are not finite become None."""
         rows = [finite(asdict(point)) for point in self.points]
         reference = {"method": self.reference.method, "error": self.reference.error}
-        about = {"machine": self.machine, "versions": self.versions, "dropped": self.dropped}
-        return {"reference": reference, **about, "rows": rows}
+        return {
+            "reference": reference,
+            "machine": self.machine,
+            "versions": self.versions,
+            "dropped": self.dropped,
+            "rows": rows,
+        }
 
     def table(self, others: Mapping[str, Iterable[tuple[float, float]]] = {}) -> str:
         """Return the time to reach several errors, as text, a line a curve.
@@ -145,13 +151,13 @@ class WorkPrecision(Shown):
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
     ) -> Axes:
-        """Draw error against time, with five curves in colour and the rest in grey; returns the axes.
+        """Draw error against time, five curves in colour, others in grey, and return the axes.
 
         Parameters
         ----------
         ax : axes, or three of them, optional
-            In one the errors against time alone are drawn; by default, in a figure of their own, those against force
-            evaluations too, and the times to reach an error of 1e-6.
+            In one the errors against time alone are drawn; by default, in a figure of their own,
+            those against force evaluations too, and the times to reach an error of 1e-6.
         others : sequence of mappings
             Points of other codes: code, error, seconds, force_evaluations (or None).
         """
@@ -159,6 +165,6 @@ class WorkPrecision(Shown):
 
 
 def machine() -> str:
-    """Return the name of the processor and how many cores this process may use."""
+    """Return the name of the processor and the number of cores that this process may use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return f"{processor()}, {cores} core{'s' if cores != 1 else ''}"

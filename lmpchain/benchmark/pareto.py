@@ -1,11 +1,12 @@
-"""Which points of cost and error lead, and what it costs to reach an error."""
+"""Points of cost and error that lead, and the cost of an error."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 
-KNOWN = 10.0  # times the error of the reference: smaller errors are not known well enough
+# times the error of the reference, below which errors are not known well enough
+KNOWN = 10.0
 
 
 def time_to(error: float, points: Iterable[tuple[float, float]]) -> float:
@@ -23,8 +24,8 @@ def time_to(error: float, points: Iterable[tuple[float, float]]) -> float:
         if reached <= error:
             if before is None:
                 return seconds
-            part = math.log(before[1] / error) / math.log(before[1] / reached)
-            return float(before[0] * (seconds / before[0]) ** part)
+            share = math.log(before[1] / error) / math.log(before[1] / reached)
+            return float(before[0] * (seconds / before[0]) ** share)
         before = seconds, reached
     return math.nan
 
@@ -37,9 +38,10 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
     >>> front([(2.0, 0.1), (1.0, 0.5), (3.0, 0.2)])
     [1, 0]
     """
-    least, places = math.inf, []
-    for place in sorted(range(len(points)), key=points.__getitem__):
-        if points[place][1] < least:
-            least = points[place][1]
-            places.append(place)
-    return places
+    smallest = math.inf
+    indices = []
+    for index in sorted(range(len(points)), key=points.__getitem__):
+        if points[index][1] < smallest:
+            smallest = points[index][1]
+            indices.append(index)
+    return indices

@@ -116,10 +116,10 @@ def _solve(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Traje
 
 def _quickest(scene: Scene, name: str, tolerance: float) -> float:
     """Return the time of the fastest of several integrations, s."""
-    from ..benchmark.bench import repeated
+    from ..benchmark.bench import repeat
     from ..simulation.api import simulate
 
-    costs = repeated(lambda: simulate(scene, name, tolerance).cost)
+    costs = repeat(lambda: simulate(scene, name, tolerance).cost)
     return min(cost.integration_s for cost in costs)
 
 

@@ -12,7 +12,7 @@ from helpers.example_scenes import smooth
 
 from lmpchain import RunFailed, ToleranceNotMet
 from lmpchain.benchmark import bench
-from lmpchain.benchmark.bench import Bench, repeated
+from lmpchain.benchmark.bench import Bench, repeat
 from lmpchain.benchmark.comparison import Row
 from lmpchain.benchmark.reference import Reference
 from lmpchain.trajectory.record import Cost
@@ -182,7 +182,7 @@ def test_short_runs_are_repeated_more_often(
         clock[0] += seconds
         return len(clock)
 
-    assert len(repeated(run)) == runs  # type: ignore[arg-type]
+    assert len(repeat(run)) == runs  # type: ignore[arg-type]
 
 
 def test_a_point_has_the_least_of_each_time(monkeypatch: pytest.MonkeyPatch):
