@@ -1,8 +1,9 @@
 """Bands of linear waves in periodic chains, and the modes that a finite chain has in their gaps.
 
-A cell is repeated without end, and a wave turns its phase by the wavenumber from cell to cell. The rows of B
-are the extensions of the contacts, each by the root of its stiffness, of displacements by the roots of the masses:
-frequencies are the singular values of B, the lowest as accurate as the highest.
+A cell is repeated without end, and a wave turns its phase by the wavenumber from cell to cell. The
+rows of B are the extensions of the contacts, each by the root of its stiffness, of displacements by
+the roots of the masses: frequencies are the singular values of B, the lowest as accurate as the
+highest.
 """
 
 from __future__ import annotations
@@ -27,8 +28,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-TOUCHING = 1e-9  # of the highest frequency: narrower gaps are none
-ALIKE = 1e-9  # relative differences of masses and contacts that repeat
+NEGLIGIBLE = 1e-9  # width of a gap over the highest frequency, and difference of equal grains
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class Cell:
     masses, stiffness : (P,) array_like
         kg and N/m; the last contact is that with the next cell.
     resonators : (P, 2) array_like, optional
-        Mass, kg, and stiffness, N/m, of an oscillator that each grain carries; mass 0 for none. L. Bonanomi,
-        G. Theocharis and C. Daraio, Phys. Rev. E 91, 033208 (2015), for such chains.
+        Mass, kg, and stiffness, N/m, of an oscillator that each grain carries; mass 0 for none. For
+        such chains L. Bonanomi, G. Theocharis and C. Daraio, Phys. Rev. E 91, 033208 (2015).
 
     Examples
     --------
@@ -55,25 +55,22 @@ class Cell:
 
     @classmethod
     def of(cls, chain: Chain) -> Cell:
-        """Return all grains of a chain as a cell, closed by a contact of its last grain with its first.
+        """Return all grains of a chain as a cell, closed by a contact of its last with its first.
 
         Raises
         ------
         InputError
             If the chain is under gravity or not compressed.
         """
+        uniform = "must be 0: contacts that stiffen with depth do not repeat"
         require(
-            (
-                "gravity",
-                chain.gravity == 0,
-                "must be 0: contacts that stiffen with depth do not repeat",
-            ),
+            ("gravity", chain.gravity == 0, uniform),
             ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
         )
-        ends = [-2, -1, 0][
-            -chain.grains - 1 :
-        ]  # the last contact tells how given constants compare with Hertz's
-        d, modulus = chain.diameters[ends], chain.by_grain("plane_strain_modulus")[ends]
+        # the last contact shows the ratio of given constants to those of Hertz
+        ends = [-2, -1, 0][-chain.grains - 1 :]
+        d = chain.diameters[ends]
+        modulus = chain.by_grain("plane_strain_modulus")[ends]
         length = (d[:-1] + d[1:]) / 2
         natural = hertz_constant(pair_value(modulus), pair_value(d / 2), length, chain.exponent)
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
@@ -111,20 +108,20 @@ class Bands(Shown):
         return self.frequency[key]
 
     def density_of_states(self, frequency: ArrayLike) -> Array:
-        """Return modes a cell and a rad/s at these frequencies, (F,) s: 0 in gaps, infinite at edges.
+        """Return modes a cell and a rad/s at frequencies, (F,) s: 0 in gaps, infinite at edges.
 
         ``1 / (pi |v|)`` with the group velocity v of the one branch that is there.
         """
         w = real(frequency)
-        place = np.clip(_half_trace(self.cell, w), -1, 1)
-        found = branches(self.cell, np.arccos(place).ravel())
-        nearest = np.abs(found.frequency - w.ravel()).argmin(0)
-        v = np.take_along_axis(found.group_velocity, nearest[None], 0)[0].reshape(w.shape)
+        cosine = _half_trace(self.cell, w)
+        bands = branches(self.cell, np.arccos(np.clip(cosine, -1, 1)).ravel())
+        nearest = np.abs(bands.frequency - w.ravel()).argmin(0)
+        v = np.take_along_axis(bands.group_velocity, nearest[None], 0)[0].reshape(w.shape)
         with np.errstate(divide="ignore"):
-            return np.where(np.abs(_half_trace(self.cell, w)) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
+            return np.where(np.abs(cosine) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the branches over wavenumber, with the gaps between them shaded; returns the axes."""
+        """Draw the branches over wavenumber, the gaps between them shaded, and return the axes."""
         ax = axes_in_units(ax, "", "Hz")
         order = np.argsort(self.wavenumber)
         for number, branch in enumerate(self.frequency, 1):
@@ -138,7 +135,7 @@ class Bands(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GapModes(Shown):
-    """Eigenmodes of a finite chain outside the bands of its cell: at ends, or at grains that differ.
+    """Eigenmodes of a finite chain outside the bands of its cell: at ends or odd grains.
 
     Attributes
     ----------
@@ -147,7 +144,8 @@ class GapModes(Shown):
     shape : (L, M) array
         Displacements, orthonormal in mass.
     participation : (L,) array
-        How many grains take part, 1 / sum of the squares of their shares in the kinetic energy.
+        Number of grains that take part, 1 / sum of the squares of their shares in the kinetic
+        energy.
     centre : (L,) array
         Mean grain, weighted by these shares: near 1 or M for surface modes.
     """
@@ -158,13 +156,12 @@ class GapModes(Shown):
     centre: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the displacements of the grains in each mode, over its largest; returns the axes."""
+        """Draw the displacements of the grains in each mode, over its largest; return the axes."""
         ax = axes_in_units(ax, "", "")
         for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
             label = f"{w / (2 * np.pi):.4g} Hz, {number:.1f} grains"
-            ax.plot(
-                np.arange(1, shape.size + 1), shape / np.abs(shape).max(), ".-", lw=1, label=label
-            )
+            grain = np.arange(1, shape.size + 1)
+            ax.plot(grain, shape / np.abs(shape).max(), ".-", lw=1, label=label)
         ax.set(xlabel="grain", ylabel="displacement over the largest")
         legend(ax)
         return ax
@@ -173,8 +170,8 @@ class GapModes(Shown):
 def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     """Return the Bloch branches of the chain that repeats a cell.
 
-    L. Brillouin, Wave Propagation in Periodic Structures (1946); Boechler, Theocharis, Job, Kevrekidis, Porter and
-    Daraio, Phys. Rev. Lett. 104, 244302 (2010), for dimers of spheres.
+    L. Brillouin, Wave Propagation in Periodic Structures (1946); for dimers of spheres N. Boechler
+    et al., Phys. Rev. Lett. 104, 244302 (2010).
 
     Parameters
     ----------
@@ -194,7 +191,8 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
 
     Examples
     --------
-    >>> dimer = Chain(grains=2, material=["steel", "ptfe"], diameter=1e-2, gravity=0.0, top_load=20.0)
+    >>> ends = {"gravity": 0.0, "top_load": 20.0}
+    >>> dimer = Chain(grains=2, material=["steel", "ptfe"], diameter=1e-2, **ends)
     >>> bands = branches(dimer, [0.0, np.pi])
     >>> (bands.gaps / (2 * np.pi)).round().tolist()
     [[3484.0, 6644.0]]
@@ -204,9 +202,8 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b)
     product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
-    soft = frequency <= TOUCHING * np.abs(slope).max(
-        initial=0.0
-    )  # there the phases of both vectors are free
+    # at frequency 0 the phases of both vectors are free
+    soft = frequency <= NEGLIGIBLE * np.abs(slope).max(initial=0.0)
     velocity = np.where(soft, np.abs(product), product.real)
     order = slice(None, None, -1)
     return Bands(cell, q, frequency.T[order], velocity.T[order], gaps(cell))
@@ -215,7 +212,8 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
 def gaps(cell: Cell | Chain) -> Array:
     """Return the gaps between the bands of the chain that repeats a cell, (G, 2) rad/s.
 
-    The edges of the bands are at the wavenumbers 0 and pi, a branch rising from one to the other or falling.
+    The edges of the bands are at the wavenumbers 0 and pi, a branch rising from one to the other or
+    falling.
 
     Parameters
     ----------
@@ -230,7 +228,7 @@ def gaps(cell: Cell | Chain) -> Array:
 
 
 def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int = 8) -> int:
-    """Return after how many grains masses and contact constants repeat; 1 if they never do.
+    """Return the period in grains of masses and contact constants; 1 if they never repeat.
 
     Parameters
     ----------
@@ -255,7 +253,7 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
         np.log(chain.contact_constants[first - 1 : last - 1]),
     ]
     for period in range(1, min(most, (last - first + 1) // 2) + 1):
-        if all(np.abs(x[period:] - x[:-period]).max(initial=0.0) < ALIKE for x in rows):
+        if all(np.abs(x[period:] - x[:-period]).max(initial=0.0) < NEGLIGIBLE for x in rows):
             return period
     return 1
 
@@ -277,13 +275,13 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     --------
     >>> host = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
     >>> light = Chain(grains=41, **host, impurity=[{"grain": 20, "diameter": 0.7e-3}])
-    >>> found = gap_modes(light, Chain(grains=2, **host))
-    >>> [f"{number:.2f} grains around {centre:.0f}" for number, centre in zip(found.participation, found.centre)]
-    ['1.57 grains around 20']
+    >>> modes = gap_modes(light, Chain(grains=2, **host))
+    >>> f"{modes.participation[0]:.2f} grains around {modes.centre[0]:.0f}"
+    '1.57 grains around 20'
     """
     modes = eigenmodes(chain)
     low, high = _outside(cell).T[..., None]
-    margin = TOUCHING * modes.frequency[-1]
+    margin = NEGLIGIBLE * modes.frequency[-1]
     inside = ((modes.frequency > low + margin) & (modes.frequency < high - margin)).any(0)
     shape = modes.shape[:, inside].T
     share = modes.mass * shape**2
@@ -292,45 +290,41 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
 
 
 def _outside(cell: Cell | Chain) -> Array:
-    """Return the gaps and what lies above the highest band, (G + 1, 2) rad/s."""
+    """Return the gaps and the range above the highest band, (G + 1, 2) rad/s."""
     cell = Cell.of(cell) if isinstance(cell, Chain) else cell
-    edges = np.sort(
-        np.linalg.svd(_extensions(cell, np.array([0.0, np.pi]))[0], compute_uv=False), axis=1
-    )
-    low, high = edges.min(0), edges.max(0)
+    b, _ = _extensions(cell, np.array([0.0, np.pi]))
+    edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=1)
+    low = edges.min(0)
+    high = edges.max(0)
     between = np.column_stack((high, np.append(low[1:], np.inf)))
-    return between[between[:, 1] - between[:, 0] > TOUCHING * high[-1]]
+    return between[between[:, 1] - between[:, 0] > NEGLIGIBLE * high[-1]]
 
 
-def _parts(cell: Cell) -> tuple[Array, Array, Array]:
-    """Return masses and stiffness, (P,) each, and resonators, (R, 3): grain from 0, mass, stiffness."""
-    m, k = real(cell.masses), real(cell.stiffness)
+def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
+    """Return masses and stiffness, (P,), and resonators, (R, 3): grain from 0, mass, stiffness."""
+    m = real(cell.masses)
+    k = real(cell.stiffness)
     inside = np.zeros((m.size, 2)) if cell.resonators is None else real(cell.resonators)
+
+    def positive(x: Array) -> bool:
+        return bool((x > 0).all() and np.isfinite(x).all())
+
+    masses = m.ndim == 1 and m.size > 0 and positive(m)
+    carried = inside.shape == (m.size, 2) and (inside >= 0).all()
     require(
-        (
-            "masses",
-            m.ndim == 1 and m.size and (m > 0).all() and np.isfinite(m).all(),
-            "must be above 0, one a grain",
-        ),
-        (
-            "stiffness",
-            k.shape == m.shape and (k > 0).all() and np.isfinite(k).all(),
-            "must be above 0, one a grain",
-        ),
-        (
-            "resonators",
-            inside.shape == (m.size, 2) and (inside >= 0).all(),
-            "must be (mass, stiffness), one a grain",
-        ),
+        ("masses", masses, "must be above 0, one a grain"),
+        ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one a grain"),
+        ("resonators", carried, "must be (mass, stiffness), one a grain"),
     )
-    carried = np.flatnonzero(inside[:, 0])
-    return m, k, np.column_stack((carried, inside[carried]))
+    grains = np.flatnonzero(inside[:, 0])
+    return m, k, np.column_stack((grains, inside[grains]))
 
 
 def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return B and its derivative by the wavenumber, (K, P + R, P + R)."""
-    m, k, inside = _parts(cell)
-    size, total = m.size, m.size + len(inside)
+    m, k, inside = _check_cell(cell)
+    size = m.size
+    total = size + len(inside)
     b, slope = np.zeros((2, q.size, total, total), complex)
     for i in range(size):
         b[:, i, i] += np.sqrt(k[i] / m[i])
@@ -340,24 +334,23 @@ def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[n
         if i == size - 1:
             slope[:, i, 0] = -1j * coupling
     for row, (grain, mass, stiffness) in enumerate(inside, size):
-        b[:, row, row], b[:, row, int(grain)] = (
-            np.sqrt(stiffness / mass),
-            -np.sqrt(stiffness / m[int(grain)]),
-        )
+        b[:, row, row] = np.sqrt(stiffness / mass)
+        b[:, row, int(grain)] = -np.sqrt(stiffness / m[int(grain)])
     return b, slope
 
 
 def _half_trace(cell: Cell, w: Array) -> Array:
-    """Return cos(wavenumber) at these frequencies: half the trace of the transfer matrix of a cell."""
-    m, k, inside = _parts(cell)
+    """Return cos(wavenumber) at frequencies: half the trace of the transfer matrix of a cell."""
+    m, k, inside = _check_cell(cell)
     square = w**2
     dynamic = np.broadcast_to(m[:, None], (m.size, w.size)).copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         for grain, mass, stiffness in inside:
             dynamic[int(grain)] += mass / (1 - square.ravel() * mass / stiffness)
     matrix = np.broadcast_to(np.eye(2), (w.size, 2, 2))
-    for own, stiff in zip(dynamic, k, strict=True):  # of displacement and force
+    # of displacement and force
+    for inertia, stiff in zip(dynamic, k, strict=True):
         step = np.broadcast_to(np.eye(2), (w.size, 2, 2)).copy()
-        step[:, 1, 0] = own * square.ravel()
+        step[:, 1, 0] = inertia * square.ravel()
         matrix = np.array([[1.0, -1 / stiff], [0.0, 1.0]]) @ step @ matrix
     return matrix.trace(axis1=1, axis2=2).reshape(w.shape) / 2

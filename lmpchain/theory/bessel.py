@@ -1,4 +1,4 @@
-"""Bessel-function solutions of the uniform chain (Eqs. 5-8, 11, 13) and of any chain (Eqs. 19-21)."""
+"""Bessel-function solutions of the uniform chain (Eqs. 5-8, 11, 13) and any chain (Eqs. 19-21)."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ __all__ = [
 
 
 def infinite(n: ArrayLike, p: ArrayLike, T: ArrayLike) -> Array:
-    """Return Eq. (6), J_(2(n-p))(2T): the infinite uniform chain after unit displacement of grain p.
+    """Return Eq. (6), J_(2(n-p))(2T), of an infinite chain after unit displacement of grain p.
 
-    T is tau sqrt(kappa). The main maximum passes at ``2T = 2|n-p| + 0.8086 (2|n-p|)^(1/3)``, not at 2T = 2|n-p|.
+    T is tau sqrt(kappa). The main maximum passes at ``2T = 2|n-p| + 0.8086 (2|n-p|)^(1/3)``, not at
+    2T = 2|n-p|.
 
     Parameters
     ----------
@@ -85,18 +86,20 @@ def infinite_general(
 
     Examples
     --------
-    >>> both = infinite_general(3, 2.5, [1, 0], displacement=[1.0, 1.0])  # a free end is its own image
+    >>> # a free end is its own image
+    >>> both = infinite_general(3, 2.5, [1, 0], displacement=[1.0, 1.0])
     >>> abs(both - free_end(3, 2.5)) < 1e-14
     np.True_
     """
-    n, p = whole("n", n), whole("p", p)
+    n = whole("n", n)
+    p = whole("p", p)
     grains, row = np.unique(n, return_inverse=True)
     distance = abs(grains[:, None] - p)
     even, integral, column = table("T", 2 * real(T), int(distance.max()) + 1)
     motion = np.zeros((grains.size, even.shape[1]))
-    for given, functions in ((displacement, even), (velocity, integral)):
+    for amplitude, functions in ((displacement, even), (velocity, integral)):
         weights = np.zeros((grains.size, len(functions)))
-        np.add.at(weights, (np.arange(grains.size)[:, None], distance), real(given))
+        np.add.at(weights, (np.arange(grains.size)[:, None], distance), real(amplitude))
         motion += weights @ functions
     return motion[row.reshape(n.shape), column]
 
@@ -127,12 +130,13 @@ def free_end(n: ArrayLike, T: ArrayLike) -> Array:
     >>> free_end([1, 2, 3], 0.0).tolist()
     [1.0, 0.0, 0.0]
     """
-    n, z = whole("n", n, 1), 2 * real(T)
+    n = whole("n", n, 1)
+    z = 2 * real(T)
     return jv(2 * n - 2, z) + jv(2 * n, z)
 
 
 def free_end_impulse(n: ArrayLike, T: ArrayLike) -> Array:
-    """Return the integral of `free_end` from 0 to T, Eq. (13): the motion after unit dphi/dT of grain 1.
+    """Return the motion after unit dphi/dT of grain 1, Eq. (13): the integral of `free_end`.
 
     For unit dphi/dtau divide by sqrt(kappa). Arguments and errors as for `free_end`.
 
@@ -163,8 +167,9 @@ def free_end_impulse(n: ArrayLike, T: ArrayLike) -> Array:
 def local(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return J_(2n)(2 sqrt(kappa_n) tau), Eq. (7) with phi_0 = 1 and the tau of Eq. (3).
 
-    An infinite chain of the local kappa is no approximation of Eq. (3): it lacks the image in the free end and is
-    58-127 % off (L2), with the front at tau = n^(eta/2) instead of (2/eta) n^(eta/2).
+    An infinite chain of the local kappa is no approximation of Eq. (3): it lacks the image in the
+    free end and is 58-127 % off (L2), with the front at tau = n^(eta/2) instead of (2/eta)
+    n^(eta/2).
 
     Parameters
     ----------
@@ -199,9 +204,9 @@ def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
     It holds for tau, that of Eq. (3), far above 2 n^2 / sqrt(kappa_n).
 
-    ``n^(-xi/4) cos(2 n^(xi/2) tau - pi n - pi/4) / sqrt(pi tau)``; the paper's own tau here is that of Eq. (3) over
-    g^(1/6). It is not how Eq. (3) behaves at long times: there nothing oscillates, and a displaced top grain
-    leaves ``-0.23103 tau^(-6/5)``.
+    ``n^(-xi/4) cos(2 n^(xi/2) tau - pi n - pi/4) / sqrt(pi tau)``; the paper's own tau here is that
+    of Eq. (3) over g^(1/6). It is not how Eq. (3) behaves at long times: there nothing oscillates,
+    and a displaced top grain leaves ``-0.23103 tau^(-6/5)``.
 
     Parameters
     ----------
@@ -225,7 +230,8 @@ def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     '0.01540 0.01489'
     """
     xi, _, _ = exponents(delta)
-    n, tau = whole("n", n, 1), real(tau)
+    n = whole("n", n, 1)
+    tau = real(tau)
     require(("tau", tau > 0, "must be above 0"))
     return (
         np.cos(2 * n ** (xi / 2) * tau - np.pi * (n + 0.25)) / np.sqrt(np.pi * tau) / n ** (xi / 4)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..util.arrays import Array
 from .domain import real, require, whole
 
-DECAY = 640.0  # recurrences begin where Bessel functions are exp(-640), not far from the smallest number there is
+DECAY = 640.0  # recurrences begin where Bessel functions are exp(-640), near the smallest number
 
 
 def coefficients(
@@ -16,10 +16,11 @@ def coefficients(
 ) -> Array:
     """Return the coefficients A_1(n) ... A_terms(n) of the series (19), by Eqs. (20)-(21).
 
-    The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau).
-    Since ``cos(2 phi_i) = 1 - omega_i^2 / (2 scale)``, they are Chebyshev polynomials of the matrix of Eq. (3): the
-    three-term recurrence gives them without eigenvectors. In Eq. (20) the cases of the brace are j = 1 and j > 1, not
-    i; after Eq. (21), 90 degrees is no mode of N = 3, which has but two.
+    The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau). Since
+    ``cos(2 phi_i) = 1 - omega_i^2 / (2 scale)``, they are Chebyshev polynomials of the matrix of
+    Eq. (3): the three-term recurrence gives them without eigenvectors. In Eq. (20) the cases of the
+    brace are j = 1 and j > 1, not i; after Eq. (21), 90 degrees is no mode of N = 3, which has but
+    two.
 
     Parameters
     ----------
@@ -30,9 +31,10 @@ def coefficients(
     k : int
         The grain displaced by 1 at tau = 0, 1 to N - 1.
     terms : int
-        How many.
+        Number of them.
     scale : float, optional
-        The paper's kappa_N; any number with ``omega <= 2 sqrt(scale)`` for all frequencies, by default max(kappa).
+        The paper's kappa_N; any number with ``omega <= 2 sqrt(scale)`` for all frequencies, by
+        default max(kappa).
 
     Returns
     -------
@@ -46,21 +48,21 @@ def coefficients(
 
     Examples
     --------
-    >>> coefficients([1.0, 1.0, 1.0], 2, 1, 5).round(12).tolist()  # the images of grain 1: J_2 + J_4 at grain 2
+    >>> # the images of grain 1: J_2 + J_4 at grain 2
+    >>> coefficients([1.0, 1.0, 1.0], 2, 1, 5).round(12).tolist()
     [0.0, 1.0, 1.0, 0.0, 0.0]
     """
-    kappa, n, terms = _constants(kappa), whole("n", n, 1), int(whole("terms", terms, 1))
+    kappa = _constants(kappa)
+    n = whole("n", n, 1)
+    terms = int(whole("terms", terms, 1))
     held = kappa.size + 1
     above = np.append(0.0, kappa[:-1])
     scale = float(kappa.max()) if scale is None else scale
+    large = scale >= (above + kappa).max() / 2
     require(
         ("n", n < held, f"must be below {held}, the grain that is held"),
         ("k", 1 <= k < held, f"must be 1 or more and below {held}, the grain that is held"),
-        (
-            "scale",
-            scale >= (above + kappa).max() / 2,
-            "must be larger, for no frequency may lie above 2 sqrt(scale)",
-        ),
+        ("scale", large, "must be larger, for no frequency may lie above 2 sqrt(scale)"),
     )
     coefficients = np.empty((*n.shape, terms))
     before, now = np.zeros((2, kappa.size))
@@ -69,7 +71,8 @@ def coefficients(
         coefficients[..., j] = now[n - 1] * (2 if j else 1)
         stretch = np.diff(now, append=0.0) * kappa
         ahead = 2 * now + np.diff(stretch, prepend=0.0) / scale - before
-        before, now = now, ahead if j else ahead / 2
+        before = now
+        now = ahead if j else ahead / 2
     return coefficients
 
 
@@ -129,32 +132,29 @@ def finite_impulse(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Ar
 
 def _constants(kappa: ArrayLike) -> Array:
     kappa = real(kappa)
-    require(
-        (
-            "kappa",
-            kappa.ndim == 1 and kappa.size and (kappa > 0).all(),
-            "must be a list of numbers above 0",
-        )
-    )
+    positive = kappa.ndim == 1 and kappa.size and (kappa > 0).all()
+    require(("kappa", positive, "must be a list of numbers above 0"))
     return kappa
 
 
 def _series(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> tuple[Array, Array]:
     """Return Eq. (19) and its integral over tau."""
-    kappa, n = _constants(kappa), whole("n", n, 1)
+    kappa = _constants(kappa)
+    n = whole("n", n, 1)
     root = np.sqrt(kappa.max())
     grains, row = np.unique(n, return_inverse=True)
     even, integral, column = table("tau", 2 * root * real(tau))
     weights = coefficients(kappa, grains, k, len(even))
-    where = row.reshape(n.shape), column
-    return (weights @ even)[where], (weights @ integral)[where] / root
+    index = row.reshape(n.shape), column
+    return (weights @ even)[index], (weights @ integral)[index] / root
 
 
 def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, NDArray[np.int64]]:
     """Return J_0, J_2 ... J_(2 count - 2) of z, half their integrals, and the index of each z.
 
-    Miller's downward recurrence, normalised by ``J_0 + 2 (J_2 + J_4 + ...) = 1``; half the integral of J_(2k) is
-    ``J_(2k+1) + J_(2k+3) + ...``. What is below exp(-640) may be given as 0; without a count the tables end there.
+    Miller's downward recurrence, normalised by ``J_0 + 2 (J_2 + J_4 + ...) = 1``; half the integral
+    of J_(2k) is ``J_(2k+1) + J_(2k+3) + ...``. Values below exp(-640) may be given as 0; without a
+    count the tables end there.
 
     Returns
     -------
@@ -170,21 +170,21 @@ def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, N
     even, integral = np.zeros((2, count, values.size))
     above, now, norm, odd = np.zeros((4, values.size))
     for order in range(int(start.max()), -1, -1):
-        above, now = (
-            now,
-            np.where(order == start, np.exp(-DECAY), 2 * (order + 1) / size * now - above),
-        )
+        below = 2 * (order + 1) / size * now - above
+        above = now
+        now = np.where(order == start, np.exp(-DECAY), below)
         if order % 2:
             odd += now
             continue
         norm += 2 * now if order else now
         if order // 2 < count:
-            even[order // 2], integral[order // 2] = now, odd
+            even[order // 2] = now
+            integral[order // 2] = odd
     return even / norm, integral * np.sign(values) / norm, column.reshape(z.shape)
 
 
 def _start(z: Array) -> NDArray[np.int64]:
-    """Return the order where J(z) has decayed to exp(-DECAY), by Newton's method on Debye's exponent."""
+    """Return the order where J(z) has decayed to exp(-DECAY), by Debye's exponent."""
     order = z + 80 * np.cbrt(z) + 1
     for _ in range(12):
         angle = np.arccosh(order / z)

@@ -1,7 +1,18 @@
 """Eq. (27), phi_tautau = (h^xi phi_h)_h, the column as a continuum: modes, packets, responses.
 
-Grain n sits at the depth h = n - 1/2. In the travel time chi from the top, Eq. (27) is the Euler-Poisson-Darboux
-equation ``phi_tautau = phi_chichi + (xi / eta) phi_chi / chi``; the light cone is tau = chi.
+Grain n sits at the depth h = n - 1/2. In the travel time chi from the top, Eq. (27) is the
+Euler-Poisson-Darboux equation ``phi_tautau = phi_chichi + (xi / eta) phi_chi / chi``; the light
+cone is tau = chi. The symbols of the paper:
+
+========= ==================== ==================================================================
+symbol    variable             meaning
+========= ==================== ==================================================================
+h, tau    ``h``, ``tau``       depth in grains, and time in units of the first contact
+lambda    ``lam``              frequency, complex where a packet is summed along a turned line
+chi       ``travel``           travel time from the top, ``chi(h, delta)``
+xi, eta   ``xi``, ``eta``      1 - 1/delta, and 1 + 1/delta, so that chi = (2/eta) h^(eta/2)
+nu        ``nu``               1 / (1 + delta), the order of the Hankel function
+========= ==================== ==================================================================
 """
 
 from __future__ import annotations
@@ -43,8 +54,9 @@ Complex = NDArray[np.complex128]
 def mode(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Complex:
     """Return u_lambda(h) = h^(1/2delta) H_nu^(1)(lambda chi), Eq. (30), with its limit at h = 0.
 
-    The Hankel function is of the first kind and of order nu ("of the first order" in the paper). With exp(i lambda tau)
-    this wave comes in from below; the one that a driven top sends down is its conjugate.
+    The Hankel function is of the first kind and of order nu ("of the first order" in the paper).
+    With exp(i lambda tau) this wave comes in from below; the one that a driven top sends down is
+    its conjugate.
 
     Parameters
     ----------
@@ -102,7 +114,8 @@ def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
     '0.8237'
     """
     _, eta, nu = exponents(delta)
-    lam, travel = real(lam), chi(h, delta)
+    lam = real(lam)
+    travel = chi(h, delta)
     require(("lam", lam > 0, "must be above 0"))
     argument = lam * travel
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -119,10 +132,10 @@ def superpose(
 ) -> Complex:
     """Return the integral of A(lambda) u_lambda(h) exp(i lambda tau) over lambda > 0, Eq. (31).
 
-    With A = 1 it is Eq. (29).
-    Along the real axis it converges but conditionally; along ``lambda = y exp(i angle)`` exponentially, for every
-    tau > -chi. A must be analytic between the two and grow less than exponentially; at 0 it may be as singular as
-    lambda^(nu - 0.9). Relative error about 1e-13.
+    With A = 1 it is Eq. (29). Along the real axis it converges but conditionally; along
+    ``lambda = y exp(i angle)`` exponentially, for every tau > -chi. A must be analytic between the
+    two and grow less than exponentially; at 0 it may be as singular as lambda^(nu - 0.9). Relative
+    error about 1e-13.
 
     Parameters
     ----------
@@ -133,7 +146,8 @@ def superpose(
     delta : float
         Exponent of the contact force.
     angle : float
-        Above 0, at most pi/2; less for an A such as exp(-lambda^2), which grows along the imaginary axis.
+        Above 0, at most pi/2; less for an A such as exp(-lambda^2), which grows along the imaginary
+        axis.
 
     Returns
     -------
@@ -165,10 +179,11 @@ def superpose(
 
 
 def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the real part of Eq. (29), Eq. (32) for A = 1, on both sides of the light cone and on it.
+    """Return the real part of Eq. (29), Eq. (32) for A = 1, inside, outside and on the light cone.
 
-    ``a [(tau + R)^nu - (tau - R)^nu] / R``, R^2 = tau^2 - chi^2, ``a = (eta/2)^nu / (2 sin(pi nu / 2))``; for Hertz
-    a = (5/6)^(2/5) / (2 sin(pi/5)). The constant as printed, with -2 sin(pi/10), gives the imaginary part.
+    ``a [(tau + R)^nu - (tau - R)^nu] / R`` with R^2 = tau^2 - chi^2 and
+    ``a = (eta/2)^nu / (2 sin(pi nu / 2))``; for Hertz a = (5/6)^(2/5) / (2 sin(pi/5)). The constant
+    as printed, with -2 sin(pi/10), gives the imaginary part.
 
     Parameters
     ----------
@@ -196,7 +211,8 @@ def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     require(("tau", tau + travel > 0, "must be above -chi"))
     at_top = travel == 0
     travel = np.where(at_top, 1.0, travel)
-    angle = np.arccosh((tau / travel).astype(complex))  # imaginary outside the cone
+    # imaginary outside the cone
+    angle = np.arccosh((tau / travel).astype(complex))
     amplitude = (eta / 2) ** nu / (2 * np.sin(np.pi * nu / 2))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(angle == 0, nu, (np.sinh(nu * angle) / np.sinh(angle)).real)
@@ -236,9 +252,9 @@ def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
 def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the real part of Eq. (31) for A = lambda^(-nu): Eq. (34) in one form for all tau.
 
-    For Hertz A is lambda^(-2/5).
-    It does not resonate: the two singular terms of Eq. (34) cancel at the light cone, where it is smooth (as printed,
-    with constants of four digits, they leave a spurious peak), and outside the cone the printed form is wrong.
+    For Hertz A is lambda^(-2/5). It does not resonate: the two singular terms of Eq. (34) cancel at
+    the light cone, where it is smooth (as printed, with constants of four digits, they leave a
+    spurious peak), and outside the cone the printed form is wrong.
 
     Parameters
     ----------
@@ -254,7 +270,7 @@ def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        If an argument is outside its domain; delta must be above 1, as the integral diverges at 1.
+        If an argument is outside its domain; at delta = 1 the integral diverges.
 
     Examples
     --------
@@ -262,22 +278,14 @@ def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     '0.886524713011'
     """
     _, eta, nu = exponents(delta)
-    tau, travel = real(tau), chi(h, delta)
+    tau = real(tau)
+    travel = chi(h, delta)
     ahead = tau + travel
     require(("tau", ahead > 0, "must be above -chi"), ("delta", delta > 1, "must be above 1"))
-    amplitude = (
-        2
-        / np.sqrt(np.pi)
-        * np.cos(np.pi * nu)
-        * (eta / 4) ** nu
-        * gamma(1 - 2 * nu)
-        / gamma(1.5 - nu)
-    )
-    return (
-        amplitude
-        * ahead ** (2 * nu - 1)
-        * hyp2f1(0.5 - nu, 1 - 2 * nu, 1.5 - nu, (tau - travel) / ahead)
-    )
+    constant = 2 / np.sqrt(np.pi) * np.cos(np.pi * nu) * (eta / 4) ** nu
+    amplitude = constant * gamma(1 - 2 * nu) / gamma(1.5 - nu)
+    series = hyp2f1(0.5 - nu, 1 - 2 * nu, 1.5 - nu, (tau - travel) / ahead)
+    return amplitude * ahead ** (2 * nu - 1) * series
 
 
 def _bare_mode(h: ArrayLike, lam: ArrayLike, delta: float) -> Complex:

@@ -1,11 +1,12 @@
 """Solitary waves of dimer chains in the sonic vacuum, which exist at certain mass ratios only.
 
-Heavy and light grains alternate, with like contacts. Between these mass ratios, the antiresonances of Jayaprakash,
-Starosvetsky and Vakakis, Phys. Rev. E 83, 036606 (2011), light grains rattle behind a pulse, which so loses its energy.
-A contact whose grain behind is heavy has the overlap A(x), the others A(-x), x = n + 1/2 - c t in grains, with
-``c^2 A'' = N(A(1 - x)) / M - N(A(x)) (1/M + 1/m) + N(A(-1 - x)) / m``.
-Newton's method on a Fourier series finds A together with the mass m of the light grains; M = 1 and contact constants 1
-are the units, as in `lmpchain.theory.soliton`.
+Heavy and light grains alternate, with like contacts. Between these mass ratios, the antiresonances
+of K. R. Jayaprakash, Y. Starosvetsky and A. F. Vakakis, Phys. Rev. E 83, 036606 (2011), light
+grains rattle behind a pulse, which so loses its energy. A contact whose grain behind is heavy has
+the overlap A(x), the others A(-x), x = n + 1/2 - c t in grains, with ``c^2 A'' = N(A(1 - x)) / M -
+N(A(x)) (1/M + 1/m) + N(A(-1 - x)) / m``. Newton's method on a Fourier series finds A together with
+the mass m of the light grains; M = 1 and contact constants 1 are the units, as in
+`lmpchain.theory.soliton`.
 """
 
 from __future__ import annotations
@@ -35,13 +36,30 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-LIGHTEST, APART = (
-    0.03,
-    0.35,
-)  # the least mass ratio of a scan, and how far apart its searches begin in 1 / sqrt(ratio)
-PERIOD, POINTS = 12.0, 256  # grains, and points in them
-GRAINS, CONTACT, UNTIL = 50, 28, 60.0  # of the chain that is struck for an approximation
-ALIKE = 1e-9  # relative differences of masses and constants that count as none
+
+@dataclass(frozen=True)
+class Grid:
+    """Numbers of the Fourier series and of the searches.
+
+    Attributes
+    ----------
+    period : float
+        Of the series, in grains.
+    points : int
+        In a period.
+    lightest : float
+        Least mass ratio of a scan.
+    spacing : float
+        Distance of the beginnings of its searches in 1 / sqrt(ratio).
+    """
+
+    period: float = 12.0
+    points: int = 256
+    lightest: float = 0.03
+    spacing: float = 0.35
+
+
+GRID = Grid()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,14 +92,14 @@ class DimerSoliton(Shown):
         return self._ahead(x, light, 0)
 
     def velocity(self, x: ArrayLike, light: bool = False) -> Array:
-        """Return the velocity of a heavy or a light grain at x, in the direction in which the wave travels."""
+        """Return the velocity of a heavy or a light grain at x, positive in the way of travel."""
         return -self.speed * self._ahead(x, light, 1)
 
     def on(self, chain: Chain, grain: float) -> Profile:
         """Return this wave on a chain, as it passes a grain downward.
 
-        Displacements and velocities are in SI units; the largest velocity of heavy grains is that for which it was
-        solved, in m/s.
+        Displacements and velocities are in SI units; the largest velocity of heavy grains is that
+        for which it was solved, in m/s.
 
         Raises
         ------
@@ -89,69 +107,62 @@ class DimerSoliton(Shown):
             If the chain is no such dimer in a sonic vacuum, or too short.
         """
         require(("grains", chain.grains > 1, "must be two or more, heavy and light in turn"))
-        mass, constant = chain.masses, chain.contact_constants
+        mass = chain.masses
+        constant = chain.contact_constants
         heavy = np.arange(chain.grains) % 2 == int(mass[0] < mass[1])
-        own = np.where(heavy, mass[heavy][0], self.mass_ratio * mass[heavy][0])
-        low, high = 1 + PERIOD / 2, chain.movable - PERIOD / 2
+        heaviest = mass[heavy][0]
+        wanted = np.where(heavy, heaviest, self.mass_ratio * heaviest)
+        low = 1 + GRID.period / 2
+        high = chain.movable - GRID.period / 2
+        exponent = f"must have the exponent {self.delta:g} of the wave"
+        masses = np.abs(mass / wanted - 1) < 1e-9
+        ratio = f"must alternate in the ratio {self.mass_ratio:.12g}"
+        fits = f"must lie from {low:g} to {high:g} for the wave to fit the chain"
         require(
-            (
-                "chain",
-                chain.exponent == self.delta,
-                f"must have the exponent {self.delta:g} of the wave",
-            ),
+            ("chain", chain.exponent == self.delta, exponent),
             ("chain", not chain.compressed, "must be in a sonic vacuum: no gravity, no load"),
-            (
-                "masses",
-                np.abs(mass / own - 1) < ALIKE,
-                f"must alternate in the ratio {self.mass_ratio:.12g}",
-            ),
-            ("contact_constants", np.ptp(constant) < ALIKE * constant[0], "must be equal"),
-            (
-                "grain",
-                low <= grain <= high,
-                f"must lie from {low:g} to {high:g} for the wave to fit the chain",
-            ),
+            ("masses", masses, ratio),
+            ("contact_constants", np.ptp(constant) < 1e-9 * constant[0], "must be equal"),
+            ("grain", low <= grain <= high, fits),
         )
-        unit = (own[heavy][0] / constant[0]) ** (1 / (1 + self.delta))
+        unit = (heaviest / constant[0]) ** (1 / (1 + self.delta))
         x = np.arange(1, chain.grains + 1) - grain
-        u, v = (np.where(heavy, f(x), f(x, light=True)) for f in (self.displacement, self.velocity))
+        u = np.where(heavy, self.displacement(x), self.displacement(x, light=True))
+        v = np.where(heavy, self.velocity(x), self.velocity(x, light=True))
         return Profile(displacement=u * unit, velocity=v)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the velocities of heavy and light grains against x, and the overlaps; returns the axes."""
+        """Draw the velocities of heavy and light grains and the overlaps, and return the axes."""
         ax = axes_in_units(ax, "", "")
-        x = np.linspace(-PERIOD / 3, PERIOD / 3, 401)
+        x = np.linspace(-GRID.period / 3, GRID.period / 3, 401)
         for name, light in (("heavy", False), ("light", True)):
             ax.plot(x, self.velocity(x, light), label=f"velocity of {name} grains")
             ax.plot(x, self.overlap(x, light), "--", lw=1, label=f"overlap ahead of {name} grains")
         ax.set(xlabel="x − ct (grains)", ylabel="units of heavy mass and contact")
-        set_title(
-            ax, f"δ = {self.delta:g}, mass ratio {self.mass_ratio:.8g}, speed {self.speed:.7g}"
-        )
+        ratio = f"mass ratio {self.mass_ratio:.8g}"
+        set_title(ax, f"δ = {self.delta:g}, {ratio}, speed {self.speed:.7g}")
         legend(ax)
         return ax
 
     def _series(self, x: Array, derivative: int) -> Array:
         """Return A or A' by its Fourier series, 0 beyond."""
-        k = 2 * np.pi * np.fft.rfftfreq(self.place.size, PERIOD / self.place.size)
-        weight = (
-            np.fft.rfft(self.values)
-            * (1j * k) ** derivative
-            * np.where(k == 0, 1, 2)
-            / self.place.size
-        )
+        size = self.place.size
+        k = 2 * np.pi * np.fft.rfftfreq(size, GRID.period / size)
+        twice = np.where(k == 0, 1, 2)
+        weight = np.fft.rfft(self.values) * (1j * k) ** derivative * twice / size
         angle = np.multiply.outer(x - self.place[0], k)
-        return np.where(np.abs(x) < PERIOD / 2, (np.exp(1j * angle) @ weight).real, 0.0)
+        inside = np.abs(x) < GRID.period / 2
+        return np.where(inside, (np.exp(1j * angle) @ weight).real, 0.0)
 
     def _ahead(self, x: ArrayLike, light: bool, derivative: int) -> Array:
-        """Return the sum over all contacts ahead of a grain, each of the other kind than the last."""
-        x, far = real(x), PERIOD / 2
-        first = np.ceil(np.maximum(-far - x - 0.5, 0.0))[..., None] + np.arange(PERIOD + 2)
-        at = x[..., None] + 0.5 + first
-        behind = (first + light) % 2 == 1
-        return np.where(
-            behind, self._series(-at, derivative) * (-1) ** derivative, self._series(at, derivative)
-        ).sum(-1)
+        """Return the sum over all contacts ahead of a grain, in turn of either kind."""
+        x = real(x)
+        far = GRID.period / 2
+        number = np.ceil(np.maximum(-far - x - 0.5, 0.0))[..., None] + np.arange(GRID.period + 2)
+        at = x[..., None] + 0.5 + number
+        forward = self._series(at, derivative)
+        backward = self._series(-at, derivative) * (-1) ** derivative
+        return np.where((number + light) % 2 == 1, backward, forward).sum(-1)
 
 
 def antiresonances(
@@ -159,9 +170,9 @@ def antiresonances(
 ) -> tuple[float, ...]:
     """Return the mass ratios at which a dimer chain carries a solitary wave, from 1 downward.
 
-    A light grain that a pulse passes oscillates at a rate that goes as ``s = 1 / sqrt(ratio)``, and from one of them to
-    the next it does so once more, so that they are evenly spread in s, some 0.8 apart. Searches begin half of that
-    apart, and every one is found from several beginnings.
+    A light grain that a pulse passes oscillates at a rate that goes as ``s = 1 / sqrt(ratio)``, and
+    from one of them to the next it does so once more, so that they are evenly spread in s, some 0.8
+    apart. Searches begin half of that apart, and every one is found from several beginnings.
 
     Parameters
     ----------
@@ -187,18 +198,21 @@ def antiresonances(
     >>> [round(ratio, 9) for ratio in antiresonances(0.3)]
     [0.342845781]
     """
+    lightest = GRID.lightest
     require(
-        ("least", LIGHTEST <= least < 1, f"must be from {LIGHTEST:g} to 1 (got {least!r})"),
+        ("least", lightest <= least < 1, f"must be from {lightest:g} to 1 (got {least!r})"),
         ("delta", 1 < delta <= 3, f"must be above 1, and 3 or less (got {delta!r})"),
     )
-    beginnings = 1 / np.arange(1 + APART, 1 / np.sqrt(least) + 2 * APART, APART) ** 2
-    found: set[float] = set()
+    spacing = GRID.spacing
+    beginnings = 1 / np.arange(1 + spacing, 1 / np.sqrt(least) + 2 * spacing, spacing) ** 2
+    ratios: set[float] = set()
     with ProgressBar(beginnings.size, "antiresonances", shown=progress) as bar:
         for near in beginnings.tolist():
-            with suppress(InputError):  # which says that none is near
-                found.add(round(_solved(near, float(delta))[0], 10))
+            # an error says that none is near
+            with suppress(InputError):
+                ratios.add(round(_solve(near, float(delta))[0], 10))
             bar.advance()
-    return tuple(sorted((ratio for ratio in found if least <= ratio < 1), reverse=True))
+    return tuple(sorted((ratio for ratio in ratios if least <= ratio < 1), reverse=True))
 
 
 def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSoliton:
@@ -207,7 +221,8 @@ def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSolito
     Parameters
     ----------
     near : float
-        Mass of a light over that of a heavy grain; the ratio that is found may be another than the nearest.
+        Mass of a light over that of a heavy grain; the antiresonance may be another than the
+        nearest.
     delta : float
         Above 1, at most 3.
     velocity : float
@@ -232,86 +247,84 @@ def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSolito
         ("delta", 1 < delta <= 3, f"must be above 1, and 3 or less (got {delta!r})"),
         ("velocity", 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"),
     )
-    ratio, place, values = _solved(float(near), float(delta))
-    wave = DimerSoliton(delta, ratio, 1.0, place, values)
+    ratio, x, values = _solve(float(near), float(delta))
+    wave = DimerSoliton(delta, ratio, 1.0, x, values)
     fastest = float(wave.velocity(np.linspace(-2, 2, 4001)).max())
     speed = (velocity / fastest) ** ((delta - 1) / (delta + 1))
-    return DimerSoliton(delta, ratio, speed, place, values * speed ** (2 / (delta - 1)))
+    return DimerSoliton(delta, ratio, speed, x, values * speed ** (2 / (delta - 1)))
 
 
 @cache
-def _solved(near: float, delta: float) -> tuple[float, Array, Array]:
+def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
     """Return mass ratio, places and values of A for speed 1."""
-    x = (np.arange(POINTS) - POINTS // 2) * PERIOD / POINTS
-    k = 2 * np.pi * np.fft.fftfreq(POINTS, PERIOD / POINTS)
-    inverse = np.where(
-        k == 0, 0.0, -1 / np.where(k == 0, 1.0, k) ** 2
-    )  # of the second derivative, but for the mean
-    fourier = np.fft.fft(np.eye(POINTS), axis=0)
+    points = GRID.points
+    x = (np.arange(points) - points // 2) * GRID.period / points
+    k = 2 * np.pi * np.fft.fftfreq(points, GRID.period / points)
+    # inverse of the second derivative, but for the mean
+    inverse = np.where(k == 0, 0.0, -1 / np.where(k == 0, 1.0, k) ** 2)
+    fourier = np.fft.fft(np.eye(points), axis=0)
 
     def operator(symbol: Array) -> Array:
         return np.fft.ifft(symbol[:, None] * fourier, axis=0).real
 
-    mirror = np.eye(POINTS)[-np.arange(POINTS) % POINTS]
+    mirror = np.eye(points)[-np.arange(points) % points]
     alone = operator(inverse)
-    heavy, light = (
-        operator(inverse * np.exp(shift * 1j * k)) @ mirror - alone for shift in (-1, 1)
-    )
-    slope = operator(1j * k * (np.arange(POINTS) != POINTS // 2))[0]
-    values, inertia = _approximate(near, delta, x), 1 / near
-    matrix = np.zeros((POINTS + 1, POINTS + 1))
+    heavy = operator(inverse * np.exp(-1j * k)) @ mirror - alone
+    light = operator(inverse * np.exp(1j * k)) @ mirror - alone
+    slope = operator(1j * k * (np.arange(points) != points // 2))[0]
+    values = _approximate(near, delta, x)
+    inertia = 1 / near
+    matrix = np.zeros((points + 1, points + 1))
     matrix[-1, :-1] = slope
     for _ in range(60):
         overlap = np.maximum(values, 0.0)
-        force, stiffness = overlap**delta, delta * overlap ** (delta - 1)
-        off = values - values.mean() - heavy @ force - inertia * (light @ force) + values[0]
-        matrix[:-1, :-1] = np.eye(POINTS) - 1 / POINTS - (heavy + inertia * light) * stiffness
+        force = overlap**delta
+        stiffness = delta * overlap ** (delta - 1)
+        residual = values - values.mean() - heavy @ force - inertia * (light @ force) + values[0]
+        matrix[:-1, :-1] = np.eye(points) - 1 / points - (heavy + inertia * light) * stiffness
         matrix[:-1, 0] += 1
         matrix[:-1, -1] = -light @ force
-        change = np.linalg.solve(matrix, np.append(off, slope @ values))
+        change = np.linalg.solve(matrix, np.append(residual, slope @ values))
         size = max(np.abs(change[:-1]).max() / values.max(), abs(change[-1]) / inertia)
         change *= min(1.0, 0.2 / size)
-        values, inertia = values - change[:-1], inertia - change[-1]
-        if size < 1e-7:  # the next change is its square
+        values = values - change[:-1]
+        inertia = inertia - change[-1]
+        # the next change is its square
+        if size < 1e-7:
             return float(1 / inertia), x, values
-    raise InputError(
-        [
-            (
-                "near",
-                f"there is no wave that does not radiate near the mass ratio {near:g}: try another",
-            )
-        ]
-    )
+    message = f"there is no wave that does not radiate near the mass ratio {near:g}: try another"
+    raise InputError.at("near", message)
 
 
 def _approximate(ratio: float, delta: float, x: Array) -> Array:
     """Return A for speed 1 from the pulse behind a strike, with the tail that it leaves cut off."""
-    mass = np.where(np.arange(GRAINS) % 2 == 0, 1.0, ratio)
+    # the wave passes this contact of a chain of so many grains well before this time
+    grains = 50
+    contact = 28
+    until = 60.0
+    mass = np.where(np.arange(grains) % 2 == 0, 1.0, ratio)
 
     def rate(_: float, state: Array) -> Array:
-        force = np.maximum(-np.diff(state[:GRAINS]), 0.0) ** delta
-        return np.append(state[GRAINS:], -np.diff(force, prepend=0.0, append=0.0) / mass)
+        force = np.maximum(-np.diff(state[:grains]), 0.0) ** delta
+        return np.append(state[grains:], -np.diff(force, prepend=0.0, append=0.0) / mass)
 
-    start = np.zeros(2 * GRAINS)
-    start[GRAINS] = 1.0
-    time = np.linspace(0, UNTIL, 3001)
-    moved = solve_ivp(rate, (0, UNTIL), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-10).y[
-        :GRAINS
-    ]
-    overlap = -np.diff(moved, axis=0)
+    start = np.zeros(2 * grains)
+    start[grains] = 1.0
+    time = np.linspace(0, until, 3001)
+    motion = solve_ivp(rate, (0, until), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-10)
+    overlap = -np.diff(motion.y[:grains], axis=0)
 
-    def centre(contact: int) -> float:
-        force = np.maximum(overlap[contact], 0.0) ** delta
-        begins = int(np.argmax(force > 0.3 * force.max()))
-        pulse = slice(max(0, begins - 150), begins + 250)
+    def centre(number: int) -> float:
+        force = np.maximum(overlap[number], 0.0) ** delta
+        begin = int(np.argmax(force > 0.3 * force.max()))
+        pulse = slice(max(0, begin - 150), begin + 250)
         return float(force[pulse] @ time[pulse] / force[pulse].sum())
 
-    first, second, fifth = (centre(CONTACT + n) for n in (0, 1, 4))
-    speed = 4 / (fifth - first)
-    middle = (first + second) / 2 - 1 / (2 * speed)  # A and its mirror image, half a grain apart
-    place = speed * (middle - time)
-    near = np.abs(x) < PERIOD / 4
-    values = CubicSpline(place[::-1], overlap[CONTACT][::-1])(np.where(near, x, 0.0)) / speed ** (
-        2 / (delta - 1)
-    )
+    first = centre(contact)
+    speed = 4 / (centre(contact + 4) - first)
+    # A and its mirror image, half a grain apart
+    middle = (first + centre(contact + 1)) / 2 - 1 / (2 * speed)
+    spline = CubicSpline((speed * (middle - time))[::-1], overlap[contact][::-1])
+    near = np.abs(x) < GRID.period / 4
+    values = spline(np.where(near, x, 0.0)) / speed ** (2 / (delta - 1))
     return np.where(near, np.maximum(values, 0.0), 0.0)

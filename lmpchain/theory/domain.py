@@ -24,11 +24,11 @@ def real(value: ArrayLike) -> Array:
 
 def whole(key: str, value: ArrayLike, least: int | None = None) -> NDArray[np.int64]:
     """Return whole numbers as int64; raise `InputError` for others and for those below `least`."""
-    given = real(value)
-    require((key, np.isfinite(given) & (given == np.round(given)), "must be whole numbers"))
+    number = real(value)
+    require((key, np.isfinite(number) & (number == np.round(number)), "must be whole numbers"))
     if least is not None:
-        require((key, given >= least, f"must be {least} or more"))
-    return given.astype(np.int64)
+        require((key, number >= least, f"must be {least} or more"))
+    return number.astype(np.int64)
 
 
 def exponents(delta: float) -> tuple[float, float, float]:

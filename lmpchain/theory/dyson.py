@@ -16,8 +16,8 @@ __dir__ = listed(__name__)
 def weight(kappa: ArrayLike, m: ArrayLike) -> Array:
     """Return D_m(kappa) = m^m / (m-1)! kappa^m exp(-m kappa), Eq. (23) as printed.
 
-    It is a normalised density of mean 1 + 1/m and variance (m+1)/m^2: the power is one too high for Dyson's own, which
-    is `density`.
+    It is a normalised density of mean 1 + 1/m and variance (m+1)/m^2: the power is one too high for
+    Dyson's own, which is `density`.
 
     Parameters
     ----------
@@ -46,7 +46,8 @@ def weight(kappa: ArrayLike, m: ArrayLike) -> Array:
 def density(kappa: ArrayLike, m: ArrayLike) -> Array:
     """Return Dyson's own m^m / (m-1)! kappa^(m-1) exp(-m kappa), of mean 1 and variance 1/m.
 
-    F. J. Dyson, Phys. Rev. 92, 1331 (1953). Arguments as for `weight`; infinite at kappa = 0 for m < 1.
+    F. J. Dyson, Phys. Rev. 92, 1331 (1953). Arguments as for `weight`; infinite at kappa = 0 for m
+    < 1.
 
     Parameters
     ----------
@@ -95,14 +96,10 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
     >>> float(average([1.0, 1.0, 1.0], [1.0, 2.0, 3.0], 5, normalised=True))
     1.0
     """
-    velocity, kappa = real(velocity), real(kappa)
-    require(
-        (
-            "kappa",
-            kappa.shape == velocity.shape[-1:],
-            "must hold one force constant for each grain of velocity",
-        )
-    )
+    velocity = real(velocity)
+    kappa = real(kappa)
+    alike = kappa.shape == velocity.shape[-1:]
+    require(("kappa", alike, "must hold one force constant for each grain of velocity"))
     weights = weight(kappa, real(m)[..., None])
     total = (weights * velocity).sum(-1)
     return total / weights.sum(-1) if normalised else total
@@ -111,10 +108,10 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
 def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
     """Return the share of modes below a frequency in Dyson's exactly solvable random chain.
 
-    All 2N - 1 of its ratios k_n / m_n and k_n / m_(n+1) are independent, with a gamma distribution of this shape and
-    rate; F. J. Dyson, Phys. Rev. 92, 1331 (1953). The share is ``1 - Im Omega(-1/omega^2 + i0) / pi`` with
-    ``Omega(x) = 2 d/dc ln U(shape, c, rate/x)`` at c = 1, U Tricomi's function, which is integrated here along a ray
-    where it decays.
+    All 2N - 1 of its ratios k_n / m_n and k_n / m_(n+1) are independent, with a gamma distribution
+    of this shape and rate; F. J. Dyson, Phys. Rev. 92, 1331 (1953). The share is
+    ``1 - Im Omega(-1/omega^2 + i0) / pi`` with ``Omega(x) = 2 d/dc ln U(shape, c, rate/x)`` at
+    c = 1, U Tricomi's function, which is integrated here along a ray where it decays.
 
     Parameters
     ----------
@@ -146,42 +143,47 @@ def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
         ("shape", 0.05 <= shape <= 100, "must be 0.05 to 100"),
         ("rate", 0 < rate < np.inf, "must be above 0 and finite"),
     )
-    # U(a, c, z) Gamma(a) is the integral of exp(-z t) t^(a-1) (1+t)^(c-a-1) from 0 to infinity, -z = rate omega^2:
-    # through the saddle point in the upper half plane, from where its steepest descent runs at three quarters of pi
+    # U(a, c, z) Gamma(a) is the integral of exp(-z t) t^(a-1) (1+t)^(c-a-1) from 0 to infinity,
+    # -z = rate omega^2: through the saddle point in the upper half plane, from where its steepest
+    # descent runs at three quarters of pi
     scale = rate * square
     discriminant = 0.25 - shape / scale
     saddle = -0.5 + 1j * np.sqrt(np.maximum(-discriminant, 0.04))
     top = np.where(discriminant > 0, np.sqrt(np.maximum(discriminant, 0)) - 0.5, saddle)
     peak = (scale * top + shape * np.log(top / (1 + top))).real
-    onward, far = np.abs(saddle) * np.exp(0.75j * np.pi), 60.0
-    whole = np.zeros((2, *scale.shape), complex)
+    onward = np.abs(saddle) * np.exp(0.75j * np.pi)
+    far = 60.0
+    total = np.zeros((2, *scale.shape), complex)
 
     def add(t: Array, log: Array, speed: Array) -> None:
         """Add the integrand times d log(t), and that times log(1+t)."""
         size = np.exp(scale * t + shape * (log - np.log1p(t)) - peak) * speed
-        whole[:] += size, size * np.log1p(t)
+        total[:] += size, size * np.log1p(t)
 
-    # further where the peak at the saddle is sharp, for a large shape: it falls as a Gauss function at first
+    # further where the peak at the saddle is sharp, for a large shape: at first it falls as a
+    # Gauss function
     toward = far / shape + 0.5 + np.log(np.abs(saddle) / np.minimum(np.abs(top), 1))
-    last = toward, np.log1p((far + 0.4 * shape) / np.sqrt(shape * scale))
+    beyond = np.log1p((far + 0.4 * shape) / np.sqrt(shape * scale))
     for node, weight in zip(*_panels(), strict=True):
-        y, w = node * last[0], node * last[1]
-        add(saddle * np.exp(-y), np.log(saddle) - y, weight * last[0])
+        y = node * toward
+        w = node * beyond
+        add(saddle * np.exp(-y), np.log(saddle) - y, weight * toward)
         t = saddle + onward * np.expm1(w)
-        add(t, np.log(t), weight * last[1] * onward * np.exp(w) / t)
-    return 1 - 2 / np.pi * (whole[1] / whole[0]).imag
+        add(t, np.log(t), weight * beyond * onward * np.exp(w) / t)
+    return 1 - 2 / np.pi * (total[1] / total[0]).imag
 
 
 def _panels(count: int = 200) -> tuple[Array, Array]:
     """Return nodes and weights of Gauss and Legendre in equal panels of the unit interval."""
     nodes, weights = np.polynomial.legendre.leggauss(16)
-    places = (np.arange(count)[:, None] + (nodes + 1) / 2) / count
-    return places.ravel(), np.tile(weights / 2 / count, count)
+    positions = (np.arange(count)[:, None] + (nodes + 1) / 2) / count
+    return positions.ravel(), np.tile(weights / 2 / count, count)
 
 
 def _gamma(kappa: ArrayLike, m: ArrayLike, lower: int) -> Array:
     """Return m^m / Gamma(m) kappa^(m - lower) exp(-m kappa), with no large terms that cancel."""
-    kappa, m = real(kappa), real(m)
+    kappa = real(kappa)
+    m = real(m)
     require(
         ("kappa", kappa >= 0, "must be 0 or more"),
         ("m", (m > 0) & np.isfinite(m), "must be above 0"),
@@ -191,7 +193,8 @@ def _gamma(kappa: ArrayLike, m: ArrayLike, lower: int) -> Array:
 
 def _log_peak(m: Array) -> Array:
     """Return log(m^m exp(-m) / Gamma(m)), by Stirling's series where m is large."""
-    small, large = np.minimum(m, 20.0), np.maximum(m, 20.0)
+    small = np.minimum(m, 20.0)
+    large = np.maximum(m, 20.0)
     series = (1 / 12 - (1 / 360 - (1 / 1260 - 1 / 1680 / large**2) / large**2) / large**2) / large
     return np.where(
         m < 20,

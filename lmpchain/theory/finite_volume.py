@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from ..util.arrays import Array
 from .domain import exponents, real, require, whole
 
-COURANT = 0.9
-
 
 @dataclass(frozen=True, eq=False)
 class Field:
@@ -44,10 +42,11 @@ def solve(
 ) -> Field:
     """Solve Eq. (27), phi_tautau = (h^xi phi_h)_h, for a column of N grains, the last of them held.
 
-    No flux passes the free top h = 0, so momentum is conserved to round-off; phi is 0 at h = N - 1/2. The flux
-    through a face at f between centres a and b is ``eta f (phi_b - phi_a) / (b^eta - a^eta)``, exact for the h^eta with
-    which regular solutions begin at the top, where h^xi would cost accuracy; in time it is velocity Verlet at 0.9 of
-    the stable step. Second order in the width of the cells, 1/cells.
+    No flux passes the free top h = 0, so momentum is conserved to round-off; phi is 0 at
+    h = N - 1/2. The flux through a face at f between centres a and b is
+    ``eta f (phi_b - phi_a) / (b^eta - a^eta)``, exact for the h^eta with which regular solutions
+    begin at the top, where h^xi would cost accuracy; in time it is velocity Verlet at 0.9 of the
+    stable step. Second order in the width of the cells, 1/cells.
 
     Parameters
     ----------
@@ -56,8 +55,8 @@ def solve(
     grains : int
         N.
     displacement, velocity : callable, optional
-        phi(h) and dphi/dtau(h) at tau = 0 for arrays of depths, by default 0. ``lambda h: h < 1`` is what a unit
-        impulse of grain 1 gives.
+        phi(h) and dphi/dtau(h) at tau = 0 for arrays of depths, by default 0. ``lambda h: h < 1``
+        is the velocity by a unit impulse of grain 1.
     drive : callable, optional
         tau -> phi and dphi/dtau of grain 1, h = 1/2, whose motion it prescribes.
     delta : float
@@ -80,7 +79,9 @@ def solve(
     >>> f"{field.displacement[1, 0]:.3f}"  # C tau^(-1/5) is 0.634
     '0.635'
     """
-    tau, grains, cells = real(tau), int(whole("grains", grains, 2)), int(whole("cells", cells, 1))
+    tau = real(tau)
+    grains = int(whole("grains", grains, 2))
+    cells = int(whole("cells", cells, 1))
     ascending = tau.ndim == 1 and tau.size and tau[0] >= 0 and (np.diff(tau) >= 0).all()
     require(
         ("tau", ascending, "must be a list that ascends from 0 or more"),
@@ -89,20 +90,21 @@ def solve(
     _, eta, _ = exponents(delta)
     width = 1 / cells
     middle = cells // 2
-    moving = (grains - 1) * cells + middle  # the next cell is centred on grain N and held
+    # the next cell is centred on grain N and held
+    moving = (grains - 1) * cells + middle
     centre = real(np.arange(moving + 1) + 0.5) * width
     face = np.arange(1, moving + 1) * width
-    rate = (
-        eta * face / np.diff(centre**eta) / width
-    )  # flux over phi_b - phi_a, for a cell of this width
-    longest = COURANT * 2 / np.sqrt(2 * (rate[:-1] + rate[1:]).max(initial=rate[0]))
-    phi, speed = (
-        np.zeros(moving)
-        if given is None
-        else np.broadcast_to(real(given(centre[:-1])), moving).copy()
-        for given in (displacement, velocity)
-    )
+    # flux over phi_b - phi_a, for a cell of this width
+    rate = eta * face / np.diff(centre**eta) / width
+    longest = 0.9 * 2 / np.sqrt(2 * (rate[:-1] + rate[1:]).max(initial=rate[0]))
 
+    def begin(start: Callable[[Array], ArrayLike] | None) -> Array:
+        if start is None:
+            return np.zeros(moving)
+        return np.broadcast_to(real(start(centre[:-1])), moving).copy()
+
+    phi = begin(displacement)
+    speed = begin(velocity)
     record = np.zeros((2, tau.size, grains))
 
     def hold(now: float) -> None:

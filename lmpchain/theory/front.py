@@ -1,8 +1,9 @@
 """The front of the wave that a strike on grain 1 sends down a long linear column.
 
-Where the impulse response of the continuum, Eq. (35), is infinite, the grains disperse it over the width
-``w = [h^(1 - 3 xi/2) / (8 (1 - 3 xi/2))]^(1/3)`` into a fractional derivative of Airy's function. These are limits for
-large n, for delta below 3; the next order is about 0.34 n^(-1/3) below them for Hertz.
+Where the impulse response of the continuum, Eq. (35), is infinite, the grains disperse it over the
+width ``w = [h^(1 - 3 xi/2) / (8 (1 - 3 xi/2))]^(1/3)`` into a fractional derivative of Airy's
+function. These are limits for large n, for delta below 3; the next order is about 0.34 n^(-1/3)
+below them for Hertz.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ __dir__ = listed(__name__)
 def decay(delta: float = 1.5) -> tuple[float, float]:
     """Return p and q: peak velocities fall as n^(-p), peak displacements as n^(-q), after a strike.
 
-    For Hertz 4/15 and 1/10; the 1/12 of Eq. (8) holds for waves of one frequency. From delta = 3 on both are xi/4.
+    For Hertz 4/15 and 1/10; the 1/12 of Eq. (8) holds for waves of one frequency. From delta = 3 on
+    both are xi/4.
 
     Parameters
     ----------
@@ -49,23 +51,24 @@ def decay(delta: float = 1.5) -> tuple[float, float]:
     xi, eta, _ = exponents(delta)
     if delta >= 3:
         return xi / 4, xi / 4
-    a, spread = xi / (2 * eta), 1 / 3 - xi / 2
+    a = xi / (2 * eta)
+    spread = 1 / 3 - xi / 2
     return a * eta / 2 + (1 + a) * spread, a * eta / 2 + a * spread
 
 
 def displacement(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return phi_n near the front after unit dphi/dtau of grain 1.
 
-    It is ``C (2 chi w)^(-a) G((tau - chi) / w)``.
-    G is the integral of ``y^(-a) Ai(y - s)`` over y > 0, a = xi / (2 eta) and C that of Eq. (35).
+    It is ``C (2 chi w)^(-a) G((tau - chi) / w)``, where G(s) is the integral of ``y^(-a) Ai(y -
+    s)`` over y > 0, a = xi / (2 eta) and C that of Eq. (35).
 
     Parameters
     ----------
     n : array_like
         Grain, from 1.
     tau : array_like
-        Not later than chi(n - 1/2) + 30 w, where `lmpchain.theory.continuum.impulse_response` is as good; broadcasts
-        with n.
+        Not later than chi(n - 1/2) + 30 w, from where on `continuum.impulse_response` is as good;
+        broadcasts with n.
     delta : float
         Exponent of the contact force.
 
@@ -114,8 +117,7 @@ def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
     """Return the largest velocity of grain n over that of the strike.
 
-    For Hertz it is 0.931768 n^(-4/15) to leading order.
-    Arguments and errors as for `displacement`.
+    For Hertz it is 0.931768 n^(-4/15) to leading order. Arguments and errors as for `displacement`.
 
     Parameters
     ----------
@@ -144,8 +146,7 @@ def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
 def peak_time(n: ArrayLike, delta: float = 1.5) -> Array:
     """Return the arrival time of the largest velocity at grain n, chi + s w, in units of tau.
 
-    For Hertz s = 0.908.
-    Arguments and errors as for `displacement`.
+    For Hertz s = 0.908. Arguments and errors as for `displacement`.
 
     Parameters
     ----------
@@ -183,13 +184,8 @@ def _near(n: ArrayLike, tau: ArrayLike, delta: float, derivative: int) -> Array:
 def _scales(n: ArrayLike, delta: float) -> tuple[Array, Array, float]:
     """Return chi and w at grain n, and a."""
     xi, eta, _ = exponents(delta)
-    require(
-        (
-            "delta",
-            delta < 3,
-            "must be below 3: from there on waves are dispersed at the top, not at the front",
-        )
-    )
+    message = "must be below 3: from there on waves are dispersed at the top, not at the front"
+    require(("delta", delta < 3, message))
     h = whole("n", n, 1) - 0.5
     power = 1 - 1.5 * xi
     return chi(h, delta), np.cbrt(h**power / (8 * power)), xi / (2 * eta)

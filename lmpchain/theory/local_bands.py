@@ -10,18 +10,21 @@ from .bands import repeating
 
 
 def local_bands(chain: Chain) -> Array:
-    """Return the edges of the bands around every grain, (N, B, 2) rad/s, of the cell that repeats there.
+    """Return the edges of the bands around every grain, (N, B, 2) rad/s.
 
-    Where no cell repeats it is a uniform chain of such grains with the contact below, for the last grain that above.
-    All are 0 in a sonic vacuum. A single grain has its frequency between the walls.
+    They are those of the cell that repeats around it. Where no cell repeats it is a uniform chain
+    of such grains with the contact below, for the last grain that above. All are 0 in a sonic
+    vacuum. A single grain has its frequency between the walls.
     """
     if chain.grains == 1:
         return np.full((1, 1, 2), np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]))
-    number, period = np.arange(chain.grains), repeating(chain)
+    number = np.arange(chain.grains)
+    period = repeating(chain)
     start = np.minimum(number, chain.grains - 1 - period)[:, None] + np.arange(period)
     m = chain.masses[start if period > 1 else number[:, None]]
     k = chain.linear_stiffness[start]
-    b = np.zeros((chain.grains, 2, period, period))  # at the wavenumbers 0 and pi
+    # at the wavenumbers 0 and pi
+    b = np.zeros((chain.grains, 2, period, period))
     for i in range(period):
         turn = np.array([1.0, -1.0]) if i == period - 1 else 1.0
         b[:, :, i, i] += np.sqrt(k[:, i] / m[:, i])[:, None]

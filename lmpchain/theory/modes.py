@@ -1,4 +1,4 @@
-"""Eigenmodes of the linearised chain (Eqs. 14-16) and what the continuum says of its frequencies."""
+"""Eigenmodes of the linearised chain (Eqs. 14-16), and its frequencies in the continuum."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ from .domain import exponents, real, require, whole
 
 __dir__ = listed(__name__)
 
-DEGENERATE, PASSES = (
-    1e-8,
-    3,
-)  # relative gap below which modes are one space, and mixture whose square is rounding
+DEGENERATE = 1e-8  # relative gap of modes of one space, and mixture whose square is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +28,8 @@ class Modes:
     frequency : (M,) array
         rad/s, ascending.
     shape : (M, M) array
-        Column p is mode p, X_n(lambda_p) / sqrt(K_p) of Eqs. (14)-(16): ``shape.T @ diag(mass) @ shape = 1``.
+        Column p is mode p, X_n(lambda_p) / sqrt(K_p) of Eqs. (14)-(16): ``shape.T @ diag(mass) @
+        shape = 1``.
     mass : (M,) array
         kg.
     """
@@ -43,7 +41,7 @@ class Modes:
     def response(
         self, time: ArrayLike, displacement: ArrayLike = 0.0, velocity: ArrayLike = 0.0
     ) -> tuple[Array, Array]:
-        """Return the motion, Eq. (15), for any initial displacement, with sin(wt)/w for any velocity.
+        """Return the motion after any initial displacement, Eq. (15), and velocity, by sin(wt)/w.
 
         Parameters
         ----------
@@ -64,26 +62,30 @@ class Modes:
         >>> u.ravel().round(12).tolist()
         [1.0, -1.0]
         """
-        moved, struck = (
-            (np.broadcast_to(real(given), self.mass.shape) * self.mass) @ self.shape
-            for given in (displacement, velocity)
-        )
+
+        def project(start: ArrayLike) -> Array:
+            return (np.broadcast_to(real(start), self.mass.shape) * self.mass) @ self.shape
+
+        amplitude = project(displacement)
+        rate = project(velocity)
         angle = np.multiply.outer(real(time), self.frequency)
-        cos, sin = np.cos(angle), np.sin(angle)
+        cos = np.cos(angle)
+        sin = np.sin(angle)
         return (
-            (moved * cos + struck / self.frequency * sin) @ self.shape.T,
-            (struck * cos - moved * self.frequency * sin) @ self.shape.T,
+            (amplitude * cos + rate / self.frequency * sin) @ self.shape.T,
+            (rate * cos - amplitude * self.frequency * sin) @ self.shape.T,
         )
 
 
 def eigenmodes(chain: Chain) -> Modes:
     """Return the eigenmodes of the chain linearised about its equilibrium, Eqs. (14)-(16).
 
-    The paper leaves out that its lambda is -omega^2; its recursion for X_n from the top overflows beyond some 700
-    grains, so the symmetric tridiagonal matrix is diagonalised instead. Frequencies are Rayleigh quotients in sums of
-    squares, ``omega^2 = sum_n k_n (X_n - X_(n+1))^2``: all are right to a few 1e-16, the lowest too, and so are the
-    shapes of those below half the highest, as long as the highest is less than 1e5 times the lowest. Time and memory
-    grow as M^2: seconds at M = 5000.
+    The paper leaves out that its lambda is -omega^2; its recursion for X_n from the top overflows
+    beyond some 700 grains, so the symmetric tridiagonal matrix is diagonalised instead. Frequencies
+    are Rayleigh quotients in sums of squares, ``omega^2 = sum_n k_n (X_n - X_(n+1))^2``: all are
+    right to a few 1e-16, the lowest too, and so are the shapes of those below half the highest, as
+    long as the highest is less than 1e5 times the lowest. Time and memory grow as M^2: seconds at
+    M = 5000.
 
     Parameters
     ----------
@@ -106,13 +108,8 @@ def eigenmodes(chain: Chain) -> Modes:
     >>> (modes.frequency * chain.time_scale)[[0, -1]].round(12).tolist()
     [0.205435847948, 2.719178378759]
     """
-    require(
-        (
-            "chain",
-            chain.compressed,
-            "carries no force at rest: nothing to linearise without gravity or a top load",
-        )
-    )
+    message = "carries no force at rest: nothing to linearise without gravity or a top load"
+    require(("chain", chain.compressed, message))
     return between(chain.contacts.stiffness[: chain.movable + 1], chain.masses[: chain.movable])
 
 
@@ -136,34 +133,36 @@ def between(stiffness: Array, mass: Array) -> Modes:
     shape /= np.sqrt(mass @ shape**2)
     frequency = _rayleigh(shape, stiffness)
     order = np.argsort(frequency)
-    frequency, shape = frequency[order], shape[:, order]
+    frequency = frequency[order]
+    shape = shape[:, order]
     low = int(frequency.searchsorted(frequency[-1] / 2))
     if low > 1:
-        shape[:, :low] = _separated(shape[:, :low], stiffness, mass)
+        shape[:, :low] = _separate(shape[:, :low], stiffness, mass)
         frequency[:low] = _rayleigh(shape[:, :low], stiffness)
     return Modes(frequency, shape, mass)
 
 
-def _squeezed(shape: Array) -> Array:
-    """Return by how much every mode squeezes every contact, (M+1, P)."""
+def _extend(shape: Array) -> Array:
+    """Return the extension of every contact by every mode, (M+1, P)."""
     return np.diff(shape, axis=0, prepend=0.0, append=0.0)
 
 
 def _rayleigh(shape: Array, stiffness: Array) -> Array:
     """Return the frequencies of modes that are normalised in mass."""
-    return np.sqrt(stiffness @ _squeezed(shape) ** 2)
+    return np.sqrt(stiffness @ _extend(shape) ** 2)
 
 
-def _separated(shape: Array, stiffness: Array, mass: Array) -> Array:
-    """Return low modes without what the diagonalisation mixes into each of the others.
+def _separate(shape: Array, stiffness: Array, mass: Array) -> Array:
+    """Return low modes without the share of the others that the diagonalisation mixes into each.
 
-    That is ``eps omega_max^2 / gap``. Sums over contacts of squeezes know the part j of mode i to
-    ``eps omega_i omega_j / gap``; first order, again while it is large (Ogita and Aishima, Jpn. J. Ind. Appl. Math. 35,
-    1007 (2018)).
+    That is ``eps omega_max^2 / gap``. Sums of extensions over contacts give the share of mode j in
+    mode i to ``eps omega_i omega_j / gap``; first order, again while it is large; T. Ogita and
+    K. Aishima, Jpn. J. Ind. Appl. Math. 35, 1007 (2018).
     """
-    for _ in range(PASSES):
-        squeezed = np.sqrt(stiffness)[:, None] * _squeezed(shape)
-        elastic, overlap = squeezed.T @ squeezed, shape.T @ (mass[:, None] * shape)
+    for _ in range(3):
+        extension = np.sqrt(stiffness)[:, None] * _extend(shape)
+        elastic = extension.T @ extension
+        overlap = shape.T @ (mass[:, None] * shape)
         squares = np.diag(elastic) / np.diag(overlap)
         gap = squares - squares[:, None]
         mixed = (np.eye(squares.size) - overlap) / 2
@@ -178,8 +177,9 @@ def _separated(shape: Array, stiffness: Array, mass: Array) -> Array:
 def quasi_normal(k: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     """Return the quasi-normal frequencies of Eq. (30) in a column of N grains, in units of 1/tau.
 
-    ``(eta/2) j H^(-eta/2)`` with j the k-th zero of J_(-nu) and H = N - 1/2, where grain N is held: the solutions of
-    the Sturm-Liouville problem with no flux through the free top. Relative error of order (k/N)^2.
+    ``(eta/2) j H^(-eta/2)`` with j the k-th zero of J_(-nu) and H = N - 1/2, where grain N is held:
+    the solutions of the Sturm-Liouville problem with no flux through the free top. Relative error
+    of order (k/N)^2.
 
     Parameters
     ----------
@@ -211,8 +211,8 @@ def quasi_normal(k: ArrayLike, grains: int, delta: float = 1.5) -> Array:
 def band_edge(grains: int, delta: float = 1.5) -> float:
     """Return the highest frequency of a column of N grains, in units of 1/tau, by Airy's equation.
 
-    ``omega^2 = H^xi [4 - 2.338107 (4 xi / H)^(2/3)]``, H = N - 1/2; error 2e-4 for N = 100, 1e-5 for N = 1000. The mode
-    is localised in the lowest (H / 4 xi)^(1/3) grains.
+    ``omega^2 = H^xi [4 - 2.338107 (4 xi / H)^(2/3)]``, H = N - 1/2; error 2e-4 for N = 100, 1e-5
+    for N = 1000. The mode is localised in the lowest (H / 4 xi)^(1/3) grains.
 
     Parameters
     ----------
@@ -245,9 +245,9 @@ def band_edge(grains: int, delta: float = 1.5) -> float:
 def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     """Return the number of modes of a column of N grains below a frequency, by WKB.
 
-    The frequency is in units of 1/tau.
     The integral of (2/pi) arcsin(min(1, omega h^(-xi/2) / 2)) over 0 < h < H = N - 1/2. At the k-th
-    eigenfrequency it is k - 1/4 - nu/2 (omega < 2) or k - 1/4 (above, where the mode has a turning point).
+    eigenfrequency it is k - 1/4 - nu/2 (omega < 2) or k - 1/4 (above, where the mode has a turning
+    point).
 
     Parameters
     ----------
@@ -273,12 +273,14 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     '100.5'
     """
     xi, _, _ = exponents(delta)
-    depth, frequency = _bottom(grains), real(frequency)
+    depth = _bottom(grains)
+    frequency = real(frequency)
     require(("frequency", frequency >= 0, "must be 0 or more"))
     ratio = np.minimum(1.0, frequency / 2 * depth ** (-xi / 2))
-    # beyond the arcsin: the integral of (ratio cosh s)^steep over 0 < s < arccosh(1/ratio), here from its upper end
+    # beyond the arcsin: the integral of (ratio cosh s)^steep over 0 < s < arccosh(1/ratio), here
+    # from its upper end, from which the integrand falls at least as exp(-steep slope / 2)
     steep = 2 / xi - 1 if xi else np.inf
-    slope = np.sqrt(1 - ratio**2)  # the integrand falls at least as exp(-steep slope / 2)
+    slope = np.sqrt(1 - ratio**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.fmin(np.arccosh(1 / ratio), 80 / (steep * slope))
     x, weight = roots_legendre(64)

@@ -1,14 +1,15 @@
 """Solitary waves of the lattice itself, for any exponent, in the sonic vacuum and under a load.
 
-A contact at x = n + 1/2 - c t, in grains, has the overlap r(x) beyond that at rest, with the excess force N(r):
-``c^2 r(x) = integral of (1 - |s|) N(r(x + s)) over -1 < s < 1``.
-It is due to English and Pego, Proc. Am. Math. Soc. 133, 1763 (2005), and is the advance-delay equation
-``c^2 r'' = N(r(x - 1)) - 2 N(r(x)) + N(r(x + 1))``. Its kernel is positive, so log r is found, by Newton's method as a
-Chebyshev series: relative errors are small in the tails, too. It falls as ``-delta^|x|`` in the sonic vacuum, as
-``-kappa |x|`` under a load, ``sinh(kappa/2) = c kappa/2``.
+A contact at x = n + 1/2 - c t, in grains, has the overlap r(x) beyond that at rest, with the excess
+force N(r): ``c^2 r(x) = integral of (1 - |s|) N(r(x + s)) over -1 < s < 1``. It is due to J. M.
+English and R. L. Pego, Proc. Am. Math. Soc. 133, 1763 (2005), and is the advance-delay equation
+``c^2 r'' = N(r(x - 1)) - 2 N(r(x)) + N(r(x + 1))``. Its kernel is positive, so log r is found, by
+Newton's method as a Chebyshev series: relative errors are small in the tails, too. It falls as
+``-delta^|x|`` in the sonic vacuum, as ``-kappa |x|`` under a load, ``sinh(kappa/2) = c kappa/2``.
 
-Units. Under a load: the overlap at rest, the mass of a grain and tau, the unit of the paper, in which sound travels one
-grain. In the sonic vacuum: masses and contact constants are 1, which leaves the unit of velocity open.
+Units. Under a load: the overlap at rest, the mass of a grain and tau, the unit of the paper, in
+which sound travels one grain. In the sonic vacuum: masses and contact constants are 1, which leaves
+the unit of velocity open.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from .soliton_limits import (
     nesterenko_speed,
     sen_displacement,
 )
-from .soliton_series import law, long_wave_speed, rows, solved
+from .soliton_series import law, long_wave_speed, rows, solve_series
 
 __all__ = [
     "Soliton",
@@ -53,16 +54,13 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-POINTS = 96  # of Gauss and Legendre, for the integral of the force over one grain
 WEAKEST = 1.0001  # speed over that of sound
 HARDEST = 6.0  # exponent: beyond, contacts are so short that a series converges slowly
-UNEVEN = 1e-9  # relative differences of grains that count as alike
-FITS = 1e-10  # of the largest overlap, at the ends of a chain that holds the wave
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Soliton(Shown):
-    """A solitary wave, as a function of the distance x from its middle, in grains, positive ahead of it.
+    """A solitary wave, by the distance x from its middle in grains, positive ahead of it.
 
     Attributes
     ----------
@@ -78,8 +76,8 @@ class Soliton(Shown):
     series : (K,) array
         Coefficients of log(overlap / height), see `lmpchain.theory.soliton_series`.
     residual : float
-        Largest residual of the equation between the points where it was solved, over the largest overlap; in the tails
-        at most 1e-8 of the overlap there.
+        Largest residual of the equation between the points where it was solved, over the largest
+        overlap; in the tails at most 1e-8 of the overlap there.
 
     Examples
     --------
@@ -106,16 +104,17 @@ class Soliton(Shown):
         return law(self.delta, self.loaded).force_change(self.overlap(x))
 
     def velocity(self, x: ArrayLike) -> Array:
-        """Return the velocity of a grain at x, in the direction in which the wave travels; it is even in x."""
-        s, weight = roots_legendre(POINTS)
+        """Return the velocity of a grain at x, positive in the way of travel and even in x."""
+        # the integral of the force over one grain
+        s, weight = roots_legendre(96)
         return self.force(real(x)[..., None] + s / 2) @ weight / (2 * self.speed)
 
     def displacement(self, x: ArrayLike) -> Array:
-        """Return the displacement of a grain at x: 0 far ahead of the wave, and largest behind it."""
-        x, far = real(x), np.ceil(self.reach) + 1
-        nearest = (
-            x + 0.5 + np.ceil(np.maximum(-far - x - 0.5, 0.0))
-        )  # contacts further behind are closed again
+        """Return the displacement of a grain at x: 0 far ahead of the wave, largest behind it."""
+        x = real(x)
+        far = np.ceil(self.reach) + 1
+        # contacts further behind are at rest again
+        nearest = x + 0.5 + np.ceil(np.maximum(-far - x - 0.5, 0.0))
         return self.overlap(nearest[..., None] + np.arange(2 * far + 2)).sum(-1)
 
     @property
@@ -142,7 +141,7 @@ class Soliton(Shown):
         return np.arange(-far, far + 1)
 
     def on(self, chain: Chain, grain: float, downward: bool = True) -> Profile:
-        """Return this wave on a chain, as it passes a grain: displacements and velocities in SI units.
+        """Return this wave on a chain, as it passes a grain, in SI units.
 
         In the sonic vacuum its largest velocity is that for which it was solved, in m/s.
 
@@ -151,15 +150,15 @@ class Soliton(Shown):
         chain : Chain
             Uniform where the wave is, without gravity.
         grain : float
-            Where its middle is; 10.5 lies between grains 10 and 11.
+            Position of its middle; 10.5 lies between grains 10 and 11.
         downward : bool
-            Whether it travels so.
+            Direction of travel.
 
         Raises
         ------
         InputError
-            If the chain has another exponent, a gravity, a load where there should be none or none where it should,
-            is not uniform there, or is too short.
+            If the chain has another exponent, a gravity, a load in place of none or none in place
+            of one, is not uniform around the wave, or is too short.
 
         Examples
         --------
@@ -168,99 +167,84 @@ class Soliton(Shown):
         >>> f"{profile.velocity.max():.4f} m/s"
         '5.2186 m/s'
         """
-        first = self._place(chain, grain)
-        mass, here = float(chain.masses[first]), chain.contacts.of(first)
+        first = self._first_contact(chain, grain)
+        mass = float(chain.masses[first])
+        contact = chain.contacts.of(first)
         if self.loaded:
-            length, time = float(here.overlap), np.sqrt(mass / float(here.stiffness))
-        else:  # in which 1 m/s is the unit of velocity
-            length = time = (mass / float(here.constant)) ** (1 / (1 + self.delta))
+            length = float(contact.overlap)
+            time = np.sqrt(mass / float(contact.stiffness))
+        else:
+            # units in which that of velocity is 1 m/s
+            length = (mass / float(contact.constant)) ** (1 / (1 + self.delta))
+            time = length
         x = (np.arange(1, chain.grains + 1) - grain) * (1 if downward else -1)
-        displacement, velocity = self.displacement(x) * length, self.velocity(x) * (length / time)
-        if not downward:  # nothing below is moved, where a grain may be held
-            displacement, velocity = (
-                self.displacement(-2 * self.reach) * length - displacement,
-                -velocity,
-            )
-        displacement[chain.movable :] = velocity[chain.movable :] = 0.0
+        displacement = self.displacement(x) * length
+        velocity = self.velocity(x) * (length / time)
+        if not downward:
+            # nothing moves below the wave, where a grain may be held
+            displacement = self.displacement(-2 * self.reach) * length - displacement
+            velocity = -velocity
+        displacement[chain.movable :] = 0.0
+        velocity[chain.movable :] = 0.0
         return Profile(displacement=displacement, velocity=velocity)
 
-    def _place(self, chain: Chain, grain: float) -> int:
-        """Return the number of a contact in the wave if it fits the chain."""
+    def _first_contact(self, chain: Chain, grain: float) -> int:
+        """Return the number of the first contact in the wave if it fits the chain."""
+        exponent = f"must have the exponent {self.delta:g} of the wave"
+        gravity = "must be 0: contacts that stiffen with depth change a wave"
+        load = "must be above 0 for a wave under a load, else 0"
         require(
-            (
-                "chain",
-                chain.exponent == self.delta,
-                f"must have the exponent {self.delta:g} of the wave",
-            ),
-            (
-                "gravity",
-                chain.gravity == 0,
-                "must be 0: contacts that stiffen with depth change a wave",
-            ),
-            (
-                "top_load",
-                chain.compressed == self.loaded,
-                "must be above 0 for a wave under a load, else 0",
-            ),
+            ("chain", chain.exponent == self.delta, exponent),
+            ("gravity", chain.gravity == 0, gravity),
+            ("top_load", chain.compressed == self.loaded, load),
         )
         highest = float(self.overlap(0.0))
-        far = 1 + brentq(lambda x: float(self.overlap(x)) / highest - FITS, 0.0, 2 * self.reach)
-        low, high = 1 + far, chain.movable - far
-        require(
-            (
-                "grain",
-                low <= grain <= high,
-                f"must lie from {low:.1f} to {high:.1f} for the wave to fit the chain",
-            )
-        )
-        first, last = int(grain - far), int(np.ceil(grain + far))
-        uneven = [
-            np.ptp(x) / x[0]
-            for x in (chain.masses[first - 1 : last], chain.contact_constants[first - 1 : last - 1])
-        ]
-        require(
-            (
-                "chain",
-                max(uneven) < UNEVEN,
-                f"must be uniform from grain {first} to {last}, where the wave is",
-            )
-        )
+        far = 1 + brentq(lambda x: float(self.overlap(x)) / highest - 1e-10, 0.0, 2 * self.reach)
+        low = 1 + far
+        high = chain.movable - far
+        fits = f"must lie from {low:.1f} to {high:.1f} for the wave to fit the chain"
+        require(("grain", low <= grain <= high, fits))
+        first = int(grain - far)
+        last = int(np.ceil(grain + far))
+        masses = chain.masses[first - 1 : last]
+        constants = chain.contact_constants[first - 1 : last - 1]
+        uneven = max(np.ptp(x) / x[0] for x in (masses, constants))
+        uniform = f"must be uniform from grain {first} to {last}, where the wave is"
+        require(("chain", uneven < 1e-9, uniform))
         return first
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw overlap, velocity and displacement against x, each over its largest value; returns the axes."""
+        """Draw overlap, velocity and displacement against x over their largest; return the axes."""
         ax = axes_in_units(ax, "", "")
         half = min(self.reach, 3.2 * self.width)
         x = np.linspace(-half, half, 401)
         for name in ("overlap", "velocity", "displacement"):
             values = getattr(self, name)(x)
             ax.plot(x, values / values.max(), label=f"{name}, at most {values.max():.5g}")
-        if self.loaded:
-            name, formula = "Korteweg-de Vries", kdv_overlap(x, self.speed, self.delta)
-        else:
-            name, formula = "Nesterenko", nesterenko_overlap(x, self.speed, self.delta)
-        ax.plot(
-            x, formula / self.overlap(0.0), color="0.4", lw=1, ls="--", label=f"overlap, {name}"
-        )
+        formula = kdv_overlap if self.loaded else nesterenko_overlap
+        name = "Korteweg-de Vries" if self.loaded else "Nesterenko"
+        limit = formula(x, self.speed, self.delta) / self.overlap(0.0)
+        ax.plot(x, limit, color="0.4", lw=1, ls="--", label=f"overlap, {name}")
         ax.set(xlabel="x − ct (grains)", ylabel="over the largest value")
-        set_title(
-            ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{' times sound' if self.loaded else ''}"
-        )
+        unit = " times sound" if self.loaded else ""
+        set_title(ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{unit}")
         legend(ax)
         return ax
 
 
 def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None = None) -> Soliton:
-    """Return the solitary wave of a given speed under a load, or of a given velocity in the sonic vacuum.
+    """Return the solitary wave of a speed under a load, or of a velocity in the sonic vacuum.
 
     Parameters
     ----------
     delta : float
         Above 1, at most 6.
     speed : float
-        Over the speed of sound, 1.0001 or more: weaker waves are those of `kdv_overlap`, to 1 part in 4000.
+        Over the speed of sound, 1.0001 or more: weaker waves are those of `kdv_overlap`, to 1 part
+        in 4000.
     velocity : float
-        Of a grain, in units in which mass and contact constant are 1 (`Soliton.on` takes it for m/s).
+        Of a grain, in units in which mass and contact constant are 1 (`Soliton.on` takes it for
+        m/s).
 
     Returns
     -------
@@ -269,37 +253,26 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     Raises
     ------
     InputError
-        If these are out of range, not exactly one of speed and velocity is given, or the wave cannot be resolved.
+        If these are out of range, not exactly one of speed and velocity is given, or the wave
+        cannot be resolved.
 
     Examples
     --------
     >>> f"{float(solve(delta=1.5, speed=1.1).overlap(0.0)):.8f}"
     '1.42131540'
     """
+    exponent = f"must be above 1, where waves are linear, and {HARDEST:g} or less (got {delta!r})"
+    single = (speed is None) != (velocity is None)
+    fast = speed is None or 1 < speed < np.inf
+    positive = velocity is None or 0 < velocity < np.inf
     require(
-        (
-            "delta",
-            1 < delta <= HARDEST,
-            f"must be above 1, where waves are linear, and {HARDEST:g} or less (got {delta!r})",
-        ),
-        (
-            "speed",
-            (speed is None) != (velocity is None),
-            "give it, under a load, or velocity, in the sonic vacuum",
-        ),
-        (
-            "speed",
-            speed is None or (np.isfinite(speed) and speed > 1),
-            f"must be above 1, that of sound (got {speed!r})",
-        ),
-        (
-            "velocity",
-            velocity is None or 0 < velocity < np.inf,
-            f"must be above 0 (got {velocity!r})",
-        ),
+        ("delta", 1 < delta <= HARDEST, exponent),
+        ("speed", single, "give it, under a load, or velocity, in the sonic vacuum"),
+        ("speed", fast, f"must be above 1, that of sound (got {speed!r})"),
+        ("velocity", positive, f"must be above 0 (got {velocity!r})"),
     )
-    found = solved(float(delta), None if speed is None else float(speed))
-    wave = Soliton(float(delta), speed is not None, found.speed, 1.0, *found[1:])
+    series = solve_series(float(delta), None if speed is None else float(speed))
+    wave = Soliton(float(delta), speed is not None, series.speed, 1.0, *series[1:])
     if velocity is None:
         return wave
     speed = (velocity / float(wave.velocity(0.0))) ** ((delta - 1) / (delta + 1))
@@ -331,10 +304,12 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     '1.008121 0.100000000000'
     """
     require(("velocity", 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"))
-    overlap = brentq(
-        lambda r: r * float(long_wave_speed(real(r), delta)) - velocity, 1e-4 * velocity, velocity
-    )
+
+    def excess(r: float) -> float:
+        return r * float(long_wave_speed(real(r), delta)) - velocity
+
+    overlap = brentq(excess, 1e-4 * velocity, velocity)
     near = float(long_wave_speed(real(overlap), delta))
     require(("velocity", near > WEAKEST, "is too small: the wave is that of Korteweg and de Vries"))
-    found = solved(float(delta), near, float(velocity))
-    return Soliton(float(delta), True, found.speed, 1.0, *found[1:])
+    series = solve_series(float(delta), near, float(velocity))
+    return Soliton(float(delta), True, series.speed, 1.0, *series[1:])

@@ -1,4 +1,4 @@
-"""What a strike on the top makes of the continuum, Eq. (35), causal and as printed."""
+"""Response of the continuum to a strike on the top, Eq. (35), causal and as printed."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def impulse_amplitude(delta: float = 1.5) -> float:
 def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the response to unit dphi/dtau of grain 1: C (tau^2 - chi^2)^(-xi/2eta), causal.
 
-    It is 0 outside the light cone.
-    This is Eq. (35) made causal, with its amplitude; for Hertz C (tau^2 - chi^2)^(-1/10). It is infinite on the cone
-    (for delta = 1, a step of height 1), where the front of a chain of grains is an Airy function: see `front`.
+    It is 0 outside the light cone. This is Eq. (35) made causal, with its amplitude; for Hertz
+    C (tau^2 - chi^2)^(-1/10). It is infinite on the cone (for delta = 1, a step of height 1), where
+    the front of a chain of grains is an Airy function: see `front`.
 
     Parameters
     ----------
@@ -64,16 +64,16 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     >>> impulse_response([0.0, 100.0], 50.0).round(6).tolist()
     [0.52825, 0.0]
     """
-    return np.where(
-        real(tau) >= chi(h, delta), peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta), 0.0
-    )
+    inside = peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta)
+    return np.where(real(tau) >= chi(h, delta), inside, 0.0)
 
 
 def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:
     """Return phi and dphi/dtau of `impulse_response`, averaged over grain n, n - 1 < h < n.
 
-    With ``I`` the regularised incomplete beta function of order 1/eta, 1 - xi/(2 eta), it is ``tau I((chi/tau)^2)``
-    between the two ends: finite on the light cone too, and of momentum 1 at all times.
+    With ``I`` the regularised incomplete beta function of order 1/eta, 1 - xi/(2 eta), it is
+    ``tau I((chi/tau)^2)`` between the two ends: finite on the light cone too, and of momentum 1 at
+    all times.
 
     Parameters
     ----------
@@ -100,20 +100,23 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
     (50.0, 1.0)
     """
     xi, eta, _ = exponents(delta)
-    n, tau = whole("n", n, 1), real(tau)
+    n = whole("n", n, 1)
+    tau = real(tau)
     require(("tau", tau >= 0, "must be 0 or more"))
-    order, other = 1 / eta, 1 - xi / (2 * eta)
+    order = 1 / eta
+    other = 1 - xi / (2 * eta)
 
     def below(h: Array) -> tuple[Array, Array]:
         """Return the integral of both over depths above h."""
-        far, now = np.broadcast_arrays(chi(h, delta), tau)
-        x = np.divide(far, now, out=np.where(far > 0, np.inf, 0.0), where=now > 0)
+        travel, time = np.broadcast_arrays(chi(h, delta), tau)
+        x = np.divide(travel, time, out=np.where(travel > 0, np.inf, 0.0), where=time > 0)
         inside = np.minimum(x, np.nextafter(1.0, 0.0))
         share = np.where(x < 1, betainc(order, other, inside**2), 1.0)
         slope = 2 * inside ** (2 * order) * (1 - inside**2) ** (other - 1) / beta(order, other)
         return tau * share, share - np.where(x < 1, slope, 0.0)
 
-    (phi, speed), (phi_above, speed_above) = below(real(n)), below(real(n) - 1)
+    phi, speed = below(real(n))
+    phi_above, speed_above = below(real(n) - 1)
     return phi - phi_above, speed - speed_above
 
 
@@ -148,6 +151,7 @@ def peaked(
     1.0
     """
     xi, eta, _ = exponents(delta)
-    shifted, travel = real(tau) + c3, chi(h, delta)
+    shifted = real(tau) + c3
+    travel = chi(h, delta)
     with np.errstate(divide="ignore"):
         return c1 + c2 * abs((shifted - travel) * (shifted + travel)) ** (-xi / (2 * eta))

@@ -137,7 +137,7 @@ def scan(least: float, monkeypatch, **keys) -> tuple[tuple[float, ...], list[flo
         ratio = ratios[np.abs(1 / np.sqrt(ratios) - 1 / np.sqrt(near)).argmin()]
         return float(ratio + 1e-12 * np.sin(near)), None, None
 
-    monkeypatch.setattr(dimer_soliton, "_solved", nearest)
+    monkeypatch.setattr(dimer_soliton, "_solve", nearest)
     return antiresonances(least, **keys), begun
 
 

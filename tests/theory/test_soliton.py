@@ -1,5 +1,7 @@
 """Solitary waves of the lattice: the equation itself, conservation laws, limits, published numbers, refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -270,7 +272,8 @@ def test_how_soon_a_wave_is_found(arguments, solutions: int, terms: int, monkeyp
 
 
 def test_a_wave_that_no_series_resolves(monkeypatch):
-    monkeypatch.setattr(soliton_series, "MOST", 60)
+    short = replace(soliton_series.RESOLUTION, most=60)
+    monkeypatch.setattr(soliton_series, "RESOLUTION", short)
     for arguments, key in (((1.5, 1.2), "speed"), ((3.0, None), "delta")):
         with pytest.raises(InputError, match=f"^{key}: its wave is too wide or too sharp"):
             soliton_series.solved.__wrapped__(*arguments)
