@@ -1,11 +1,11 @@
-"""Averages over chains with random contacts; how they are drawn stands in `lmpchain.disorder.draws`."""
+"""Averages over chains with random contacts, which `lmpchain.disorder.draws` draws."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ..simulation.api import simulate
 from ..util.arrays import Array
 from ..util.notebook import Shown
 from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
-from .streaming import Average, Draw, averaged
+from .streaming import Average, Draw, take_average
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,8 @@ class Ensemble(Shown):
     displacement_error, velocity_error : (T, G) arrays
         Their standard errors, the spread over sqrt(R); NaN for a single chain.
     model_error, solver_error : float
-        The largest of any chain, as defined for a trajectory: the first says how far from linear it was.
+        The largest of any chain, as defined for a trajectory: the first says how far from linear it
+        was.
     squeezed : int
         Chains with a contact that is compressed by more than a tenth of the diameter at rest.
     """
@@ -73,27 +74,20 @@ class Ensemble(Shown):
     squeezed: int
 
     def plot(self, ax: Axes | None = None, sample: int = -1) -> Axes:
-        """Draw the mean velocity against grain number at one sample, with a band of two standard errors.
+        """Draw the mean velocity against grain number at one sample, and return the axes.
 
-        Returns the axes.
+        A band of two standard errors is around it.
         """
         from ..util.plotting import axes_in_units, legend, set_title
 
         ax = axes_in_units(ax, "", "m/s")
-        mean, band = self.velocity[sample], 2 * self.velocity_error[sample]
-        (line,) = ax.plot(
-            self.grains, mean, label=f"m = {self.m:g}: mean of {self.realisations} chains"
-        )
+        mean = self.velocity[sample]
+        band = 2 * self.velocity_error[sample]
+        label = f"m = {self.m:g}: mean of {self.realisations} chains"
+        (line,) = ax.plot(self.grains, mean, label=label)
         if self.realisations > 1:
-            ax.fill_between(
-                self.grains,
-                mean - band,
-                mean + band,
-                color=line.get_color(),
-                alpha=0.25,
-                lw=0,
-                label="± 2 st. errors",
-            )
+            shade: dict[str, Any] = {"color": line.get_color(), "alpha": 0.25, "lw": 0}
+            ax.fill_between(self.grains, mean - band, mean + band, label="± 2 st. errors", **shade)
         ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
         set_title(ax, f"t = {self.time[sample]:.4g} s")
         legend(ax)
@@ -114,8 +108,8 @@ def ensemble(
 ) -> Ensemble:
     """Answer a scene for many disordered chains and average.
 
-    Only running means and variances are held, whatever the number of chains. Chain i is that of `realisation` and is
-    answered with the same bits however many others there are.
+    Only running means and variances are held, whatever the number of chains. Chain i is that of
+    `realisation` and is answered with the same bits however many others there are.
 
     Parameters
     ----------
@@ -128,9 +122,11 @@ def ensemble(
     seed : int
         0 or more; the same one gives the same bytes.
     engine : str or Engine
-        "chebyshev" or "modes" for Eq. (3), "native" for Eq. (1), or one of these as an object with options.
+        "chebyshev" or "modes" for Eq. (3), "native" for Eq. (1), or one of these as an object with
+        options.
     tolerance : float
-        Largest relative solver error of any chain; none is enforced for an engine with a given step.
+        Largest relative solver error of any chain; none is enforced for an engine with a given
+        step.
     law, of : str
         As for `disordered`.
     progress : bool
@@ -154,14 +150,17 @@ def ensemble(
     --------
     >>> from lmpchain import Chain, Impulse
     >>> scene = Scene(
-    ...     chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-9), duration=3e-5, samples=2
+    ...     chain=Chain(grains=30, diameter=1e-3),
+    ...     excitation=Impulse(velocity=1e-9),
+    ...     duration=3e-5,
+    ...     samples=2,
     ... )
     >>> few = ensemble(scene, 2, realisations=20, seed=1)
     >>> few.velocity.shape, bool(few.velocity_error.max() > 0)
     ((2, 30), True)
     """
     first = Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
-    chosen, average = averaged(
+    solver, average = take_average(
         Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress
     )
     errors = average.errors
@@ -171,8 +170,8 @@ def ensemble(
         seed=seed,
         law=law,
         of=of,
-        engine=chosen.name,
-        equation=chosen.equation,
+        engine=solver.name,
+        equation=solver.equation,
         realisations=realisations,
         time=scene.time,
         grains=scene.recorded,
@@ -189,7 +188,7 @@ def ensemble(
 def at_the_end(
     scene: Scene, orders: Sequence[float], realisations: int, seed: int, progress: bool = False
 ) -> tuple[Array, list[Ensemble]]:
-    """Return final velocities of the ordered linear chain, and averages over random chains for each m.
+    """Return final velocities of the ordered chain, and averages over random chains for each m.
 
     Parameters
     ----------

@@ -1,10 +1,11 @@
 """Chains with random contacts or random grains.
 
-The contacts of a disordered chain are those of the ordered one times independent factors zeta_n drawn from Dyson's
-distribution: a gamma distribution of shape m, mean 1 and variance 1/m (F. J. Dyson, Phys. Rev. 92, 1331, 1953), which
-narrows to order as m grows. Masses, diameters and moduli of grains are drawn alike. Eq. (23) as printed has a power too
-many, hence shape m + 1, mean 1 + 1/m and variance (m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder
-does not change the speed of the longest waves.
+The contacts of a disordered chain are those of the ordered one times independent factors zeta_n
+drawn from Dyson's distribution: a gamma distribution of shape m, mean 1 and variance 1/m (F. J.
+Dyson, Phys. Rev. 92, 1331, 1953), which narrows to order as m grows. Masses, diameters and moduli
+of grains are drawn alike. Eq. (23) as printed has a power too many, hence shape m + 1, mean 1 + 1/m
+and variance (m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder does not change
+the speed of the longest waves.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from ..util.suggestions import not_among
 Law = Literal["dyson", "paper"]
 Of = Literal["stiffness", "constant", "mass", "diameter", "modulus"]
 OF_CONTACTS = ("stiffness", "constant")
-SOFTEST = 1e-90  # smallest factor: at 0 there would be no contact; drawn once in 10^9 at m = 0.1
+# smallest factor, drawn once in 10^9 at m = 0.1: at 0 there would be no contact
+SOFTEST = 1e-90
 
 
 def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -> Array:
@@ -38,8 +40,8 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
     size : int
     rng : numpy.random.Generator
     law : "dyson" or "paper"
-        Of mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, of mean 1 + 1/m and variance
-        (m+1)/m^2, `theory.dyson.weight`.
+        Of mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, of mean 1 + 1/m
+        and variance (m+1)/m^2, `theory.dyson.weight`.
 
     Returns
     -------
@@ -72,15 +74,17 @@ def disordered(
     Parameters
     ----------
     chain : Chain
-        Load and kinds of ends are kept, and so is all that does not follow from what is drawn; the equilibrium follows
-        it. A wall keeps its proportion to the contact next to it if contacts are drawn, and so shares its factor.
+        Load and kinds of ends are kept, and so is all that does not follow from what is drawn; the
+        equilibrium follows it. A wall keeps its proportion to the contact next to it if contacts
+        are drawn, and so shares its factor.
     m, rng, law
         As for `factors`.
     of : str
-        What is multiplied by zeta_n. "stiffness": the linear kappa_n, as in Eqs. (3) and (23); under a given force it
-        goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. "constant": the contact constant K_n itself; the stiffness
-        then changes by zeta_n^(1/delta) only. Or one factor a grain: "mass"; "diameter", with mass and contacts that
-        follow from it; or Young's "modulus", with its contacts.
+        What is multiplied by zeta_n. "stiffness": the linear kappa_n, as in Eqs. (3) and (23);
+        under a given force it goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. "constant": the
+        contact constant K_n itself; the stiffness then changes by zeta_n^(1/delta) only. Or one
+        factor a grain: "mass"; "diameter", with mass and contacts that follow from it; or Young's
+        "modulus", with its contacts.
 
     Returns
     -------
@@ -89,9 +93,10 @@ def disordered(
     Raises
     ------
     InputError
-        If an option is wrong; if the stiffness of a sonic vacuum is asked for, which is 0; if contact constants are
-        given, which then do not follow from diameters or moduli; or if a contact came out so soft that it is compressed
-        by more than a tenth of the diameter, where Hertz's law no longer holds.
+        If an option is wrong; if the stiffness of a sonic vacuum is asked for, which is 0; if
+        contact constants are given, which then do not follow from diameters or moduli; or if a
+        contact came out so soft that it is compressed by more than a tenth of the diameter, where
+        Hertz's law no longer holds.
 
     Examples
     --------
@@ -102,7 +107,7 @@ def disordered(
     True
     """
     _check_of(chain, of)
-    return Chain(**_redrawn(chain, factors(m, _count(chain, of), rng, law), of))
+    return Chain(**_fields(chain, factors(m, _count(chain, of), rng, law), of))
 
 
 def realisation(
@@ -110,8 +115,9 @@ def realisation(
 ) -> Scene:
     """Return the scene with the chain number `index` (from 0) of the sequence of this seed.
 
-    It depends on seed and index only, not on how many others are drawn. Unlike `disordered` it lets contacts be as
-    soft as they come out, for dropping such chains would change the distribution; `Ensemble.squeezed` counts them.
+    It depends on seed and index only, not on how many others are drawn. Unlike `disordered` it lets
+    contacts be as soft as they come out, for dropping such chains would change the distribution;
+    `Ensemble.squeezed` counts them.
 
     Parameters
     ----------
@@ -135,13 +141,14 @@ def realisation(
     Examples
     --------
     >>> from lmpchain import Impulse
-    >>> scene = Scene(chain=Chain(grains=20, diameter=1e-3), excitation=Impulse(velocity=1e-9), duration=1e-5)
+    >>> chain = Chain(grains=20, diameter=1e-3)
+    >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5)
     >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
     True
     """
     _check_drawn(scene.chain, m, seed, index, law, of)
-    zeta = _drawn(scene.chain, m, seed, index, law, of)
-    chain = Chain._unchecked(**_redrawn(scene.chain, zeta, of))
+    zeta = _draw(scene.chain, m, seed, index, law, of)
+    chain = Chain._unchecked(**_fields(scene.chain, zeta, of))
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 
@@ -153,11 +160,10 @@ def drawn_constants(
     law: Law = "dyson",
     of: Of = "stiffness",
 ) -> Array:
-    """Return the factors on the contact constants of R realisations whose contacts are drawn, (R, N-1)."""
+    """Return the factors on the contact constants of R realisations, (R, N-1)."""
     _check_drawn(chain, m, seed, min(indices), law, of)
-    return _change(
-        chain, np.array([_drawn(chain, m, seed, index, law, of) for index in indices]), of
-    )
+    zeta = np.array([_draw(chain, m, seed, index, law, of) for index in indices])
+    return _change(chain, zeta, of)
 
 
 def _check_drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> None:
@@ -167,7 +173,7 @@ def _check_drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of
     _check_law(m, law)
 
 
-def _drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> Array:
+def _draw(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> Array:
     """Return the random factors of a realisation, one a contact or one a grain."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     return _zeta(m, _count(chain, of), rng, law)
@@ -182,34 +188,30 @@ def _change(chain: Chain, zeta: Array, of: Of) -> Array:
     return chain.contacts.constant_for_stiffness(zeta) if of == "stiffness" else zeta
 
 
-def _redrawn(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
+def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
     """Return the fields of a chain whose contacts or grains are changed by these factors."""
     fields = chain.given() | {"masses": chain.masses}
     if of in OF_CONTACTS:
         fields["contact_constants"] = chain.contact_constants * _change(chain, zeta, of)
     elif of != "modulus":
         fields["masses"] = chain.masses * (zeta**3 if of == "diameter" else zeta)
-    impure = fields.pop(
-        "impurity", ()
-    )  # given by grain below: impurities do not go with given constants
+    # impurities do not go with given constants: their grains are given one by one
+    impure = fields.pop("impurity", ())
     if of == "diameter" or impure:
         fields["diameter"] = chain.diameters * (zeta if of == "diameter" else 1.0)
     if of == "modulus" or impure:
-        materials: list[Any] = (
-            list(chain.material)
-            if isinstance(chain.material, tuple)
-            else [chain.material] * chain.grains
-        )
+        material: Any = chain.material
+        materials = list(material) if isinstance(material, tuple) else [material] * chain.grains
         for impurity in impure:
             materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]
         if of == "modulus":
             materials = [
                 Material(
-                    density=each.density,
-                    youngs_modulus=each.youngs_modulus * factor,
-                    poissons_ratio=each.poissons_ratio,
+                    density=base.density,
+                    youngs_modulus=base.youngs_modulus * factor,
+                    poissons_ratio=base.poissons_ratio,
                 )
-                for each, factor in zip(materials, zeta.tolist(), strict=True)
+                for base, factor in zip(materials, zeta.tolist(), strict=True)
             ]
         fields["material"] = tuple(materials)
     return fields
@@ -245,7 +247,8 @@ def _check_of(chain: Chain, of: Of) -> None:
     """Raise `InputError` unless this can be drawn for a chain."""
     check(_fault_of_choice("of", of, get_args(Of)))
     if of == "stiffness" and not chain.compressed:
-        cure = 'without gravity and load contacts have no stiffness at rest to be random; use of="constant"'
+        reason = "without gravity and load contacts have no stiffness at rest to be random"
+        cure = f'{reason}; use of="constant"'
         raise InputError([("gravity", cure)])
     if of in ("diameter", "modulus") and chain.given_contact_constants is not None:
         cure = f'contact constants are given and do not follow from the {of}; use of="constant"'

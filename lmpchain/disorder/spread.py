@@ -1,9 +1,9 @@
-"""How the energy of a local excitation spreads in random chains: moments, participation, transmission."""
+"""Spreading of energy in random chains: second moment, participation, transmission."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,20 +14,18 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
 from .draws import Law, Of, check, fault_of_whole
-from .streaming import Average, Draw, averaged
+from .streaming import Average, Draw, take_average
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-GROUPS = 16  # of chains, whose scatter gives the error of an exponent
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Spreading(Shown):
     """Spreading of energy in disordered chains of the same scene: means and their standard errors.
 
-    The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and that of its
-    contact with a wall.
+    The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and
+    that of its contact with a wall.
 
     Attributes
     ----------
@@ -75,8 +73,8 @@ class Spreading(Shown):
     def growth(self, start: float = 0.0, end: float = np.inf) -> tuple[float, float]:
         """Return the power of time with which the second moment grows, and its standard error.
 
-        A least-squares slope of the logarithms from `start` to `end`, s, all octaves of time alike; the error is that
-        of a jackknife over groups of chains, NaN for a single chain.
+        A least-squares slope of the logarithms from `start` to `end`, s, all octaves of time alike;
+        the error is that of a jackknife over groups of chains, NaN for a single chain.
 
         Raises
         ------
@@ -85,9 +83,8 @@ class Spreading(Shown):
         """
         within = (self.time >= start) & (self.time <= end) & (self.time > 0)
         if within.sum() < 3:
-            raise InputError(
-                [("start", f"must leave three samples or more up to the end (got {shown(start)})")]
-            )
+            message = f"must leave three samples or more up to the end (got {shown(start)})"
+            raise InputError.at("start", message)
         logarithm = np.log(self.time[within])
         weight = np.sqrt(np.gradient(logarithm))
 
@@ -95,13 +92,14 @@ class Spreading(Shown):
             return float(np.polyfit(logarithm, np.log(moment[within]), 1, w=weight)[0])
 
         count = len(self.groups)
-        without = (
-            [slope(self.groups.sum(0) - group) for group in self.groups] if count > 1 else [np.nan]
-        )
-        return slope(self.second_moment), float(np.sqrt((count - 1) * np.var(without)))
+        error = np.nan
+        if count > 1:
+            without = [slope(self.groups.sum(0) - group) for group in self.groups]
+            error = float(np.sqrt((count - 1) * np.var(without)))
+        return slope(self.second_moment), error
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw second moment and participation over time, with bands of two standard errors; returns the axes."""
+        """Draw second moment and participation with two standard errors, and return the axes."""
         from ..util.plotting import axes_in_units, legend
 
         ax = axes_in_units(ax, "", "")
@@ -109,23 +107,14 @@ class Spreading(Shown):
             ("second_moment", "second moment, grains²"),
             ("participation", "participation, grains"),
         ):
-            mean, band = getattr(self, name)[1:], 2 * getattr(self, f"{name}_error")[1:]
+            mean = getattr(self, name)[1:]
+            band = 2 * getattr(self, f"{name}_error")[1:]
             (line,) = ax.plot(self.time[1:], mean, label=label)
             if self.realisations > 1:
-                ax.fill_between(
-                    self.time[1:],
-                    mean - band,
-                    mean + band,
-                    color=line.get_color(),
-                    alpha=0.25,
-                    lw=0,
-                )
-        ax.set(
-            xscale="log",
-            yscale="log",
-            xlabel="time, s",
-            ylabel=f"mean of {self.realisations} chains, m = {self.m:g}",
-        )
+                shade: dict[str, Any] = {"color": line.get_color(), "alpha": 0.25, "lw": 0}
+                ax.fill_between(self.time[1:], mean - band, mean + band, **shade)
+        ax.set(xscale="log", yscale="log", xlabel="time, s")
+        ax.set_ylabel(f"mean of {self.realisations} chains, m = {self.m:g}")
         legend(ax)
         return ax
 
@@ -142,19 +131,22 @@ def spreading(
     of: Of = "stiffness",
     progress: bool = False,
 ) -> Spreading:
-    """Return how the energy of an excitation spreads, averaged over many disordered chains.
+    """Return the spreading of the energy of an excitation, averaged over many disordered chains.
 
-    In a random linear chain the second moment grows as t^(3/2) after a strike and as t^(1/2) after a displacement while
-    the participation stays finite: S. Lepri, R. Schilling and S. Aubry, Phys. Rev. E 82, 056602 (2010); for granular
-    chains see A. J. Martinez, P. G. Kevrekidis and M. A. Porter, Phys. Rev. E 93, 022902 (2016). Running means alone
-    are held, whatever the number of chains.
+    In a random linear chain the second moment grows as t^(3/2) after a strike and as t^(1/2) after
+    a displacement while the participation stays finite: S. Lepri, R. Schilling and S. Aubry, Phys.
+    Rev. E 82, 056602 (2010); for granular chains see A. J. Martinez, P. G. Kevrekidis and M. A.
+    Porter, Phys. Rev. E 93, 022902 (2016). Running means alone are held, whatever the number of
+    chains.
 
     Parameters
     ----------
     scene : Scene
-        With the ordered chain, long enough that nothing comes to its ends; whatever it records, all grains are.
+        With the ordered chain, long enough that nothing comes to its ends; whatever it records, all
+        grains are.
     m, realisations, seed, engine, tolerance, law, of, progress
-        As for `ensemble`. "chebyshev" and "modes" follow Eq. (3), and energies are those of its springs.
+        As for `ensemble`. "chebyshev" and "modes" follow Eq. (3), and energies are those of its
+        springs.
 
     Returns
     -------
@@ -176,21 +168,22 @@ def spreading(
     ((5,), (5, 61), '1.000')
     """
     if scene.at_rest or scene.excitation.does_work:
-        raise InputError(
-            [("excitation", "must give the chain energy at t = 0 and leave it alone from then on")]
-        )
+        message = "must give the chain energy at t = 0 and leave it alone from then on"
+        raise InputError.at("excitation", message)
     check(fault_of_whole("realisations", realisations, 1))
     scene = scene.replace(grains="all")
-    groups = np.zeros((min(GROUPS, realisations), scene.samples))
+    # the scatter of 16 groups of chains gives the error of an exponent
+    groups = np.zeros((min(16, realisations), scene.samples))
     first = _Spread(
         *np.zeros((2, 2 + scene.chain.grains, scene.samples)),
         groups=groups,
         linear=engines.get(engine).equation != 1,
     )
-    chosen, average = averaged(
+    solver, average = take_average(
         Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress
     )
-    (moment, participation), transmitted = average.mean[:2], average.mean[2:].T
+    moment, participation = average.mean[:2]
+    transmitted = average.mean[2:].T
     errors = average.errors
     return Spreading(
         scene=scene,
@@ -198,8 +191,8 @@ def spreading(
         seed=seed,
         law=law,
         of=of,
-        engine=chosen.name,
-        equation=chosen.equation,
+        engine=solver.name,
+        equation=solver.equation,
         realisations=realisations,
         time=scene.time,
         second_moment=moment,
@@ -222,17 +215,17 @@ class _Spread(Average):
     groups: Array = field(kw_only=True)
     linear: bool = field(kw_only=True)
 
-    def measured(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
-        (begun,) = self._energy(scene, *(x[None] for x in scene.initial()))
-        number = np.arange(1, begun.size + 1)
+    def measure(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
+        (start,) = self._energy(scene, *(x[None] for x in scene.initial()))
+        number = np.arange(1, start.size + 1)
         energy = self._energy(scene, displacement, velocity)
         share = energy / energy.sum(1)[:, None]
-        moment = share @ (number - begun @ number / begun.sum()) ** 2
+        moment = share @ (number - start @ number / start.sum()) ** 2
         below = np.cumsum(share[:, :0:-1], axis=1)[:, ::-1]
         return np.concatenate(([moment, 1 / (share**2).sum(1)], below.T, np.zeros((1, len(share)))))
 
     def keep(self, number: int, samples: slice, value: Array) -> None:
-        self.groups[number % GROUPS, samples] += value[0]
+        self.groups[number % len(self.groups), samples] += value[0]
 
     def copy(self) -> _Spread:
         return replace(

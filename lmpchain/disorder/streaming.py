@@ -19,7 +19,7 @@ from ..util.arrays import Array
 from ..util.progress import ProgressBar
 from .draws import Law, Of, check, fault_of_whole, realisation
 
-BATCH, BATCH_VALUES = 16, 2**24  # chains at a time, and the numbers that a block of them may hold
+BATCH = 16  # chains at a time
 
 
 class Draw(NamedTuple):
@@ -38,9 +38,10 @@ class Draw(NamedTuple):
 
 @dataclass(eq=False)
 class Average:
-    """Running means and sums of squared deviations (Welford) of what is measured, (Q, T, ...).
+    """Running means and sums of squared deviations of Q quantities of random chains, (Q, T, ...).
 
-    By default these are displacement and velocity, (2, T, G).
+    By default these are displacement and velocity, (2, T, G). B. P. Welford, Technometrics 4, 419
+    (1962).
     """
 
     mean: Array
@@ -50,24 +51,25 @@ class Average:
     solver: float = 0.0
     squeezed: int = 0
 
-    def measured(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
-        """Return what is averaged of a chain, (Q, t, ...), from its motion at some samples, (t, G)."""
+    def measure(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
+        """Return the quantities of a chain, (Q, t, ...), by its motion at some samples, (t, G)."""
         return np.stack((displacement, velocity))
 
     def keep(self, number: int, samples: slice, value: Array) -> None:
-        """Take note of what was measured of one chain beyond its part in the mean."""
+        """Take note of the quantities of one chain beyond their share in the mean."""
 
     def add(self, run: Run, scenes: Sequence[Scene], bar: ProgressBar) -> None:
         """Take in the first chains of a batch, one after the other."""
         for block in run.blocks():
             if block.samples.start < block.samples.stop:
-                mean, square = self.mean[:, block.samples], self.square[:, block.samples]
-                for place, scene in enumerate(scenes):
-                    value = self.measured(scene, block.displacement[place], block.velocity[place])
-                    off = value - mean
-                    mean += off / (self.count + place + 1)
-                    square += off * (value - mean)
-                    self.keep(self.count + place, block.samples, value)
+                mean = self.mean[:, block.samples]
+                square = self.square[:, block.samples]
+                for number, scene in enumerate(scenes):
+                    value = self.measure(scene, block.displacement[number], block.velocity[number])
+                    deviation = value - mean
+                    mean += deviation / (self.count + number + 1)
+                    square += deviation * (value - mean)
+                    self.keep(self.count + number, block.samples, value)
             bar.reach(self.count + len(scenes) * run.progress)
         self.count += len(scenes)
 
@@ -86,10 +88,10 @@ class Average:
 A = TypeVar("A", bound=Average)
 
 
-def averaged(
+def take_average(
     draw: Draw, realisations: int, engine: str | Engine, tolerance: float, first: A, progress: bool
 ) -> tuple[Engine, A]:
-    """Return the engine, and the average over so many chains; what is raised stands at `ensemble`.
+    """Return the engine, and the average over a number of chains; raises as `ensemble`.
 
     Parameters
     ----------
@@ -98,24 +100,27 @@ def averaged(
     """
     check_tolerance(tolerance)
     check(fault_of_whole("realisations", realisations, 1))
-    chosen = engines.get(engine)
-    if not chosen.batches:
+    solver = engines.get(engine)
+    if not solver.batches:
         able = ", ".join(name for name in engines.names() if engines.get(name).batches)
-        raise InputError([("engine", f"random chains are for {able} (got {shown(chosen.name)})")])
-    if reasons := chosen.refuses(draw.number(0)):
+        message = f"random chains are for {able} (got {shown(solver.name)})"
+        raise InputError.at("engine", message)
+    if reasons := solver.refuses(draw.number(0)):
         raise InputError(reasons)
-    average, batch = first, max(1, min(BATCH, BATCH_VALUES // (16 * draw.scene.chain.grains)))
+    average = first
+    # a block of a batch holds 2^24 numbers at most
+    batch = max(1, min(BATCH, 2**24 // (16 * draw.scene.chain.grains)))
     with ProgressBar(realisations, f"m = {draw.m:g}", " chains", shown=progress) as bar:
         while average.count < realisations:
             wanted = min(batch, realisations - average.count)
             # one step per full batch, so that results do not depend on the size of the ensemble
-            size = batch if chosen.equation == 1 else wanted
+            size = batch if solver.equation == 1 else wanted
             scenes = [draw.number(index) for index in range(average.count, average.count + size)]
-            average = _answer(chosen, scenes, wanted, tolerance, average, bar)
-    return chosen, average
+            average = _add_batch(solver, scenes, wanted, tolerance, average, bar)
+    return solver, average
 
 
-def _answer(
+def _add_batch(
     engine: Engine,
     scenes: Sequence[Scene],
     wanted: int,
@@ -123,29 +128,29 @@ def _answer(
     before: A,
     bar: ProgressBar,
 ) -> A:
-    """Return the average with the first `wanted` scenes of a batch, at steps short enough for all."""
-    proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
-    hardest = max(proposed, key=lambda candidate: candidate.cost_s)
-    candidate = hardest._replace(adaptive=any(each.adaptive for each in proposed))
+    """Return the average with `wanted` scenes of a batch, at steps short enough for all."""
+    candidates = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
+    hardest = max(candidates, key=lambda candidate: candidate.cost_s)
+    candidate = hardest._replace(adaptive=any(other.adaptive for other in candidates))
 
     def collect(run: Run) -> A:
         average = before.copy()
         average.add(run, scenes[:wanted], bar)
         return average  # type: ignore[return-value]
 
-    outcome = solve_to_tolerance(
-        engine, scenes, Attempt(engine.name, candidate, tolerance), collect
-    )
+    attempt = Attempt(engine.name, candidate, tolerance)
+    outcome = solve_to_tolerance(engine, scenes, attempt, collect)
     if outcome.missed:
         raise ToleranceNotMet(
             f"in chains {before.count + 1} to {before.count + len(scenes)} {outcome.missed}"
         )
-    average, errors = outcome.collected, outcome.errors[:wanted]
+    average = outcome.collected
+    errors = outcome.errors[:wanted]
     average.model = max(average.model, *(error.model for error in errors))
     average.solver = max(average.solver, *(error.solver for error in errors))
-    average.squeezed += sum(_squeezed(scene.chain) for scene in scenes[:wanted])
+    average.squeezed += sum(_squeezes(scene.chain) for scene in scenes[:wanted])
     return average
 
 
-def _squeezed(chain: Chain) -> bool:
+def _squeezes(chain: Chain) -> bool:
     return bool((chain.equilibrium.compression > LIMITS.compression).any())

@@ -1,13 +1,15 @@
 """Localisation and density of states of long random linear chains, by transfer matrices.
 
-In the chain m_n u_n'' = k_(n-1) (u_(n-1) - u_n) - k_n (u_n - u_(n+1)), Eq. (3) without its ends, the force below a
-grain over its displacement, z_n = k_n (u_n - u_(n+1)) / (m_n u_n), follows from that of the grain above. At omega
+In the chain m_n u_n'' = k_(n-1) (u_(n-1) - u_n) - k_n (u_n - u_(n+1)), Eq. (3) without its ends,
+the force below a grain over its displacement, z_n = k_n (u_n - u_(n+1)) / (m_n u_n), follows from
+that of the grain above. At omega
 
-    u_(n+1) / u_n = 1 - z_n / a_n,    z_(n+1) = omega^2 + b_n z_n / (a_n - z_n),    a_n = k_n / m_n, b_n = k_n / m_(n+1)
+    u_(n+1) / u_n = 1 - z_n / a_n,    z_(n+1) = omega^2 + b_n z_n / (a_n - z_n),    a_n = k_n / m_n,
+    b_n = k_n / m_(n+1)
 
-so that nothing grows with the length of the chain. The mean of log|u_(n+1) / u_n| is the Lyapunov exponent, the inverse
-of the localisation length; the share of negative ratios is the integrated density of states (F. J. Dyson, Phys. Rev.
-92, 1331, 1953; H. Schmidt, Phys. Rev. 105, 425, 1957).
+so that nothing grows with the length of the chain. The mean of log|u_(n+1) / u_n| is the Lyapunov
+exponent, the inverse of the localisation length; the share of negative ratios is the integrated
+density of states (F. J. Dyson, Phys. Rev. 92, 1331, 1953; H. Schmidt, Phys. Rev. 105, 425, 1957).
 """
 
 from __future__ import annotations
@@ -31,15 +33,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PIECE = 2**16  # grains drawn at a time
-# share of each chain that is passed before counting, where the ratios still know of its top
-WARM_UP = 0.1  # analysis/calibration/transfer_matrices.py
+# share of each chain before counting begins, where the ratios still depend on its top
+# analysis/calibration/transfer_matrices.py
+WARM_UP = 0.1
 
 
 class Distribution(Protocol):
-    """What `scipy.stats` calls a frozen distribution."""
+    """A frozen distribution of `scipy.stats`."""
 
     def rvs(self, *, size: int, random_state: np.random.Generator) -> Any:
-        """Draw so many values."""
+        """Draw values."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,7 +68,7 @@ class Localisation(Shown):
             return 1 / self.exponent
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the Lyapunov exponent against frequency, with bars of two standard errors; returns the axes."""
+        """Draw the Lyapunov exponent with bars of two standard errors, and return the axes."""
         ax = _errorbars(ax, self.frequency, self.exponent, self.error)
         ax.set(xscale="log", yscale="log", ylabel="Lyapunov exponent per grain")
         return ax
@@ -93,7 +96,7 @@ class DensityOfStates(Shown):
         return np.diff(self.integrated) / np.diff(self.frequency)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the integrated density of states, with bars of two standard errors; returns the axes."""
+        """Draw the integrated density of states with two standard errors, and return the axes."""
         ax = _errorbars(ax, self.frequency, self.integrated, self.error)
         ax.set(ylabel="share of the modes below")
         return ax
@@ -117,11 +120,13 @@ def lyapunov(
     frequency : (F,) array_like
         rad/s.
     stiffness, masses : float or distribution
-        Of contacts, N/m, and grains, kg: a number, or a frozen distribution of `scipy.stats`, drawn anew for each.
+        Of contacts, N/m, and grains, kg: a number, or a frozen distribution of `scipy.stats`, drawn
+        anew for each.
     ratios : distribution, optional
-        In their place: that of all k_n / m_n and k_n / m_(n+1), 1/s2, as in Dyson's exactly solvable chain.
+        In their place: that of all k_n / m_n and k_n / m_(n+1), 1/s2, as in Dyson's exactly
+        solvable chain.
     grains, chains : int
-        How long each chain is, and how many there are; the spread between them gives the error.
+        Length of each chain, and number of chains; the spread between them gives the error.
     seed : int
         0 or more; the same one gives the same bits.
     progress : bool
@@ -139,7 +144,8 @@ def lyapunov(
 
     Examples
     --------
-    Weak disorder localises waves over 8 <1/k> / (omega^2 Var(1/k)) grains; here Var(1/k) = 1/4 and <1/k> = 1:
+    Weak disorder localises waves over 8 <1/k> / (omega^2 Var(1/k)) grains; here Var(1/k) = 1/4 and
+    <1/k> = 1:
 
     >>> from scipy.stats import gamma
     >>> found = lyapunov([0.1], gamma(6, scale=1 / 5), chains=100, seed=1)
@@ -166,7 +172,7 @@ def density_of_states(
 ) -> DensityOfStates:
     """Return the integrated density of states of a random linear chain.
 
-    Arguments and what is raised are those of `lyapunov`.
+    Arguments and errors are those of `lyapunov`.
 
     Parameters
     ----------
@@ -212,11 +218,11 @@ def _transfer(
     seed: int,
     progress: bool,
 ) -> tuple[Array, Array, Array]:
-    """Return the frequencies (F,), and the growth and the share of nodes a grain of each chain, (R, F)."""
+    """Return frequencies (F,), and growth and share of nodes a grain of each chain, (R, F)."""
     omega = np.atleast_1d(np.asarray(frequency, float))
-    right = omega.ndim == 1 and omega.size and (omega >= 0).all() and np.isfinite(omega).all()
+    valid = omega.ndim == 1 and omega.size and (omega >= 0).all() and np.isfinite(omega).all()
     check(
-        None if right else ("frequency", "must be rad/s, 0 or more"),
+        None if valid else ("frequency", "must be rad/s, 0 or more"),
         fault_of_whole("grains", grains, 100),
         fault_of_whole("chains", chains, 2),
         fault_of_whole("seed", seed, 0),
@@ -225,10 +231,10 @@ def _transfer(
     growth, nodes = np.zeros((2, chains, omega.size))
     with ProgressBar(chains * grains, "transfer matrices", " grains", shown=progress) as bar:
         for chain in range(chains):
-            z, done = omega**2, 0
-            for a, b in _pieces(
-                stiffness, masses, ratios, grains, np.random.default_rng([seed, chain])
-            ):
+            z = omega**2
+            done = 0
+            rng = np.random.default_rng([seed, chain])
+            for a, b in _pieces(stiffness, masses, ratios, grains, rng):
                 skip = min(max(passed - done, 0), a.size)
                 _pass(a[:skip], b[:skip], omega**2, z, np.empty(omega.size), np.empty(omega.size))
                 _pass(a[skip:], b[skip:], omega**2, z, growth[chain], nodes[chain])
@@ -245,41 +251,30 @@ def _pieces(
     rng: np.random.Generator,
 ) -> Iterator[tuple[Array, Array]]:
     """Yield k_n / m_n and k_n / m_(n+1) of a chain, piece by piece."""
-    mass = _drawn("masses", masses, 1, rng)
+    mass = _draw("masses", masses, 1, rng)
     for first in range(0, grains, PIECE):
         size = min(PIECE, grains - first)
         if ratios is not None:
-            yield _drawn("ratios", ratios, size, rng), _drawn("ratios", ratios, size, rng)
+            yield _draw("ratios", ratios, size, rng), _draw("ratios", ratios, size, rng)
             continue
-        k = _drawn("stiffness", stiffness, size, rng)
-        mass = np.append(mass[-1], _drawn("masses", masses, size, rng))
+        k = _draw("stiffness", stiffness, size, rng)
+        mass = np.append(mass[-1], _draw("masses", masses, size, rng))
         yield k / mass[:-1], k / mass[1:]
 
 
-def _drawn(key: str, what: float | Distribution, size: int, rng: np.random.Generator) -> Array:
-    """Return so many values of a number or a distribution."""
-    if isinstance(what, int | float | np.number):
-        values = np.full(size, float(what))
-    elif hasattr(what, "rvs"):
-        values = np.asarray(what.rvs(size=size, random_state=rng), float)
+def _draw(key: str, law: float | Distribution, size: int, rng: np.random.Generator) -> Array:
+    """Return values of a number or a distribution, (size,)."""
+    if isinstance(law, int | float | np.number):
+        values = np.full(size, float(law))
+    elif hasattr(law, "rvs"):
+        values = np.asarray(law.rvs(size=size, random_state=rng), float)
     else:
-        raise InputError(
-            [
-                (
-                    key,
-                    f"must be a number or a distribution of scipy.stats (got a {type(what).__name__})",
-                )
-            ]
-        )
+        name = type(law).__name__
+        message = f"must be a number or a distribution of scipy.stats (got a {name})"
+        raise InputError.at(key, message)
     if not (values > 0).all() or not np.isfinite(values).all():
-        raise InputError(
-            [
-                (
-                    key,
-                    "must be above 0 and finite, in every draw: use a distribution of positive values",
-                )
-            ]
-        )
+        message = "must be above 0 and finite, in every draw: use a distribution of positive values"
+        raise InputError.at(key, message)
     return values
 
 
@@ -287,10 +282,14 @@ def _drawn(key: str, what: float | Distribution, size: int, rng: np.random.Gener
 def _pass(a: Array, b: Array, omega2: Array, z: Array, growth: Array, nodes: Array) -> None:
     """Pass a piece of chain at every frequency: z moves on, growth and nodes are added up."""
     for f in range(omega2.size):
-        ratio, product, total, count = z[f], 1.0, 0.0, 0
+        ratio = z[f]
+        product = 1.0
+        total = 0.0
+        count = 0
         for n in range(a.size):
             step = 1.0 - ratio / a[n]
-            if abs(step) < EPSILON:  # a node on a grain, as near as rounding can tell
+            # a node on a grain, as near as rounding can tell
+            if abs(step) < EPSILON:
                 step = EPSILON
             count += step < 0
             product *= abs(step)
