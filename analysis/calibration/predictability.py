@@ -1,7 +1,7 @@
 """Measure how fast a small change grows in struck columns, and the solitary wave's constants.
 
-The growth: two native runs that begin 1e-13 apart, in columns of 6 to 40 grains, strike numbers from OPENING to
-FLYING N and 0.1 to 100 g; decades gained while a pulse runs down and up are fitted by a (1 - exp(-N / b)). Beyond
+The growth: two native runs that begin 1e-13 apart, in columns of 6 to 40 grains, strike numbers from MEASURED.opening to
+MEASURED.flying N and 0.1 to 100 g; decades gained while a pulse runs down and up are fitted by a (1 - exp(-N / b)). Beyond
 each of the four ends of that domain the law should fail: stated is where measured and predicted growth part by more
 than a factor of two. The solitary wave: a grain at rest and free at both ends is struck in an unloaded chain; peaks
 pass far down the chain.
@@ -24,10 +24,7 @@ from lmpchain.engines.native import Native
 from lmpchain.errors import ToleranceNotMet
 from lmpchain.simulation.api import simulate
 from lmpchain.stability.predictability import (
-    FEW,
-    FLYING,
-    MANY,
-    OPENING,
+    MEASURED,
     growth,
     growth_rate,
     reflection_time,
@@ -79,7 +76,9 @@ def main(quick: bool = False) -> list[Row]:
     found = []
     for grains in sizes:
         for _ in range(3 if quick else 8):
-            number = math.exp(rng.uniform(math.log(OPENING), math.log(FLYING * grains)))
+            number = math.exp(
+                rng.uniform(math.log(MEASURED.opening), math.log(MEASURED.flying * grains))
+            )
             found.append((grains, decades(column(grains, number, 9.81 * 10 ** rng.uniform(-1, 2)))))
     grains, grown = np.array([pair for pair in found if pair[1] > 0]).T
     (most, scale), spread = curve_fit(
@@ -112,22 +111,22 @@ def main(quick: bool = False) -> list[Row]:
     ]
     rows += [
         _end(
-            "OPENING",
-            OPENING,
+            "MEASURED.opening",
+            MEASURED.opening,
             (1.0, 3.0, 10.0, 30.0, 100.0),
             lambda x: (column(n, x) for n in (10, 20)),
             False,
         ),
         _end(
-            "FLYING",
-            FLYING,
+            "MEASURED.flying",
+            MEASURED.flying,
             (5.0, 15.0, 50.0, 150.0, 500.0),
             lambda x: (column(n, x * n) for n in (10, 20)),
             True,
         ),
         _end(
-            "FEW",
-            FEW,
+            "MEASURED.fewest",
+            MEASURED.fewest,
             (3.0, 4.0, 6.0, 8.0),
             lambda x: (column(int(x), v) for v in (50.0, 100.0, 200.0)),
             False,
@@ -135,7 +134,13 @@ def main(quick: bool = False) -> list[Row]:
     ]
     long = (40.0,) if quick else (30.0, 40.0, 60.0)
     rows.append(
-        _end("MANY", MANY, long, lambda x: (column(int(x), v) for v in (50.0, 500.0)), True)
+        _end(
+            "MEASURED.most",
+            MEASURED.most,
+            long,
+            lambda x: (column(int(x), v) for v in (50.0, 500.0)),
+            True,
+        )
     )
     return rows + _solitary()
 

@@ -1,8 +1,8 @@
-"""Where methods fail on a scene: what laws predict, what runs show, and where the scene itself lies.
+"""Limits of methods on a scene, by laws and by runs, and where the scene itself lies.
 
-`step_limit` (too long a step, energy error), `roundoff`, `predictability` (chaos), `linear_theory` and `overlap` hold
-the laws and what measures them; this module goes through all of them for one scene. Maps over many scenes are drawn by
-`analysis/stability_map.py`.
+`step_limit` (too long a step, energy error), `roundoff`, `predictability` (chaos), `linear_theory`
+and `overlap` hold the laws and the measurements; this module goes through all of them for one
+scene. Maps over many scenes are drawn by `analysis/stability_map.py`.
 """
 
 from __future__ import annotations
@@ -22,22 +22,17 @@ from ..util.arrays import Array
 from ..util.progress import ProgressBar
 from .result import TOLERANCE, Boundary, Curve, Stability
 
-RUNS = 60  # that a bisection takes
 LONGEST_S = 20.0  # that one measurement may be expected to take
-DIVISIONS = 40.0  # of the fastest oscillation by the step at which energies are compared
-PERIODS = 1000.0  # for which they are
-STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over its own
-ROUNDINGS = (
-    ("native", "physical"),
-    ("lammps", "physical"),
-    ("lammps", "gauge"),
-)  # that differ in round-off
+PERIODS = 1000.0  # of the band edge, for which the energy is followed
+STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over that of the scene
+# engines and diameters that differ in round-off
+ROUNDINGS = (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge"))
 
 
 def stability(scene: Scene, *, progress: bool = False) -> Stability:
-    """Find where methods fail on a scene.
+    """Find the limits of all methods on a scene.
 
-    What would take longer than some seconds to measure is predicted only.
+    Limits that would take longer than some seconds to measure are predicted only.
 
     Parameters
     ----------
@@ -53,14 +48,17 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     boundaries: list[Boundary] = []
     curves: list[Curve] = []
     left_out: list[str] = []
-    parts = list(_parts(scene.ungathered))
-    with ProgressBar(len(parts), shown=progress) as bar:
-        for place, (name, part) in enumerate(parts):
-            bar.reach(place)
+    tasks = list(_tasks(scene.ungathered))
+    with ProgressBar(len(tasks), shown=progress) as bar:
+        for number, (name, task) in enumerate(tasks):
+            bar.reach(number)
             bar.describe(name)
             try:
-                for item in part():
-                    (boundaries if isinstance(item, Boundary) else curves).append(item)  # type: ignore[arg-type]
+                for item in task():
+                    if isinstance(item, Boundary):
+                        boundaries.append(item)
+                    else:
+                        curves.append(item)
             except InputError as error:
                 left_out.append(f"{name}: {error.faults[0][1]}")
             except ToleranceNotMet as error:
@@ -70,8 +68,8 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     return Stability(scene, tuple(boundaries), tuple(curves), tuple(left_out))
 
 
-def _parts(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary | Curve]]]]:
-    """Return what there is to find out, by name."""
+def _tasks(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary | Curve]]]]:
+    """Yield all causes of failure by name, and functions that yield their limits."""
     from .roundoff import long_double
 
     for integrator in METHODS:
@@ -81,10 +79,8 @@ def _parts(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary |
         yield f"energy, {integrator}", partial(_energy, scene, integrator)
     exact = cache(partial(long_double, scene))
     for engine, diameter in ROUNDINGS:
-        yield (
-            f"smallest error, {_name(engine, diameter)}",
-            partial(_floor, scene, engine, diameter, exact),
-        )
+        floor = partial(_floor, scene, engine, diameter, exact)
+        yield f"smallest error, {_name(engine, diameter)}", floor
     yield "predictable", partial(_predictability, scene)
     yield "linear theory", partial(_linear, scene)
     yield "overlap", partial(_overlap, scene)
@@ -97,10 +93,10 @@ def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
     predicted = limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator)
     cost = METHODS[integrator].evaluations * scene.duration / predicted * scene.chain.grains
-    affordable = RUNS * cost * solver.seconds_per_grain_step < LONGEST_S
-    measured = (
-        blow_up(scene, integrator, engine) if affordable and not solver.refuses(scene) else math.nan
-    )
+    measured = math.nan
+    # the search takes some 60 runs
+    if 60 * cost * solver.seconds_per_grain_step < LONGEST_S and not solver.refuses(scene):
+        measured = blow_up(scene, integrator, engine)
     yield Boundary("longest step", f"{engine} {integrator}", "s", predicted, measured)
 
 
@@ -108,13 +104,15 @@ def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
     from .step_limit import energy_error
 
     if scene.excitation.does_work:
-        raise InputError([("kind", "a drive does work: the energy is not that of the start")])
+        raise InputError.at("kind", "a drive does work: the energy is not that of the start")
     if not scene.chain.compressed:
-        raise InputError([("gravity", "without gravity and load there is no period to count by")])
-    step = 2 * math.pi / scene.highest_frequency / DIVISIONS  # far below every stability limit
-    cost = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
+        raise InputError.at("gravity", "without gravity and load there is no period to count by")
+    # far below every stability limit
+    divisions = 40.0
+    step = 2 * math.pi / scene.highest_frequency / divisions
+    cost = METHODS[integrator].evaluations * PERIODS * divisions * scene.chain.grains
     if cost * engines.get("native").seconds_per_grain_step > LONGEST_S:
-        raise InputError([("grains", "too many to follow the energy for a thousand periods")])
+        raise InputError.at("grains", "too many to follow the energy for a thousand periods")
     energy = energy_error(scene, integrator, step, PERIODS, samples=401)
     yield Curve("energy", integrator, energy.time, np.abs(energy.error))
 
@@ -127,9 +125,8 @@ def _floor(
     measured = math.nan
     if not scene.excitation.does_work and not _too_long(scene):
         measured = measured_floor(scene, engine, diameter, exact=exact())
-    yield Boundary(
-        "smallest error", _name(engine, diameter), "", floor(scene, engine, diameter), measured
-    )
+    predicted = floor(scene, engine, diameter)
+    yield Boundary("smallest error", _name(engine, diameter), "", predicted, measured)
 
 
 def _name(engine: str, diameter: str) -> str:
@@ -146,9 +143,8 @@ def _predictability(scene: Scene) -> Iterator[Boundary | Curve]:
         yield Curve("growth", "", times, apart)
         measured = predictability_time_of(times, apart, TOLERANCE)
     beyond = measured < scene.duration
-    yield Boundary(
-        "predictable to 1e-6 until", "any", "s", predicted, measured, scene.duration, beyond
-    )
+    name = "predictable to 1e-6 until"
+    yield Boundary(name, "any", "s", predicted, measured, scene.duration, beyond)
 
 
 def _linear(scene: Scene) -> Iterator[Boundary]:
@@ -157,60 +153,39 @@ def _linear(scene: Scene) -> Iterator[Boundary]:
     if reasons := engines.Chebyshev().refuses(scene.reached):
         raise InputError(reasons)
     for error in (0.01, 0.1):
-        bound, number = strike_number_where(error, scene), scene.strike_number
-        yield Boundary(
-            f"linear theory {100 * error:g} % off at v0*",
-            "Eq. (3)",
-            "",
-            bound,
-            here=number,
-            beyond=number > bound,
-        )
+        bound = strike_number_where(error, scene)
+        name = f"linear theory {100 * error:g} % off at v0*"
+        number = scene.strike_number
+        yield Boundary(name, "Eq. (3)", "", bound, here=number, beyond=number > bound)
 
 
 def _overlap(scene: Scene) -> Iterator[Boundary]:
     from .overlap import deepest
 
-    here = deepest(scene)
-    beyond = LIMITS.compression < here < math.inf  # a drive has no bound
-    yield Boundary(
-        "Hertz's law: overlap over diameter",
-        "Eq. (1)",
-        "",
-        LIMITS.compression,
-        here=here,
-        beyond=beyond,
-    )
+    strain = deepest(scene)
+    # there is no bound where a drive does work
+    beyond = LIMITS.compression < strain < math.inf
+    name = "Hertz's law: overlap over diameter"
+    yield Boundary(name, "Eq. (1)", "", LIMITS.compression, here=strain, beyond=beyond)
 
 
 def _strength(scene: Scene) -> Iterator[Curve]:
     from .roundoff import floor
 
-    linear, weaker = engines.Chebyshev(), [_times(scene, factor) for factor in STRENGTHS]
+    linear = engines.Chebyshev()
+    scenes = [scene.replace(excitation=scene.excitation.scaled(factor)) for factor in STRENGTHS]
     if not linear.refuses(scene.reached):
-        parts = (weak.reached for weak in weaker)
-        looks = [linear.look(part) for part in parts]
-        yield Curve(
-            "strength", "Eq. (3), estimate", STRENGTHS, np.array([look.error for look in looks])
-        )
-        yield Curve(
-            "strength", "Eq. (3), at most", STRENGTHS, np.array([look.at_most for look in looks])
-        )
+        looks = [linear.look(other.reached) for other in scenes]
+        estimates = np.array([look.error for look in looks])
+        bounds = np.array([look.at_most for look in looks])
+        yield Curve("strength", "Eq. (3), estimate", STRENGTHS, estimates)
+        yield Curve("strength", "Eq. (3), at most", STRENGTHS, bounds)
     for engine, diameter in ROUNDINGS:
-        yield Curve(
-            "strength",
-            f"{_name(engine, diameter)}, round-off",
-            STRENGTHS,
-            np.array([floor(s, engine, diameter) for s in weaker]),
-        )
+        floors = np.array([floor(other, engine, diameter) for other in scenes])
+        yield Curve("strength", f"{_name(engine, diameter)}, round-off", STRENGTHS, floors)
 
 
 def _too_long(scene: Scene) -> bool:
     from ..benchmark.reference import expected_seconds
 
     return expected_seconds(scene) > LONGEST_S
-
-
-def _times(scene: Scene, factor: float) -> Scene:
-    """Return the scene with an excitation that is so many times as strong."""
-    return scene.replace(excitation=scene.excitation.scaled(factor))

@@ -1,8 +1,8 @@
-"""Where linear theory fails: laws for its error after a strike on the top of a column.
+"""Limits of linear theory: laws for its error after a strike on the top of a column.
 
 They are for columns of equal grains, in the paper's variables: tau, depths h in grains, strike
-numbers v0*. They give relative errors, each in the norm that it names. `laws.theory_errors`
-measures the same. Constants are not fitted, unless a law says so.
+numbers v0*. They give relative errors, each in the norm that it names; `laws.theory_errors`
+measures them. Constants are not fitted, unless a law says so.
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ from ..errors import shown
 from ..scene.scene import Scene
 from ..theory.domain import exponents, require
 
-# strike number at which no contact comes near to opening; iterations from there
-WEAK = 1e-6
-SEARCH = 20
+WEAK = 1e-6  # strike number at which no contact comes near to opening
 # norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates;
 # largest exponent for which the first holds: analysis/calibration/linear_model_error.py
 LINEAR = {
@@ -32,15 +30,14 @@ STEEPEST = 2.2
 def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
     """Return the error of Eq. (3) after a strike on the top of a column.
 
-    It is x / (1 + x / limit), with x = c (delta - 1) v0*.
-
-    A contact that is compressed by the fraction s of its overlap is stiffer, and the wave faster by
-    (delta - 1) s / 4. The strain falls faster than 1/h, so that the lead is won at the first grains
-    and stays: for tau above 6 the error depends neither on gravity nor on time, as long as the wave
-    is on its way down. The constants c are those of perturbation theory to second order in v0*,
-    right within 10 % for delta from 1.1 to 2.2; the limits are fitted to errors up to 0.1. A fixed
-    bottom keeps a compression one, the free top turns it around: in ten passages of the column the
-    error stays within a factor of 2.
+    It is x / (1 + x / limit) with x = c (delta - 1) v0*. A contact that is compressed by the
+    fraction s of its overlap is stiffer, and the wave faster by (delta - 1) s / 4. The strain falls
+    faster than 1/h, so that the lead is won at the first grains and stays: for tau above 6 the
+    error depends neither on gravity nor on time, as long as the wave is on its way down. The
+    constants c are those of perturbation theory to second order in v0*, right within 10 % for delta
+    from 1.1 to 2.2; the limits are fitted to errors up to 0.1. A fixed bottom keeps a compression
+    one, the free top turns it around: in ten passages of the column the error stays within a factor
+    of 2.
 
     Parameters
     ----------
@@ -48,9 +45,9 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
         v0*.
     norm : str
         "velocity": root of the sum of squares over grains, at the end of the run; "displacement":
-        largest over all samples and grains, relative to the largest there; "package": the same, of
-        displacement or velocity, as everywhere in this package; "peak": largest velocity of a
-        grain, from grain 3 on, with x ~ w^(-3/2), w being the width of the front.
+        largest over all samples and grains, relative to the largest there; "package": the larger of
+        that of displacement and of velocity, the error of this package; "peak": largest velocity of
+        a grain, from grain 3 on, with x ~ w^(-3/2), w being the width of the front.
     exponent : float
         Delta, of the contact force.
     grain : int
@@ -116,14 +113,14 @@ def strike_number_where(error: float, scene: Scene) -> float:
     if struck_column(scene):
         return strike_number_at(error, "package", scene.chain.exponent)
     number = min(WEAK, scene.strike_number)
-    for _ in range(SEARCH):
-        given = scene.given() | {
-            "excitation": scene.excitation.scaled(number / (scene.strike_number or 1.0))
-        }
-        estimate = Chebyshev().look(Scene(**given).reached).error
+    for _ in range(20):
+        excitation = scene.excitation.scaled(number / (scene.strike_number or 1.0))
+        weaker = Scene(**scene.given() | {"excitation": excitation})
+        estimate = Chebyshev().look(weaker.reached).error
         if not estimate:
             return np.inf
-        number *= error / estimate  # which grows with the strike, or with its square
+        # the estimate grows with the strike, or with its square
+        number *= error / estimate
     return number
 
 

@@ -1,8 +1,9 @@
-"""Predictability time: growth of a small change (finite-time Lyapunov exponent), law and measurement."""
+"""Predictability time: growth of a small change (Lyapunov exponent), law and measurement."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,22 +13,40 @@ from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
-# analysis/calibration/predictability.py
-OPENING, FLYING = (
-    30.0,
-    50.0,
-)  # strike number, and that over N, between which `growth_rate` has been measured
-FEW, MANY = 6, 40  # and for how many grains
-# analysis/calibration/amplified_rounding.py
-SEED = 1e-14  # change at t = 0 that does as much as all rounding of a run: measured median, 1e-15.4 to 1e-12.4
+
+@dataclass(frozen=True)
+class Measured:
+    """Columns for which `growth_rate` was measured; analysis/calibration/predictability.py.
+
+    Attributes
+    ----------
+    opening : float
+        Strike number above which many contacts open.
+    flying : float
+        Strike number over N below which the top grain does not fly away with most of the energy.
+    fewest, most : int
+        Grains.
+    """
+
+    opening: float = 30.0
+    flying: float = 50.0
+    fewest: int = 6
+    most: int = 40
+
+
+MEASURED = Measured()
+# change at t = 0 that grows as all rounding of a run does: measured median, 1e-15.4 to 1e-12.4
+# analysis/calibration/chaos_test.py
+SEED = 1e-14
+CHANGE = 10 * SEED  # at t = 0, whose growth is measured
 
 
 def reflection_time(scene: Scene) -> float:
     """Return the time of a strong pulse from the top to the floor and back, s.
 
     The solitary wave that a grain makes of its velocity v0 in a chain without load moves by
-    0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains a second; Chatterjee, Phys. Rev. E 59, 5912 (1999), and numbers
-    computed for this package (analysis/calibration/predictability.py).
+    0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains a second; A. Chatterjee, Phys. Rev. E 59, 5912
+    (1999), and numbers computed for this package (analysis/calibration/predictability.py).
 
     Parameters
     ----------
@@ -44,9 +63,8 @@ def reflection_time(scene: Scene) -> float:
         If the exponent is not 1.5 or the scene is no impulse.
     """
     if scene.chain.exponent != 1.5 or not scene.excitation.strike_velocity:
-        raise InputError(
-            [("excitation", "a reflection time is known for a strike on a chain of exponent 1.5")]
-        )
+        message = "a reflection time is known for a strike on a chain of exponent 1.5"
+        raise InputError.at("excitation", message)
     chain = scene.chain
     gamma = float(chain.contact_constants.mean() / chain.masses.mean())
     speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.excitation.strike_velocity)) ** 0.2
@@ -56,9 +74,10 @@ def reflection_time(scene: Scene) -> float:
 def growth_rate(scene: Scene) -> float:
     """Predict the Lyapunov exponent of a column struck at the top, in decades a second.
 
-    Measured: 0.9 (1 - exp(-N / 20)) decades while a pulse runs down and up, whatever the strike and gravity, for
-    N = 6 ... 40, v0* = 30 to 50 N, 0.1 to 100 g, within a factor of 1.5. A weaker strike opens few contacts, a
-    stronger one has most of its energy in a top grain that flies. analysis/calibration/predictability.py.
+    Measured: 0.9 (1 - exp(-N / 20)) decades while a pulse runs down and up, whatever the strike and
+    gravity, for N = 6 ... 40, v0* = 30 to 50 N, 0.1 to 100 g, within a factor of 1.5. A weaker
+    strike opens few contacts, a stronger one has most of its energy in a top grain that flies.
+    analysis/calibration/predictability.py.
 
     Parameters
     ----------
@@ -73,7 +92,7 @@ def growth_rate(scene: Scene) -> float:
 
 
 def amplifies(scene: Scene) -> bool:
-    """Say whether `growth_rate` is known to hold: a strike on the top of few grains that opens contacts.
+    """Return whether `growth_rate` holds: a strike on the top of few grains that opens contacts.
 
     Parameters
     ----------
@@ -84,8 +103,10 @@ def amplifies(scene: Scene) -> bool:
     bool
     """
     grains = scene.chain.grains
-    struck = scene.excitation.strikes_top and scene.chain.exponent == 1.5
-    return struck and FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains
+    if not scene.excitation.strikes_top or scene.chain.exponent != 1.5:
+        return False
+    opens = MEASURED.opening < scene.strike_number < MEASURED.flying * grains
+    return opens and MEASURED.fewest <= grains <= MEASURED.most
 
 
 def predicted_time(scene: Scene, tolerance: float) -> float:
@@ -104,16 +125,13 @@ def predicted_time(scene: Scene, tolerance: float) -> float:
     return math.log10(tolerance / SEED) / growth_rate(scene)
 
 
-CHANGE = 10 * SEED  # at t = 0, that is seen to grow
-ACCURACY = 1e-11  # of the runs that show how a change grows
-
-
 def growth(
-    scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURACY
+    scene: Scene, perturbation: float = CHANGE, accuracy: float = 1e-11
 ) -> tuple[Array, Array]:
-    """Measure the growth of a small change at t = 0 (Lyapunov exponent): two native runs, same steps.
+    """Measure the growth of a small change at t = 0 by two native runs with the same steps.
 
-    All grains are moved, down and up by turns, by this part of the largest velocity (displacement, amplitude).
+    All grains are moved, down and up by turns, by this part of the largest velocity (displacement,
+    amplitude).
 
     Parameters
     ----------
@@ -125,24 +143,24 @@ def growth(
 
     Returns
     -------
-    times (T,) s, and how far the two are apart relative to the largest value, (T,), the larger of displacement and
-    velocity
+    two (T,) arrays
+        Times, s, and the distance of the two runs relative to the largest value, the larger of
+        displacement and velocity.
 
     Raises
     ------
     ToleranceNotMet
-        If round-off alone is above `accuracy`, the error that the runs would have were there no growth.
+        If round-off alone is above `accuracy`, the error of the runs without any growth.
     """
-    return scene.time, divergence(
-        scene, Native("rkn6").candidate(scene.reached, accuracy), perturbation
-    )
+    candidate = Native("rkn6").candidate(scene.reached, accuracy)
+    return scene.time, divergence(scene, candidate, perturbation)
 
 
 def predictability_time(scene: Scene, tolerance: float) -> float:
-    """Measure the predictability time in double precision, s; infinite if the tolerance holds to the end.
+    """Measure the predictability time in double precision, s; infinite beyond the duration.
 
-    Rounding does what a change of 1e-14 at t = 0 does, within a factor of 30: at four decades a millisecond, as in
-    columns of glass beads of 1 mm, that is 0.4 ms.
+    Rounding grows like a change of 1e-14 at t = 0, within a factor of 30: at four decades a
+    millisecond, as in columns of glass beads of 1 mm, that is 0.4 ms.
 
     Parameters
     ----------
@@ -158,7 +176,7 @@ def predictability_time(scene: Scene, tolerance: float) -> float:
 
 
 def predictability_time_of(times: Array, apart: Array, tolerance: float) -> float:
-    """Return `predictability_time` from what `growth` has measured for its own perturbation, s.
+    """Return the predictability time from a growth measured for the default change, s.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ TOLERANCE = 1e-6  # of the predictability time
 
 @dataclass(frozen=True)
 class Boundary:
-    """Where something fails; numbers are NaN where they are not known.
+    """A limit of a method on a scene; numbers that are not known are NaN.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Boundary:
     measured : float
         On this scene.
     here : float
-        What the scene has; NaN where the user chooses.
+        Of the scene; NaN where the user chooses.
     beyond : bool
         Whether the scene lies beyond the boundary.
     """
@@ -55,7 +55,7 @@ class Boundary:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """What was measured along the way, for the picture.
+    """A measured curve, for the picture.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Stability(Shown):
         return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
-        """Draw longest steps, energy error, divergence of two runs, and errors over the strike strength.
+        """Draw longest steps, energy error, divergence of two runs, and errors over the strength.
 
         Parameters
         ----------
@@ -134,50 +134,39 @@ STRENGTHS = {
     "Eq. (3), at most": "0.6",
     "native, round-off": COLOURS["native"],
 }
-LEVELS = (1e-3, TOLERANCE, 1e-9)
 
 
 def draw(result: Stability, ax: Axes | Sequence[Axes] | None) -> Axes:
     """Draw the four panels; see `Stability.plot`."""
     steps, *others = panels(window(15.0, 8.5).subplots(2, 2).ravel() if ax is None else ax)
     _draw_steps(steps, result)
-    for draw, place in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
-        draw(place, result)
+    for draw, panel in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
+        draw(panel, result)
     return steps
 
 
 def _draw_steps(axes: Axes, result: Stability) -> None:
     rows = [row for row in result.boundaries if row.what == "longest step"][::-1]
-    places, names = range(len(rows)), [row.method for row in rows]
-    axes.plot(
-        [row.predicted for row in rows], places, "|", ms=16, mew=2, color="0.3", label="predicted"
-    )
-    axes.plot(
-        [row.measured for row in rows], places, "o", ms=6, color=COLOURS["lammps"], label="measured"
-    )
-    axes.set(
-        xscale="log",
-        xlabel="longest step before a run of this duration breaks down",
-        title="Time step",
-    )
+    heights = range(len(rows))
+    predicted = [row.predicted for row in rows]
+    measured = [row.measured for row in rows]
+    axes.plot(predicted, heights, "|", ms=16, mew=2, color="0.3", label="predicted")
+    axes.plot(measured, heights, "o", ms=6, color=COLOURS["lammps"], label="measured")
+    label = "longest step before a run of this duration breaks down"
+    axes.set(xscale="log", xlabel=label, title="Time step")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.xaxis.set_minor_formatter("")
-    axes.set_yticks(places, names)
+    axes.set_yticks(heights, [row.method for row in rows])
     axes.grid(axis="x", color="0.92", lw=0.6)
     _legend(axes)
 
 
 def _draw_energy(axes: Axes, result: Stability) -> None:
     for curve in (curve for curve in result.curves if curve.panel == "energy"):
-        place = list(METHODS).index(curve.name) % len(SHADES)
-        axes.plot(
-            curve.x[1:],
-            np.maximum(curve.y[1:], LEAST_ERROR),
-            color=SHADES[place],
-            lw=1.2,
-            label=curve.name,
-        )
+        colour = SHADES[list(METHODS).index(curve.name) % len(SHADES)]
+        error = np.maximum(curve.y[1:], LEAST_ERROR)
+        axes.plot(curve.x[1:], error, color=colour, lw=1.2, label=curve.name)
     axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.set_title("Energy, with forty steps a period of the fastest oscillation")
@@ -189,17 +178,10 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
         if curve.panel == "growth":
             axes.plot(curve.x, np.maximum(curve.y, LEAST_ERROR), color=COLOURS["native"], lw=1.3)
     end = result.scene.duration
-    for level in LEVELS:
+    for level in (1e-3, TOLERANCE, 1e-9):
         axes.axhline(level, color="0.75", lw=0.8)
-        axes.annotate(
-            f"{level:g}",
-            (1, level),
-            (-2, 2),
-            ("axes fraction", "data"),
-            "offset points",
-            ha="right",
-            color="0.4",
-        )
+        text: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "color": "0.4"}
+        axes.annotate(f"{level:g}", (1, level), (-2, 2), ("axes fraction", "data"), **text)
     for row in result.boundaries:
         if row.what.startswith("predictable"):
             for value, style, label in (
@@ -207,13 +189,8 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
                 (row.measured, "-", "measured"),
             ):
                 if np.isfinite(value) and value <= 1.2 * end:
-                    axes.axvline(
-                        value,
-                        color="0.3",
-                        ls=style,
-                        lw=1.2,
-                        label=f"predictable to {TOLERANCE:g}, {label}",
-                    )
+                    name = f"predictable to {TOLERANCE:g}, {label}"
+                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=name)
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.locator_params(axis="x", nbins=5)
@@ -227,28 +204,12 @@ def _draw_strength(axes: Axes, result: Stability) -> None:
         if curve.panel == "strength":
             colour = STRENGTHS.get(curve.name, COLOURS["lammps"])
             style = "-" if curve.name in STRENGTHS else next(styles)
-            axes.plot(
-                curve.x,
-                np.maximum(curve.y, LEAST_ERROR),
-                color=colour,
-                ls=style,
-                lw=1.4,
-                label=curve.name,
-            )
+            error = np.maximum(curve.y, LEAST_ERROR)
+            axes.plot(curve.x, error, color=colour, ls=style, lw=1.4, label=curve.name)
     axes.axvline(1.0, color="0.3", lw=1)
-    axes.annotate(
-        "this scene",
-        (1.0, 0.6),
-        (4, 0),
-        xycoords=("data", "axes fraction"),
-        textcoords="offset points",
-    )
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="strength of the strike, over that of the scene",
-        ylabel="relative error",
-    )
+    axes.annotate("this scene", (1.0, 0.6), (4, 0), ("data", "axes fraction"), "offset points")
+    axes.set(xscale="log", yscale="log", ylabel="relative error")
+    axes.set_xlabel("strength of the strike, over that of the scene")
     axes.set_title("Model error and round-off")
     _legend(axes)
 

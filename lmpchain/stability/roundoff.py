@@ -1,7 +1,4 @@
-"""The round-off floor of double precision: the law, and its measurement in long double.
-
-Laws say it beforehand, measurements compare with runs in NumPy's long double.
-"""
+"""Round-off floor of double precision: its law, and its measurement by runs in long double."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from ..util.arrays import Array
 from ..util.suggestions import not_among
 
 Long = np.longdouble
-STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there
+STEP = 0.3  # highest frequency times the step of rkn6, whose own error is some 1e-9 there
 
 
 def floor(
@@ -30,9 +27,9 @@ def floor(
 ) -> float:
     """Predict the relative error from round-off alone, at steps of rkn6 with omega h = 0.3.
 
-    The laws are those of the engines, `typical_round_off`. Measured over 13 decades, on 70 random scenes, LAMMPS with
-    both diameters: half of the floors are within a factor of 1.7 of it, nine in ten within 6
-    (analysis/calibration/roundoff.py).
+    The laws are those of the engines, `typical_round_off`. Measured over 13 decades, on 70 random
+    scenes, LAMMPS with both diameters: half of the floors are within a factor of 1.7 of it, nine in
+    ten within 6 (analysis/calibration/roundoff.py).
 
     Parameters
     ----------
@@ -53,10 +50,9 @@ def floor(
     InputError
         If the engine is neither, or an option is none of its own.
     """
-    part = scene.reached
-    steps = _steps(part)
-    speed = _speed(part)
-    return _engine(engine, diameter, force).typical_round_off(part, steps, speed)
+    cone = scene.reached
+    solver = _engine(engine, diameter, force)
+    return solver.typical_round_off(cone, _steps(cone), _speed(cone))
 
 
 def long_double(scene: Scene) -> tuple[Array, Array]:
@@ -71,8 +67,8 @@ def long_double(scene: Scene) -> tuple[Array, Array]:
     two (T, N) arrays
         m, m/s.
     """
-    part = scene.reached
-    return _same_steps(part, RKN6, _steps(part))
+    cone = scene.reached
+    return _integrate(cone, RKN6, _steps(cone))
 
 
 def measured_floor(
@@ -82,10 +78,10 @@ def measured_floor(
     force: str = "auto",
     exact: tuple[Array, Array] | None = None,
 ) -> float:
-    """Measure what `floor` predicts: an engine against the same steps in NumPy's long double.
+    """Measure the round-off floor of an engine against the same steps in NumPy's long double.
 
-    The two take the same steps, so the error of the method is the same in both, whether contacts open or not.
-    `exact` is `long_double(scene)`, where that is known already.
+    The error of the method is the same in both, whether contacts open or not. `exact` is
+    `long_double(scene)`, where that is known already.
 
     Parameters
     ----------
@@ -105,32 +101,32 @@ def measured_floor(
         As `floor`; and if the chain is driven, or the engine cannot do it.
     """
     if scene.excitation.does_work:
-        raise InputError([("kind", "the floor of round-off is not measured for a driven chain")])
-    part = scene.ungathered.reached
-    steps = _steps(part)
-    h = part.duration / steps * (1 + 1e-9)
-    run = simulate(part, _engine(engine, diameter, force, h))
+        raise InputError.at("kind", "the floor of round-off is not measured for a driven chain")
+    cone = scene.ungathered.reached
+    steps = _steps(cone)
+    h = cone.duration / steps * (1 + 1e-9)
+    run = simulate(cone, _engine(engine, diameter, force, h))
     assert run.cost.steps == steps
     true = exact or long_double(scene)
-    values = run.displacement, run.velocity
     columns = run.grains - 1
-    pairs = ((x, y[:, columns], np.abs(y).max()) for x, y in zip(values, true, strict=True))
-    return max(float(np.abs(x - y).max() / most) for x, y, most in pairs)
+    return max(
+        float(np.abs(x - y[:, columns]).max() / np.abs(y).max())
+        for x, y in zip((run.displacement, run.velocity), true, strict=True)
+    )
 
 
 def _engine(
     engine: str, diameter: str, force: str, step: float | None = None
 ) -> TimeSteppingEngine:
-    known = (
+    for key, value, allowed in (
         ("engine", engine, ("native", "lammps")),
         ("diameter", diameter, ("physical", "gauge")),
-    )
-    for key, value, allowed in known:
+    ):
         if value not in allowed:
-            raise InputError([(key, not_among(value, allowed))])
-    return (
-        Native("rkn6", step, force=force) if engine == "native" else Lammps("rkn6", step, diameter)
-    )
+            raise InputError.at(key, not_among(value, allowed))
+    if engine == "native":
+        return Native("rkn6", step, force=force)
+    return Lammps("rkn6", step, diameter)
 
 
 def _steps(scene: Scene) -> int:
@@ -145,16 +141,18 @@ def _speed(scene: Scene) -> float:
     return max(v, u * scene.highest_frequency) or scene.chain.length_scale / scene.chain.time_scale
 
 
-def _same_steps(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, Array]:
-    """Integrate by a splitting in long double; return displacement and velocity, (T, N) m and m/s."""
+def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, Array]:
+    """Return displacement and velocity, (T, N) m and m/s, by a splitting in long double."""
     chain = scene.chain
-    mass, constant = chain.masses.astype(Long), chain.contacts.constant.astype(Long)
+    mass = chain.masses.astype(Long)
+    constant: Any = chain.contacts.constant.astype(Long)
     carried = Long(chain.top_load) + Long(chain.gravity) * np.append(Long(0), np.cumsum(mass))
-    contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), Long(chain.exponent))  # type: ignore[arg-type]
+    exponent: Any = Long(chain.exponent)
+    contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), exponent)
     mobility = np.where(np.arange(chain.grains) < chain.movable, 1 / mass, 0)
     u, v = (x.astype(Long) for x in scene.initial())
     h = Long(scene.duration) / steps
-    kept = [(u, v)]
+    samples = [(u, v)]
 
     def acceleration(u: NDArray[Any]) -> NDArray[Any]:
         return -np.diff(contacts.force_change(contacts.closer(u))) * mobility
@@ -167,5 +165,6 @@ def _same_steps(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, 
             push = acceleration(u)
         v = v + splitting.kicks[-1] * h * push
         if step % (steps // (scene.samples - 1)) == 0:
-            kept.append((u, v))
-    return tuple(np.array(x, dtype=float) for x in zip(*kept, strict=True))  # type: ignore[return-value]
+            samples.append((u, v))
+    displacement, velocity = zip(*samples, strict=True)
+    return np.array(displacement, dtype=float), np.array(velocity, dtype=float)

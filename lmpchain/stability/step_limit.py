@@ -1,11 +1,10 @@
-"""Where steps fail: too long a step, energy that drifts away, and contacts that open."""
+"""Limits of the step: the longest stable one, and the drift of the energy."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,34 +15,24 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.lazy import listed
 
-if TYPE_CHECKING:
-    pass
-
 __dir__ = listed(__name__)
 
-SHARED = 8  # contacts over which the energy of a wave is spread at most, in the search for the worst place
-BROKEN = (
-    1.5  # kinetic energy over all the energy there is: beyond that the engines call a run broken
-)
-SCAN = 1.02  # from one step that is tried to the next, until a run breaks; then the last two are bisected
-BISECTIONS = 7
-NARROW = 1.02  # over the stability limit: how far a first, narrow band of unstable steps may reach
-SAMPLES_MAX = 2000  # most samples of a run
-BLOCKS, CONFIDENCE = (
-    50,
-    0.99,
-)  # of a trend: means of so many stretches, and how sure its interval is
+BROKEN = 1.5  # kinetic energy over all the energy, beyond which the engines call a run broken
+SCAN = 1.02  # ratio of steps that are tried until a run breaks, and width of a band above the limit
+BLOCKS = 50  # stretches of time whose means make a trend
 
 
 def struck_frequency(scene: Scene) -> float:
     """Return the highest frequency, rad/s, that the chain has at any moment of the motion.
 
-    A contact that is squeezed to the overlap o has the stiffness delta K o^(delta-1), so a chain that is struck is
-    stiffer for a while than at rest. Of the energy E of the strike, contacts hold 2 E / (delta + 3) in the mean (the
-    virial theorem); it is shared by n neighbours, whatever n makes the frequency highest, which among n equal springs
-    is sqrt([2 + 2 cos(pi / (n + 1))] k / m). Held against the eigenfrequencies of the exact motion at every moment,
-    for strike numbers from 0.01 to 1e4, it is right to 3 % in loaded chains and columns of Hertz contacts, to 7 % for
-    exponent 2. A drive puts in no energy that is known beforehand: there it is `Scene.highest_frequency`.
+    A contact that is squeezed to the overlap o has the stiffness delta K o^(delta-1), so a chain
+    that is struck is stiffer for a while than at rest. Of the energy E of the strike, contacts hold
+    2 E / (delta + 3) in the mean (the virial theorem); it is shared by n neighbours, whatever n
+    makes the frequency highest, which among n equal springs is
+    sqrt([2 + 2 cos(pi / (n + 1))] k / m). Held against the eigenfrequencies of the exact motion at
+    every moment, for strike numbers from 0.01 to 1e4, it is right to 3 % in loaded chains and
+    columns of Hertz contacts, to 7 % for exponent 2. A drive puts in no energy that is known
+    beforehand: there it is `Scene.highest_frequency`.
 
     Parameters
     ----------
@@ -54,20 +43,20 @@ def struck_frequency(scene: Scene) -> float:
     float
         rad/s.
     """
-    part = scene.reached
-    chain, contacts = part.chain, part.chain.contacts
-    if part.excitation.does_work:
-        return part.highest_frequency
-    displaced = chain.excess_energy(part.initial()[0], np.zeros(chain.grains))
-    elastic = max(contacts.elastic_share * part.energy, float(displaced))
-    inertia = np.concatenate(
-        ([0.0], np.where(np.arange(chain.grains) < chain.movable, 1 / chain.masses, 0.0), [0.0])
-    )
+    cone = scene.reached
+    chain = cone.chain
+    contacts = chain.contacts
+    if cone.excitation.does_work:
+        return cone.highest_frequency
+    displaced = chain.excess_energy(cone.initial()[0], np.zeros(chain.grains))
+    elastic = max(contacts.elastic_share * cone.energy, float(displaced))
+    inertia = np.zeros(chain.grains + 2)
+    inertia[1 : chain.movable + 1] = 1 / chain.masses[: chain.movable]
 
     def worst(energy: float) -> float:
-        """Return the highest squared frequency of neighbours that share an energy, as springs."""
+        """Return the highest squared frequency of up to 8 neighbours that share an energy."""
         highest = 0.0
-        for n in range(1, SHARED + 1):
+        for n in range(1, 9):
             stiffness = contacts.stiffness_at(contacts.overlap_bound(energy / n))
             coupling = np.sqrt(stiffness[:-1] * stiffness[1:]) * inertia[1:-1]
             beside = np.append(coupling, 0.0) + np.append(0.0, coupling)
@@ -81,14 +70,16 @@ def struck_frequency(scene: Scene) -> float:
 def limit(scene: Scene, integrator: str) -> float:
     """Return the longest step, s, with which a scene is expected to keep its energy to its end.
 
-    The stability limit of the method for an oscillator (`Method.stability_limit`) over the highest frequency that the
-    strike brings about. Of a method whose oscillators grow at every step, as Gear's do, it is no longer than the step
-    with which those at rest would gain half their energy within the duration. In the sonic vacuum, where nothing is
-    stable or not at rest, the same law is h ~ E^(-(delta-1)/(2 delta+2)).
+    The stability limit of the method for an oscillator (`Method.stability_limit`) over the highest
+    frequency that the strike brings about. Of a method whose oscillators grow at every step, as
+    Gear's do, it is no longer than the step with which those at rest would gain half their energy
+    within the duration. In the sonic vacuum, where nothing is stable or not at rest, the same law
+    is h ~ E^(-(delta-1)/(2 delta+2)).
 
-    Measured on loaded chains for a hundred periods and strike numbers up to 1e4, runs break at so many times it:
-    0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02 dop853 (a step of which spans a whole blow), 1.3 to 1.6 rkn4,
-    2.5 to 3.1 rkn6 and 1 to 1.5 kahan-li8 (see `suspect`), 1.2 to 2.4 gear4 (analysis/calibration/stability_limits.py).
+    Measured on loaded chains for a hundred periods and strike numbers up to 1e4, runs break at this
+    multiple of it: 0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02 dop853 (a step of which
+    spans a whole blow), 1.3 to 1.6 rkn4, 2.5 to 3.1 rkn6 and 1 to 1.5 kahan-li8 (see `suspect`),
+    1.2 to 2.4 gear4 (analysis/calibration/stability_limits.py).
 
     Parameters
     ----------
@@ -103,17 +94,18 @@ def limit(scene: Scene, integrator: str) -> float:
     Examples
     --------
     >>> from lmpchain import Chain, Impulse
-    >>> scene = Scene(chain=Chain(grains=120, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-3)
+    >>> chain = Chain(grains=120, diameter=1e-3)
+    >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-3)
     >>> round(limit(scene, "verlet") * 1e6, 2)  # microseconds
     3.14
     """
     from scipy.optimize import brentq
 
-    method, edge = METHODS[integrator], scene.reached.chain.band_edge
+    method = METHODS[integrator]
+    edge = scene.reached.chain.band_edge
     highest = struck_frequency(scene)
-    longest = (
-        method.stability_limit / highest if highest else math.inf
-    )  # nothing moves, and nothing is pressed
+    # without a frequency nothing moves, and nothing is pressed
+    longest = method.stability_limit / highest if highest else math.inf
 
     def gain(reach: float) -> float:
         return 2 * math.log(method.growth(reach)) * edge * scene.duration / reach - math.log(BROKEN)
@@ -128,7 +120,7 @@ def limit(scene: Scene, integrator: str) -> float:
 
 @cache
 def _growths(integrator: str) -> tuple[Array, Array]:
-    """Return steps omega h below the stability limit, and by what factor an oscillator grows in each."""
+    """Return steps omega h below the stability limit, and the growth of an oscillator in each."""
     method = METHODS[integrator]
     reaches = method.stability_limit * np.geomspace(1e-3, 0.999, 100)
     return reaches, np.array([method.growth(reach) for reach in reaches])
@@ -136,10 +128,11 @@ def _growths(integrator: str) -> tuple[Array, Array]:
 
 @cache
 def suspect(integrator: str) -> float:
-    """Return the omega h, within 2 % above the stability limit, with which an oscillator grows fastest.
+    """Return the omega h up to 2 % above the stability limit at which an oscillator grows fastest.
 
-    Beyond the limits of rkn4, rkn6 and kahan-li8 lies a band of unstable steps only 0.16, 0.03 and 1.4 % wide, where
-    half a period or so of the fastest grain is one step; behind it they are stable again up to 5.0, 6.3 and 5.6.
+    Beyond the limits of rkn4, rkn6 and kahan-li8 lies a band of unstable steps only 0.16, 0.03 and
+    1.4 % wide, where half a period or so of the fastest grain is one step; behind it they are
+    stable again up to 5.0, 6.3 and 5.6.
 
     Parameters
     ----------
@@ -150,16 +143,17 @@ def suspect(integrator: str) -> float:
     float
     """
     method = METHODS[integrator]
-    reaches = method.stability_limit * np.linspace(1, NARROW, 1001)
+    reaches = method.stability_limit * np.linspace(1, SCAN, 1001)
     return float(max(reaches, key=method.growth))
 
 
 def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
-    """Measure the longest step with which a scene does not break down, s; infinite if none breaks it.
+    """Measure the longest step with which a scene does not break down, s; infinite if none does.
 
-    Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected, until a run
-    breaks: a grain moves with more than one and a half times all the energy there is. Then the step is bisected. The
-    steps are given to `Engine.start` as a candidate of our own, past the check that refuses what is unstable at rest.
+    Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected,
+    until a run breaks: a grain moves with more than one and a half times all the energy there is.
+    Then the step is bisected. The steps are given to `Engine.start` as a candidate, past the check
+    that refuses steps that are unstable at rest.
 
     Parameters
     ----------
@@ -177,18 +171,20 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     InputError
         If the engine cannot do the scene.
     """
-    scene, expected = scene.ungathered, limit(scene, integrator)
+    scene = scene.ungathered
+    expected = limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator, step=expected / 4)
     proposed = solver.candidate(solver.part(scene), 0.5)
     edge = scene.reached.chain.band_edge
     suspected = suspect(integrator) / edge if edge else math.inf
 
     def survives(step: float) -> bool:
-        steps = math.ceil(scene.duration / step / SAMPLES_MAX)
+        # of at most 2000 samples
+        steps = math.ceil(scene.duration / step / 2000)
         samples = max(1, int(scene.duration / step / steps))
-        tried = scene.replace(duration=samples * steps * step, samples=samples + 1)
+        trial = scene.replace(duration=samples * steps * step, samples=samples + 1)
         try:
-            run = solver.start([tried], proposed._replace(steps_per_landing=steps, step=step))
+            run = solver.start([trial], proposed._replace(steps_per_landing=steps, step=step))
         except RunFailed:
             return False
         try:
@@ -207,15 +203,19 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
         low = high
         if low > scene.duration / 2:
             return math.inf
-    for _ in range(BISECTIONS):
+    # to 2 % / 2^7
+    for _ in range(7):
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if survives(middle) else (low, middle)
+        if survives(middle):
+            low = middle
+        else:
+            high = middle
     return low
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyError:
-    """How far the energy of a run is from what it was given.
+    """The error of the energy of a run.
 
     Attributes
     ----------
@@ -224,7 +224,7 @@ class EnergyError:
     error : (T,) array
         Energy above rest over that at t = 0, less 1.
     step : float
-        That was taken, s.
+        Of the run, s.
     """
 
     time: Array
@@ -234,35 +234,30 @@ class EnergyError:
     def trend(self) -> tuple[float, float]:
         """Return the drift rate, 1/s, and the half-width of its interval of 99 % confidence.
 
-        A straight line through the means of fifty stretches of time. As energy wanders slowly from mode to mode, each
-        resembles the one before: they count for as many as their correlation r leaves, n (1 - r) / (1 + r) (Santer et
-        al., J. Geophys. Res. 105, 7337 (2000)).
+        A straight line through the means of fifty stretches of time. As energy wanders slowly from
+        mode to mode, each resembles the one before: they count for as many as their correlation r
+        leaves, n (1 - r) / (1 + r); B. D. Santer et al., J. Geophys. Res. 105, 7337 (2000).
         """
         from scipy import stats
 
         used = self.time.size // BLOCKS * BLOCKS
         time, error = (x[-used:].reshape(BLOCKS, -1).mean(1) for x in (self.time, self.error))
         line = stats.linregress(time, error)
-        left = error - np.polynomial.Polynomial.fit(time, error, 2)(
-            time
-        )  # a drift that slows down is no resemblance
-        alike = max(0.0, float(left[1:] @ left[:-1] / (left @ left)))
-        count = max(3.0, BLOCKS * (1 - alike) / (1 + alike))
-        sure = (
-            line.stderr
-            * math.sqrt((BLOCKS - 2) / (count - 2))
-            * stats.t.ppf((1 + CONFIDENCE) / 2, count - 2)
-        )
-        return float(line.slope), float(sure)
+        # a drift that slows down is no resemblance
+        residual = error - np.polynomial.Polynomial.fit(time, error, 2)(time)
+        correlation = max(0.0, float(residual[1:] @ residual[:-1] / (residual @ residual)))
+        count = max(3.0, BLOCKS * (1 - correlation) / (1 + correlation))
+        deviation = line.stderr * math.sqrt((BLOCKS - 2) / (count - 2))
+        return float(line.slope), float(deviation * stats.t.ppf(0.995, count - 2))
 
 
 def energy_error(
     scene: Scene, integrator: str, step: float, periods: float, samples: int = 2001
 ) -> EnergyError:
-    """Run a scene natively for so many periods of its band edge, and return the error of its energy.
+    """Return the error of the energy of a native run over periods of the band edge.
 
-    Energies are differences from rest, in displacements: `Chain.excess_energy`, which keeps the digits of the weakest
-    wave.
+    Energies are differences from rest, in displacements: `Chain.excess_energy`, which keeps the
+    digits of the weakest wave.
 
     Parameters
     ----------
@@ -271,7 +266,7 @@ def energy_error(
     step : float
         s.
     periods : float
-        How long, in periods of the band edge.
+        Duration, in periods of the band edge.
     samples : int
 
     Returns
@@ -286,7 +281,8 @@ def energy_error(
     RunFailed
         If the run breaks down.
     """
-    from ..simulation.api import simulate  # which may ask this module for a warning
+    # the interface of runs may ask this module for a warning
+    from ..simulation.api import simulate
 
     duration = periods * 2 * math.pi / scene.chain.band_edge
     longer = scene.replace(duration=duration, samples=samples, grains="all", quantities=None)

@@ -34,7 +34,10 @@ SHOWN = {
     "long_steps": ["INTERPOLATION.error", "ROUNDING.interpolated"],
     "linear_openings": ["FEW (waves)"],
     "opening_error_factor": ["FIRST_STEP.foreseen", "FIRST_STEP.longest", "FIRST_STEP.safe_strain"],
-    "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
+    "predictability": [
+        *("MEASURED.opening", "MEASURED.flying", "MEASURED.fewest"),
+        "reflection_time: 0.907470, 0.681632",
+    ],
     "richardson_estimate": [
         "SAFETY",
         "ORDER_AT_OPENINGS",
