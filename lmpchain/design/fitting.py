@@ -87,6 +87,7 @@ class Fit:
         problem = self._problem
         index = self.names.index(name)
         others = np.arange(self.estimate.size) != index
+        # others begin where they would lie if residuals were linear
         along = self.covariance[:, index] / self.covariance[index, index]
         offsets = np.linspace(-reach, reach, points) * self.error[index]
         growth = np.zeros(points)
@@ -259,6 +260,7 @@ def _estimate(problem: Problem, theta: Array) -> _Estimate:
     if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
         message = "the traces do not tell these apart: fit fewer of them"
         raise InputError.at("parameters", message)
+    # of scaled columns, whose condition tells whether unknowns can be told apart
     inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
     freedom = left.size - theta.size
     square = float(left @ left)

@@ -247,6 +247,7 @@ class ArrivalTime:
         end = above[0] - first
         at = brentq(lambda t: cubic(t) - self.velocity, end - 1, end, xtol=1e-14)
         slopes = view.slopes(float((first + at) * step))
+        # a larger velocity of a neighbour brings the crossing forward
         rate = cubic.deriv()(at) / step
         slopes.velocity[first : first + 4, view.column(self.grain)] = [-b(at) / rate for b in basis]
         return slopes

@@ -225,6 +225,7 @@ def optimise(
     box = _Box(scene, names, bounds)
     drawn = qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))
     begins = np.vstack([box.start, drawn])[:starts]
+    # a folder belongs to one task, whose numbers are written in full
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         numbers = box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed
         task = repr((scene.to_text(), type(objective).__name__, vars(objective), names, numbers))
@@ -331,6 +332,7 @@ def _descend(descent: _Descent, begin: Array) -> Start:
         at = np.clip(at, 0.0, 1.0)
         found, slopes = descent.solve(at)
         history.append(found)
+        # without an answer: far above all values, which are of the order of 1
         if not np.isfinite(found):
             return 1e3, slopes
         scale = scale or abs(found) or 1.0

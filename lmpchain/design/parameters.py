@@ -144,6 +144,7 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
     changes = {key: np.zeros((len(change), size)) for key, size in sizes.items()}
     for key, matrix in _dependence(scene, name).items():
         changes[key] = (matrix @ change.T).T
+    # a heavier grain weighs on all contacts below it
     heavier = chain.gravity * np.cumsum(changes["masses"], axis=1)
     weight = heavier + changes.pop("gravity") * np.cumsum(chain.masses)
     forces = changes.pop("top_load") + np.pad(weight, ((0, 0), (1, 0)))

@@ -107,6 +107,7 @@ def quadrature(size: int) -> Array:
     """Return the weights (size,) of the trapezoidal rule with Gregory's corrections of order 6."""
     weight = np.ones(size)
     weight[[0, -1]] = 0.5
+    # backward differences at either end, as far as they do not overlap
     for k, gregory in enumerate((1 / 12, 1 / 24, 19 / 720, 3 / 160, 863 / 60480), 1):
         if 2 * k < size:
             change = [gregory * (-1) ** j * math.comb(k, j) for j in range(k + 1)]

@@ -201,6 +201,7 @@ def _parameters(scene: Scene) -> list[str]:
     for name in CANDIDATES:
         if name in OVERRIDES and name not in given:
             continue
+        # nothing follows from diameters and moduli if masses and constants are given
         if name in ("diameters", "youngs_moduli") and not derived:
             continue
         try:

@@ -159,6 +159,7 @@ def model(
         share = 1.0 / len(contacts)
         for contact in (int(number) for number in contacts if scene.chain.contacts.exists[number]):
             force = contact_force(view, contact)
+            # a sensor in a grain shows the mean of its two contacts
             values[:, column] += share * (force.value - rest[contact])
             if change is None or motion is None:
                 continue

@@ -132,6 +132,7 @@ class Problem:
         for trace in self.traces:
             values, rates = model(scene, run, trace, change, motion)
             both = np.concatenate((values[None], rates)).transpose(1, 0, 2)
+            # quintic through all looks, in between which traces are measured
             spline = make_interp_spline(run.time, both, k=5)
             late = theta[index] * self.units[index] if trace.trigger else 0.0
             when = trace.time - late

@@ -146,7 +146,7 @@ def realisation(
     >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
     True
     """
-    _check_drawn(scene.chain, m, seed, index, law, of)
+    _check_draw(scene.chain, m, seed, index, law, of)
     zeta = _draw(scene.chain, m, seed, index, law, of)
     chain = Chain._unchecked(**_fields(scene.chain, zeta, of))
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
@@ -161,12 +161,12 @@ def drawn_constants(
     of: Of = "stiffness",
 ) -> Array:
     """Return the factors on the contact constants of R realisations, (R, N-1)."""
-    _check_drawn(chain, m, seed, min(indices), law, of)
+    _check_draw(chain, m, seed, min(indices), law, of)
     zeta = np.array([_draw(chain, m, seed, index, law, of) for index in indices])
     return _change(chain, zeta, of)
 
 
-def _check_drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> None:
+def _check_draw(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> None:
     """Raise `InputError` unless this realisation can be drawn."""
     check(fault_of_whole("seed", seed, 0), fault_of_whole("index", index, 0))
     _check_of(chain, of)

@@ -219,6 +219,7 @@ class _Spread(Average):
         (start,) = self._energy(scene, *(x[None] for x in scene.initial()))
         number = np.arange(1, start.size + 1)
         energy = self._energy(scene, displacement, velocity)
+        # shares of the energy at every sample, whatever round-off makes of its sum
         share = energy / energy.sum(1)[:, None]
         moment = share @ (number - start @ number / start.sum()) ** 2
         below = np.cumsum(share[:, :0:-1], axis=1)[:, ::-1]

@@ -66,6 +66,7 @@ class Average:
                 square = self.square[:, block.samples]
                 for number, scene in enumerate(scenes):
                     value = self.measure(scene, block.displacement[number], block.velocity[number])
+                    # Welford: with the mean before and after, squares lose no digits
                     deviation = value - mean
                     mean += deviation / (self.count + number + 1)
                     square += deviation * (value - mean)

@@ -292,6 +292,7 @@ def _pass(a: Array, b: Array, omega2: Array, z: Array, growth: Array, nodes: Arr
             if abs(step) < EPSILON:
                 step = EPSILON
             count += step < 0
+            # a logarithm of many factors at once: one of each would take most of the time
             product *= abs(step)
             if product > 1e100 or product < 1e-100:
                 total += math.log(product)

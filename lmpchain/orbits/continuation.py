@@ -156,6 +156,7 @@ class Curve:
 
         A guess, and a member nearer to it than the one to begin with, save work.
         """
+        # the orbit lies in the plane across the family at this distance
         ahead = member.unknown + length * member.direction
 
         def arc(unknown: Array, _: Point) -> tuple[float, Array]:
@@ -183,6 +184,7 @@ class Curve:
             length = np.linalg.norm(step)
             before = self.miss(start, target)
             after = self.miss(end, target)
+            # where the line through both passes the target
             guess = start.unknown + (before / (before - after) if after else 1.0) * step
             solution = self.solve(self.equations.unpack(guess), target, end)
             if solution and np.linalg.norm(self.equations.pack(solution.point) - guess) < length:
@@ -276,6 +278,7 @@ class _March:
         self.members.append(end)
         self.miss = self.curve.miss(end, self.target)
         self.gone += float(np.linalg.norm(end.unknown - start.unknown)) / self.curve.size(end)
+        # a family that moves on may try as often again
         if self.gone > STEPS.still:
             self.tries = 0
             self.gone = 0.0
@@ -310,6 +313,7 @@ class _March:
     def _locate_events(self, start: Member, end: Member, events: list[Event]) -> None:
         """Add the events of a step in their order along the family."""
         length = float(start.direction @ (end.unknown - start.unknown))
+        # orbits that one event has been sought at serve the others as guesses
         members = {0.0: start, 1.0: end}
 
         def at(share: float) -> Member | None:
@@ -418,6 +422,7 @@ def follow(
         )
     target = fixed(curve.equations, curve.parameter, until)
     march = _March(curve, curve.member(solution, anchor), target, points, events)
+    # the bar shows the share of the parameter, of which there may be nothing to go
     distance = max(abs(march.miss), 1e-300)
     layout = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
     with ProgressBar(1.0, "orbits", layout=layout, shown=progress) as bar:

@@ -94,8 +94,7 @@ def locate(
             width = gap
         # regula falsi is slow where another pair is nearer than the one that meets: halve then
         slow = number % 3 == 2 and gap > width / 4
-        share = 0.5 if slow or not sum(values) else values[0] / sum(values)
-        position = bounds[0] + gap * min(max(share, 0.02), 0.98)
+        position = _propose(bounds, values, slow)
         member = at(position)
         if member is None:
             break
@@ -113,6 +112,13 @@ def locate(
             break
         previous = side
     return event
+
+
+def _propose(bounds: list[float], values: list[float], halve: bool) -> float:
+    """Return where the line through two values of a number passes zero, but not next to a bound."""
+    total = sum(values)
+    share = 0.5 if halve or not total else values[0] / total
+    return bounds[0] + (bounds[1] - bounds[0]) * min(max(share, 0.02), 0.98)
 
 
 def _count(kind: str, member: Member) -> int:

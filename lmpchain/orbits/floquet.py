@@ -58,6 +58,7 @@ def without_trivial(mean: Complex) -> Complex:
 
 def multipliers(mean: Complex, trivial: bool) -> Complex:
     """Return the pairs (2M,), side by side, the largest first; a trivial pair 1 is the last."""
+    # l = c +- sqrt(c^2 - 1): the larger one, and its inverse, lose no digits
     root = np.sqrt(mean**2 - 1)
     large = np.where(np.abs(mean + root) >= np.abs(mean - root), mean + root, mean - root)
     on_circle = (mean.imag == 0) & (np.abs(mean.real) <= 1)
@@ -71,6 +72,7 @@ def _halve(matrix: Array) -> Array:
     """Return an (M, M) matrix that has each double eigenvalue of a skew-Hamiltonian one once."""
     matrix = matrix.copy()
     size = len(matrix) // 2
+    # column by column, by symplectic orthogonal maps alone
     for j in range(size - 1):
         rows = np.arange(j + 1, size)
         _reflect(matrix, matrix[size + rows, j], rows, size)

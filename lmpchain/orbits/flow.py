@@ -150,6 +150,7 @@ class Flow:
         columns = np.zeros((2, grains, begin.shape[2]))
         scale = np.stack((self.weight, self.weight / self.rate))[..., None]
         columns[:, self.free] = begin / scale
+        # columns that are derivatives by log(period) grow with every step
         longer = np.zeros(begin.shape[2])
         longer[longer.size - stretch :] = 1.0
         nodes = np.zeros((2, mesh.size + 1, grains))
@@ -170,6 +171,7 @@ class Flow:
             return np.zeros(0)
         begin = np.cumsum(mesh) - mesh
         stages = begin[:, None] + mesh[:, None] * np.array([0.0, *METHOD.reach[:-1]])
+        # whole turns are left out: a sine of few radians is the most accurate
         turns = self.cycles * np.append(stages.ravel(), mesh.sum())
         return self.drive.amplitude * np.sin(2 * np.pi * (turns - np.round(turns)))
 

@@ -111,6 +111,7 @@ def mode_family(
     displacement *= min(1.0, 2 * np.pi / period / (LIMITS.slow * chain.band_edge)) ** 2
     rest = np.zeros(chain.grains)
     linear = float(chain.excess_energy(displacement, rest))
+    # below the energy asked for, so that the family goes up
     small = min(1.0, float(np.sqrt(0.5 * energy / linear)))
     first = find(chain, (small * displacement, rest), period, energy=linear * small**2)
     return follow(first, "energy", energy, events=events, progress=progress)

@@ -118,6 +118,7 @@ class Equations:
         if self.reversible:
             slopes = np.hstack((end[size:, :size], end[size:, size:] / self.unit))
         else:
+            # of an orbit that closes, the tangent map less the identity
             slopes = np.hstack((end[:, :size] - np.eye(size), end[:, size:] / self.unit))
             if flow.drive is None:
                 # all states of an orbit close: take the one across the motion from the last guess
@@ -317,6 +318,7 @@ def solve(
         mesh, opens = equations.mesh(solution.point, reach, mesh)
         if not opens:
             break
+    # derivatives may be those with the steps of the round before
     if exact and number:
         solution = solution._replace(slopes=system.evaluate(unknown)[1])
     return solution._replace(iterations=iterations, relaid=relaid)
@@ -333,6 +335,7 @@ def _newton(
     closed = NEWTON.closed
     steps = 0
     before = np.inf
+    # chord steps with the derivatives of an orbit nearby, for as long as they serve
     if slopes is not None:
         descent = _descend(system, unknown, slopes)
         unknown = descent.unknown
@@ -340,6 +343,7 @@ def _newton(
         exact = origin is not None and _distance(unknown, origin) < NEWTON.same
         if exact and descent.residual < closed:
             return _solution(system, descent, steps)
+    # full steps: new derivatives wherever those of the last point do not serve any more
     while steps < NEWTON.iterations:
         residual, slopes = system.evaluate(unknown)
         size = system.size(residual, unknown)
