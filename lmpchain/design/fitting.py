@@ -220,7 +220,7 @@ def fit(
         return Attempt(estimate, float((estimate.bias / allowed).max()))
 
     # where the motion is chaotic no step is short enough, and every halving takes twice as long
-    best, excess, _ = halve(attempt, 8)
+    best, excess = halve(attempt, 8)
     if excess > 1:
         message = "the steps change the estimates however short they are: use a shorter time"
         raise ToleranceNotMet(message)

@@ -28,17 +28,16 @@ class Attempt(NamedTuple, Generic[Answer]):
     answer : any
     excess : float
         Its error, `SAFETY` times a difference, over the error that is allowed.
-    rounded : bool
-        Whether round-off is all that is left, so that shorter steps are of no use.
     """
 
     answer: Answer
     excess: float
-    rounded: bool = False
 
 
 def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]:
-    """Return the most accurate answer as steps are halved until the error is allowed.
+    """Return the most accurate answer as steps are halved until its error is allowed.
+
+    It ends there, or after a number of answers, when round-off or chaos leaves a larger error.
 
     Parameters
     ----------
@@ -50,11 +49,11 @@ def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]
     Examples
     --------
     >>> halve(lambda halvings: Attempt(0.5**halvings, 100 * 0.25**halvings), 12)
-    Attempt(answer=0.0625, excess=0.390625, rounded=False)
+    Attempt(answer=0.0625, excess=0.390625)
     """
     best = attempt = solve(0)
     for halvings in range(1, most):
-        if attempt.excess <= 1 or attempt.rounded:
+        if attempt.excess <= 1:
             break
         attempt = solve(halvings)
         best = min(best, attempt, key=lambda one: one.excess)

@@ -48,8 +48,8 @@ class Steps:
     ----------
     first, smallest : float
         Over the size of the orbit.
-    longest, longest_alone : float
-        The same, where events are sought and where not; 1 would go down to rest.
+    longest : float
+        The same; 1 would go down to rest.
     straight : float
         Cosine of the angle between two directions from which on the next step may be longer.
     bent : float
@@ -68,7 +68,6 @@ class Steps:
     first: float = 0.2
     smallest: float = 1e-7
     longest: float = 0.4
-    longest_alone: float = 0.7
     straight: float = 0.98
     bent: float = 0.9
     easy: int = 10
@@ -135,7 +134,7 @@ class Curve:
             direction = svd(solution.slopes[:-1])[2][-1]
         if before is not None and direction @ before < 0:
             direction = -direction
-        error, _ = estimate_error(self.equations, solution, [*self.held, constraint])
+        error = estimate_error(self.equations, solution, [*self.held, constraint])
         orbit = orbit_of(self.equations, solution, error)
 
         def rate(name: str) -> float:
@@ -290,8 +289,7 @@ class _March:
     def _step(self, start: Member) -> Member | None:
         """Return the next member, and set the length of the step after it; None ends the family."""
         size = self.curve.size(start)
-        longest = STEPS.longest_alone if self.events is None else STEPS.longest
-        self.length = min(self.length, longest * size)
+        self.length = min(self.length, STEPS.longest * size)
         while self.length > STEPS.smallest * size and self.tries < STEPS.patience:
             end = self.curve.along(start, self.length)
             self.tries += 1

@@ -37,8 +37,6 @@ class Newton:
         Change of a parameter, over its scale, for the derivative by differences.
     rounds : int
         How often steps are laid anew around openings, and how often they are halved, at most.
-    rounded : float
-        Residual with half the steps, over that with the steps, up to which both are round-off.
     """
 
     closed: float = 1e-12
@@ -47,7 +45,6 @@ class Newton:
     same: float = 1e-6
     nudge: float = 1e-6
     rounds: int = 4
-    rounded: float = 4.0
 
 
 NEWTON = Newton()
@@ -419,8 +416,8 @@ def solve_step(slopes: Array, residual: Array) -> Array:
 
 def estimate_error(
     equations: Equations, solution: Solution, constraints: Sequence[Constraint]
-) -> tuple[float, bool]:
-    """Return the relative error of an orbit and its period by the steps, and if it is round-off.
+) -> float:
+    """Return the relative error of an orbit and its period by the steps.
 
     One Newton step shows how far half the steps would move them.
     """
@@ -430,14 +427,13 @@ def estimate_error(
     change = solve_step(solution.slopes, np.append(residual, np.zeros(rows)))
     end = equations.period_at(unknown)
     size = np.abs(unknown[:end]).max()
-    error = SAFETY * float(max(np.abs(change[:end]).max() / size, *np.abs(change[end:])))
-    return error, float(np.abs(residual).max() / size) < NEWTON.rounded * solution.residual
+    return SAFETY * float(max(np.abs(change[:end]).max() / size, *np.abs(change[end:])))
 
 
 def solve_accurately(
     equations: Equations, guess: Point, constraints: Sequence[Constraint], name: str
 ) -> tuple[Solution, float]:
-    """Return an orbit whose steps err by less than 1e-12, if round-off lets them, and that error.
+    """Return an orbit whose steps err by less than 1e-12, if round-off lets them, and the error.
 
     Raises
     ------
@@ -450,16 +446,16 @@ def solve_accurately(
     def attempt(halvings: int) -> Attempt[Solution | None]:
         nonlocal start, iterations
         solution = solve(equations, start, constraints, meshes.MESH.reach / 2**halvings)
+        if solution is None and not halvings:
+            raise RunFailed(
+                f"no periodic orbit found near {name}: give a guess or a period closer to one"
+            )
         if solution is None:
-            return Attempt(None, np.inf, True)
+            return Attempt(solution, np.inf)
         start = solution.point
         iterations += solution.iterations
-        error, rounded = estimate_error(equations, solution, constraints)
-        return Attempt(solution, error / NEWTON.closed, rounded)
+        return Attempt(solution, estimate_error(equations, solution, constraints) / NEWTON.closed)
 
-    solution, excess, _ = halve(attempt, NEWTON.rounds)
-    if solution is None:
-        raise RunFailed(
-            f"no periodic orbit found near {name}: give a guess or a period closer to one"
-        )
+    solution, excess = halve(attempt, NEWTON.rounds)
+    assert solution is not None
     return solution._replace(iterations=iterations), excess * NEWTON.closed

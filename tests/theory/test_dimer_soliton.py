@@ -117,7 +117,7 @@ def test_newtons_method_needs_few_steps(monkeypatch):
         return solve_linear(matrix, right)
 
     monkeypatch.setattr(dimer_soliton.np.linalg, "solve", counted)
-    ratio, _, values = dimer_soliton._solved.__wrapped__(0.343, 1.5)
+    ratio, _, values = dimer_soliton._solve.__wrapped__(0.343, 1.5)
     assert ratio == pytest.approx(HERTZ.mass_ratio, rel=1e-12)
     assert len(steps) == 4
     unit = HERTZ.speed ** (2 / (HERTZ.delta - 1))

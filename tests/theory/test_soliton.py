@@ -266,7 +266,7 @@ def test_how_soon_a_wave_is_found(arguments, solutions: int, terms: int, monkeyp
         return solve_linear(matrix, right)
 
     monkeypatch.setattr(soliton_series.np.linalg, "solve", counted)
-    series = soliton_series.solved.__wrapped__(*arguments)
+    series = soliton_series.solve_series.__wrapped__(*arguments)
     assert len(systems) <= solutions
     assert series.coefficients.size == terms
 
@@ -276,7 +276,7 @@ def test_a_wave_that_no_series_resolves(monkeypatch):
     monkeypatch.setattr(soliton_series, "RESOLUTION", short)
     for arguments, key in (((1.5, 1.2), "speed"), ((3.0, None), "delta")):
         with pytest.raises(InputError, match=f"^{key}: its wave is too wide or too sharp"):
-            soliton_series.solved.__wrapped__(*arguments)
+            soliton_series.solve_series.__wrapped__(*arguments)
 
 
 def test_where_a_wave_fits_a_chain():
