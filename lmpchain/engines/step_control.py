@@ -220,9 +220,10 @@ def next_attempt(
         return attempt._replace(candidate=better, breakdowns=attempt.breakdowns + 1), ""
     if candidate.fixed or error.solver <= attempt.tolerance:
         return None, ""
-    # who wants the best answer there is goes on until round-off outweighs the rest
-    goal = max(attempt.tolerance, 2 * error.roundoff) if patient else attempt.tolerance
-    better = engine.refine(candidate, error, goal) if error.solver > goal else None
+    better = engine.refine(candidate, error, attempt.tolerance)
+    if better is None and patient and error.truncation > attempt.tolerance:
+        # who wants the best answer there is gets one that is right as long as round-off allows
+        better = engine.refine(candidate, error._replace(roundoff=0.0), attempt.tolerance)
     attempt = attempt._replace(truncations=(*attempt.truncations, error.truncation))
     if better is None or _stalls(attempt):
         return None, _explain(scene, error, attempt)

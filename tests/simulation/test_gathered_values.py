@@ -119,14 +119,14 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
     for name, scale in (("peak_displacement", largest[0]), ("peak_velocity", largest[1])):
         ratio = gathered[f"{name}_error"] / (error * scale)
         assert (ratio > 0.9).all()
-        assert (ratio < 1.8).all()
+        assert (ratio < 2.0).all()
         for grain in range(3):
             top = max(size for _, size in tops(scene, int("velocity" in name), grain))
             assert abs(gathered[name][grain] - top) <= gathered[f"{name}_error"][grain]
     for contact in (1, 3):
         stiffness = scene.chain.contacts.stiffness[contact]
         ratio = gathered[f"peak_force:{contact}_error"] / (2 * stiffness * error * largest[0])
-        assert 0.9 < ratio < 1.8
+        assert 0.9 < ratio < 2.0
         dense = forces(scene, contact, np.linspace(0, scene.duration, 4001)).max()
         assert (
             abs(gathered[f"peak_force:{contact}"] - dense)
@@ -136,7 +136,7 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
         stiffness = scene.chain.contacts.stiffness[contact]
         ratio = gathered[f"force:{contact}_error"] / (2 * stiffness * error * largest[0])
         assert (ratio > 0.9).all()
-        assert (ratio < 1.8).all()
+        assert (ratio < 2.0).all()
         true = forces(scene, contact, gathered["fine_time"])
         assert (
             np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]

@@ -305,7 +305,7 @@ def test_adaptive_steps_keep_the_order(integrator: str) -> None:
 def test_adaptive_steps_are_of_order_6_or_better(integrator: str) -> None:
     """What openings leave dominates here, and falls with the seventh power or so until round-off is reached."""
     scene, truth, own = opening(1.5)
-    counts = np.array([70, 100, 140, 200])
+    counts = np.array([50, 70, 100, 140] if integrator == "dop853" else [70, 100, 140, 200])
     errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=20)
     assert errors.min() > 10 * own
     assert slope(counts, errors) > 6
