@@ -8,7 +8,7 @@ So a run of a second has as many attempts and checkpoints to be killed at as one
 import sys
 
 from lmpchain.cli import command_line
-from lmpchain.engines import error_estimate, time_stepping
+from lmpchain.engines.native import companion_run, time_stepping
 from lmpchain.simulation import run_folder
 
 LONGER = 20  # than the steps that it would choose
@@ -16,7 +16,7 @@ LONGER = 20  # than the steps that it would choose
 
 def main(words: list[str]) -> int:
     """Run a command of lmpchain."""
-    error_estimate.BLOCK_S = 0.02
+    companion_run.BLOCK_S = 0.02
     run_folder.INTERVALS = run_folder.INTERVALS._replace(checkpoint_s=0.02, checkpoint_share=0.5)
     honest = time_stepping.TimeSteppingEngine.candidate
 

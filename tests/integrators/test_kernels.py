@@ -21,9 +21,9 @@ from lmpchain.integrators.batch import ChainBatch, series, weakest
 from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
-from lmpchain.integrators.kernels.adaptive_splitting import Near, _nearness
 from lmpchain.integrators.kernels.contact_forces import ROOTS, Form
 from lmpchain.integrators.kernels.layout import STATE, Links, Rows
+from lmpchain.integrators.kernels.openings import Near, _find_nearness
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -253,7 +253,7 @@ def test_other_loops_do_several_at_a_time():
     links = numba.typeof(Links(alike, alike, 0.0, 0, 1.0, alike))
     near = numba.typeof(Near(alike, alike, 1.0, 1.0, 1.0))
     for loop, takes, operation in (
-        (_nearness, (row, row, row, links, near), "sqrt"),
+        (_find_nearness, (row, row, row, links, near), "sqrt"),
         (watch_first, (numba.typeof(chains),), "mul"),
     ):
         loop.compile(takes)
@@ -272,8 +272,8 @@ def test_no_contact_that_shortens_a_step_is_passed_over():
         length, pressed = 10 ** rng.uniform(-2, 2, size), float(rng.integers(2))
         links = Links(length, weight, 0.0, 0, pressed, series(1.5))
         near = Near(weight, np.full(size, np.inf), close, omega, 1e6)
-        every = _nearness(y, rates, bends, links, near)
-        found = _nearness(y, rates, bends, links, near._replace(reach=reach))
+        every = _find_nearness(y, rates, bends, links, near)
+        found = _find_nearness(y, rates, bends, links, near._replace(reach=reach))
         assert found == every or every < shortened**14
         passed, shortens = passed + (found < every), shortens + (every > shortened**14)
     assert passed > 100

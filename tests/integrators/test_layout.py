@@ -355,8 +355,10 @@ def test_threads_know_of_each_other():
     three = team(3)
     assert [member.part for member in three] == [0, 1, 2]
     assert {member.parts for member in three} == {3}
-    assert all(member.gate is three[0].gate and member.board is three[0].board for member in three)
-    assert len(three[0].board) == 3
+    assert all(
+        member.gate is three[0].gate and member.nearness is three[0].nearness for member in three
+    )
+    assert len(three[0].nearness) == 3
     assert (ALONE.part, ALONE.parts) == (0, 1)
 
 

@@ -7,7 +7,6 @@ from helpers.example_chains import CHAINS
 from lmpchain import Chain, Drive, Impulse, RunFailed, Scene
 from lmpchain.engines.native import Native
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.reductions import may_give_way
 from lmpchain.integrators.kernels.table import MOST
 
 
@@ -22,18 +21,6 @@ def test_what_twice_the_kinetic_energy_cannot_exceed():
     assert ChainBatch(struck).allowed == pytest.approx(expected, rel=1e-13)
     driven = Scene(chain=chain, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=1e-4)
     assert ChainBatch([driven]).allowed.tolist() == [MOST]
-
-
-@pytest.mark.parametrize("name", CHAINS)
-def test_how_close_grains_may_come_is_what_bounds_all_overlaps(name: str):
-    own = CHAINS[name].contacts
-    for energy in (0.0, 1e-15, 1e-9, 1e-3):
-        bound, at_rest = (
-            own.overlap_bound(energy).max(),
-            (own.overlap, own.stiffness, own.constant, own.exponent),
-        )
-        assert may_give_way(bound * (1 - 1e-12), energy, *at_rest)
-        assert not may_give_way(bound * (1 + 1e-12) + 1e-300, energy, *at_rest)
 
 
 @pytest.mark.parametrize("name", CHAINS)

@@ -17,7 +17,7 @@ from lmpchain.integrators.kernels.layout import LEAST_SHARE, STATE
 from lmpchain.integrators.method import first_growth
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS, Splitting
-from lmpchain.integrators.step_schedule import EVERY, EVERY_STRETCHED, StepSchedule
+from lmpchain.integrators.step_schedule import MANY_STEPS, StepSchedule
 from lmpchain.integrators.stepper import NativeStepper, room_for
 
 # --- what methods say
@@ -146,19 +146,14 @@ def test_a_companion_of_twice_the_step_lands_on_every_second_sample():
     assert shorter.step == pytest.approx(1.5e-9, rel=1e-15)
     assert shorter == StepSchedule(2, 1, shorter.step, True, 1.5, True)
     assert StepSchedule(4, 1, 1e-9, True).longer(2) == StepSchedule(2, 1, 2e-9, True, 2)
-    assert StepSchedule(4, 1, 1e-9, True).longer(2, stretched=True) == StepSchedule(
-        4, 2, 2e-9, True, 2
-    )
     assert StepSchedule(2, 1, 1e-9, True).longer(1.25) == StepSchedule(8, 5, 1.25e-9, True, 1.25)
 
 
 def test_a_companion_of_many_steps_lands_on_all_samples():
-    for stretched, least in ((False, EVERY), (True, EVERY_STRETCHED)):
-        many, few = StepSchedule(least, 1, 1e-9, True), StepSchedule(least - 1, 1, 1e-9, True)
-        longer = many.longer(2, stretched)
-        assert (longer.stride, longer.steps, longer.ratio) == (1, least // 2, 2)
-        assert longer.step == pytest.approx(2e-9, rel=1e-15)
-        assert few.longer(2, stretched).stride == 2
+    longer = StepSchedule(MANY_STEPS, 1, 1e-9, True).longer(2)
+    assert (longer.stride, longer.steps, longer.ratio) == (1, MANY_STEPS // 2, 2)
+    assert longer.step == pytest.approx(2e-9, rel=1e-15)
+    assert StepSchedule(MANY_STEPS - 1, 1, 1e-9, True).longer(2).stride == 2
     odd = StepSchedule(33, 1, 1e-9, True).longer(2)
     assert (odd.steps, odd.stride) == (17, 1)
     assert odd.step == pytest.approx(33e-9 / 17, rel=1e-15)

@@ -10,7 +10,8 @@ from helpers.whole_runs import blocks_of
 
 from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
-from lmpchain.engines import Native, error_estimate
+from lmpchain.engines import Native
+from lmpchain.engines.native import companion_run
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
@@ -40,8 +41,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     assert candidate.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
-    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # few samples a block
-    monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
+    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # few samples a block
+    monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
     pieces, state = [], None
     while not pieces or pieces[-1].samples.stop < scene.samples:
         run = engine.start([scene], candidate, state)

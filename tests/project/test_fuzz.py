@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines import error_estimate
+from lmpchain.engines.native import companion_run
 
 Tables = dict[str, Any]
 MARK = "INJECTED"  # what no deck may hold
@@ -439,7 +439,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = Scene.from_toml(folder / "scene.toml")
     simulate(scene, "native", folder=folder / "finished").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
         with pytest.raises(Stopped):
             simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
         with pytest.raises(Stopped):

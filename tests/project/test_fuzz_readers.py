@@ -16,8 +16,8 @@ import pytest
 from helpers.standalone_lammps import lmp
 
 from lmpchain import InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
-from lmpchain.engines import error_estimate
 from lmpchain.engines.lammps.export import write_deck
+from lmpchain.engines.native import companion_run
 from lmpchain.simulation import task as tasks
 from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read as read_sweep
@@ -84,7 +84,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, scene = tmp_path_factory.mktemp("originals"), Scene.from_dict(SCENE)
     simulate(scene, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
         with pytest.raises(Stopped):
             simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
     write_deck(scene, folder / "deck", step=1e-7)

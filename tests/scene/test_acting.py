@@ -29,8 +29,8 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.benchmark.reference import reference
-from lmpchain.engines import error_estimate
 from lmpchain.engines.lammps.export import write_deck
+from lmpchain.engines.native import companion_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.measure import contact, energy
@@ -367,7 +367,7 @@ def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pyt
     candidate = solver.candidate(scene, 1e-6)
     whole = solver.start([scene], candidate)
     u, v = blocks_of(whole)
-    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block
+    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # four samples a block
     begun = solver.start([scene], candidate)
     blocks = []
     for block in begun.blocks():
@@ -387,8 +387,8 @@ def test_adaptive_steps_restart_exactly_too(monkeypatch: pytest.MonkeyPatch):
     for kind in ("force, burst", "force, points", "wall, burst", "wall, points"):
         scene = scene_of(*STRONG[kind], samples=9)
         whole = simulate(scene, "native", 1e-8)
-        monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)
-        monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
+        monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)
+        monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
         pieces = simulate(scene, "native", 1e-8)
         monkeypatch.undo()
         assert np.array_equal(whole.displacement, pieces.displacement)

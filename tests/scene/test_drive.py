@@ -15,7 +15,7 @@ from scipy.integrate import simpson
 from scipy.interpolate import make_interp_spline
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
-from lmpchain.engines import error_estimate
+from lmpchain.engines.native import companion_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.scene.waveform import Waveform
@@ -358,7 +358,7 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
     monkeypatch.setattr(
-        error_estimate, "BLOCK_BYTES", 1
+        companion_run, "BLOCK_BYTES", 1
     )  # four samples a block, after the one at t = 0
     begun = solver.start(scenes, candidate)
     blocks = []
@@ -384,7 +384,7 @@ def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(
     scene = scene_of(chain, path(chain, 2.0), samples=3)
     solver = engines.Native(integrator=integrator, step=scene.duration / 2000)
     whole = simulate(scene, engine=solver)
-    monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
+    monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
     pieces = simulate(scene, engine=solver)
     assert np.array_equal(whole.displacement, pieces.displacement)
     assert np.array_equal(whole.velocity, pieces.velocity)

@@ -240,7 +240,7 @@ def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
     """Its own words: what it leaves out, what was expected, which engine does it again."""
     auto = policy.policy_for("auto")
     attempt = Attempt("modes", candidate(3e-7), 1e-6)
-    good = ErrorBudget(0.0, 1e-12, True, np.zeros(6), model=5e-7, model_bound=9e-7)
+    good = ErrorBudget(0.0, 1e-12, 1.0, model=5e-7, model_bound=9e-7)
     assert auto.fallback(SCENE, attempt, good) is None
     assert auto.fallback(SCENE, attempt._replace(engine="native"), good._replace(model=1.0)) is None
     for error in (good._replace(model_bound=2e-6), good._replace(remark="contact 3 opens")):

@@ -21,7 +21,8 @@ from lmpchain import (
     resume,
     simulate,
 )
-from lmpchain.engines import Native, error_estimate
+from lmpchain.engines import Native
+from lmpchain.engines.native import companion_run
 from lmpchain.engines.step_control import first_attempt
 from lmpchain.simulation import api, checkpoints, many, run_folder
 from lmpchain.simulation import task as tasks
@@ -37,7 +38,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=6e-5, sam
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Have four samples in a block."""
-    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
 
 
 def stopped(folder, scene=SCENE, engine="native", tolerance=1e-6):

@@ -26,8 +26,8 @@ from lmpchain import (
     simulate_many,
 )
 from lmpchain.disorder.averages import ensemble
-from lmpchain.engines import error_estimate
 from lmpchain.engines.linear import engine as linear
+from lmpchain.engines.native import companion_run
 from lmpchain.measure.contact import contacts
 from lmpchain.measure.motion import motion_of
 from lmpchain.simulation.run_folder import status
@@ -220,7 +220,7 @@ def test_stopped_after_every_block_it_gathers_the_same_bits(
     monkeypatch.setattr(linear, "BLOCK", 4)
     monkeypatch.setattr(linear, "SMALL", 1)
     whole = simulate(scene, engine, 1e-6)
-    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
     stops = 0
     while True:
         limit = 1e-9 if stops < 2 else None

@@ -31,10 +31,10 @@ from helpers.example_scenes import paper
 from helpers.kill_moments import kill_moments
 
 from lmpchain import Chain, EngineUnavailable, Impulse, Scene, Trajectory, engines, resume, simulate
-from lmpchain.engines import error_estimate, time_stepping
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
+from lmpchain.engines.native import companion_run, time_stepping
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.run_folder import status
 from lmpchain.simulation.task import is_run
@@ -67,14 +67,14 @@ def lammps(monkeypatch: pytest.MonkeyPatch):
 
 def breakdown(monkeypatch: pytest.MonkeyPatch):
     """A first attempt with steps that are far too long, so that it breaks down."""
-    honest = time_stepping.TimeSteppingEngine.choose_step
+    honest = time_stepping.TimeSteppingEngine.propose
 
     def choose(*arguments):
         candidate = honest(*arguments)
         longer = candidate.steps_per_landing * candidate.step
         return candidate._replace(step=longer, steps_per_landing=1)
 
-    monkeypatch.setattr(time_stepping.TimeSteppingEngine, "choose_step", choose)
+    monkeypatch.setattr(time_stepping.TimeSteppingEngine, "propose", choose)
     scene = Scene(chain=SMALL.chain, excitation=SMALL.excitation, duration=1.5e-4, samples=13)
     return scene, engines.Native("verlet"), 1e-3
 
@@ -98,7 +98,7 @@ def fallback(monkeypatch: pytest.MonkeyPatch):
 def busy_disk(monkeypatch: pytest.MonkeyPatch):
     """Have a checkpoint after every four samples, and do not wait for the disk."""
     monkeypatch.setattr(files, "_to_disk", lambda _: None)
-    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
     intervals = run_folder.INTERVALS._replace(checkpoint_s=0.0, checkpoint_share=1e9)
     monkeypatch.setattr(run_folder, "INTERVALS", intervals)
 

@@ -26,9 +26,10 @@ from lmpchain import (
 )
 from lmpchain.benchmark.reference import Reference, expected_seconds, reference
 from lmpchain.cli.command_line import main
-from lmpchain.engines import Modes, Native, time_stepping
+from lmpchain.engines import Modes, Native
 from lmpchain.engines import cost_model as speed
 from lmpchain.engines.linear import engine as linear
+from lmpchain.engines.native import time_stepping
 from lmpchain.simulation import selection
 from lmpchain.trajectory.trajectory import Trajectory
 

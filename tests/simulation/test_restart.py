@@ -25,7 +25,7 @@ from lmpchain import (
     resume,
     simulate,
 )
-from lmpchain.engines import error_estimate
+from lmpchain.engines.native import companion_run
 from lmpchain.simulation.run_folder import status
 
 CHAIN = Chain(grains=200, diameter=1e-3)
@@ -72,7 +72,7 @@ LONGEST = "lammps, pushed", "lammps, wall moved", "lammps, driven", "modes, push
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch):
     """Have four samples in a block, however short the run, so that it can be stopped on the way."""
-    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")

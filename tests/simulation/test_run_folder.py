@@ -32,7 +32,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.cli.command_line import main
-from lmpchain.engines import error_estimate
+from lmpchain.engines.native import companion_run
 from lmpchain.simulation.run_folder import status
 
 SCENE = Scene(
@@ -453,7 +453,7 @@ def test_a_stopped_run_loads_with_its_estimate_so_far(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """The estimate is of the samples that are there, and covers their true error; later samples make it unknown."""
-    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
+    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
     scene = Scene(
         chain=Chain(grains=12, diameter=1e-3),
         excitation=Impulse(velocity=1e-4),

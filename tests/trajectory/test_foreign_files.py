@@ -20,7 +20,7 @@ from numcodecs.abc import Codec
 
 from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines import error_estimate
+from lmpchain.engines.native import companion_run
 from lmpchain.simulation import task as tasks
 
 SCENE = Scene(
@@ -37,7 +37,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("originals")
     simulate(SCENE, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
         with pytest.raises(Stopped):
             simulate(SCENE, "native", folder=folder / "stopped", max_wall=1e-9)
     return folder

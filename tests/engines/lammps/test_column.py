@@ -335,7 +335,7 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
 def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
     engine, scene = Lammps(), paper("weak", 3)
     candidate = engine.candidate(scene, 1e-2)
-    missed = ErrorBudget(1e-9, 0.6e-2, True, np.zeros(3))
+    missed = ErrorBudget(1e-9, 0.6e-2, 6.0)
     better = engine.refine(candidate, missed, 1e-2)
     assert better.choices["diameter"] == "gauge"
     assert better.choices["why"] == "the physical diameter left 0.006"
