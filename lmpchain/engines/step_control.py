@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Generic, NamedTuple, TypeVar
 
 from ..errors import RunFailed, ToleranceNotMet
@@ -29,14 +28,17 @@ class Patience:
     ----------
     attempts : int
         Most attempts that run through.
+    breakdowns : int
+        Most attempts that break down.
     stalls : int
-        Attempts in a row that do not help, or that break down.
+        Attempts after which the truncation error must have fallen
     stalled : float
-        Truncation error over that of the attempt before, from which on it is no help.
+        to this share of what it was: one alone may be erratic, where contacts open.
     """
 
     attempts: int = 12
-    stalls: int = 2
+    breakdowns: int = 2
+    stalls: int = 3
     stalled: float = 0.7
 
 
@@ -179,7 +181,7 @@ def solve_to_tolerance(
             collected = collect(run)
             errors = run.errors()
         except RunFailed:
-            if attempt.candidate.fixed or attempt.breakdowns == PATIENCE.stalls:
+            if attempt.candidate.fixed or attempt.breakdowns == PATIENCE.breakdowns:
                 raise
         finally:
             cost = run.cost()
@@ -254,11 +256,12 @@ def loosen(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, s
 
 
 def _stalls(attempt: Attempt) -> bool:
-    """Say whether shorter steps have not made the error smaller for some time, or there were many."""
+    """Say whether shorter steps have hardly made the error smaller for some attempts, or there were many."""
     truncations = attempt.truncations
-    recent = truncations[-PATIENCE.stalls - 1 :]
-    stalls = all(later > PATIENCE.stalled * earlier for earlier, later in pairwise(recent))
-    return len(truncations) == PATIENCE.attempts or (len(recent) > PATIENCE.stalls and stalls)
+    if len(truncations) <= PATIENCE.stalls:
+        return False
+    stalls = truncations[-1] > PATIENCE.stalled * truncations[-1 - PATIENCE.stalls]
+    return stalls or len(truncations) == PATIENCE.attempts
 
 
 def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:

@@ -49,9 +49,7 @@ def test_grains_that_come_too_close_are_told_where_answers_are_compared(steps: i
         [scene], engine.candidate(scene, 1e-3).sampled._replace(step=step, steps_per_landing=steps)
     )
     if lost == "answer":
-        with pytest.raises(
-            RunFailed, match="grains overlap more than all the energy there is allows"
-        ):
+        with pytest.raises(RunFailed, match="a contact overlaps more than the total energy allows"):
             list(run.blocks())
         return
     list(run.blocks())

@@ -218,7 +218,7 @@ def test_stopped_after_every_block_it_gathers_the_same_bits(
 ):
     scene = WEAK if engine in ("modes", "chebyshev") else STRUCK
     monkeypatch.setattr(linear, "BLOCK", 4)
-    monkeypatch.setattr(linear, "SMALL", 1)
+    monkeypatch.setattr(linear, "SMALL_BLOCK", 1)
     whole = simulate(scene, engine, 1e-6)
     monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
     stops = 0
@@ -328,7 +328,7 @@ def test_studies_of_methods_gather_nothing():
 
 
 def test_auto_gathers_too():
-    t = simulate(WEAK, tolerance=1e-3)
+    t = simulate(WEAK.replace(duration=300 * WEAK.duration), tolerance=1e-3)
     assert t.equation == 3
     assert t.gathered["peak_velocity"][0] == pytest.approx(1e-8, rel=1e-3)
 

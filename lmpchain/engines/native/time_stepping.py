@@ -135,7 +135,7 @@ class TimeSteppingEngine(Engine):
         lost_order = error is None or error.order < method.order
         if lost_order and self.adaptive and method.adaptive:
             candidate = candidate._replace(adaptive=True)
-        if candidate.coarse_openings:
+        if candidate.coarse_openings and lost_order:
             # steps near openings get their full order, and those elsewhere may stay as long
             ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
         shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
