@@ -56,42 +56,45 @@ def radians(scene: Scene) -> float:
     return scene.highest_frequency * scene.duration
 
 
+def bound(
+    name: str, shipped: float, values: list[float], what: str, wide: float = 10.0, part: float = 0.9
+) -> Row:
+    """Return the row of a bound: supported from where so many runs stay below it to so many times that."""
+    middle, low, most = (quantile(values, share) for share in (0.5, part, 1.0))
+    says = (
+        f"{what}, {len(values)} runs: half {middle:.2g}, {100 * part:g} % {low:.2g}, all {most:.2g}"
+    )
+    return Row(name, shipped, low, low, wide * low, says)
+
+
+def typical(
+    name: str, shipped: float, values: list[float], what: str, high: float = 0.75, wide: float = 1.0
+) -> Row:
+    """Return the row of a typical value: supported from a quarter of the runs on."""
+    low, middle, most = (quantile(values, share) for share in (0.25, 0.5, high))
+    says = f"{what}, {len(values)} runs: quarter {low:.2g}, half {middle:.2g}, {100 * high:g} % {most:.2g}"
+    return Row(name, shipped, middle, low, wide * most, says)
+
+
 def _native(count: int) -> Row:
     """Return the row of the random walk of the native engine: its factor, 1 in the code."""
     ratios = [
         measured_floor(scene, force="exact") / native_floor(evaluations(scene), radians(scene))
         for scene in gentle(count, 51)
     ]
-    low, middle = quantile(ratios, 0.9), quantile(ratios, 0.5)
     shipped = native_floor(1e12, 0.0) / (EPSILON * 1e6)
-    return Row(
-        "native_floor",
-        shipped,
-        low,
-        quantile(ratios, 0.25),
-        10 * low,
-        f"round-off over the floor: half {middle:.2g}, 9 in 10 {low:.2g}, most {max(ratios):.2g}",
-    )
+    return typical("native_floor", shipped, ratios, "round-off over the floor", 0.9, 10.0)
 
 
 def _phases(count: int) -> Row:
     """Return the row of ROUNDING.phase: what rounding makes of long runs, less the random walk."""
+    weak = {"strength": (-4.0, -0.5), "kinds": ("gravity", "load"), "grains": (2, 3, 5)}
     shifts = []
-    for scene in gentle(
-        count,
-        57,
-        strength=(-4.0, -0.5),
-        kinds=("gravity", "load"),
-        grains=(2, 3, 5),
-        spans=(100.0, 500.0),
-    ):
+    for scene in gentle(count, 57, spans=(100.0, 500.0), **weak):
         walk = native_floor(evaluations(scene), 0.0)
-        shifts.append(
-            max(0.0, measured_floor(scene, force="exact") - walk) / (EPSILON * radians(scene))
-        )
-    middle, high = quantile(shifts, 0.5), quantile(shifts, 0.9)
-    says = f"ulps of the phase in long runs: half {middle:.2g}, 9 in 10 {high:.2g}, most {max(shifts):.2g}"
-    return Row("ROUNDING.phase", ROUNDING.phase, high, high, 10 * high, says)
+        left = max(0.0, measured_floor(scene, force="exact") - walk)
+        shifts.append(left / (EPSILON * radians(scene)))
+    return bound("ROUNDING.phase", ROUNDING.phase, shifts, "last digits of the phase")
 
 
 def _flight(count: int) -> Row:
@@ -111,9 +114,7 @@ def _flight(count: int) -> Row:
             run = simulate(scene, Native(name, duration / steps, adaptive=False))
             off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
             lost.append(off / (EPSILON * run.cost.force_evaluations))
-    middle, low, most = quantile(lost, 0.5), quantile(lost, 0.99), max(lost)
-    says = f"last digits an evaluation in free flight: half {middle:.2g}, 99 % {low:.2g}, all {most:.2g} of {len(lost)}"
-    return Row("ROUNDING.drift", ROUNDING.drift, low, low, 3 * low, says)
+    return bound("ROUNDING.drift", ROUNDING.drift, lost, "last digits in free flight", 3.0, 0.99)
 
 
 def _spread(count: int) -> list[Row]:
@@ -132,12 +133,10 @@ def _spread(count: int) -> list[Row]:
             ]
             apart = float(np.abs(runs[0].velocity - runs[1].velocity).max())
             lost[name].append(apart / plain_loss(scene, runs[0].cost.steps))
-    rows = []
-    for name, method in METHODS.items():
-        low, middle, high = (quantile(lost[name], part) for part in (0.25, 0.5, 0.9))
-        says = f"loss of the plain form over `plain_loss`: quarter, half, 9 in 10 {low:.2g}, {middle:.2g}, {high:.2g}"
-        rows.append(Row(f"{name}.spread", method.spread, high, middle, 10 * high, says))
-    return rows
+    what = "loss of the plain form over `plain_loss`"
+    return [
+        bound(f"{name}.spread", method.spread, lost[name], what) for name, method in METHODS.items()
+    ]
 
 
 def _bursts(count: int) -> Row:
@@ -165,9 +164,7 @@ def _bursts(count: int) -> Row:
         losses.append(
             max(0.0, case.error(run.motion) - Modes().round_off(case.scene) + CANCELS * law) / law
         )
-    middle, low = quantile(losses, 0.5), quantile(losses, 0.9)
-    says = f"bursts on springs, less the rest: half {middle:.2g}, 9 in 10 {low:.2g}, most {max(losses):.2g}"
-    return Row("CANCELS", CANCELS, low, low, 30 * low, says)
+    return bound("CANCELS", CANCELS, losses, "bursts on springs, less the rest", 30.0)
 
 
 def _plain(count: int) -> list[Row]:
@@ -183,26 +180,12 @@ def _plain(count: int) -> list[Row]:
         lost.append(ROUNDING.plain * measured_floor(scene, force="plain") / law)
     for scene in gentle(count, 53, strength=(math.log10(STRONG), 2.0), **ranges):
         strong.append(measured_floor(scene, force="plain") / measured_floor(scene, force="exact"))
-    low, middle, high = (quantile(lost, part) for part in (0.25, 0.5, 0.9))
     most = quantile(strong, 0.9)
+    first = STRONG if most < 10 else 2 * STRONG
+    says = f"round-off of the plain form over that of the exact one beyond it: 9 in 10 {most:.2g}"
     return [
-        Row(
-            "ROUNDING.plain",
-            ROUNDING.plain,
-            middle,
-            low,
-            max(high, low),
-            f"last digits lost a step by the plain form: quarter, half, 9 in 10 {low:.2g}, {middle:.2g}, {high:.2g}",
-        ),
-        Row(
-            "STRONG",
-            STRONG,
-            STRONG if most < 10 else 10.0,
-            0.0 if most < 10 else STRONG * 2,
-            10.0 * STRONG,
-            "round-off of the plain form over that of the exact one beyond "
-            f"it: half {quantile(strong, 0.5):.2g}, 9 in 10 {most:.2g}",
-        ),
+        typical("ROUNDING.plain", ROUNDING.plain, lost, "last digits a step", 0.9),
+        Row("STRONG", STRONG, first, first, 10.0 * STRONG, says),
     ]
 
 
@@ -219,27 +202,10 @@ def _lammps(count: int) -> list[Row]:
                 continue
             ratios.append(found / predicted_floor(scene, "lammps", diameter))
     walks = [HEIGHTS.typical * ratio for ratio in ratios]
-    low, middle, high = (quantile(walks, part) for part in (0.25, 0.5, 0.75))
-    nine = quantile(walks, 0.9)
-    wide = quantile(np.exp(np.abs(np.log(ratios))), 0.9) if ratios else math.nan
+    bounds = [HEIGHTS.rounding * walk for walk in walks]
     return [
-        Row(
-            "HEIGHTS.rounding",
-            HEIGHTS.rounding,
-            HEIGHTS.rounding * nine,
-            HEIGHTS.rounding * nine,
-            10 * HEIGHTS.rounding * nine,
-            "ulp(height) sqrt(evaluations) that bound nine in ten of "
-            f"{len(walks)} runs; half {HEIGHTS.rounding * middle:.2g}",
-        ),
-        Row(
-            "HEIGHTS.typical",
-            HEIGHTS.typical,
-            middle,
-            low,
-            high,
-            f"round-off over that bound: quartiles and median; nine in ten within a factor {wide:.2g} of it",
-        ),
+        bound("HEIGHTS.rounding", HEIGHTS.rounding, bounds, "ulp(height) sqrt(evaluations)"),
+        typical("HEIGHTS.typical", HEIGHTS.typical, walks, "round-off over that bound"),
     ]
 
 
@@ -256,24 +222,10 @@ def _headroom(count: int) -> Row:
         overlap = part.chain.contacts.overlap[1:-1] + u[:, :-1] - u[:, 1:]
         gauge = gauge_diameter(part)
         if gauge and overlap.shape[1] > 1:
-            needed.append(
-                float(
-                    (np.maximum(overlap[:, 1:], 0) + np.maximum(overlap[:, :-1], 0)).max()
-                    / gauge
-                    * HEIGHTS.headroom
-                )
-            )
-    low = max(needed, default=math.nan)
-    return Row(
-        "HEIGHTS.headroom",
-        HEIGHTS.headroom,
-        low,
-        low,
-        3 * low,
-        "gauge diameter at which grain n + 2 is touched, over the "
-        f"largest overlap; never above 2 by geometry; {len(needed)} "
-        "scenes",
-    )
+            pairs = np.maximum(overlap[:, 1:], 0) + np.maximum(overlap[:, :-1], 0)
+            needed.append(float(pairs.max() / gauge * HEIGHTS.headroom))
+    what = "diameter at which grain n + 2 is touched, over the largest overlap; 2 by geometry"
+    return bound("HEIGHTS.headroom", HEIGHTS.headroom, needed, what, 3.0, 1.0)
 
 
 def _linear(count: int) -> list[Row]:
@@ -292,34 +244,17 @@ def _linear(count: int) -> list[Row]:
                 run = answer(engine, case.scene, engine.candidate(case.scene, 1.0))
                 assert run
                 ratios.append(case.error(run.motion) / engine.round_off(case.scene))
-        low = quantile(ratios, 0.9)
-        rows.append(
-            Row(
-                f"{engine.name}.round_off",
-                1.0,
-                low,
-                low,
-                30 * low,
-                f"error on springs over EPSILON (10 + omega T{' + 4 N' if engine.name == 'modes' else ''}): "
-                f"half {quantile(ratios, 0.5):.2g}, 9 in 10 {low:.2g}",
-            )
-        )
+        what = "error on springs over its law"
+        rows.append(bound(f"{engine.name}.round_off", 1.0, ratios, what, 30.0))
     return rows
 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 8 if quick else 60
-    return [
-        *(
-            _native(count),
-            _phases(count // 2),
-            _flight(count),
-            *_plain(count),
-            *_spread(count // 2),
-        ),
-        *(*_lammps(count // 2), _headroom(count), *_linear(count), _bursts(count // 2)),
-    ]
+    few = count // 2
+    native = [_native(count), _phases(few), _flight(count), *_plain(count), *_spread(few)]
+    return [*native, *_lammps(few), _headroom(count), *_linear(count), _bursts(few)]
 
 
 if __name__ == "__main__":
