@@ -39,11 +39,8 @@ SHOWN = {
         "reflection_time: 0.907470, 0.681632",
     ],
     "richardson_estimate": [
-        "SAFETY",
-        "ORDER_AT_OPENINGS",
-        "ORDER_AT_KINKS",
-        "CLOSE_TO_OPENING",
-        "FEWEST",
+        *("TRUST.safety", "TRUST.least_gain", "TRUST.settled", "OPENINGS.near"),
+        *("OPENINGS.equal_order", "OPENINGS.kinked_order", "FEWEST_STEPS", "MANY_STEPS"),
     ],
     "roundoff": [
         *("native_floor", "ROUNDING.phase", "ROUNDING.drift", "ROUNDING.plain", "STRONG"),
