@@ -1,9 +1,9 @@
-"""Measure how long steps may be in struck chains: TRUSTED and SAFE_STRAIN of `pre_run`, and `limit`.
+"""Measure how long steps may be in struck chains: TRUSTED, FIRST_STEP.safe_strain, and `limit`.
 
 Loaded chains of 12 grains are struck from v0* = 0.01 to 1e4, and the longest step with which they hold is found by
 bisection (`blow_up`): a run breaks where a grain has more energy than there is. It is compared with the law, `limit`.
-TRUSTED must lie below the smallest ratio of Verlet over 300 periods, SAFE_STRAIN below the largest strain to which the
-whole limit holds.
+TRUSTED must lie below the smallest ratio of Verlet over 300 periods, FIRST_STEP.safe_strain below the largest strain to
+which the whole limit holds.
 
     python analysis/calibration/stability_limits.py           # two minutes
     python analysis/calibration/stability_limits.py --quick   # seconds
@@ -17,8 +17,9 @@ import numpy as np
 from common import Row, command
 
 from lmpchain import Chain, Impulse, Scene
+from lmpchain.engines.native.step_choice import FIRST_STEP
 from lmpchain.integrators.methods import METHODS
-from lmpchain.stability.pre_run import SAFE_STRAIN, TRUSTED
+from lmpchain.stability.pre_run import TRUSTED
 from lmpchain.stability.step_limit import blow_up, limit
 
 NUMBERS = np.geomspace(1e-2, 1e4, 7)
@@ -47,7 +48,7 @@ def main(quick: bool = False) -> list[Row]:
     strong = [
         (scene, ratio)
         for scene, ratio in zip(runs, ratios, strict=True)
-        if scene.largest_strain > SAFE_STRAIN
+        if scene.largest_strain > FIRST_STEP.safe_strain
     ]
     low = min(ratio for _, ratio in strong)
     least = {n: min(ratio for scene, ratio in strong if scene.chain.grains == n) for n, _ in chains}
@@ -73,8 +74,8 @@ def main(quick: bool = False) -> list[Row]:
     listed = ", ".join(f"{strain:.2g}: {ratio:.3f}" for strain, ratio in weak.items())
     rows.append(
         Row(
-            "SAFE_STRAIN (pre_run)",
-            SAFE_STRAIN,
+            "FIRST_STEP.safe_strain (limit)",
+            FIRST_STEP.safe_strain,
             max(good, default=math.nan),
             0.0,
             max(good, default=math.nan),

@@ -36,7 +36,7 @@ class Measured:
 
 MEASURED = Measured()
 # change at t = 0 that grows as all rounding of a run does: measured median, 1e-15.4 to 1e-12.4
-# analysis/calibration/chaos_test.py
+# analysis/calibration/amplified_rounding.py
 SEED = 1e-14
 CHANGE = 10 * SEED  # at t = 0, whose growth is measured
 

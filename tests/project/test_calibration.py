@@ -46,7 +46,7 @@ SHOWN = {
         *("native_floor", "ROUNDING.phase", "ROUNDING.drift", "ROUNDING.plain", "STRONG"),
         *("HEIGHTS.rounding", "HEIGHTS.headroom", "modes.round_off", "chebyshev.round_off"),
     ],
-    "stability_limits": ["TRUSTED", "SAFE_STRAIN (pre_run)", "limit: verlet"],
+    "stability_limits": ["TRUSTED", "FIRST_STEP.safe_strain (limit)", "limit: verlet"],
     "transfer_matrices": ["WARM_UP"],
     "step_refinement": ["STEP_CONTROL.target", "STEP_CONTROL.least", "STEP_CONTROL.most"],
 }
