@@ -135,7 +135,8 @@ def _spread(count: int) -> list[Row]:
             lost[name].append(apart / plain_loss(scene, runs[0].cost.steps))
     what = "loss of the plain form over `plain_loss`"
     return [
-        bound(f"{name}.spread", method.spread, lost[name], what) for name, method in METHODS.items()
+        typical(f"{name}.spread", method.spread, lost[name], what, 0.9, 10.0)
+        for name, method in METHODS.items()
     ]
 
 
