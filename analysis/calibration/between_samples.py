@@ -25,7 +25,7 @@ from scenes import draw
 from lmpchain import LmpchainError, Scene, Trajectory, simulate
 from lmpchain.measure import motion
 from lmpchain.measure.motion import Motion
-from lmpchain.trajectory.between.hermite import SAFETY
+from lmpchain.trajectory.between.hermite import SHAPE
 
 DENSE = 0.12  # omega h of the truth
 TOLERANCE = 1e-9
@@ -107,10 +107,10 @@ def main(quick: bool) -> list[Row]:
         told = "true over claimed errors; " + ", ".join(says for _, _, says in holds)
         rows.append(Row(name, shipped, max(good, default=0.0), 0.0, max(good, default=0.0), told))
     worst = np.array([max(ratios(*pair).values()) for pair in pairs])
-    least = SAFETY * max(float(np.quantile(worst, ALL_BUT_ONE)), float(worst.max()) / 3)
+    least = SHAPE.safety * max(float(np.quantile(worst, ALL_BUT_ONE)), float(worst.max()) / 3)
     seen = f"median {np.median(worst):.2g}, worst {worst.max():.2g}"
     told = f"factor on the misfit of the way; true over claimed errors: {seen}"
-    return [*rows, Row("SAFETY (samples)", SAFETY, least, least, math.inf, told)]
+    return [*rows, Row("SAFETY (samples)", SHAPE.safety, least, least, math.inf, told)]
 
 
 if __name__ == "__main__":

@@ -11,13 +11,29 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene.scene import Scene
-from ..trajectory.between import extremes
-from ..trajectory.between.derivatives import STILL, UNKNOWN, derivatives, largest
-from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
+from ..trajectory.between.derivatives import (
+    UNKNOWN,
+    Block,
+    by_body,
+    derive,
+    imposed_on,
+    law_of,
+)
+from ..trajectory.between.fronts import Rules, fronts
+from ..trajectory.between.hermite import DISPLACEMENT, VELOCITY
+from ..trajectory.between.maxima import (
+    Largest,
+    Log,
+    Window,
+    approach,
+    events_of,
+    lowest,
+    reduce,
+)
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
-from .recorded import Field, around, check_field
+from .recorded import Field, check_field, columns
 
 __dir__ = listed(__name__)
 
@@ -86,16 +102,10 @@ class Motion:
         )
         self.displacement, self.velocity, self.grains = displacement, velocity, grains
         self.step = scene.duration / (scene.samples - 1)
-        # as the compiled loops take them
-        self._fields = [np.ascontiguousarray(x, float) for x in (displacement, velocity)]
-        self._sizes, moves, self.sampled = largest(*self._fields)
-        chain = scene.chain
-        ends = bool(chain.contacts.exists[0]), bool(chain.contacts.exists[-1])
-        recorded = np.asarray(grains, dtype=int)
-        self._around = around(
-            chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes()
-        )
-        self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
+        sizes = np.array([np.maximum(x.max(0), -x.min(0)) for x in (displacement, velocity)])
+        self.sampled: tuple[float, float] = tuple(sizes.max(1).tolist())
+        self._column = columns(scene.chain.grains, scene.chain.movable, np.asarray(grains, int))
+        self._sizes = sizes
 
     @property
     def time(self) -> Array:
@@ -104,37 +114,71 @@ class Motion:
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
-        """Whether the forces of its contacts are known, and all that act on it, of each grain, (G,)."""
-        grains, chain, excitation = self.grains, self.scene.chain, self.scene.excitation
-        held = grains > chain.movable
-        if self._equation not in (1, 3):
-            return held
-        if not excitation.does_work:
-            return self._around.known
-        first, last = excitation.reach(chain)
-        return np.asarray((self._around.known & ((grains < first) | (grains > last))) | held)
+        """Whether the chain gives the acceleration of each body, (N+2,)."""
+        chain = self.scene.chain
+        known = np.ones(self._column.size, dtype=bool)
+        if self._equation in (1, 3):
+            seen = self._column != UNKNOWN
+            exists = chain.contacts.exists
+            known[1:-1] = (seen[:-2] | ~exists[:-1]) & (seen[2:] | ~exists[1:])
+        else:
+            known[1:-1] = False
+        known[chain.movable + 1 :] = True
+        return known
+
+    @property
+    def _whole(self) -> bool:
+        """Whether all grains that can move were recorded."""
+        return not (self._column[1 : self.scene.chain.movable + 1] == UNKNOWN).any()
 
     @cached_property
-    def _values(self) -> tuple[Array, NDArray[np.bool_]]:
-        """What `derivatives.derivatives` returns of the grains that move, and which are quiet, (M,)."""
-        chain, around = self.scene.chain, self._around
-        own, inverse_mass = chain.contacts, 1 / chain.masses
-        inverse_mass[chain.movable :] = 0.0
-        contacts = np.array([own.constant, own.force, own.overlap])
-        errors = (0.0, 0.0) if self.ceiling.size else self._known_errors
-        found: tuple[Array, NDArray[np.bool_]] = derivatives(
-            *self._fields, around.moves, self._sizes, errors, around.moving, around.sides, contacts, inverse_mass,
-            chain.exponent, self._equation == 3, self.step, self._known,
+    def _block(self) -> Block:
+        """All samples."""
+        law = law_of(self.scene.chain, self._equation == 3)
+        imposed = imposed_on(self.scene, self.step, 0, self.scene.samples)
+        fields = (by_body(np.asarray(x, float)) for x in (self.displacement, self.velocity))
+        return Block(*fields, self._column, self._known, self.step, law, imposed)
+
+    @cached_property
+    def _moves(self) -> NDArray[np.intp]:
+        """Columns of the grains that move by more than the error of the trajectory."""
+        known = np.array(self._known_errors)[:, None]
+        return np.flatnonzero((self._sizes > known).any(0))
+
+    @property
+    def _moving(self) -> NDArray[np.intp]:
+        """Numbers of these grains."""
+        return np.asarray(self.grains, int)[self._moves]
+
+    @property
+    def _window(self) -> Window:
+        """All intervals."""
+        return Window(0, 0, self.displacement.shape[0] - 1)
+
+    @cached_property
+    def _derived(self) -> Array:
+        """Accelerations, jerks and errors of the accelerations of the grains that move."""
+        derived: Array = derive(self._block, self._moving)
+        return derived
+
+    @cached_property
+    def _largest_sizes(self) -> dict[Field, Largest]:
+        """Largest sizes of the grains that move."""
+        far, fast = (lowest(self._moving.size) for _ in range(2))
+        nothing = events_of(np.zeros(0))
+        reduce(
+            self._block, self._moving, self._derived, self.ceiling, self._window, (far, fast),
+            nothing, Log(nothing, 0),
         )  # fmt: skip
-        return found
+        return {"displacement": far, "velocity": fast}
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
-        found = self._tops.get(field)
-        if found is None:
-            about = self.step, KINDS[field], self.ceiling, self.known_error(field)
-            found = extremes.peaks(*self._values, self._around.moves, self.grains.size, *about)
-        return Peaks(self.grains, found[:, 0], found[:, 1])
+        known = self.known_error(field)
+        value = self._sizes[int(field == "velocity")].copy()
+        error = value + known
+        value[self._moves], error[self._moves] = self._largest_sizes[field].estimate(known)
+        return Peaks(self.grains, value, error)
 
     def largest_wall_force(self) -> tuple[float, float]:
         """Return the largest force at any time on what holds the bottom, N, and how far that may be off.
@@ -160,44 +204,41 @@ class Motion:
 
     def closest(self, contact: int) -> tuple[float, float]:
         """Return by how much a contact is closer than at rest at most, m, and the error of that."""
-        values = np.zeros((5, 1, self.displacement.shape[0]))
-        hidden = np.zeros(self.displacement.shape[0] - 1) if self.ceiling.size else np.zeros(0)
-        for column, sign in zip(self._around.place[[contact, contact + 1]], (1, -1), strict=True):
-            if column == UNKNOWN:
-                raise InputError([("grains", f"the grains of contact {contact} must be recorded")])
-            if column != STILL:
-                values[:4, 0] += sign * self._values[0][:4, column]
-                values[4, 0] += self._values[0][4, column]
-                if hidden.size:
-                    limits = self.ceiling[column]
-                    hidden += np.where(limits < 0, 0.0, limits)
-        if hidden.size:
-            hidden[hidden == 0] = -1.0
-        one, known = (
-            (np.zeros(1, dtype=bool), np.zeros(1, dtype=int), 1),
-            2 * self.known_error("displacement"),
+        bodies = np.array([contact, contact + 1])
+        if (self._column[bodies] == UNKNOWN).any():
+            raise InputError([("grains", f"the grains of contact {contact} must be recorded")])
+        limits = np.zeros(0)
+        if self.ceiling.size:
+            either = self.ceiling[np.isin(self._moving, bodies)]
+            limits = np.where((either < 0).all(0), -1.0, np.maximum(either, 0.0).sum(0))
+        place = np.full(self._column.size, -1)
+        place[self._moving] = np.arange(self._moving.size)
+        above, below = place[bodies].tolist()
+        closest = lowest(1, -np.inf)
+        approach(
+            self._block, contact, self._derived, (above, below), limits, self._window, closest
         )
-        value, error = extremes.peaks(values, *one, self.step, RAISED, hidden[None], known)[
-            0
-        ].tolist()
-        return value, error
+        value, error = closest.estimate(2 * self.known_error("displacement"))
+        return float(value[0]), float(error[0])
 
     def fronts(
         self, field: Field, fraction: float, certain: float | None = None, width: bool = True
     ) -> Array:
         """Return time, height and width of the front, and their errors, (G, 6); see `front.track`."""
-        known, frequency = self.known_error(field), self.scene.highest_frequency
-        fall = known if certain is None else certain
-        found: Array
-        found, self._tops[field] = extremes.fronts(
-            *self._values, self._around.moves, self.grains.size, self.step, KINDS[field], self.ceiling, fraction, known,
-            fall, frequency, width,
+        known = self.known_error(field)
+        rules = Rules(
+            float(fraction), known, float(known if certain is None else certain),
+            self.scene.highest_frequency, self.step, self.step * self._window.end,
         )  # fmt: skip
-        return found
+        rows = np.full((self.grains.size, 6), np.nan)
+        rows[self._moves] = fronts(
+            self._block, self._moving, self._derived, self.ceiling, KINDS[field], width, rules
+        )
+        return rows
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:
         """Return where in the results these grains stand."""
-        return self._around.column[grains]
+        return self._column[grains]
 
     def known_error(self, field: Field) -> float:
         """Return how far any value may be off by the error of the trajectory."""
@@ -218,7 +259,7 @@ class Motion:
         u, v = (
             max(most, at_first) for most, at_first in zip(self.sampled, scene.imposed, strict=True)
         )
-        swift, whole = scene.highest_frequency * self.step, self._around.whole
+        swift, whole = scene.highest_frequency * self.step, self._whole
         if (
             (whole and swift <= RESOLVED)
             or scene.excitation.does_work
@@ -246,7 +287,7 @@ class Motion:
         swift = self.scene.highest_frequency * self.step
         if swift <= RESOLVED_BY_DIFFERENCES or (swift <= RESOLVED and self._known.all()):
             return np.zeros((1, 0))
-        known = self._known[self._around.moves]
+        known = self._known[self._moving]
         if swift <= RESOLVED:
             limits = np.full((known.size, self.displacement.shape[0] - 1), -1.0)
             limits[~known] = self._speed_limit()[0][~known]
@@ -264,25 +305,25 @@ class Motion:
         if (
             scene.excitation.does_work
             or self._equation not in (1, 3)
-            or not self._around.moving.size
+            or not self._moving.size
         ):
-            return tuple(np.full((2, self._around.moving.size, count), np.inf))
+            return tuple(np.full((2, self._moving.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
         first, last = (
-            max(self._around.moving.min() - 2, 1),
-            min(self._around.moving.max() + 2, chain.grains),
+            max(self._moving.min() - 2, 1),
+            min(self._moving.max() + 2, chain.grains),
         )
-        size, here = last - first + 1, self._around.moving - first
+        size, here = last - first + 1, self._moving - first
         masses, contacts = (
             chain.masses[first - 1 : last],
             chain.contacts.of(slice(first - 1, last + 1)),
         )
         linear = self._equation == 3
-        if not self._around.whole:
+        if not self._whole:
             within = np.full((count, size), scene.energy)
         else:
             u, v = (np.zeros((count + 1, size)) for _ in range(2))
-            u[:, here], v[:, here] = (field[:, self._around.moves] for field in self._fields)
+            u[:, here], v[:, here] = (x[:, self._moves] for x in (self.displacement, self.velocity))
             r = contacts.closer(u)
             held = contacts.stiffness * r**2 / 2 if linear else contacts.energy(r)
             energy = masses * v**2 / 2 + held[:, 1:] + held[:, :-1]  # each contact twice: a bound
@@ -348,8 +389,3 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     check_field(field)
     return motion_of(trajectory).peaks(field)
 
-
-def _within(found: Array, known: float) -> tuple[Array, Array]:
-    """Return values and their errors from values and the bounds between which they lie, (G, 3)."""
-    value, low, high = found.T
-    return value, np.maximum(high - value, value - low) + known

@@ -1,9 +1,8 @@
-"""What was recorded: of which grains, whether enough, and which bodies beside each of them are known."""
+"""Recorded grains: the columns of their motion, and whether there are samples enough."""
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,40 +14,6 @@ from ..util.arrays import Array
 
 Field = Literal["velocity", "displacement"]
 FEWEST_SAMPLES = 16  # least for tracking a front or a spectrum
-
-
-class Around(NamedTuple):
-    """What lies beside G recorded grains of a chain of N, of which M ever move.
-
-    Columns and numbers of the grains that move, (M,); recorded columns of all bodies, (N+2,); where these stand among
-    the columns of grains that move, (N+2,), and so of the bodies at and beside each of these, (M, 3); whether all
-    forces on a recorded grain follow from what was recorded, (G,); whether all grains that can move were.
-    """
-
-    moves: NDArray[np.intp]
-    moving: NDArray[np.intp]
-    column: NDArray[np.intp]
-    place: NDArray[np.intp]
-    sides: NDArray[np.intp]
-    known: NDArray[np.bool_]
-    whole: bool
-
-
-@lru_cache(maxsize=8)  # scenes of a sweep are alike
-def around(
-    size: int, movable: int, above: bool, below: bool, recorded: bytes, moves: bytes
-) -> Around:
-    """Return what lies around these grains of a chain of this size, with or without contacts at its ends."""
-    grains, moving = np.frombuffer(recorded, dtype=int), np.frombuffer(moves, dtype=bool)
-    column, contacts = columns(size, movable, grains), grains[:, None] + np.array([-1, 0])
-    nothing = (not above) & (contacts == 0) | (not below) & (contacts == size)
-    beside = column[grains[:, None] + np.array([-1, 1])]
-    known = ((beside != UNKNOWN) | nothing).all(1) | (grains > movable)
-    place = column.copy()
-    place[grains] = np.where(moving, np.cumsum(moving) - 1, STILL)
-    sides = place[grains[moving][:, None] + np.array([-1, 0, 1])]
-    whole = not (column[1 : movable + 1] == UNKNOWN).any()
-    return Around(np.flatnonzero(moving), grains[moving], column, place, sides, known, whole)
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:

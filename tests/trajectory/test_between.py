@@ -1,11 +1,14 @@
 """Polynomials between samples, where a contact opens, closes or does both: against quadrature of a prescribed force."""
 
+import math
+
 import numpy as np
 import pytest
+from helpers.between_samples import block_of, front_among
 from scipy.optimize import brentq
 
-from lmpchain.trajectory.between import extremes, hermite
-from lmpchain.trajectory.between.derivatives import derivatives
+from lmpchain.trajectory.between import hermite
+from lmpchain.trajectory.between.derivatives import STILL, derive, series_of
 
 SAMPLES, FINE = 8, 2000  # and times of the quadrature in an interval between two of them
 KNOTS, WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -32,6 +35,15 @@ def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarr
     return ends, integral(middle), v, force(ends)
 
 
+def power(c: np.ndarray) -> np.polynomial.Polynomial:
+    """Return a polynomial from its Bernstein coefficients."""
+    s, degree = np.polynomial.Polynomial([0, 1]), c.size - 1
+    parts = (
+        math.comb(degree, k) * c[k] * s**k * (1 - s) ** (degree - k) for k in range(degree + 1)
+    )
+    return sum(parts, start=np.polynomial.Polynomial([0]))
+
+
 def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner intervals, (3,)."""
     t, u, v, a = motion(overlap, exponent)
@@ -42,33 +54,21 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     )  # where the other body is, and how fast
     fields = [np.stack(pair, axis=1) for pair in zip(above, (u[at], v[at]), strict=True)]
     contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
-    found, _ = derivatives(
-        *fields, np.arange(2), np.ones((2, 2)), (0.0, 0.0), np.array([1, 2]), np.array([[-1, 0, 1], [0, 1, -1]]),
-        contacts, np.ones(2), exponent, False, 1.0, np.array([False, True]),
-    )  # fmt: skip
-    reach, error = np.empty((2, SAMPLES - 1))
-    path = hermite.path(
-        found,
-        1,
-        1.0,
-        hermite.VELOCITY,
-        np.zeros((1, 0)),
-        reach,
-        error,
-        np.zeros(8),
-        np.zeros(8),
-        np.zeros(4),
+    block = block_of(
+        *fields, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, 1.0
     )
-    np.testing.assert_allclose(found[2, 1], a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
+    found = series_of(block, derive(block, np.array([2])), 0, 2)
+    bounds = np.empty((2, SAMPLES - 1))
+    path = hermite.path(found, hermite.VELOCITY, 1.0, np.zeros(0), bounds)
+    error = path.error
+    np.testing.assert_allclose(found.a, a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
     ratios = np.zeros(3)
     for i in range(1, SAMPLES - 2):
         hermite.polynomial(path, i)
-        part, here = np.polynomial.Polynomial(path.c), slice(i * FINE, (i + 1) * FINE + 1)
+        part, here = power(path.c), slice(i * FINE, (i + 1) * FINE + 1)
         s = t[here] - i
         rate = np.gradient(a[here], 1 / FINE)
-        allowed = error[i] * np.array(
-            [1, hermite.STEEPEST / hermite.BUMP, hermite.CURVED / hermite.BUMP]
-        )
+        allowed = error[i] * np.array([1, hermite.SHAPE.slope, hermite.SHAPE.curvature])
         off = [np.abs(part.deriv(k)(s) - true)[2:-2].max() if k else np.abs(part(s) - true).max()
                for k, true in enumerate((v[here], a[here], rate))]  # fmt: skip
         ratios = np.maximum(
@@ -115,13 +115,10 @@ def test_a_width_ends_at_a_dip_that_no_quarter_of_an_interval_shows(shift: float
 
     for sign in (1, -1):
         second = brentq(lambda size, sign=sign: depth(size) - sign * 1e-6, 0.5, 1.2, xtol=1e-14)
-        values = np.zeros((5, 1, 60))
-        values[:4, 0] = bumps(second, np.arange(60.0))
-        found, _ = extremes.fronts(
-            values, np.zeros(1, bool), np.zeros(1, int), 1, 1.0, hermite.DISPLACEMENT, np.zeros((1, 0)), 0.5, 0.0, 0.0,
-            0.5, True,
-        )  # fmt: skip
-        time, height, width, _, _, error = found[0]
+        values = np.zeros((5, 60))
+        values[:4] = bumps(second, np.arange(60.0))
+        found = front_among(values, hermite.DISPLACEMENT, 1.0, 0.5, 0.0, 0.0, 0.5)
+        time, height, width, _, _, error = found
         assert abs(time - 20 - shift) < 0.1
         dense = np.linspace(10, 40, 300_001) + shift
         low = dense[bumps(second, dense)[0] < height / 2]

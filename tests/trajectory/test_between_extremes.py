@@ -5,10 +5,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from helpers.between_samples import front_among, path_of, peak_of
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
-from lmpchain.trajectory.between import extremes, hermite
+from lmpchain.trajectory.between import fronts, hermite, maxima
 
 RNG = np.random.default_rng(12)
 KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
@@ -27,10 +28,10 @@ def _same_draws_in_any_order():
 
 
 def motion_of(position: Polynomial, off: float = 0.0) -> np.ndarray:
-    """Return u, v, a, j and error of the acceleration, (5, 1, SAMPLES)."""
+    """Return u, v, a, j and error of the acceleration, (5, SAMPLES)."""
     t = H * np.arange(SAMPLES)
     rows = [*(position.deriv(k)(t) if k else position(t) for k in range(4)), np.full(SAMPLES, off)]
-    return np.array(rows)[:, None]
+    return np.array(rows)
 
 
 def tops(position: Polynomial, kind: int) -> tuple[np.ndarray, np.ndarray]:
@@ -49,10 +50,8 @@ def tops(position: Polynomial, kind: int) -> tuple[np.ndarray, np.ndarray]:
 
 def peak(
     motion: np.ndarray, kind: int, known: float = 0.0, ceiling: np.ndarray | None = None
-) -> np.ndarray:
-    limits = np.zeros((1, 0)) if ceiling is None else ceiling
-    one = np.zeros(1, bool), np.zeros(1, int), 1
-    return extremes.peaks(motion, *one, H, kind, limits, known)[0]
+) -> tuple[float, float]:
+    return peak_of(motion, kind, H, known, ceiling)
 
 
 def wavy() -> Polynomial:
@@ -87,7 +86,7 @@ def test_what_may_hide_between_samples_bounds_the_largest_value(kind: int):
         if kind != hermite.VELOCITY:
             limit = (ends[:-1] + ends[1:] + H * speed) / 2
         high = max(seen, limit[speed >= 0].max())
-        value, error = peak(motion_of(position), kind, 0.01, speed[None])
+        value, error = peak(motion_of(position), kind, 0.01, speed)
         assert value == pytest.approx(seen, rel=1e-12)
         assert error == pytest.approx(high - seen + 0.01, rel=1e-9)
 
@@ -96,7 +95,7 @@ def test_what_may_hide_between_samples_bounds_the_largest_value(kind: int):
 def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
     """Slopes of one sign at both ends say nothing where the curve bends, or misses the way, between these."""
     for step in range(60):
-        values = np.zeros((5, 1, 3))
+        values = np.zeros((5, 3))
         values[1] = 3 + RNG.normal(size=3) * 0.3
         values[2] = np.abs(RNG.normal(size=3)) * RNG.choice([1, 10]) * RNG.choice([-1, 1])
         values[3] = RNG.normal(size=3) * 5.0 ** (step % 4)
@@ -104,7 +103,7 @@ def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
         largest, allowed = 0.0, []
         curves = []
         for i in range(2):
-            d, m, w = (values[k, 0, i : i + 2] for k in (1, 2, 3))
+            d, m, w = (values[k, i : i + 2] for k in (1, 2, 3))
             m, w = H * m, H * H * w
             rise = d[1] - d[0]
             quintic = Polynomial([
@@ -114,10 +113,10 @@ def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
             ])  # fmt: skip
             missed = shift * RNG.normal()
             curves.append(quintic + missed * Polynomial([0, 0, 0, 140, -420, 420, -140]))
-            values[0, 0, i + 1] = values[0, 0, i] + H * curves[-1].integ()(1.0)
-            allowed.append(hermite.SAFETY * 2.1875 * abs(missed))
+            values[0, i + 1] = values[0, i] + H * curves[-1].integ()(1.0)
+            allowed.append(hermite.SHAPE.safety * 2.1875 * abs(missed))
         off = max(allowed)
-        start = values[0, 0]
+        start = values[0]
         for i, curve in enumerate(curves):
             way = start[i] + H * curve.integ() if kind != hermite.VELOCITY else curve
             largest = max(largest, np.abs(way(np.linspace(0, 1, 2001))).max())
@@ -130,24 +129,6 @@ def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
         assert error <= 2 * off * (1 + 1e-9) + 1e-12
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_quiet_grain_is_off_by_as_much_as_it_moves(kind: int):
-    motion = np.concatenate([motion_of(wavy()) for _ in range(3)], axis=1)
-    motion[0, 1], motion[1, 1] = np.linspace(-3, 2, SAMPLES), np.linspace(-2, 1, SAMPLES)
-    quiet = np.array([False, True, False])
-    found = extremes.peaks(motion, quiet, np.array([4, 0, 2]), 5, H, kind, np.zeros((1, 0)), 0.5)
-    most = {hermite.VELOCITY: 2.0, hermite.DISPLACEMENT: 3.0, hermite.RAISED: 2.0}[kind]
-    assert found[0].tolist() == [most, most + 0.5]
-    assert found[[1, 3]].tolist() == [[0.0, 0.5]] * 2
-    for g, column in ((0, 4), (2, 2)):
-        assert found[column, 0] == peak(motion[:, [g]], kind)[0]
-    fronts, again = extremes.fronts(
-        motion, quiet, np.array([4, 0, 2]), 5, H, kind, np.zeros((1, 0)), 0.5, 0.5, 0.0, 0.0, True
-    )
-    assert np.array_equal(again, found)
-    assert np.isnan(fronts[[0, 1, 3]]).all()
-
-
 # --- fronts
 
 
@@ -157,12 +138,7 @@ def front(
 ) -> np.ndarray:  # fmt: skip
     """Return time, height and width of a front and their errors, (6,)."""
     motion = position if isinstance(position, np.ndarray) else motion_of(position, off)
-    limits = np.zeros((1, 0)) if ceiling is None else ceiling
-    one = np.zeros(1, bool), np.zeros(1, int), 1
-    found, _ = extremes.fronts(
-        motion, *one, H, kind, limits, fraction, known, certain, frequency, width
-    )
-    return found[0]
+    return front_among(motion, kind, H, fraction, known, certain, frequency, ceiling, width)
 
 
 def position_of(curve: Polynomial, kind: int) -> Polynomial:
@@ -341,15 +317,15 @@ def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
     size = np.abs(SINGLE(t))
     for hidden in (1, 3, 6):
         for strong in (False, True):
-            ceiling = np.full((1, SAMPLES - 1), -1.0)
+            ceiling = np.full(SAMPLES - 1, -1.0)
             bound = (
                 2.0 * SINGLE(0.4)
                 if strong
                 else max(0.4 * SINGLE(0.4), 0.51 * size[hidden : hidden + 2].sum())
             )
-            ceiling[0, hidden] = bound
+            ceiling[hidden] = bound
             if kind != hermite.VELOCITY:
-                ceiling[0, hidden] = (2 * bound - size[hidden] - size[hidden + 1]) / H
+                ceiling[hidden] = (2 * bound - size[hidden] - size[hidden + 1]) / H
             time, height, _, late, higher, wider = front(values, kind, ceiling=ceiling, width=True)
             inside = hidden == 3  # where the largest value is
             high = max(bound, SINGLE(0.4) if not inside else size[3:5].max())
@@ -409,18 +385,15 @@ def test_stated_errors_cover_those_of_noisy_samples(kind: int):
     for _ in range(25):
         signal, phase = bumps(rng), rng.uniform(0, 2 * np.pi, 4)
         t = np.arange(float(samples))
-        motion = np.zeros((5, 1, samples))
-        motion[:4, 0] = signal(t)
+        motion = np.zeros((5, samples))
+        motion[:4] = signal(t)
         omega = 0.8
         scale = known / omega ** (kind == hermite.VELOCITY)
         for order in range(4):
-            motion[order, 0] += (
+            motion[order] += (
                 scale * omega**order * np.cos(omega * t + phase[0] + order * np.pi / 2)
             )
-        found = extremes.fronts(
-            motion, np.zeros(1, bool), np.zeros(1, int), 1, 1.0, kind, np.zeros((1, 0)), 0.5, known, known, omega,
-            True,
-        )[0][0]  # fmt: skip
+        found = front_among(motion, kind, 1.0, 0.5, known, known, omega)
         dense = np.linspace(0, samples - 1, 9_201)
         y = signal(dense)[1 if kind == hermite.VELOCITY else 0]
         size = np.abs(y)
@@ -461,12 +434,9 @@ def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
         signal, step = bumps(rng), (0.25, 0.5, 1.0)[number % 3]
         fraction = rng.uniform(0.2, 0.95)
         samples = int(24 / step)
-        motion = np.zeros((5, 1, samples))
-        motion[:4, 0] = signal(step * np.arange(samples))
-        found = extremes.fronts(
-            motion, np.zeros(1, bool), np.zeros(1, int), 1, step, kind, np.zeros((1, 0)), fraction, 0.0, 0.0, 1.0,
-            True,
-        )[0][0]  # fmt: skip
+        motion = np.zeros((5, samples))
+        motion[:4] = signal(step * np.arange(samples))
+        found = front_among(motion, kind, step, fraction, 0.0, 0.0, 1.0)
         dense = np.arange(0, step * (samples - 1), 1e-3)
         y = signal(dense)[1 if kind == hermite.VELOCITY else 0]
         size = np.abs(y)
@@ -485,47 +455,38 @@ def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
     assert clear > 30
 
 
-def test_where_a_rise_is_flat_is_told_quarter_by_quarter():
-    """The slope counts as flat within its error; between curvatures of two signs it is that where tangents meet."""
-    kind, none = hermite.VELOCITY, np.zeros((1, 0))
-    met = set()
-    for number in range(120):
-        off, tilt = RNG.choice([0, 0.05]), RNG.choice([1e-3, 0.5, 3.0])
-        curve = wavy() + 3 * RNG.choice([0, 1])
-        if number % 2:  # hardly rising at some time
-            turning = Polynomial([-RNG.uniform(0.1, 0.9), 1]) ** 2 + RNG.uniform(1e-4, 6e-4)
-            curve, off, tilt = turning.integ() + 0.2, 0.0, RNG.choice([5e-5, 2e-4])
-        curve = RNG.choice([-1, 1]) * curve
-        motion = motion_of(curve.integ(), off)
-        reach, error = np.empty((2, SAMPLES - 1))
-        p = hermite.path(
-            motion, 0, H, kind, none, reach, error, np.zeros(8), np.zeros(8), np.zeros(4)
+def test_shoulders_of_a_rise_are_where_its_slope_is_least():
+    """The rise beyond all before may have turned there: as long before as the slope is within its error."""
+    seen = 0
+    for _ in range(40):
+        turning = (Polynomial([-RNG.uniform(0.1, 0.9), 1]) ** 2 + 0.01) * (
+            1 + 0.2 * RNG.normal() * Polynomial([-0.5, 1])
         )
-        at, place = int(RNG.integers(0, SAMPLES - 1)), float(RNG.choice([0.3, 1.0]))
-        least = float(RNG.uniform(0.1, 0.9) * np.abs(curve(np.linspace(0, 1, 200))).max())
-        when, low = extremes._flat(p, least, at, place, tilt)
-        expected = (at + place) * H, 0.0
-        for i in range(at + 1):
-            here = curve(Polynomial([i * H, H]))
-            sign, end = math.copysign(1.0, here(0.5)), place if i == at else 1.0
-            slack = STEEP * error[i] + tilt * H
-            w = end / 4
-            rising = sign * here.deriv()
-            flat = None
-            for quarter in range(4):
-                s = quarter * w
-                r0, r1, b0, b1 = rising(s), rising(s + w), rising.deriv()(s), rising.deriv()(s + w)
-                dip = 0.0
-                if b0 < 0 < b1 and r0 > slack:
-                    dip = min(max((r1 - r0 - b1 * w) / (b0 - b1), 0.0), w)
-                size = abs(here(s + dip))
-                if size >= least and r0 + b0 * dip <= slack:
-                    flat = max(i + s - (0.0 if dip else w), 0.0) * H, size
-                    met.add(dip > 0)
-                    break
-            if flat:
-                expected = flat
-                break
-        assert when == pytest.approx(expected[0], rel=1e-9, abs=1e-12)
-        assert low == pytest.approx(expected[1], rel=1e-7, abs=1e-12)
-    assert met == {True, False}
+        curve = RNG.choice([-1, 1]) * (turning.integ() + 0.2)
+        p = path_of(motion_of(curve.integ()), hermite.VELOCITY, H)
+        latest = maxima.events_of(np.array([curve(0.0)]))
+        log = maxima.Log(maxima.events_of(np.zeros(0)), 0)
+        log = maxima.follow(
+            p, maxima.Window(0, 0, SAMPLES - 1), maxima.lowest(1), latest, 0, log
+        )
+        slope = np.sign(curve(0.5)) * curve.deriv()
+        flat = slope.deriv().roots()
+        flat = flat[np.abs(flat.imag) < 1e-9].real
+        flat = flat[(flat > 0) & (flat < 1) & (slope.deriv(2)(flat) > 0)]
+        events = log.events[: log.count]
+        events = events[events["kind"] == maxima.SHOULDER]
+        assert events["when"] == pytest.approx(flat, rel=1e-7)
+        seen += flat.size
+        for event, place in zip(events, flat, strict=True):
+            assert event["height"] == pytest.approx(curve(place), rel=1e-9)
+            assert event["tilt"] == pytest.approx(-slope(place), rel=1e-7)
+            assert event["bend"] == pytest.approx(slope.deriv(2)(place), rel=1e-6)
+            allowed = 4 * slope(place)  # of the slope: with it the rise may turn before
+            rules = fronts.Rules(0.3, allowed, 0.0, 1.0, H, 1.0)
+            begin, height = fronts._earlier(log.events[: log.count], 1.0, 0.0, 0.0, rules)
+            parabola = place - np.sqrt(6 * slope(place) / slope.deriv(2)(place))
+            assert begin == pytest.approx(max(parabola, 0.0), abs=1e-6)
+            assert height == pytest.approx(abs(curve(place)), rel=1e-9)
+            rules = fronts.Rules(0.3, 0.99 * slope(place), 0.0, 1.0, H, 1.0)
+            assert fronts._earlier(log.events[: log.count], 1.0, 0.0, 0.0, rules) == (1.0, 0.0)
+    assert seen > 20

@@ -1,254 +1,416 @@
-"""Acceleration and jerk of grains at the samples of their motion, compiled."""
+"""Accelerations and jerks of grains at the samples of their motion, compiled."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from ...util.arrays import MAGNITUDE
+from ...chain.chain import Chain
+from ...scene.scene import Scene
+from ...util.arrays import Array
 from ...util.compilation import compiled_once
+from ...util.lazy import listed
 
-NEWS = "the measures", 20  # what is compiled, and about how long that takes, s
-STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recorded
-# of the jump of the jerk times an interval, by which accelerations may be off where a contact opens or closes; with it
-# and CURVED, errors of values, slopes and curvatures are bounds for all exponents: tests/trajectory/test_between.py
-KINK = 0.12
-HIDDEN = 2.0  # and of the change of velocity in a collision between two samples, over the interval
-SIDE_BY_SIDE = 8  # columns that are read together: a cache line
+__dir__ = listed(__name__)
+
+NEWS = "the measures", 20  # topic and seconds of the compilation
+STILL, UNKNOWN = -1, -2  # columns of bodies at rest, and of bodies that were not recorded
+CACHE_LINE = 8  # numbers
 compiled = numba.njit(error_model="numpy")
+# what takes records of arrays, whose copies would cost more than what it does
+joined = numba.njit(error_model="numpy", forceinline=True)
+
+
+class Openings(NamedTuple):
+    """Error of the acceleration where a contact opens or closes within an interval h.
+
+    With `hermite.Shape`, values, slopes and curvatures are then bounded for all exponents:
+    tests/trajectory/test_between.py.
+
+    Attributes
+    ----------
+    kink : float
+        In units of h times the jump of the jerk.
+    collision : float
+        In units of the jump of the velocity over h, if the two bodies were closer in between.
+    """
+
+    kink: float = 0.12
+    collision: float = 2.0
+
+
+OPENINGS = Openings()
+
+
+class Law(NamedTuple):
+    """Forces within a chain of N grains.
+
+    Attributes
+    ----------
+    contacts : (3, N+1) array
+        Inverse length, strength, and 1 if pressed at rest (else 0), of each contact.
+    inverse_mass : (N,) array
+        1/kg; 0 of a held grain.
+    exponent : float
+    linear : bool
+        Whether the forces are linearised.
+    """
+
+    contacts: Array
+    inverse_mass: Array
+    exponent: float
+    linear: bool
+
+
+class Imposed(NamedTuple):
+    """Motion of the top wall and acceleration of one grain by the excitation, at R samples.
+
+    Attributes
+    ----------
+    wall : (4, R) array
+        Displacement, velocity, acceleration and jerk of the top wall.
+    given : (2, R) array
+        Acceleration and jerk of the grain.
+    doubt : (R,) array
+        Error of either acceleration in the interval behind a sample.
+    grain : int
+        Number of the grain, 0 for none.
+    driven : bool
+        Whether the grain has no other acceleration.
+    """
+
+    wall: Array
+    given: Array
+    doubt: Array
+    grain: int
+    driven: bool
+
+
+class Block(NamedTuple):
+    """Consecutive samples of the motion of a chain of N grains.
+
+    Attributes
+    ----------
+    u, v : (C, R) arrays
+        Displacement and velocity of C recorded grains.
+    column : (N+2,) array
+        Row of each body in these, or a mark; body 0 is the top wall, N+1 the bottom one.
+    known : (N+2,) array of bool
+        Whether the law gives the acceleration of a body; else it follows from the samples.
+    h : float
+        Time between two samples, s.
+    law : Law
+    imposed : Imposed
+    """
+
+    u: Array
+    v: Array
+    column: Array
+    known: Array
+    h: float
+    law: Law
+    imposed: Imposed
+
+
+class Series(NamedTuple):
+    """Motion of a body at R samples; `doubt` is the error of its acceleration behind each."""
+
+    u: Array
+    v: Array
+    a: Array
+    j: Array
+    doubt: Array
+
+
+def law_of(chain: Chain, linear: bool) -> Law:
+    """Return the forces within a chain.
+
+    Parameters
+    ----------
+    chain : Chain
+    linear : bool
+        Whether they are linearised.
+
+    Returns
+    -------
+    Law
+    """
+    contacts = chain.contacts
+    inverse_mass = 1 / chain.masses
+    inverse_mass[chain.movable :] = 0.0
+    loose = np.where(linear & (chain.exponent > 1.0), 0.0, contacts.constant)
+    pressed = contacts.pressed
+    length = 1 / np.where(pressed, contacts.overlap, 1.0)
+    rows = np.array([length, np.where(pressed, contacts.force, loose), pressed])
+    return Law(rows, inverse_mass, float(chain.exponent), bool(linear))
+
+
+def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
+    """Return what the excitation imposes at consecutive samples.
+
+    Parameters
+    ----------
+    scene : Scene
+    step : float
+        Time between two samples, s.
+    first, count : int
+        Number of the first sample, and of samples.
+
+    Returns
+    -------
+    Imposed
+    """
+    excitation = scene.excitation
+    wall = np.zeros((4, count))
+    given = np.zeros((2, count))
+    doubt = np.zeros(count)
+    wave = excitation.waveform
+    if not wave:
+        return Imposed(wall, given, doubt, 0, False)
+    time: Array = step * np.arange(first, first + count, dtype=float)
+    grain, driven = 0, False
+    if excitation.wall:
+        wall[:] = [wave.at(time, order) for order in range(4)]
+        jumps = wall[2:]
+    else:
+        grain, driven = int(excitation.reach(scene.chain)[0]), bool(excitation.driven)
+        order, share = (2, 1.0) if driven else (0, 1 / scene.chain.masses[grain - 1])
+        given[:] = share * wave.at(time, order), share * wave.at(time, order + 1)
+        jumps = given
+    corner = np.diff(np.searchsorted(wave.corners, time, side="right")) > 0
+    jump, kink = np.abs(np.diff(jumps))
+    bound = OPENINGS.kink * step * kink + (0.0 if wave.spline else jump)
+    doubt[:-1] = np.where(corner, bound, 0.0)
+    return Imposed(wall, given, doubt, grain, driven)
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def by_body(field):
+    """Return a (T, C) field as (C, T); a cache line at a time, which is read once then."""
+    out = np.empty((field.shape[1], field.shape[0]))
+    for first in range(0, field.shape[1], CACHE_LINE):
+        last = min(first + CACHE_LINE, field.shape[1])
+        for i in range(field.shape[0]):
+            for c in range(first, last):
+                out[c, i] = field[i, c]
+    return out
 
 
 @compiled
-def _pull(r, rate, length, strength, pressed, exponent, linear):
-    """Return the change of a contact's force and its rate, for a change r of the overlap."""
-    s = r * length
-    if linear:
-        return strength * exponent * s, strength * exponent * length * rate
-    y = max(pressed + s, 0.0)
-    if y == 0.0:
-        return -strength * pressed, 0.0
-    change = math.expm1(exponent * math.log1p(s)) if pressed > 0.0 else y**exponent
-    return strength * change, strength * exponent * y ** (exponent - 1.0) * length * rate
+def _push_hertz(r, closing, length, strength, pressed, force, rate):
+    """Fill in changes of a force of exponent 3/2 and their rates."""
+    for i in range(r.size):
+        s = r[i] * length
+        y = pressed + s
+        y = y if y > 0.0 else 0.0
+        root = math.sqrt(y)
+        full = y * root
+        # a difference of forces would lose the digits of a weak wave
+        closed = s * (3.0 + s * (3.0 + s)) / (1.0 + full)
+        change = closed if (pressed > 0.0) & (y > 0.0) else full - pressed
+        force[i] = strength * change
+        rate[i] = strength * 1.5 * length * root * closing[i]
 
 
 @compiled
-def _at_rest(r, closing):
-    """Return how many samples go by before a contact feels anything."""
+def _push(r, closing, contact, law, force, rate):
+    """Fill in changes of the force of a contact and their rates, for changes r of the overlap."""
+    length, strength, pressed = contact
+    exponent = law.exponent
+    if exponent == 1.5 and not law.linear:
+        _push_hertz(r, closing, length, strength, pressed, force, rate)
+        return
+    for i in range(r.size):
+        s = r[i] * length
+        y = max(pressed + s, 0.0)
+        if law.linear:
+            force[i] = strength * exponent * s
+            rate[i] = strength * exponent * length * closing[i]
+        elif y == 0.0:
+            force[i] = -strength * pressed
+            rate[i] = 0.0
+        else:
+            change = math.expm1(exponent * math.log1p(s)) if pressed > 0.0 else y**exponent
+            force[i] = strength * change
+            rate[i] = strength * exponent * y ** (exponent - 1.0) * length * closing[i]
+
+
+@joined
+def _visits(one, other, rise, climb):
+    """Return whether tangents at both ends, where values have one sign, meet beyond zero."""
+    s = (other - climb - one) / (rise - climb)
+    return rise != climb and 0.0 < s < 1.0 and (one + rise * s > 0.0) != (one > 0.0)
+
+
+@compiled
+def _nearly_opens(r, closing, contact, h):
+    """Return at how many samples a contact is open, or may be one interval later or earlier."""
+    length, _, pressed = contact
     count = 0
-    while count < r.size and r[count] == 0.0 and closing[count] == 0.0:
-        count += 1
+    for i in range(r.size):
+        count += pressed + r[i] * length <= h * length * abs(closing[i])
     return count
 
 
 @compiled
-def _hertz(r, closing, length, strength, pressed, h, force, rate):
-    """Fill in what `_pull` returns for exponent 3/2, (T,) each.
-
-    Return at how many samples it is so near to opening, or open, that it may have done so in an interval beside.
-    """
-    near = 0
-    for i in range(r.size):
-        s = r[i] * length
-        y = pressed + s
-        near += y <= h * length * abs(closing[i])
-        y = y if y > 0.0 else 0.0
-        root = math.sqrt(y)
-        full = y * root
-        closed = s * (3.0 + 3.0 * s + s * s) / (1.0 + full)  # no digit of a weak wave is lost
-        change = closed if (pressed > 0.0) & (y > 0.0) else full - pressed
-        force[i] = strength * change
-        rate[i] = strength * 1.5 * length * root * closing[i]
-    return near
+def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
+    """Raise the error of an acceleration where the contact opens or closes behind a sample."""
+    length, _, pressed = contact
+    for i in range(r.size - 1):
+        before = pressed + r[i] * length
+        after = pressed + r[i + 1] * length
+        rise = h * length * closing[i]
+        climb = h * length * closing[i + 1]
+        changed = (after > 0.0) != (before > 0.0)
+        if not (changed or _visits(before, after, rise, climb)):
+            continue
+        off = OPENINGS.kink * h * abs(rate[i + 1] - rate[i])
+        nearer = (after > 0.0 and climb < 0.0) or (before > 0.0 and rise > 0.0)
+        if nearer if changed else after <= 0.0:
+            off = max(off, OPENINGS.collision * mass * abs(closing[i + 1] - closing[i]) / h)
+        doubt[i] = max(doubt[i], share * off)
 
 
-@compiled
-def _visits(one, other, rise, climb):
-    """Say whether tangents at both ends, where values have one sign, meet beyond zero."""
-    if rise == climb:
-        return False
-    s = (other - climb - one) / (rise - climb)
-    return 0.0 < s < 1.0 and (one + rise * s > 0.0) != (one > 0.0)
+@joined
+def _inverse_mass(law, n):
+    """Return that of a body, 0 of a wall."""
+    return law.inverse_mass[n - 1] if 0 < n <= law.inverse_mass.size else 0.0
 
 
 @compiled
-def _kinks(r, closing, length, pressed, rate, mass, h, unsure):
-    """Raise how far off a force is, (T,), where a contact opens or closes between two samples."""
-    before, rose = 0.0, 0.0  # overlap and its rate, in `length`
+def _motion(block, n, rest):
+    """Return displacement and velocity of a body, (R,) each."""
+    column = block.column[n]
+    if n == 0:
+        return block.imposed.wall[0], block.imposed.wall[1]
+    if column < 0:
+        return rest, rest
+    return block.u[column], block.v[column]
+
+
+@compiled
+def _push_contact(block, n, work):
+    """Fill in changes of the force of contact n and their rates; return whether it is near opening."""
+    law = block.law
+    contact = law.contacts[0, n], law.contacts[1, n], law.contacts[2, n]
+    rest, r, closing, force, rate = work
+    above, above_rate = _motion(block, n, rest)
+    below, below_rate = _motion(block, n + 1, rest)
+    # a loop for each result, for then the compiler makes vectors of it
     for i in range(r.size):
-        y, rise = pressed + r[i] * length, closing[i] * length
-        changed = (y > 0.0) != (before > 0.0)
-        if i > 0 and (changed or _visits(before, y, h * rose, h * rise)):
-            jump = KINK * h * abs(rate[i] - rate[i - 1])
-            turned = (y > 0.0 and rise < 0.0) or (
-                before > 0.0 and rose > 0.0
-            )  # it was closer in between
-            if turned if changed else y <= 0.0:
-                jump = max(jump, HIDDEN * mass * abs(closing[i] - closing[i - 1]) / h)
-            unsure[i - 1], unsure[i] = max(unsure[i - 1], jump), max(unsure[i], jump)
-        before, rose = y, rise
+        r[i] = above[i] - below[i]
+    for i in range(r.size):
+        closing[i] = above_rate[i] - below_rate[i]
+    _push(r, closing, contact, law, force, rate)
+    return not law.linear and _nearly_opens(r, closing, contact, block.h) > 0
+
+
+@compiled
+def _accelerate(block, n, near, share, rows, work):
+    """Add the acceleration of a body by contact n, `share` times its force, and its error."""
+    law = block.law
+    a, j, doubt = rows
+    _, r, closing, force, rate = work
+    for i in range(r.size):
+        a[i] += share * force[i]
+    for i in range(r.size):
+        j[i] += share * rate[i]
+    if near:
+        contact = law.contacts[0, n], law.contacts[1, n], law.contacts[2, n]
+        mass = 1.0 / (_inverse_mass(law, n) + _inverse_mass(law, n + 1))
+        _add_doubt(r, closing, contact, rate, mass, block.h, abs(share), doubt)
 
 
 @compiled
 def _quintic(u, v, h, k, s):
     """Return a and j at k + s of the quintic through the samples k - 1, k and k + 1."""
-    above, below = u[k + 1] - u[k], u[k - 1] - u[k]
+    above = u[k + 1] - u[k]
+    below = u[k - 1] - u[k]
     # u - u[k] = v[k] h t + c2 t^2 + ... + c5 t^5, t from -1 to 1
-    even, odd = (above + below) / 2, (above - below) / 2 - h * v[k]
-    steep, bent = h * (v[k + 1] - v[k - 1]) / 4, h * ((v[k + 1] + v[k - 1]) / 2 - v[k])
-    c2, c4 = 2 * even - steep, steep - even
-    c3, c5 = (5 * odd - bent) / 2, (bent - 3 * odd) / 2
+    even = (above + below) / 2
+    odd = (above - below) / 2 - h * v[k]
+    steep = h * (v[k + 1] - v[k - 1]) / 4
+    bent = h * ((v[k + 1] + v[k - 1]) / 2 - v[k])
+    c2 = 2 * even - steep
+    c3 = (5 * odd - bent) / 2
+    c4 = steep - even
+    c5 = (bent - 3 * odd) / 2
     a = (2 * c2 + 6 * c3 * s + 12 * c4 * s**2 + 20 * c5 * s**3) / h**2
     return a, (6 * c3 + 24 * c4 * s + 60 * c5 * s**2) / h**3
 
 
 @compiled
-def _differences(u, v, h, a, j, off):
-    """Fill a, j and how far off a is, (T,) each, from the quintics through three samples."""
+def _differentiate(u, v, h, rows):
+    """Fill in accelerations from the samples alone: of quintics through three of them."""
+    a, j, doubt = rows
     last = u.size - 1
     if last < 3:
-        a[:], j[:], off[:] = 0.0, 0.0, math.inf
+        doubt[:] = math.inf
         return
+    before = 0.0
     for i in range(last + 1):
         k = min(max(i, 1), last - 1)
         a[i], j[i] = _quintic(u, v, h, k, float(i - k))
-        before, after = max(k - 1, 1), min(k + 1, last - 1)
-        one, _ = _quintic(u, v, h, before, float(i - before))
-        other, _ = _quintic(u, v, h, after, float(i - after))
-        off[i] = max(abs(one - a[i]), abs(other - a[i]))
+        earlier = max(k - 1, 1)
+        later = min(k + 1, last - 1)
+        one, _ = _quintic(u, v, h, earlier, float(i - earlier))
+        other, _ = _quintic(u, v, h, later, float(i - later))
+        doubt[i] = max(abs(one - a[i]), abs(other - a[i]))
+        if i > 0:
+            own = doubt[i - 1]
+            doubt[i - 1] = max(before, doubt[i])
+            before = own
 
 
 @compiled
-def _transposed(field, columns, out):
-    """Fill out, (G, T), with these columns of a field, (T, C); some at a time, for the sake of the cache."""
-    for first in range(0, columns.size, SIDE_BY_SIDE):
-        some = columns[first : first + SIDE_BY_SIDE]
-        for i in range(field.shape[0]):
-            for g in range(some.size):
-                out[first + g, i] = field[i, some[g]]
-
-
-@compiled
-def _derivatives(grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet, out):
-    """Fill out, (5, G, T), whose first two are given; see `derivatives`."""
-    still = np.zeros(out.shape[2])
-    r, closing, force, rate, unsure = np.empty((5, out.shape[2]))
-    there, near = -1, 0  # of the contact that these are of, which the next grain shares
-    for g in range(sides.shape[0]):
-        x, w, a, j, off = out[0, g], out[1, g], out[2, g], out[3, g], out[4, g]
-        if quiet[g]:
-            a[:], j[:], off[:] = 0.0, 0.0, 0.0
-            continue
-        if not known[g]:
-            _differences(x, w, h, a, j, off)
-            continue
-        a[:], j[:], off[:] = 0.0, 0.0, 0.0
-        for side in (0, 2):
-            contact, column, up = grains[g] + side // 2 - 1, sides[g, side], 1.0 - side
-            constant, strength, overlap = contacts[:, contact]
-            if strength == 0.0 and (constant == 0.0 or (linear and exponent > 1.0)):
-                continue
-            if contact != there:
-                ux = still if column == STILL else out[0, column]
-                vx = still if column == STILL else out[1, column]
-                for i in range(r.size):
-                    r[i], closing[i] = up * (ux[i] - x[i]), up * (vx[i] - w[i])
-                length, pressed = (1.0 / overlap, 1.0) if strength > 0.0 else (1.0, 0.0)
-                strength = strength if strength > 0.0 else constant
-                if exponent == 1.5 and not linear:
-                    rests = _at_rest(r, closing) if pressed > 0.0 else 0
-                    force[:rests], rate[:rests] = 0.0, 0.0
-                    felt = r[rests:], closing[rests:]
-                    near = _hertz(*felt, length, strength, pressed, h, force[rests:], rate[rests:])
-                else:
-                    near = 0 if linear else r.size
-                    for i in range(r.size):
-                        force[i], rate[i] = _pull(
-                            r[i], closing[i], length, strength, pressed, exponent, linear
-                        )
-                there = contact
-                if near > 0:
-                    above = inverse_mass[contact - 1] if contact > 0 else 0.0
-                    below = inverse_mass[contact] if contact < inverse_mass.size else 0.0
-                    unsure[:] = 0.0
-                    _kinks(r, closing, length, pressed, rate, 1.0 / (above + below), h, unsure)
-            share = up * inverse_mass[grains[g] - 1]
-            for i in range(r.size):
-                a[i] += share * force[i]
-                j[i] += share * rate[i]
-            if near > 0:
-                for i in range(r.size):
-                    off[i] = max(off[i], abs(share) * unsure[i])
+def series_of(block, derived, place, n):
+    """Return the motion of body n, a `Series`, whose derivatives are in a row of `derived` or 0."""
+    imposed = block.imposed
+    if n == 0:
+        return Series(imposed.wall[0], imposed.wall[1], imposed.wall[2], imposed.wall[3], imposed.doubt)
+    rows = derived[place] if place >= 0 else derived[derived.shape[0] - 1]
+    u, v = _motion(block, n, rows[0])
+    return Series(u, v, rows[0], rows[1], rows[2])
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def largest(u, v):
-    """Return the largest sizes in two (T, C) fields; NaN where any is no number.
+def derive(block, grains):
+    """Return accelerations, jerks and errors of the accelerations of G grains, (G+1, 3, R).
 
-    Returns
-    -------
-    sizes, moves : (2, C) array, (C,) bool
-        In each column, and whether that is not 0 in both.
-    most : pair of float
-        In each field.
-    """
-    out, moves = np.zeros((2, u.shape[1]), dtype=np.int64), np.zeros(u.shape[1], dtype=np.bool_)
-    # the bits of what is no number are above all others; many are done at a time
-    for k, field in enumerate((u.view(np.int64), v.view(np.int64))):
-        for i in range(field.shape[0]):
-            for n in range(field.shape[1]):
-                size = field[i, n] & MAGNITUDE
-                out[k, n] = size if size > out[k, n] else out[k, n]
-    most = np.zeros(2, dtype=np.int64)
-    for n in range(moves.size):
-        moves[n] = out[0, n] | out[1, n] != 0
-        most[0], most[1] = max(most[0], out[0, n]), max(most[1], out[1, n])
-    farthest, fastest = most.view(np.float64)
-    return out.view(np.float64), moves, (farthest, fastest)
-
-
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def derivatives(
-    u, v, columns, sizes, errors, grains, sides, contacts, inverse_mass, exponent, linear, h, known
-):
-    """Return the motion of G grains with accelerations and jerks, and which of them are quiet.
+    The last row is 0, for bodies at rest.
 
     Parameters
     ----------
-    u, v : (T, C) arrays
-        Displacement and velocity of what was recorded.
-    columns : (G,) array
-        Which of these are of the G grains.
-    sizes : (2, C) array
-        Largest displacement and speed in each column.
-    errors : pair of float
-        Up to which nothing more is asked of a grain: it is quiet.
+    block : Block
     grains : (G,) array
         Their numbers.
-    sides : (G, 3) array
-        Place among the G grains of the body above, the grain and the body below, or a mark.
-    contacts : (3, N+1) array
-        Constant, and force and overlap at rest, of all contacts of the chain.
-    inverse_mass : (N,) array
-        Of all grains; 0 of one that is held.
-    exponent, linear, h : float, bool and float
-        Of the force; whether it is linearised; time between two samples.
-    known : (C,) array
-        Whether these forces are all that act; if not, acceleration and jerk follow from the samples.
-
-    Returns
-    -------
-    motion : (5, G, T) array
-        Displacement, velocity, acceleration, jerk, and error of the acceleration.
-    quiet : (G,) bool
     """
-    out, quiet = np.empty((5, columns.size, u.shape[0])), np.empty(columns.size, dtype=np.bool_)
-    _transposed(u, columns, out[0])
-    _transposed(v, columns, out[1])
-    for g in range(columns.size):
-        quiet[g] = sizes[0, columns[g]] <= errors[0] and sizes[1, columns[g]] <= errors[1]
-    _derivatives(
-        grains, sides, contacts, inverse_mass, exponent, linear, h, known[columns], quiet, out
-    )
-    return out, quiet
+    law, imposed = block.law, block.imposed
+    derived = np.zeros((grains.size + 1, 3, block.u.shape[1]))
+    work = np.zeros((5, block.u.shape[1]))
+    row = np.full(block.column.size, -1)  # of bodies that are accelerated by contacts
+    for g in range(grains.size):
+        n = grains[g]
+        if not block.known[n]:
+            _differentiate(block.u[block.column[n]], block.v[block.column[n]], block.h, derived[g])
+            continue
+        if law.inverse_mass[n - 1] > 0.0 and not (n == imposed.grain and imposed.driven):
+            row[n] = g
+        if n == imposed.grain:
+            derived[g, :2] = imposed.given
+            derived[g, 2] = imposed.doubt
+    for contact in range(row.size - 1):
+        above, below = row[contact], row[contact + 1]
+        if law.contacts[1, contact] == 0.0 or (above < 0 and below < 0):
+            continue
+        near = _push_contact(block, contact, work)
+        if above >= 0:
+            share = -law.inverse_mass[contact - 1]
+            _accelerate(block, contact, near, share, derived[above], work)
+        if below >= 0:
+            share = law.inverse_mass[contact]
+            _accelerate(block, contact, near, share, derived[below], work)
+    return derived

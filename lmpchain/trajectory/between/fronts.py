@@ -1,0 +1,322 @@
+"""Wave fronts of grains: which of their maxima they are, how far off, and how wide, compiled."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from ...util.compilation import compiled_once
+from .derivatives import NEWS, compiled, series_of
+from .hermite import ROUNDING, highest, path, polynomial, roots, sampled
+from .maxima import EVENT, HIDDEN, MAXIMUM, SHOULDER, Largest, Log, Window, follow, hidden
+
+SMALLEST = sys.float_info.min  # of a maximum that has all of its digits
+
+
+class Rules(NamedTuple):
+    """Definition of a front, and the errors of the motion.
+
+    Attributes
+    ----------
+    fraction : float
+        Of the largest size, that the front has at least.
+    known : float
+        Error of all values, besides that of the polynomials.
+    certain : float
+        By which the size falls at least after the front.
+    frequency : float
+        Highest one of these errors, rad/s.
+    step, duration : float
+        Time between two samples, and of the whole motion, s.
+    """
+
+    fraction: float
+    known: float
+    certain: float
+    frequency: float
+    step: float
+    duration: float
+
+
+@compiled
+def _first(events, least, fall, share):
+    """Return the first maximum of a size that falls by so much and a share of its error, or -1."""
+    first = -1
+    for k in range(events.size):
+        event = events[k]
+        top = abs(event.height)
+        if event.kind != MAXIMUM or top < least or top - event.since <= fall + share * event.off:
+            continue
+        if first < 0 or event.when < events[first].when:
+            first = k
+    return first
+
+
+@compiled
+def choose(events, largest, start, rules):
+    """Return which event of a grain is its front, or -1; `start` is the size at t = 0."""
+    enough = rules.fraction * largest
+    if largest <= rules.known or largest < SMALLEST or start >= enough:
+        return -1
+    # what falls by no more than its error may turn where nothing does
+    return _first(events, enough, rules.certain, 1.0)
+
+
+@compiled
+def spread(event, rules):
+    """Return how far off the time of a maximum is by the errors of its slope, or of its height."""
+    top = abs(event.height)
+    swift = rules.frequency * rules.known
+    bend = event.bend - rules.frequency * swift
+    if bend > 0.0:
+        return (event.tilt + swift) / bend
+    if event.bend > 0.0:
+        # so long it is as large within its error: twice the root for a parabola
+        return min(3.0 * math.sqrt((event.off + rules.known) / event.bend), rules.duration)
+    # where a grain flies freely, or nearly so, it is of that size for long
+    flat = max(event.until - event.when, rules.step)
+    return min(flat + swift * rules.step**2 / (ROUNDING * top), rules.duration)
+
+
+@compiled
+def _earlier(events, when, least, late, rules):
+    """Return since when the rise before a time may have turned, for it is slow, and the size there.
+
+    That is more than `late` before; else the time itself and 0.
+    """
+    begin, height = when, 0.0
+    swift = rules.frequency * rules.known
+    for k in range(events.size):
+        event = events[k]
+        if event.kind != SHOULDER or event.when >= when or abs(event.height) < least:
+            continue
+        slack = event.tilt + swift  # of the slope, which grows from its least with the square
+        if slack >= 0.0:
+            start = max(event.when - math.sqrt(2.0 * slack / event.bend), 0.0)
+            if when - start > late and start < begin:
+                begin, height = start, abs(event.height)
+    return begin, height
+
+
+@compiled
+def doubt_choice(events, at, late, peak, rules):
+    """Return how far off time and height of a front are, for other maxima may be the front.
+
+    Parameters
+    ----------
+    events : (E,) array of EVENT
+        Of a grain.
+    at : int
+        Which of them is the front.
+    late : float
+        How far off its time is at least, s.
+    peak : (float, float, float)
+        Largest size, and between what it lies.
+    rules : Rules
+
+    Returns
+    -------
+    (float, float)
+        s, and in the unit of the size; 0 if no other maximum may be the front.
+    """
+    front = events[at]
+    largest, low, high = peak
+    when, top = front.when, abs(front.height)
+    off = front.off + rules.known
+    enough = rules.fraction * largest
+    least = rules.fraction * (low - rules.known) - off
+    most = rules.fraction * (high + rules.known) + off
+    apart = 0.0
+    begin, height = _earlier(events, when, least, late, rules)
+    if begin < when:
+        late, apart = when - begin, abs(top - height)
+    other = _first(events, least, 0.0, 0.0)
+    if other >= 0 and events[other].when < when:
+        late = max(late, when - events[other].when)
+        apart = max(apart, abs(abs(events[other].height) - top))
+    end = rules.duration - when
+    fall = rules.certain + 2.0 * rules.known
+    if top < most or top - front.since <= fall + 2.0 * front.off:
+        other = _first(events, most, fall, 2.0)
+        late = max(late, abs(events[other].when - when) if other >= 0 else end)
+        apart = max(apart, abs(abs(events[other].height) - top) if other >= 0 else high)
+    for k in range(events.size):
+        event = events[k]
+        if event.kind == HIDDEN and event.when <= when and event.height >= enough:
+            apart = high
+            late = max(late, when - event.when, event.until - when if top >= most else end)
+    return late, apart
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def arrivals(events, bounds, peaks, start, rules):
+    """Return when the front passes each of G grains, and how far off that is, (2, G) s; NaN for none.
+
+    Parameters
+    ----------
+    events : (E,) array of EVENT
+        Sorted by grain.
+    bounds : (G+1,) array
+        Where those of each grain begin.
+    peaks : Largest
+        Sizes.
+    start : (G,) array
+        Sizes at t = 0.
+    rules : Rules
+    """
+    out = np.full((2, start.size), np.nan)
+    for g in range(start.size):
+        own = events[bounds[g] : bounds[g + 1]]
+        at = choose(own, peaks.value[g], start[g], rules)
+        if at >= 0:
+            peak = peaks.value[g], peaks.low[g], peaks.high[g]
+            late, _ = doubt_choice(own, at, spread(own[at], rules), peak, rules)
+            out[0, g], out[1, g] = own[at].when, late
+    return out
+
+
+@compiled
+def _crossing(p, sign, level, when, step):
+    """Return when sign times the value falls to a level, after a time (step 1) or before it (-1).
+
+    Also the largest error of the polynomials on the way; NaN if it does not.
+    """
+    last = p.error.size - 1
+    i = min(int(when / p.h), last)
+    here = when / p.h - i
+    error = 0.0
+    while 0 <= i <= last:
+        error = max(error, p.error[i])
+        polynomial(p, i)
+        for k in range(p.c.size):
+            p.c[k] = sign * p.c[k] - level
+        count = roots(p.c, p.places)
+        for k in range(count):
+            place = p.places[k if step > 0 else count - 1 - k]
+            if step * (place - here) > 0.0:
+                return (i + place) * p.h, error
+        i += step
+        here = -1.0 if step > 0 else 2.0
+    return np.nan, np.nan
+
+
+class Front(NamedTuple):
+    """Time of a maximum, s, its height with its sign, and the error of that, by the polynomials."""
+
+    when: float
+    height: float
+    off: float
+
+
+@compiled
+def _last_as_large(p, front, rules):
+    """Return how long before or after a maximum the size is the same within its error."""
+    sign = math.copysign(1.0, front.height)
+    level = abs(front.height) - 2.0 * (front.off + rules.known)
+    begin, _ = _crossing(p, sign, level, front.when, -1)
+    end, _ = _crossing(p, sign, level, front.when, 1)
+    before = front.when - begin if math.isfinite(begin) else front.when
+    after = (end if math.isfinite(end) else rules.duration) - front.when
+    return max(before, after)
+
+
+@compiled
+def _width(p, front, apart, rules):
+    """Return the full width at half maximum of a front, and how far off it is, s; NaN if unknown."""
+    sign, top = math.copysign(1.0, front.height), abs(front.height)
+    before, one = _crossing(p, sign, top / 2, front.when, -1)
+    after, other = _crossing(p, sign, top / 2, front.when, 1)
+    width = after - before
+    if not math.isfinite(width):
+        return np.nan, np.nan
+    if apart > 0.0:
+        return width, rules.duration
+    error = 0.0
+    off = (3.0 * rules.known + front.off) / 2 + max(one, other)
+    for level in (top / 2 - off, top / 2 + off):
+        left, _ = _crossing(p, sign, level, front.when, -1)
+        right, _ = _crossing(p, sign, level, front.when, 1)
+        changed = right - left
+        if not math.isfinite(changed):
+            return width, rules.duration
+        error = max(error, abs(changed - width))
+    return width, error
+
+
+@compiled
+def front_of(p, width, rules):
+    """Return time, height and width of the front of a body and their errors, NaN if there is none.
+
+    Parameters
+    ----------
+    p : Path
+    width : bool
+        Whether the width is asked for.
+    rules : Rules
+
+    Returns
+    -------
+    (6,) array
+    """
+    out = np.full(6, np.nan)
+    y = sampled(p)
+    last = p.error.size
+    top = highest(y, 0, last + 1, p.kind)
+    # half of what a front has at least: smaller maxima are none, whatever the errors
+    enough = rules.fraction * max(top - rules.known, 0.0) / 2
+    begin = 0
+    while begin < last and p.reach[begin] + p.error[begin] < enough and hidden(p, begin) < 0.0:
+        begin += 1
+    peaks = Largest(np.full(1, top), np.full(1, top), np.full(1, top))
+    latest = np.zeros(1, EVENT)
+    latest[0].when, latest[0].until = begin * p.h, begin * p.h
+    latest[0].height, latest[0].since = y[begin], abs(y[begin])
+    log = follow(p, Window(0, begin, last), peaks, latest, 0, Log(np.empty(0, EVENT), 0))
+    events = np.empty(log.count + 1, EVENT)
+    events[: log.count] = log.events[: log.count]
+    events[log.count] = latest[0]
+    at = choose(events, peaks.value[0], abs(y[0]), rules)
+    if at < 0:
+        return out
+    # copied, for a record does not keep the array of which it is
+    front = Front(events[at].when, events[at].height, events[at].off)
+    late = min(_last_as_large(p, front, rules), spread(events[at], rules))
+    peak = peaks.value[0], peaks.low[0], peaks.high[0]
+    late, apart = doubt_choice(events, at, late, peak, rules)
+    out[0], out[1], out[3] = front.when, front.height, late
+    out[4] = max(front.off + rules.known, apart)
+    if width:
+        out[2], out[5] = _width(p, front, apart, rules)
+    return out
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def fronts(block, grains, derived, ceiling, kind, width, rules):
+    """Return time, height and width of the fronts of G grains and their errors, (G, 6).
+
+    Parameters
+    ----------
+    block : Block
+        All samples.
+    grains : (G,) array
+        Their numbers.
+    derived : (G+1, 3, R) array
+        See `derivatives.derive`.
+    ceiling : (G, R-1) or (1, 0) array
+        See `hermite.Path`.
+    kind : int
+        VELOCITY or DISPLACEMENT.
+    width : bool
+        Whether the width is asked for.
+    rules : Rules
+    """
+    bounds = np.empty((2, block.u.shape[1] - 1))
+    out = np.empty((grains.size, 6))
+    for g in range(grains.size):
+        series = series_of(block, derived, g, grains[g])
+        p = path(series, kind, block.h, ceiling[g if ceiling.size else 0], bounds)
+        out[g] = front_of(p, width, rules)
+    return out
