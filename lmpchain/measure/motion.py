@@ -215,9 +215,7 @@ class Motion:
         place[self._moving] = np.arange(self._moving.size)
         above, below = place[bodies].tolist()
         closest = lowest(1, -np.inf)
-        approach(
-            self._block, contact, self._derived, (above, below), limits, self._window, closest
-        )
+        approach(self._block, contact, self._derived, (above, below), limits, self._window, closest)
         value, error = closest.estimate(2 * self.known_error("displacement"))
         return float(value[0]), float(error[0])
 
@@ -302,11 +300,7 @@ class Motion:
         No grain can have more than the energy that was within reach of it at the sample before.
         """
         scene, chain, count = self.scene, self.scene.chain, self.displacement.shape[0] - 1
-        if (
-            scene.excitation.does_work
-            or self._equation not in (1, 3)
-            or not self._moving.size
-        ):
+        if scene.excitation.does_work or self._equation not in (1, 3) or not self._moving.size:
             return tuple(np.full((2, self._moving.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
         first, last = (
@@ -388,4 +382,3 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     """
     check_field(field)
     return motion_of(trajectory).peaks(field)
-

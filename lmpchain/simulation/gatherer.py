@@ -104,7 +104,9 @@ class Gatherer:
             )  # fmt: skip
             for number, closest in zip(self._numbers.tolist(), kept["closest"], strict=True):
                 rows = (number - 1, number if number < len(grains) else -1)
-                approach(block, number, derived, rows, np.zeros(0), window, Largest(*closest[:, None]))
+                approach(
+                    block, number, derived, rows, np.zeros(0), window, Largest(*closest[:, None])
+                )
             kept["log"], kept["interval"] = log.events[: log.count].copy(), np.array(end)
         kept["before"] = np.array([rows_u[-3:], rows_v[-3:]])
         kept["largest"] = np.maximum(kept["largest"], [np.abs(u).max(), np.abs(v).max()])
@@ -134,9 +136,7 @@ class Gatherer:
         }
         for name in self._scene.quantities:
             if name in values:
-                found[name], found[f"{name}_error"] = self._of_recorded(
-                    *values[name], at_rest=0.0
-                )
+                found[name], found[f"{name}_error"] = self._of_recorded(*values[name], at_rest=0.0)
             elif name == "arrival_time":
                 found[name], found[f"{name}_error"] = self._of_recorded(
                     *self._arrivals(known[1]), at_rest=np.nan
@@ -178,9 +178,7 @@ class Gatherer:
         events = np.concatenate([kept["log"], kept["latest"]])
         events = events[np.argsort(events["grain"], kind="stable")]
         bounds = np.searchsorted(events["grain"], np.arange(part.chain.grains + 1))
-        rules = Rules(
-            FRACTION, known, known, part.highest_frequency, self._step, part.duration
-        )
+        rules = Rules(FRACTION, known, known, part.highest_frequency, self._step, part.duration)
         found: Array = arrivals(events, bounds, Largest(*kept["fast"]), kept["start"], rules)
         return found
 

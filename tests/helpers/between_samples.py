@@ -1,13 +1,35 @@
 """Largest values and fronts of one body whose displacement, velocity, acceleration and jerk are given."""
 
+import math
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from lmpchain.trajectory.between import hermite
 from lmpchain.trajectory.between.derivatives import Block, Imposed, Law, Series
 from lmpchain.trajectory.between.fronts import Rules, front_of
 from lmpchain.trajectory.between.maxima import Log, Window, events_of, follow, lowest
+
+
+def power(c: np.ndarray) -> Polynomial:
+    """Return a polynomial in powers of s from its Bernstein coefficients."""
+    s, degree = Polynomial([0, 1]), c.size - 1
+    parts = (
+        math.comb(degree, k) * c[k] * s**k * (1 - s) ** (degree - k) for k in range(degree + 1)
+    )
+    return sum(parts, start=Polynomial([0.0]))
+
+
+def bernstein(curve: Polynomial, degree: int) -> np.ndarray:
+    """Return the Bernstein coefficients of a polynomial."""
+    powers = np.append(curve.coef, np.zeros(degree + 1 - curve.coef.size))
+    return np.array(
+        [
+            sum(math.comb(k, q) / math.comb(degree, q) * powers[q] for q in range(k + 1))
+            for k in range(degree + 1)
+        ]
+    )
 
 
 def path_of(
@@ -73,7 +95,9 @@ def block_of(
     """
     constant, force, overlap = contacts
     pressed = force > 0
-    rows = np.array([1 / np.where(pressed, overlap, 1), np.where(pressed, force, constant), pressed])
+    rows = np.array(
+        [1 / np.where(pressed, overlap, 1), np.where(pressed, force, constant), pressed]
+    )
     if linear and exponent > 1:
         rows[1, ~pressed] = 0.0
     samples, bodies = u.shape[0], len(columns)

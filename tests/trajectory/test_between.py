@@ -1,10 +1,8 @@
 """Polynomials between samples, where a contact opens, closes or does both: against quadrature of a prescribed force."""
 
-import math
-
 import numpy as np
 import pytest
-from helpers.between_samples import block_of, front_among
+from helpers.between_samples import block_of, front_among, power
 from scipy.optimize import brentq
 
 from lmpchain.trajectory.between import hermite
@@ -35,15 +33,6 @@ def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarr
     return ends, integral(middle), v, force(ends)
 
 
-def power(c: np.ndarray) -> np.polynomial.Polynomial:
-    """Return a polynomial from its Bernstein coefficients."""
-    s, degree = np.polynomial.Polynomial([0, 1]), c.size - 1
-    parts = (
-        math.comb(degree, k) * c[k] * s**k * (1 - s) ** (degree - k) for k in range(degree + 1)
-    )
-    return sum(parts, start=np.polynomial.Polynomial([0]))
-
-
 def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner intervals, (3,)."""
     t, u, v, a = motion(overlap, exponent)
@@ -54,9 +43,7 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     )  # where the other body is, and how fast
     fields = [np.stack(pair, axis=1) for pair in zip(above, (u[at], v[at]), strict=True)]
     contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
-    block = block_of(
-        *fields, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, 1.0
-    )
+    block = block_of(*fields, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, 1.0)
     found = series_of(block, derive(block, np.array([2])), 0, 2)
     bounds = np.empty((2, SAMPLES - 1))
     path = hermite.path(found, hermite.VELOCITY, 1.0, np.zeros(0), bounds)

@@ -390,9 +390,7 @@ def test_stated_errors_cover_those_of_noisy_samples(kind: int):
         omega = 0.8
         scale = known / omega ** (kind == hermite.VELOCITY)
         for order in range(4):
-            motion[order] += (
-                scale * omega**order * np.cos(omega * t + phase[0] + order * np.pi / 2)
-            )
+            motion[order] += scale * omega**order * np.cos(omega * t + phase[0] + order * np.pi / 2)
         found = front_among(motion, kind, 1.0, 0.5, known, known, omega)
         dense = np.linspace(0, samples - 1, 9_201)
         y = signal(dense)[1 if kind == hermite.VELOCITY else 0]
@@ -466,9 +464,7 @@ def test_shoulders_of_a_rise_are_where_its_slope_is_least():
         p = path_of(motion_of(curve.integ()), hermite.VELOCITY, H)
         latest = maxima.events_of(np.array([curve(0.0)]))
         log = maxima.Log(maxima.events_of(np.zeros(0)), 0)
-        log = maxima.follow(
-            p, maxima.Window(0, 0, SAMPLES - 1), maxima.lowest(1), latest, 0, log
-        )
+        log = maxima.follow(p, maxima.Window(0, 0, SAMPLES - 1), maxima.lowest(1), latest, 0, log)
         slope = np.sign(curve(0.5)) * curve.deriv()
         flat = slope.deriv().roots()
         flat = flat[np.abs(flat.imag) < 1e-9].real

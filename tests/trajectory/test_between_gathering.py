@@ -5,7 +5,8 @@ import pytest
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
-from lmpchain.trajectory.between import gathering
+from lmpchain.trajectory.between import maxima
+from lmpchain.trajectory.between.derivatives import Block, Imposed, Law, derive
 
 RNG = np.random.default_rng(21)
 H, SAMPLES = 0.125, 9
@@ -24,33 +25,36 @@ def _same_draws_in_any_order():
 class Gathered:
     """What is gathered of two bodies: a wall that moves, and a grain whose acceleration is given."""
 
-    def __init__(
-        self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float | None = None
-    ):
+    def __init__(self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float = 0.0):
         """Take samples of u, v, a, j (4, T) of both."""
         self.position, self.wall, self.off = position, wall, off
-        self.far, self.fast = np.zeros((2, 3, 1))
-        self.closest = np.zeros((3, 1))
-        self.far[gathering.LOW] = abs(position[0, 0]) if low is None else low
-        self.fast[gathering.LOW] = abs(position[1, 0]) if low is None else low
-        self.closest[:] = -np.inf
-        self.record = np.zeros((gathering.ROWS, 1))
-        self.record[[gathering.TOP, gathering.SINCE]] = abs(position[1, 0])
-        self.log, self.logged = np.zeros((40, 1 + gathering.ROWS)), 0
+        self.far, self.fast = (maxima.lowest(1, low) for _ in range(2))
+        self.closest = maxima.lowest(1, -np.inf)
+        self.latest = maxima.events_of(position[1, :1])
+        self.log = maxima.Log(maxima.events_of(np.zeros(0)), 0)
 
-    def take(self, begin: int, end: int, rows: int | None = None) -> int:
-        """Take in some intervals, with no more samples than these need; return how many."""
+    def take(self, begin: int, end: int) -> None:
+        """Take in some intervals, with no more samples than these need."""
         base, stop = max(begin - 1, 0), min(end + 2, SAMPLES)
-        u, v, a, j = self.position[:, base:stop]
-        given = np.array([a, j, np.full(u.size, self.off)])
+        u, v, a, j = self.position[:, base:stop].copy()
+        doubt = np.full(u.size, self.off)
         wall = np.ascontiguousarray(self.wall[:, base:stop])
-        forces = gathering.Forces(np.zeros((3, 2)), np.ones(1), 1.5, False, wall, given, 0, True)
-        log = self.log if rows is None else self.log[:rows]
-        count, self.logged = gathering.gather(
-            u[:, None].copy(), v[:, None].copy(), base, begin, end, FINAL, H, forces, self.far, self.fast,
-            self.record, log, self.logged, np.zeros(1, int), self.closest,
+        imposed = Imposed(wall, np.array([a, j]), doubt, 1, True)
+        law = Law(np.zeros((3, 2)), np.ones(1), 1.5, False)
+        columns, known = np.array([-1, 0, -1]), np.ones(3, bool)
+        block = Block(u[None], v[None], columns, known, H, law, imposed)
+        grains, window = np.array([1]), maxima.Window(base, begin - base, end - base)
+        derived = derive(block, grains)
+        self.log = maxima.reduce(
+            block, grains, derived, np.zeros((1, 0)), window, (self.far, self.fast), self.latest,
+            self.log,
         )  # fmt: skip
-        return count
+        maxima.approach(block, 0, derived, (-1, 0), np.zeros(0), window, self.closest)
+
+    def maxima(self) -> np.ndarray:
+        """Return those that larger ones followed, and the last."""
+        events = self.log.events[: self.log.count]
+        return np.concatenate([events[events["kind"] == maxima.MAXIMUM], self.latest])
 
 
 def samples_of(curve: Polynomial) -> np.ndarray:
@@ -77,9 +81,8 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
     for _ in range(8):
         position, wall = wavy(), wavy()
         kept, begin = Gathered(samples_of(position), samples_of(wall), off), 0
-        kept.closest[gathering.LOW] = wall(0) - position(0)
         for end in parts:
-            assert kept.take(begin, end) == end - begin
+            kept.take(begin, end)
             begin = end
         allowed = PUSHED * H * off
         relative = largest(wall - position, signed=True)
@@ -87,14 +90,14 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
             (kept.fast, largest(position.deriv()), allowed, np.abs(samples_of(position)[1])),
             (kept.far, largest(position), allowed * H / 2.1875, np.abs(samples_of(position)[0])),
         ):
-            best, low, high = tops[:, 0]
+            best, low, high = (float(each[0]) for each in tops)
             assert max(best, low) == pytest.approx(top, rel=1e-11)
             assert low == pytest.approx(max(at_samples.max(), top - error), rel=1e-11)
             assert max(high, best, low) == pytest.approx(
                 top + error if high > low else top, rel=1e-11
             )
             assert high > 0 or not off
-    best, low, high = kept.closest[:, 0]
+    best, low, high = (float(each[0]) for each in kept.closest)
     ends = (samples_of(wall) - samples_of(position))[0].max()
     allowed = (
         2 * PUSHED * H * off * H / 2.1875
@@ -112,8 +115,8 @@ def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int)
     for low, seen in ((1 - 1e-9, True), (1 + 1e-9, False)):
         kept = Gathered(samples_of(curve.integ()), np.zeros((4, SAMPLES)), low=low)
         kept.take(0, FINAL)
-        assert (max(kept.fast[gathering.BEST, 0], kept.fast[gathering.HIGH, 0]) > low) == seen
-        assert kept.fast[gathering.BEST, 0] <= 1 + 1e-12
+        assert (max(kept.fast.value[0], kept.fast.high[0]) > low) == seen
+        assert kept.fast.value[0] <= 1 + 1e-12 or not seen
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -139,7 +142,7 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
         6 - 6 * 30,
     ]  # of the quintic in the middle interval
     top = Polynomial(powers)(np.linspace(0, 1, 10_001)).max()
-    assert kept.fast[gathering.BEST, 0] == pytest.approx(top, rel=1e-6)
+    assert kept.fast.value[0] == pytest.approx(top, rel=1e-6)
 
 
 def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
@@ -167,17 +170,12 @@ def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts:
         begin = end
     allowed = PUSHED * H * off
     t = H * np.arange(SAMPLES)
-    assert kept.logged == 1
-    assert kept.log[0, 0] == 0
-    for record, when, end, least in (
-        (kept.log[0, 1:], first, second, speed(dip)),
-        (kept.record[:, 0], second, 1.01, speed(1.0)),
+    assert len(kept.maxima()) == 2
+    for named, when, end, least in zip(
+        kept.maxima(), (first, second), (second, 1.01), (speed(dip), speed(1.0)), strict=True
     ):
-        named = dict(
-            zip(("when", "top", "off", "tilt", "bend", "since", "until"), record, strict=True)
-        )
         assert named["when"] == pytest.approx(when, rel=1e-9)
-        assert named["top"] == pytest.approx(speed(when), rel=1e-11)
+        assert named["height"] == pytest.approx(sign * speed(when), rel=1e-11)
         assert named["off"] == pytest.approx(allowed, rel=1e-6, abs=1e-13)
         assert named["tilt"] == pytest.approx(STEEP * allowed / H, rel=2e-3, abs=1e-11)
         bend = abs(speed.deriv(2)(when)) - BENT * allowed / H**2
@@ -188,16 +186,6 @@ def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts:
         assert named["until"] == pytest.approx(later.max() if later.size else when, rel=1e-9)
 
 
-def test_a_full_log_stops_before_it_overflows():
-    speed, _ = two(0.22, 0.83, 0.6)
-    kept = Gathered(samples_of(speed.integ()), np.zeros((4, SAMPLES)))
-    for rows, all_of_them in ((4, False), (5, True)):
-        again = Gathered(kept.position, kept.wall)
-        count = again.take(0, FINAL, rows)
-        assert (count == FINAL) == all_of_them or count < FINAL
-        assert (count > 0) == all_of_them or rows == 5
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_constant_speed_is_reached_where_it_began(sign: int):
     """In free flight the largest speed is that at its beginning: it rises to 1 and stays."""
@@ -205,18 +193,18 @@ def test_a_constant_speed_is_reached_where_it_began(sign: int):
     u = np.append(0, np.cumsum(H * (v[1:] + v[:-1]) / 2))
     kept = Gathered(sign * np.array([u, v, 0 * v, 0 * v]), np.zeros((4, SAMPLES)))
     kept.take(0, FINAL)
-    assert kept.logged == 0
-    assert kept.record[gathering.TOP, 0] == pytest.approx(1, rel=1e-12)
-    assert kept.record[gathering.WHEN, 0] == pytest.approx(3 * H, rel=1e-9)
-    assert kept.record[gathering.BEND, 0] == 0
-    assert kept.record[gathering.UNTIL, 0] == pytest.approx(1.0, rel=1e-12)
-    assert kept.record[gathering.SINCE, 0] == pytest.approx(1.0, rel=1e-12)
+    (last,) = kept.maxima()
+    assert last["height"] == pytest.approx(sign, rel=1e-12)
+    assert last["when"] == pytest.approx(3 * H, rel=1e-9)
+    assert last["bend"] == 0
+    assert last["until"] == pytest.approx(1.0, rel=1e-12)
+    assert last["since"] == pytest.approx(1.0, rel=1e-12)
 
 
 def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
     """Of random polynomials: the turns of the speed that are above all that was, from that at t = 0 on."""
-    counts, t = set(), H * np.arange(SAMPLES)
-    for _ in range(40):
+    counts = set()
+    for _ in range(200):
         position = wavy()
         speed = position.deriv()
         kept = Gathered(samples_of(position), np.zeros((4, SAMPLES)))
@@ -229,18 +217,8 @@ def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
         rises = (sizes[1:] >= sizes[:-1]) & (speed(places[1:]) * speed(places[:-1]) > 0)
         tops = [k for k in range(places.size) if k + 1 == places.size or not rises[k]]
         tops = [k for k in tops if sizes[k] > sizes[[q for q in tops if q < k]].max(initial=0.0)]
-        known = np.sort(np.concatenate([places, t]))  # within an interval a speed may pass 0 unseen
-        records = []
-        for k, following in zip(tops, [*tops[1:], None], strict=True):
-            between = (
-                known[(known > places[k]) & (known < places[following])] if following else known
-            )
-            if following is None or np.abs(speed(between)).min(initial=np.inf) < sizes[k]:
-                records.append((places[k], sizes[k]))
-        counts.add(len(records))
-        entries = [
-            (row[1 + gathering.WHEN], row[1 + gathering.TOP]) for row in kept.log[: kept.logged]
-        ]
-        entries.append((kept.record[gathering.WHEN, 0], kept.record[gathering.TOP, 0]))
-        np.testing.assert_allclose(entries, records, rtol=1e-7, atol=1e-9)
+        counts.add(len(tops))
+        entries = np.column_stack([kept.maxima()["when"], kept.maxima()["height"]])
+        expected = np.column_stack([places[tops], speed(places[tops])])
+        np.testing.assert_allclose(entries, expected, rtol=1e-7, atol=1e-9)
     assert len(counts) > 2

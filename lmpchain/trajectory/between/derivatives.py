@@ -370,7 +370,9 @@ def series_of(block, derived, place, n):
     """Return the motion of body n, a `Series`, whose derivatives are in a row of `derived` or 0."""
     imposed = block.imposed
     if n == 0:
-        return Series(imposed.wall[0], imposed.wall[1], imposed.wall[2], imposed.wall[3], imposed.doubt)
+        return Series(
+            imposed.wall[0], imposed.wall[1], imposed.wall[2], imposed.wall[3], imposed.doubt
+        )
     rows = derived[place] if place >= 0 else derived[derived.shape[0] - 1]
     u, v = _motion(block, n, rows[0])
     return Series(u, v, rows[0], rows[1], rows[2])

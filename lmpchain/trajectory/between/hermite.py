@@ -22,7 +22,7 @@ from ...util.arrays import Array
 from .derivatives import Series, compiled, joined
 
 VELOCITY, DISPLACEMENT, RAISED = range(3)  # values of interest: |v|, |u|, or u with its sign
-HALVINGS = 40  # of an interval: two roots so close are none
+HALVINGS = 40  # of an interval: roots so close are one or none
 BINOMIALS = np.array([[math.comb(degree, k) for k in range(8)] for degree in range(8)], float)
 ROUNDING = 1e-9  # of a value: a curvature of less in an interval is rounding, as in free flight
 
@@ -201,7 +201,15 @@ def turns_or_slows(p, i):
     one, other = s.v[i], s.v[i + 1]
     bent, straight = s.a[i], s.a[i + 1]
     if p.kind == VELOCITY:
-        one, c1, c2, c3, c4, c5, other = c1 - one, c2 - c1, c3 - c2, c4 - c3, c5 - c4, other - c5, one
+        one, c1, c2, c3, c4, c5, other = (
+            c1 - one,
+            c2 - c1,
+            c3 - c2,
+            c4 - c3,
+            c5 - c4,
+            other - c5,
+            one,
+        )
         other = c5
         bent, straight = s.j[i], s.j[i + 1]
     top = larger(_largest(one, c1, c2, c3), _largest(c4, c5, other, other))
@@ -324,10 +332,11 @@ def roots(c, places):
         waiting -= 1
         right = pieces[waiting]
         changes = _changes(right)
-        if changes == 1:
+        small = width[waiting] < 2.0**-HALVINGS
+        if changes == 1 or (small and changes % 2 == 1):
             places[count] = begin[waiting] + width[waiting] * _root(right)
             count += 1
-        elif changes > 1 and width[waiting] > 2.0**-HALVINGS:
+        elif changes > 1 and not small:
             width[waiting] /= 2
             left = pieces[waiting + 1]
             for step in range(c.size):  # de Casteljau's algorithm
