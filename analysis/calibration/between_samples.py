@@ -1,4 +1,4 @@
-"""Measure how far off the motion between samples may be: SAFETY, RESOLVED and RESOLVED_BY_DIFFERENCES.
+"""Measure how far off the motion between samples may be: SHAPE.safety, RESOLVED and RESOLVED_BY_DIFFERENCES.
 
 Random scenes of all kinds are answered to 1e-9 with so many samples that nothing is hidden between them. Of these,
 every k-th is left, omega h being between 0.3 and 12, and what is then read off (the largest displacement and speed of
@@ -110,7 +110,7 @@ def main(quick: bool) -> list[Row]:
     least = SHAPE.safety * max(float(np.quantile(worst, ALL_BUT_ONE)), float(worst.max()) / 3)
     seen = f"median {np.median(worst):.2g}, worst {worst.max():.2g}"
     told = f"factor on the misfit of the way; true over claimed errors: {seen}"
-    return [*rows, Row("SAFETY (samples)", SHAPE.safety, least, least, math.inf, told)]
+    return [*rows, Row("SHAPE.safety", SHAPE.safety, least, least, math.inf, told)]
 
 
 if __name__ == "__main__":

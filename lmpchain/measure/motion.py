@@ -136,8 +136,8 @@ class Motion:
         """All samples."""
         law = law_of(self.scene.chain, self._equation == 3)
         imposed = imposed_on(self.scene, self.step, 0, self.scene.samples)
-        fields = (by_body(np.asarray(x, float)) for x in (self.displacement, self.velocity))
-        return Block(*fields, self._column, self._known, self.step, law, imposed)
+        u, v = (by_body(np.asarray(x, float)) for x in (self.displacement, self.velocity))
+        return Block(u, v, self._column, self._known, self.step, law, imposed)
 
     @cached_property
     def _moves(self) -> NDArray[np.intp]:

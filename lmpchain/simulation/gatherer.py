@@ -107,7 +107,7 @@ class Gatherer:
                 approach(
                     block, number, derived, rows, np.zeros(0), window, Largest(*closest[:, None])
                 )
-            kept["log"], kept["interval"] = log.events[: log.count].copy(), np.array(end)
+            kept["log"], kept["interval"] = log.events[: log.used].copy(), np.array(end)
         kept["before"] = np.array([rows_u[-3:], rows_v[-3:]])
         kept["largest"] = np.maximum(kept["largest"], [np.abs(u).max(), np.abs(v).max()])
         for row, number in zip(kept["trace"], self._traced, strict=True):

@@ -469,7 +469,7 @@ def test_shoulders_of_a_rise_are_where_its_slope_is_least():
         flat = slope.deriv().roots()
         flat = flat[np.abs(flat.imag) < 1e-9].real
         flat = flat[(flat > 0) & (flat < 1) & (slope.deriv(2)(flat) > 0)]
-        events = log.events[: log.count]
+        events = log.events[: log.used]
         events = events[events["kind"] == maxima.SHOULDER]
         assert events["when"] == pytest.approx(flat, rel=1e-7)
         seen += flat.size
@@ -479,10 +479,10 @@ def test_shoulders_of_a_rise_are_where_its_slope_is_least():
             assert event["bend"] == pytest.approx(slope.deriv(2)(place), rel=1e-6)
             allowed = 4 * slope(place)  # of the slope: with it the rise may turn before
             rules = fronts.Rules(0.3, allowed, 0.0, 1.0, H, 1.0)
-            begin, height = fronts._earlier(log.events[: log.count], 1.0, 0.0, 0.0, rules)
+            begin, height = fronts._earlier(log.events[: log.used], 1.0, 0.0, 0.0, rules)
             parabola = place - np.sqrt(6 * slope(place) / slope.deriv(2)(place))
             assert begin == pytest.approx(max(parabola, 0.0), abs=1e-6)
             assert height == pytest.approx(abs(curve(place)), rel=1e-9)
             rules = fronts.Rules(0.3, 0.99 * slope(place), 0.0, 1.0, H, 1.0)
-            assert fronts._earlier(log.events[: log.count], 1.0, 0.0, 0.0, rules) == (1.0, 0.0)
+            assert fronts._earlier(log.events[: log.used], 1.0, 0.0, 0.0, rules) == (1.0, 0.0)
     assert seen > 20

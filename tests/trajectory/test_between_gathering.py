@@ -53,7 +53,7 @@ class Gathered:
 
     def maxima(self) -> np.ndarray:
         """Return those that larger ones followed, and the last."""
-        events = self.log.events[: self.log.count]
+        events = self.log.events[: self.log.used]
         return np.concatenate([events[events["kind"] == maxima.MAXIMUM], self.latest])
 
 

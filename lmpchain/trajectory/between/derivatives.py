@@ -108,8 +108,8 @@ class Block(NamedTuple):
 
     u: Array
     v: Array
-    column: Array
-    known: Array
+    column: np.ndarray
+    known: np.ndarray
     h: float
     law: Law
     imposed: Imposed
@@ -350,7 +350,6 @@ def _differentiate(u, v, h, rows):
     if last < 3:
         doubt[:] = math.inf
         return
-    before = 0.0
     for i in range(last + 1):
         k = min(max(i, 1), last - 1)
         a[i], j[i] = _quintic(u, v, h, k, float(i - k))
@@ -359,10 +358,8 @@ def _differentiate(u, v, h, rows):
         one, _ = _quintic(u, v, h, earlier, float(i - earlier))
         other, _ = _quintic(u, v, h, later, float(i - later))
         doubt[i] = max(abs(one - a[i]), abs(other - a[i]))
-        if i > 0:
-            own = doubt[i - 1]
-            doubt[i - 1] = max(before, doubt[i])
-            before = own
+    for i in range(last):
+        doubt[i] = max(doubt[i], doubt[i + 1])
 
 
 @compiled

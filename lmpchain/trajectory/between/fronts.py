@@ -275,9 +275,9 @@ def front_of(p, width, rules):
     latest[0].when, latest[0].until = begin * p.h, begin * p.h
     latest[0].height, latest[0].since = y[begin], abs(y[begin])
     log = follow(p, Window(0, begin, last), peaks, latest, 0, Log(np.empty(0, EVENT), 0))
-    events = np.empty(log.count + 1, EVENT)
-    events[: log.count] = log.events[: log.count]
-    events[log.count] = latest[0]
+    events = np.empty(log.used + 1, EVENT)
+    events[: log.used] = log.events[: log.used]
+    events[log.used] = latest[0]
     at = choose(events, peaks.value[0], abs(y[0]), rules)
     if at < 0:
         return out

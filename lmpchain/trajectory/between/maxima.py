@@ -71,10 +71,10 @@ class Window(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Events so far: `count` of them in `events`."""
+    """Events so far: so many of them as `used` says in `events`."""
 
-    events: Array
-    count: int
+    events: np.ndarray
+    used: int
 
 
 def lowest(count: int, least: float = 0.0) -> Largest:
@@ -82,7 +82,7 @@ def lowest(count: int, least: float = 0.0) -> Largest:
     return Largest(*np.full((3, count), least))
 
 
-def events_of(values: Array) -> Array:
+def events_of(values: Array) -> np.ndarray:
     """Return the events that the first samples of G grains are."""
     events = np.zeros(values.size, EVENT)
     events["grain"] = np.arange(values.size)
@@ -106,11 +106,11 @@ def hidden(p, i):
 def _append(log, event):
     """Append an event; return the log."""
     events = log.events
-    if log.count == events.size:
-        events = np.empty(2 * log.count + MOST, EVENT)
-        events[: log.count] = log.events
-    events[log.count] = event
-    return Log(events, log.count + 1)
+    if log.used == events.size:
+        events = np.empty(2 * log.used + MOST, EVENT)
+        events[: log.used] = log.events
+    events[log.used] = event
+    return Log(events, log.used + 1)
 
 
 @compiled
@@ -118,14 +118,14 @@ def _log_hidden(log, last, limit, begin, end):
     """Log that a size up to a limit may be hidden from one time to another."""
     if limit < abs(last.height):
         return log
-    if log.count > 0:
-        before = log.events[log.count - 1]
+    if log.used > 0:
+        before = log.events[log.used - 1]
         if before.kind == HIDDEN and before.grain == last.grain and before.until == begin:
             before.height = max(before.height, limit)
             before.until = end
             return log
     log = _append(log, last)
-    event = log.events[log.count - 1]
+    event = log.events[log.used - 1]
     event.kind, event.when, event.height, event.until = HIDDEN, begin, limit, end
     return log
 
@@ -151,7 +151,7 @@ def _log_shoulders(p, i, t, stretch, last, log):
         bend = sign * slope(bent, s)
         if abs(height) > abs(last.height) and steep > 0.0 and bend > 0.0:
             log = _append(log, last)
-            event = log.events[log.count - 1]
+            event = log.events[log.used - 1]
             event.kind, event.when, event.height = SHOULDER, t + s * p.h, height
             event.tilt = (SHAPE.slope * p.error[i] - steep) / p.h
             event.bend = bend / p.h**3
@@ -221,7 +221,7 @@ def _pass_calm(p, i, window, peaks, latest, n):
     for k in range(i, window.end):
         if hidden(p, k) >= 0.0:
             return k
-        exceeds = p.reach[k] + p.error[k] > peaks.high[n]
+        exceeds = p.reach[k] + p.error[k] > peaks.low[n]
         if latest.size and _rises_or_dips(p, k, latest[n]):
             return k
         if exceeds:
