@@ -321,7 +321,7 @@ def gradient(
     if chosen not in SPLITTINGS:
         raise InputError.at("integrator", not_among(chosen, tuple(SPLITTINGS)))
     method = SPLITTINGS[chosen]
-    if adaptive and method.adaptive == "no":
+    if adaptive and not method.adaptive:
         raise InputError.at("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")
     task = Task(scene, objective, names, method, adaptive)
     answer = refine(

@@ -85,7 +85,7 @@ def test_run(scene: Path, capsys: pytest.CaptureFixture[str]):
     for word in (
         "native",
         "Eq. (1)",
-        "rkn6",
+        "rkn4",
         "steps of",
         "20 grains",
         "estimated error",
@@ -283,8 +283,8 @@ def test_a_missed_tolerance_names_the_predictability_time(
     scene.write_text(
         SCENE.replace("grains = 20", "grains = 4")
         .replace("8.57e-4", "0.3")
-        .replace("20e-6", "2e-3")
-        .replace("samples = 11", "samples = 31")
+        .replace("20e-6", "2e-2")
+        .replace("samples = 11", "samples = 301")
     )
     assert main(["run", str(scene), "--tolerance", "1e-11"]) == 1
     said = capsys.readouterr()

@@ -375,7 +375,7 @@ def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
     trajectories, failures = compare._solve(answer.scene, ["native"], 1e-5)
     assert trajectories[0].cost.integration_s == 3.0
     assert next(times) == 0.75
-    monkeypatch.setattr("lmpchain.benchmark.bench.repeated", lambda run: [run(), run()])
+    monkeypatch.setattr("lmpchain.benchmark.bench.repeat", lambda run: [run(), run()])
     times = iter([0.7, 0.75, 0.5])
     trajectories, failures = compare._solve(answer.scene, ["native"], 1e-5)
     assert trajectories[0].cost.integration_s == 0.5

@@ -158,7 +158,7 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
         )
         costs.append(run.cost().force_evaluations)
     assert costs[0] < 0.75 * costs[1]
-    refined = engine.refine(candidate, run.errors()[0]._replace(truncation=2e-4), 1e-4)
+    refined = engine.refine(candidate, run.errors()[0]._replace(truncation=2e-4, order=4.0), 1e-4)
     assert refined is not None
     assert (refined.coarse_openings, refined.steps_per_landing) == (
         False,

@@ -183,19 +183,17 @@ def test_every_turn_of_a_polynomial_is_found_in_order(places: list[float], sign:
 
 
 def test_close_turns_beside_a_steep_jerk_are_found():
-    """Of 2,000 slopes of degree 5, many with several roots in a quarter of the interval: as by eigenvalues."""
+    """Of 2,000 slopes of degree 5, many with several roots in a quarter of the interval."""
     several = 0
     for _ in range(2000):
         middle, width = RNG.uniform(0, 1), 10 ** RNG.uniform(-1.5, 0)
+        zeros = middle + width * RNG.normal(size=5)
         shape = math.prod(
-            (Polynomial([-place, 1]) for place in middle + width * RNG.normal(size=5)),
-            start=Polynomial([RNG.normal()]),
+            (Polynomial([-zero, 1]) for zero in zeros), start=Polynomial([RNG.normal()])
         )
-        true = shape.roots()
-        true = np.sort(true[np.abs(true.imag) < 1e-9].real)
-        true = true[(true > 0) & (true < 1)]
-        if true.size > 1 and np.diff(true).min() < 1e-3 * width:
-            continue
+        true = np.sort(zeros[(zeros > 0) & (zeros < 1)])
+        if np.diff(np.sort(zeros)).min() < 3e-2 * width:
+            continue  # too close for the coefficients of a polynomial in double precision
         places = np.zeros(8)
         count = hermite.roots(bernstein(shape, 5), places)
         assert count == true.size

@@ -307,7 +307,7 @@ def test_the_state_of_a_checkpoint_fits_its_run(stopped: Path, what: str):
     """The compiled loops trust the state: they do not look whether they are inside of their arrays."""
     arrays = arrays_of(stopped)
     if what == "window":
-        arrays["state.native.state"][0, 3] = -1e9
+        arrays["state.native.state"]["first"][0] = -(10**9)
     elif what == "shape":
         arrays["state.native.history"] = np.zeros((1, 9, 9))
     elif what == "sample":
