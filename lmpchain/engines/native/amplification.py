@@ -51,7 +51,7 @@ class DigitGrowth:
     digit: float = 1e-15
     changes: tuple[float, ...] = (1.0, -1.0, 0.5)
     reach: float = 0.2
-    rate: float = 0.05
+    rate: float = 0.06
     broken: float = 4.0
 
 
