@@ -18,7 +18,7 @@ SHOWN = {
     "adaptive_steps": ["OPENING_STEPS.crossing", "OPENING_STEPS.least_crossing"],
     "amplified_rounding": ["GROWTH.digit", "GROWTH.changes", "GROWTH.reach", "GROWTH.rate"],
     "between_samples": ["RESOLVED", "RESOLVED_BY_DIFFERENCES", "SHAPE.safety"],
-    "chaos_test": ["PATIENCE.attempts", "PATIENCE.stalls", "PATIENCE.stalled"],
+    "chaos_test": ["PATIENCE.attempts", "PATIENCE.stalled"],
     "error_constants": ["rkn4.error_constant", "kahan-li8.error_constant", "dop853.error_constant"],
     "fit_thresholds": ["SOLITARY (height)", "SOLITARY (speed, width)", "WEAK_STRIKE"],
     "halved_steps": ["SAFETY (orbits)"],

@@ -81,8 +81,7 @@ def breakdown(monkeypatch: pytest.MonkeyPatch):
 
 def fallback(monkeypatch: pytest.MonkeyPatch):
     """An attempt of "auto" with linear theory, which turns out to leave out too much."""
-    monkeypatch.setattr(linear, "bounds", lambda _: (0.0, 0.0))
-    monkeypatch.setattr(linear, "least_error", lambda _: 0.0)
+    monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
     chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1e-3)
