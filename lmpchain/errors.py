@@ -106,4 +106,4 @@ def check_tolerance(tolerance: object) -> None:
     if isinstance(tolerance, bool) or not (
         isinstance(tolerance, int | float) and 0 < tolerance < 1
     ):
-        raise InputError([("tolerance", f"must be between 0 and 1 (got {shown(tolerance)})")])
+        raise InputError.at("tolerance", f"must be between 0 and 1 (got {shown(tolerance)})")

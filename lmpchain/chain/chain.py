@@ -322,7 +322,7 @@ class Chain(AtRest, Checked):
             first == last and self.grains > 1
         ):
             grains = f"two or more of grains 1 to {self.grains} (got {first} to {last})"
-            raise InputError([("part", f"must be {grains}")])
+            raise InputError.at("part", f"must be {grains}")
         fields = self.given() | {"grains": int(last - first + 1)}
         for key in ("material", "diameter", "masses", "contact_constants"):
             if isinstance(fields.get(key), np.ndarray | tuple):

@@ -172,13 +172,9 @@ class _Tapered(_Pattern):
             made = self.diameter * (1 - self.taper) ** np.arange(count, dtype=float)
             volume = made[-1] ** 3
         if not 0 < volume < np.inf:
-            raise InputError(
-                [
-                    (
-                        "taper",
-                        f"grain {count} would be {made[-1]:.2g} m wide: nearer to 0, or fewer grains",
-                    )
-                ]
+            raise InputError.at(
+                "taper",
+                f"grain {count} would be {made[-1]:.2g} m wide: nearer to 0, or fewer grains",
             )
         return made
 

@@ -249,7 +249,7 @@ def _check_of(chain: Chain, of: Of) -> None:
     if of == "stiffness" and not chain.compressed:
         reason = "without gravity and load contacts have no stiffness at rest to be random"
         cure = f'{reason}; use of="constant"'
-        raise InputError([("gravity", cure)])
+        raise InputError.at("gravity", cure)
     if of in ("diameter", "modulus") and chain.given_contact_constants is not None:
         cure = f'contact constants are given and do not follow from the {of}; use of="constant"'
-        raise InputError([("contact_constants", cure)])
+        raise InputError.at("contact_constants", cure)

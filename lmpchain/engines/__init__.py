@@ -69,7 +69,7 @@ def get(engine: str | Engine, **options: Any) -> Engine:
             )
         return engine
     if engine not in REGISTRY:
-        raise InputError([("engine", not_among(engine, REGISTRY))])
+        raise InputError.at("engine", not_among(engine, REGISTRY))
     made = _load(*REGISTRY[engine])
     known = list(signature(made).parameters) if options else []
     if unknown := [key for key in options if key not in known]:

@@ -39,8 +39,8 @@ def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
     )
     chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
     if not chosen.size:
-        raise InputError(
-            [("grains", "no two neighbours were recorded, so no contact is known: record both")]
+        raise InputError.at(
+            "grains", "no two neighbours were recorded, so no contact is known: record both"
         )
     return chosen
 
@@ -113,7 +113,7 @@ def _found(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.in
     missing = np.unique(bodies[column == UNKNOWN])
     if missing.size:
         some = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
-        raise InputError(
-            [("grains", f"this takes grains that were not recorded; record these too: {some}")]
+        raise InputError.at(
+            "grains", f"this takes grains that were not recorded; record these too: {some}"
         )
     return column

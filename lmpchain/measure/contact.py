@@ -198,13 +198,8 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     else:
         chosen, there = np.array(numbers, dtype=int).reshape(-1), np.flatnonzero(every.exists)
         if not np.isin(chosen, there).all():
-            raise InputError(
-                [
-                    (
-                        "numbers",
-                        f"the contacts are numbered {there[0]} to {there[-1]} (got {numbers})",
-                    )
-                ]
+            raise InputError.at(
+                "numbers", f"the contacts are numbered {there[0]} to {there[-1]} (got {numbers})"
             )
     u, v = motion(trajectory, np.stack([chosen, chosen + 1]))
     r = u[:, 0] - u[:, 1]
@@ -239,7 +234,7 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
     chain = trajectory.scene.chain
     kind = {"top": chain.top, "bottom": chain.bottom}.get(end, "free")
     if kind == "free":
-        raise InputError([("end", f"there is no wall at the end {shown(end)} of this chain")])
+        raise InputError.at("end", f"there is no wall at the end {shown(end)} of this chain")
     if kind == "fixed":
         return (
             contacts(trajectory, [chain.grains - 1]).force[:, 0] + chain.masses[-1] * chain.gravity
@@ -266,7 +261,7 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
     """
     time, drive = trajectory.time, trajectory.scene.drive
     if drive is None:
-        raise InputError([("excitation", "nothing is driven in this scene")])
+        raise InputError.at("excitation", "nothing is driven in this scene")
     return *drive.motion(time), drive.acceleration(time)
 
 
@@ -324,13 +319,9 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
     """
     exists = trajectory.scene.chain.contacts.exists
     if grain not in np.flatnonzero(exists[:-1] & exists[1:]) + 1:
-        raise InputError(
-            [
-                (
-                    "grain",
-                    f"grain {grain} has no contacts on both sides, or there is none: choose another",
-                )
-            ]
+        raise InputError.at(
+            "grain",
+            f"grain {grain} has no contacts on both sides, or there is none: choose another",
         )
     both = contacts(trajectory, [grain - 1, grain])
     return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))

@@ -90,13 +90,8 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     top, last = int(np.argmax(values)), len(values) - 1
     if not 0 < top < last:
         cure = "record for longer" if top else "there is no maximum to wait for"
-        raise InputError(
-            [
-                (
-                    "duration",
-                    f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}",
-                )
-            ]
+        raise InputError.at(
+            "duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}"
         )
     when, height = summit(time, values, top, 1)
     step = float(time[top + 1] - time[top])
@@ -130,7 +125,7 @@ def time_of_flight(
         If there is no such sensor, or the wave has not passed it.
     """
     if first == second or method not in ("peak", "correlation"):
-        raise InputError([("second", 'choose two grains, and the method "peak" or "correlation"')])
+        raise InputError.at("second", 'choose two grains, and the method "peak" or "correlation"')
     one, two = sensor(trajectory, first), sensor(trajectory, second)
     if method == "peak":
         begin, end = (arrival(s.time, s.change, f"force in grain {s.grain}") for s in (one, two))

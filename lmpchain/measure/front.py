@@ -68,8 +68,8 @@ class Front(Shown):
 
     def _slowness(self, place: Array) -> Array:
         if place.size < 2:
-            raise InputError(
-                [("grains", "a speed takes the front at two grains or more: record more of them")]
+            raise InputError.at(
+                "grains", "a speed takes the front at two grains or more: record more of them"
             )
         return np.gradient(self.time, place, edge_order=2 if place.size > 2 else 1)
 
@@ -81,13 +81,9 @@ class Front(Shown):
     def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
         """Return depths h = n - 1/2 and the size of a quantity where it is known, (K,) each; its label."""
         if quantity not in get_args(Quantity):
-            raise InputError(
-                [
-                    (
-                        "quantity",
-                        f"must be one of {', '.join(get_args(Quantity))} (got {shown(quantity)})",
-                    )
-                ]
+            raise InputError.at(
+                "quantity",
+                f"must be one of {', '.join(get_args(Quantity))} (got {shown(quantity)})",
             )
         values = np.abs(getattr(self, quantity))
         known = np.isfinite(values)
@@ -211,8 +207,8 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     grains, rows = trajectory.grains[order], motion.fronts(field, fraction, certain)[order]
     passed = np.isfinite(rows[:, 0])
     if not passed.any():
-        raise InputError(
-            [("duration", f"no grain shows the {field} of a front that passes: record for longer")]
+        raise InputError.at(
+            "duration", f"no grain shows the {field} of a front that passes: record for longer"
         )
     return Front(
         field,
@@ -244,8 +240,8 @@ def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None 
     depth, values, _ = front.against_depth(quantity)
     size = depth.size if window is None else window
     if not 3 <= size <= depth.size:
-        raise InputError(
-            [("window", f"must be 3 to {depth.size}, the number of grains passed (got {size})")]
+        raise InputError.at(
+            "window", f"must be 3 to {depth.size}, the number of grains passed (got {size})"
         )
     x, y = (np.lib.stride_tricks.sliding_window_view(np.log(z), size) for z in (depth, values))
     slope, error, correlation = np.array(
@@ -291,15 +287,10 @@ def asymptotic(
     depth, values, label = front.against_depth(quantity)
     x, y = np.log(depth), np.log(values)
     if not 1 <= delta <= 2:
-        raise InputError([("front", f"has such a law for 1 <= delta <= 2 only (got {delta})")])
+        raise InputError.at("front", f"has such a law for 1 <= delta <= 2 only (got {delta})")
     if depth.size < FEWEST:
-        raise InputError(
-            [
-                (
-                    "front",
-                    f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer",
-                )
-            ]
+        raise InputError.at(
+            "front", f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer"
         )
     order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
     known: list[float] = [] if exponent is None else [exponent]
@@ -318,8 +309,8 @@ def asymptotic(
         )
         further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])
     except RuntimeError:
-        raise InputError(
-            [("front", "obeys no such law: choose other grains with Front.between")]
+        raise InputError.at(
+            "front", "obeys no such law: choose other grains with Front.between"
         ) from None
     error = stats.t.ppf(0.975, x.size - parameters.size) * np.sqrt(np.diag(covariance))
     error += np.abs(further[:-1] - parameters)

@@ -190,7 +190,7 @@ class Motion:
         """
         chain = self.scene.chain
         if chain.bottom == "free":
-            raise InputError([("end", "there is no wall at the end 'bottom' of this chain")])
+            raise InputError.at("end", "there is no wall at the end 'bottom' of this chain")
         contact = chain.grains - (chain.bottom == "fixed")
         weight = float(chain.masses[-1] * chain.gravity) if chain.bottom == "fixed" else 0.0
         closer, error = self.closest(contact)
@@ -206,7 +206,7 @@ class Motion:
         """Return by how much a contact is closer than at rest at most, m, and the error of that."""
         bodies = np.array([contact, contact + 1])
         if (self._column[bodies] == UNKNOWN).any():
-            raise InputError([("grains", f"the grains of contact {contact} must be recorded")])
+            raise InputError.at("grains", f"the grains of contact {contact} must be recorded")
         limits = np.zeros(0)
         if self.ceiling.size:
             either = self.ceiling[np.isin(self._moving, bodies)]

@@ -68,7 +68,7 @@ def check_field(field: Field) -> None:
         If there is not.
     """
     if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
+        raise InputError.at("field", f'must be "velocity" or "displacement" (got {shown(field)})')
 
 
 def check(trajectory: Trajectory, field: Field) -> None:
@@ -86,6 +86,6 @@ def check(trajectory: Trajectory, field: Field) -> None:
     """
     check_field(field)
     if trajectory.time.size < FEWEST_SAMPLES:
-        raise InputError(
-            [("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")]
+        raise InputError.at(
+            "samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer"
         )

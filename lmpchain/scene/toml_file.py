@@ -139,23 +139,23 @@ def parse(path: Path) -> dict[str, Any]:
         check_readable(path, FILE_SIZES.scene)
         return tomllib.loads(path.read_bytes().decode("utf-8"))
     except FileNotFoundError:
-        raise InputError([(name, "there is no such file")]) from None
+        raise InputError.at(name, "there is no such file") from None
     except OSError as error:
-        raise InputError(
-            [(name, f"cannot be read: {error.strerror}; name a scene file (TOML)")]
+        raise InputError.at(
+            name, f"cannot be read: {error.strerror}; name a scene file (TOML)"
         ) from None
     except UnicodeDecodeError:
-        raise InputError(
-            [(name, "is not text in UTF-8; a scene file is a TOML text file")]
+        raise InputError.at(
+            name, "is not text in UTF-8; a scene file is a TOML text file"
         ) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            [(name, f"is not valid TOML: {error} (numbers need a digit after the point)")]
+        raise InputError.at(
+            name, f"is not valid TOML: {error} (numbers need a digit after the point)"
         ) from None
     except RecursionError:
-        raise InputError([(name, "is not valid TOML: nested too deeply")]) from None
+        raise InputError.at(name, "is not valid TOML: nested too deeply") from None
     except ValueError as error:  # a number of thousands of digits; a name with a null character
-        raise InputError([(name, f"cannot be read: {error}")]) from None
+        raise InputError.at(name, f"cannot be read: {error}") from None
 
 
 def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
@@ -166,7 +166,7 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
                 [(key, "is in the file already; take it out of one of them") for key in twice]
             )
         if "diameter" not in columns:
-            raise InputError([("file", "has no column diameter (m)")])
+            raise InputError.at("file", "has no column diameter (m)")
         if "mass" in columns:
             columns["masses"] = columns.pop("mass")
         keys = {"grains": len(columns["diameter"])} | columns | keys
@@ -182,7 +182,7 @@ def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
             if (guess := did_you_mean(key, ["kind"]))
         )
         missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
-        raise InputError([("kind", missing if kind is None else not_among(kind, EXCITATIONS))])
+        raise InputError.at("kind", missing if kind is None else not_among(kind, EXCITATIONS))
     made = EXCITATIONS[kind]
     _fill(keys, made, folder)
     if isinstance(start := keys.get("start"), dict):

@@ -176,7 +176,7 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     if engine == AUTO and not options:
         return Auto()
     if isinstance(engine, str) and engine != AUTO and engine not in engines.REGISTRY:
-        raise InputError([("engine", not_among(engine, (AUTO, *engines.names())))])
+        raise InputError.at("engine", not_among(engine, (AUTO, *engines.names())))
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 

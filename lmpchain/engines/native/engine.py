@@ -68,9 +68,9 @@ class Native(TimeSteppingEngine):
     ):
         super().__init__(integrator, step)
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-            raise InputError([("threads", f"must be a whole number from 1 (got {shown(threads)})")])
+            raise InputError.at("threads", f"must be a whole number from 1 (got {shown(threads)})")
         if force not in FORCES:
-            raise InputError([("force", not_among(force, FORCES))])
+            raise InputError.at("force", not_among(force, FORCES))
         self.threads = threads
         self.force = force
         self.adaptive = adaptive

@@ -180,7 +180,7 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
     edge = scene.chain.band_edge
     if step * edge > stable:
         why = f"where {method.name} stops being stable on this chain (got {step:g})"
-        raise InputError([("step", f"must be below {stable / edge:.3g} s, {why}")])
+        raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
     interval = scene.duration / (scene.samples - 1)
     steps = math.ceil(
         interval / step * (1 - 1e-12)

@@ -47,11 +47,11 @@ class TimeSteppingEngine(Engine):
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
-            raise InputError([("integrator", not_among(integrator, self.integrators))])
+            raise InputError.at("integrator", not_among(integrator, self.integrators))
         if step is not None and not (
             isinstance(step, int | float) and math.isfinite(step) and step > 0
         ):
-            raise InputError([("step", f"must be a time above 0 s (got {shown(step)})")])
+            raise InputError.at("step", f"must be a time above 0 s (got {shown(step)})")
         self.integrator = integrator
         self.step = step
 
@@ -90,7 +90,7 @@ class TimeSteppingEngine(Engine):
         if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
             cure = "shorten it, or ask for less accuracy"
-            raise InputError([("duration", f"would take some {years:.1g} years: {cure}")])
+            raise InputError.at("duration", f"would take some {years:.1g} years: {cure}")
         return Candidate(
             step=scene.duration / (scene.samples - 1) * choice.stride / choice.steps,
             active_grains=scene.chain.grains,
@@ -159,7 +159,7 @@ class TimeSteppingEngine(Engine):
             if state is None or isinstance(error, InputError):
                 raise
             why = "does not fit its run, or was changed: run the scene anew"
-            raise InputError([("checkpoint", why)]) from error
+            raise InputError.at("checkpoint", why) from error
 
 
 def kind(scene: Scene) -> tuple:
