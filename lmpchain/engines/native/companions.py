@@ -60,6 +60,10 @@ class Openings:
     nearby: float = 1.5
     nearby_kinked: float = 1.75
 
+    def kinks(self, exponent: float) -> bool:
+        """Say whether the force of contacts of this exponent has a kink at an opening."""
+        return exponent < self.kinked_below
+
 
 OPENINGS = Openings()
 FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
@@ -98,12 +102,12 @@ class Companions:
     ):
         self._method = method
         self._candidate = candidate
-        self.kinked = scenes[0].chain.exponent < OPENINGS.kinked_below
+        self._kinks = OPENINGS.kinks(scenes[0].chain.exponent)
         longer = longer_steps(method, scenes, candidate)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._nearby = len(longer) == 2 and candidate.adaptive and any(self.recurrent)
         if self._nearby:
-            longer.append(OPENINGS.nearby_kinked if self.kinked else OPENINGS.nearby)
+            longer.append(OPENINGS.nearby_kinked if self._kinks else OPENINGS.nearby)
         self.answer = candidate.schedule()
         arrangement = _arrange(
             self.answer, tuple(longer), self._nearby, twin, scenes[0].samples - 1
@@ -118,11 +122,10 @@ class Companions:
             return order if regular else min(order, OPENINGS.equal_order)
         if not opens:
             return order
-        if self.kinked:
+        if self._kinks:
             return min(order, OPENINGS.kinked_order)
-        return min(
-            order, OPENINGS.coarse_order if self._candidate.coarse_openings else OPENINGS.order
-        )
+        coarse = self._candidate.coarse_openings
+        return min(order, OPENINGS.coarse_order if coarse else OPENINGS.order)
 
     def truncation(self, real: int, distances: Array, order: float, opens: bool) -> float:
         """Return the truncation error of a realisation from the distances between its runs.
@@ -197,9 +200,10 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
 
 def recurs(scene: Scene) -> bool:
     """Say whether contacts may open again and again, by reflections or a drive; or once, at a kink."""
-    kinked = scene.chain.exponent < OPENINGS.kinked_below
+    kinks = OPENINGS.kinks(scene.chain.exponent)
+    # what acts all along opens contacts again without a reflection
     crossed = 1 if scene.excitation.does_work else scene.chain.grains
     radians = scene.highest_frequency * scene.duration
-    if not kinked and radians <= OPENINGS.returning * crossed:
+    if not kinks and radians <= OPENINGS.returning * crossed:
         return False
     return min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near

@@ -2,8 +2,12 @@
 
 The estimate of the largest relative error of an answer at steps h is
 
-    e = max(2 d12 / (g - 1),  d24 / (r2^p - r1^p),  0.7 dn)      truncation
+    e = max(2 d12 / (g - 1),  b)                                 truncation
         + eps (2 + w(n) + 1.5 omega T) + w(n) A                  round-off, as it is and amplified
+
+with b = 0.7 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone, at
+2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where nothing
+opens and steps are equal.
 
 ========  ==========  ===================================================================================
 symbol    variable    meaning
@@ -88,7 +92,7 @@ def estimate_truncation(
     first, second = ratios
     gain = observe_gain(fine, coarse, first, second, order)
     extrapolated = TRUST.safety * fine / (gain - 1)
-    # a companion more confirms the rate; without it, the coarse difference alone is a bound, too
+    # one more companion confirms the rate; without it, the coarse difference alone is a bound, too
     bound = TRUST.nearby * nearby if nearby > 0 else coarse / (second**order - first**order)
     return max(extrapolated, bound)
 

@@ -182,9 +182,8 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
         why = f"where {method.name} stops being stable on this chain (got {step:g})"
         raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
     interval = scene.duration / (scene.samples - 1)
-    steps = math.ceil(
-        interval / step * (1 - 1e-12)
-    )  # a step that divides it, but for round-off, does
+    # a step that divides it but for round-off does
+    steps = math.ceil(interval / step * (1 - 1e-12))
     return StepChoice(method, steps, 1, False, False, method.evaluations * steps)
 
 
@@ -215,7 +214,7 @@ def choose_step(
         if dense is not None and dense.work < work:
             return dense
     coarse = False
-    if adaptive and scene.chain.exponent >= OPENINGS.kinked_below:
+    if adaptive and not OPENINGS.kinks(scene.chain.exponent):
         # where samples hold steps short, shorter ones near openings would only cost
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, adaptive)
         coarse = steps == math.ceil(phase / shorter)
@@ -266,7 +265,6 @@ def _interpolate(
 
 def land(scene: Scene, rate: float) -> tuple[int, int]:
     """Return steps and samples from one landing to the next, at about so many steps a sample."""
-    stride = min(
-        scene.samples - 1, 4 * math.ceil(INTERPOLATION.steps / rate / 4)
-    )  # blocks count by 4
+    # blocks of samples are multiples of 4 long
+    stride = min(scene.samples - 1, 4 * math.ceil(INTERPOLATION.steps / rate / 4))
     return math.ceil(rate * stride), stride

@@ -85,18 +85,12 @@ class TimeSteppingEngine(Engine):
 
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Propose the steps of a choice."""
-        steps = -(-choice.steps * (scene.samples - 1) // choice.stride)
-        cost = self.cost(scene, choice.method, steps)
-        if cost > LONGEST_RUN_S:
-            years = cost / 3.15e7
-            cure = "shorten it, or ask for less accuracy"
-            raise InputError.at("duration", f"would take some {years:.1g} years: {cure}")
-        return Candidate(
+        candidate = Candidate(
             step=scene.duration / (scene.samples - 1) * choice.stride / choice.steps,
             active_grains=scene.chain.grains,
             model_error=0.0,
             solver_error=tolerance,
-            cost_s=cost,
+            cost_s=math.nan,
             steps_per_landing=choice.steps,
             stride=choice.stride,
             fixed=self.step is not None,
@@ -105,6 +99,12 @@ class TimeSteppingEngine(Engine):
             integrator=choice.method.name,
             choices=self.choices(scene),
         )
+        cost = self.cost(scene, choice.method, candidate.steps(scene.samples))
+        if cost > LONGEST_RUN_S:
+            years = cost / 3.15e7
+            cure = "shorten it, or ask for less accuracy"
+            raise InputError.at("duration", f"would take some {years:.1g} years: {cure}")
+        return candidate._replace(cost_s=cost)
 
     def choices(self, scene: Scene) -> Mapping[str, str]:
         """Return what it chooses on behalf of the user."""
