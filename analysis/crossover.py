@@ -14,25 +14,24 @@ from lmpchain.theory import continuum, front
 from lmpchain.util.plotting import figure
 
 STRIKES = (1e-2, 1.0, 1e1, 1e2, 1e3, 1e4)
+# strike numbers
 PAPER = {
     "Fig. 5, 10 g": 1.24,
     "Fig. 5, g": 8.48,
     "Fig. 5, 0.1 g": 57.8,
     "Fig. 1": 84.8,
-}  # strike numbers
+}
 DEEPEST, PER_TAU, WINDOW = 1000, 40, 5
 
 
 def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return depths, local exponents of the peak velocity, and local strengths, after a strike of this number."""
     tau = 1.05 * float(front.peak_time(int(depths[-1]))) + 5
-    grains = (
-        int(continuum.depth(tau)) + int(depths[-1]) // 2
-    )  # strong pulses are ahead: the floor is far
+    # strong pulses are ahead: the floor is far
+    grains = int(continuum.depth(tau)) + int(depths[-1]) // 2
     scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, strength, recorded=depths.tolist())
-    engine = lmpchain.engines.Native(
-        step=0.3 / scene.highest_frequency
-    )  # grains rattle behind, the front does not care
+    # grains rattle behind, the front does not care
+    engine = lmpchain.engines.Native(step=0.3 / scene.highest_frequency)
     passed = measured.track(lmpchain.simulate(scene, engine))
     fits = measured.exponent(passed, "amplitude", WINDOW)
     own = scene.chain.length_scale / scene.chain.time_scale * fits.depth ** (5 / 6)

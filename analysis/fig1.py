@@ -24,11 +24,12 @@ from figures import (
 
 import lmpchain
 
+# s; the ends of the paper's interval, in the middle the highest peak
 MOMENTS = (
     88.4e-6,
     89.8e-6,
     91.8e-6,
-)  # s; the ends of the paper's interval, in the middle the highest peak
+)
 
 
 def main() -> None:

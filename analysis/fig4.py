@@ -35,9 +35,8 @@ def as_printed(grains: int, tau: float) -> np.ndarray:
     shape, omega = linear.shape * np.sqrt(linear.mass[:, None]), linear.frequency * chain.time_scale
     root = grains ** (1 / 6)
     j = np.arange(1, int(root * tau) + 60)
-    cases = 2 * np.cos(
-        np.multiply.outer(np.arcsin(omega / (2 * root)), 2 * j - 2)
-    )  # phi_i of Eq. (21)
+    # phi_i of Eq. (21)
+    cases = 2 * np.cos(np.multiply.outer(np.arcsin(omega / (2 * root)), 2 * j - 2))
     cases[0] = 1
     return (shape * shape[0]) @ (cases @ jv(2 * j - 2, 2 * root * tau))
 

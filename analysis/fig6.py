@@ -73,9 +73,8 @@ def main() -> None:
     columns = 12 if given.quick else 200
     wave.plot(n, linear, **THEORY, label=f"ordered: max {linear.max():.3f}")
     say("ordered, largest velocity", linear.max())
-    shades = colormaps["plasma"](
-        np.linspace(0.0, 0.85, len(ORDERS))
-    )  # green is the paper's formula, left
+    # green is the paper's formula, left
+    shades = colormaps["plasma"](np.linspace(0.0, 0.85, len(ORDERS)))
     for order, shade in zip(ORDERS, shades, strict=True):
         average = ensemble(scene, order, columns, seed=1)
         mean, error = (

@@ -31,11 +31,12 @@ NATIVE, LAMMPS = (
 )
 THEORY = {"color": "0.2", "lw": 1.4}
 PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
+# the paper's formula where it is wrong
 PRINTED = {
     "color": COLOURS["modes"],
     "lw": 1.4,
     "ls": "--",
-}  # the paper's formula where it is wrong
+}
 
 
 def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:

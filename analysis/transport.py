@@ -50,9 +50,8 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
     v = front.velocity(n, at, delta)
     last = np.flatnonzero((at > peak) & (v <= 0))[0]
     here = 2 * (n - 0.5) ** (xi / 2) * trapezoid(v[:last] ** 2, at[:last])
-    return here * ((depths - 0.5) / (n - 0.5)) ** (
-        1 / 3 - 2 * front.decay(delta)[0]
-    )  # a product of powers of depth
+    # a product of powers of depth
+    return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])
 
 
 def main() -> None:

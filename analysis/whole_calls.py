@@ -27,9 +27,8 @@ TOGETHER = 64  # scenes of `simulate_many`
 UNIT = 1e-6  # s, of time for the peer
 MOST_STEPS = 10**5  # that it may take
 Solution = tuple[np.ndarray, np.ndarray]
-Call = Callable[
-    [float, float], Solution
-]  # of the speed of the strike and the tolerance of the peer
+# of the speed of the strike and the tolerance of the peer
+Call = Callable[[float, float], Solution]
 
 
 def paper(velocity: float, last_digits: int = 0) -> lmpchain.Scene:

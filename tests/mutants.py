@@ -164,9 +164,8 @@ def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
     """Run tests in a copy of the project with a mutant; return whether they pass, and the line that says why not."""
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder, "lmpchain")
-        shutil.copytree(
-            PROJECT, copy, ignore=NOT_COPIED
-        )  # with the times of files: compiled code stays valid
+        # with the times of files: compiled code stays valid
+        shutil.copytree(PROJECT, copy, ignore=NOT_COPIED)
         if mutant is not None:
             mutant.write(copy)
         process = subprocess.Popen(

@@ -23,10 +23,11 @@ from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.native import Native
 from lmpchain.integrators.methods import METHODS
 
+# times round-off, and largest error, between which an error falls with the order
 CLEAR, LARGEST = (
     300.0,
     3e-3,
-)  # times round-off, and largest error, between which an error falls with the order
+)
 REACHES = 2.0 ** -np.arange(-2.0, 6.0)  # omega h
 
 

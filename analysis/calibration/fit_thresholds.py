@@ -24,11 +24,12 @@ from lmpchain.measure.fit.overview import WEAK_STRIKE
 from lmpchain.measure.fit.solitary import SOLITARY
 from lmpchain.theory import soliton
 
+# of the chain; where the middle of a wave is at first and at last
 GRAINS, START, END = (
     80,
     20.0,
     60.0,
-)  # of the chain; where the middle of a wave is at first and at last
+)
 TOO_LITTLE = 0.01  # relative error of peak velocities
 DEPTHS = slice(1, 60)
 

@@ -34,9 +34,8 @@ CHAIN = Chain(
     top_load=LOAD,
     bottom="wall",
 )
-UNIT = float(
-    np.sqrt(CHAIN.masses[0] / CHAIN.linear_stiffness[0])
-)  # of a long wave from bead to bead, s
+# of a long wave from bead to bead, s
+UNIT = float(np.sqrt(CHAIN.masses[0] / CHAIN.linear_stiffness[0]))
 SCENE = Scene(
     chain=CHAIN,
     excitation=Force(grain=1, shape="half-sine", amplitude=2.0, duration=20 * UNIT),
@@ -81,9 +80,8 @@ def seen_at_the_end(scene: Scene) -> Seen:
 def delay_of_long_waves(diameters: np.ndarray) -> float:
     """Return by how much longer long waves take than in equal beads, in UNIT."""
     made = CHAIN.replace(diameter=diameters)
-    stiffness = 2 / (
-        1 / made.linear_stiffness[:-1] + 1 / made.linear_stiffness[1:]
-    )  # of half a contact on either side
+    # of half a contact on either side
+    stiffness = 2 / (1 / made.linear_stiffness[:-1] + 1 / made.linear_stiffness[1:])
     return float((np.sqrt(made.masses[1:-1] / stiffness) / UNIT - 1).sum())
 
 

@@ -26,10 +26,11 @@ STOP, PASS, WIDTH, GRAIN, LEAST, MOST = 0.45, 0.8, 16.0, 130, 0.25, 3.0
 PLAIN = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=1.0)
 MASS, STIFFNESS = float(PLAIN.masses[0]), float(PLAIN.linear_stiffness[0])
 EDGE = 2 * np.sqrt(STIFFNESS / MASS)
+# points of a spectrum, to resolve what resonates in the cells
 LAST, FINE = (
     FIRST + CELL * CELLS,
     2**14,
-)  # points of a spectrum, to resolve what resonates in the cells
+)
 
 
 def with_cells(factors: np.ndarray) -> Chain:

@@ -73,9 +73,8 @@ def draw(data: dict) -> Figure:
             ax.plot(panel["valid"], 1e3 * np.array(predicted), color="#D55E00", lw=1.8, ls="--")
         ax.set(xscale="log", xlim=velocities[[0, -1]], ylim=times[[0, -1]], xlabel="strike (m/s)")
         ax.set_title(f"{panel['grains']} grains", fontsize="medium")
-    for level, tolerance in zip(
-        levels, TOLERANCES, strict=True
-    ):  # labelled at the right edge of the last panel
+    # labelled at the right edge of the last panel
+    for level, tolerance in zip(levels, TOLERANCES, strict=True):
         end = int(np.argmax(decades[:, -1] > level))
         if end > 0:
             spot, name = (velocities[-1], times[end]), f"1e{np.log10(tolerance):.0f}"

@@ -36,14 +36,16 @@ OTHERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts"
 CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
 LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
+# a run above the first is not repeated, one above the second is the last of its code
 LONG_S, LAST_S = (
     2.0,
     8.0,
-)  # a run above the first is not repeated, one above the second is the last of its code
+)
+# shortest chain to cut; displacement over the largest beyond the cut
 LONG_CHAIN, UNTOUCHED = (
     1000,
     1e-15,
-)  # shortest chain to cut; displacement over the largest beyond the cut
+)
 
 
 def fastest(code: Code, problem: Problem, parameter: float) -> Answer:

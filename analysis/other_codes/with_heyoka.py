@@ -19,10 +19,11 @@ from problem import Answer, Code, Problem
 
 from lmpchain import RunFailed
 
+# contacts from the top (three open in the strong scene); 1 + s of the event
 GUARDED, SWITCH = (
     8,
     1e-7,
-)  # contacts from the top (three open in the strong scene); 1 + s of the event
+)
 ORDERS = 3, 4, 5, 6, 8, 10, 12, 14, 16, 18
 INLINED_GRAINS = 200  # longer chains would take too long to compile to straight-line code
 WEAK = 0.1  # strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances

@@ -15,9 +15,8 @@ scene = lmpchain.Scene(
 )
 t = lmpchain.simulate(scene, "chebyshev")
 
-found = front.track(t).between(
-    1, 280
-)  # .time .amplitude .width of every grain, with errors, but those near the wall
+# .time .amplitude .width of every grain, with errors, but those near the wall
+found = front.track(t).between(1, 280)
 picture = found.plot()
 
 # %%

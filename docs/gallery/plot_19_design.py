@@ -29,9 +29,8 @@ picture_of_fit = found.plot()
 balls = lmpchain.Chain(
     grains=3, diameter=1e-2, masses=[1e-3, 2e-3, 9e-3], gravity=0.0, bottom="free"
 )
-thrown = lmpchain.Profile(
-    displacement=[0.0, 4e-5, 8e-5], velocity=[1.0, 0.0, 0.0]
-)  # with gaps between them
+# with gaps between them
+thrown = lmpchain.Profile(displacement=[0.0, 4e-5, 8e-5], velocity=[1.0, 0.0, 0.0])
 collision = lmpchain.Scene(chain=balls, excitation=thrown, duration=4e-4, samples=2)
 bounds = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
 best = design.optimise(collision, design.Momentum([3]), ["masses"], bounds, maximise=True, starts=2)

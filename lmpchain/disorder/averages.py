@@ -210,7 +210,6 @@ def at_the_end(
     check(fault_of_whole("realisations", realisations, 2), fault_of_whole("seed", seed, 0))
     end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)
     averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]
-    with warnings.catch_warnings(
-        action="ignore"
-    ):  # the averages say how far from linear the chains are
+    # the averages say how far from linear the chains are
+    with warnings.catch_warnings(action="ignore"):
         return simulate(end, "chebyshev").velocity[-1], averages

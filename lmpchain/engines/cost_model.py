@@ -54,7 +54,8 @@ def measured() -> Mapping[str, tuple[float, float]]:
         TypeError,
         AttributeError,
         RecursionError,
-    ):  # none, damaged, out of reach
+    ):
+        # none, damaged, out of reach
         return {}
     return pairs if here else {}
 

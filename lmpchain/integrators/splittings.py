@@ -105,9 +105,8 @@ class Splitting:
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
         square = frequency**2
-        x = np.array(
-            [np.ones_like(square), np.zeros_like(square)]
-        )  # x and v from (1, 0) and (0, 1)
+        # x and v from (1, 0) and (0, 1)
+        x = np.array([np.ones_like(square), np.zeros_like(square)])
         v = np.array([np.zeros_like(square), np.ones_like(square)])
         for b, a in zip(self.kicks, (*self.drifts, 0.0), strict=True):
             v = v - b * square * x

@@ -71,12 +71,10 @@ class ContactHistory(Shown):
         events = []
         o, v, gap = self.overlap, self.closing, self.overlap < 0
         changed = gap[1:] != gap[:-1]
-        turned = (
-            (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed
-        )  # approaches closing or opening, then recedes
-        third = (
-            np.diff(self.time)[:, None] / 3
-        )  # a cubic lies between the least and the largest of its control points
+        # approaches closing or opening, then recedes
+        turned = (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed
+        # a cubic lies between the least and the largest of its control points
+        third = np.diff(self.time)[:, None] / 3
         turned &= (o[:-1] * (o[:-1] + third * v[:-1]) <= 0) | (o[1:] * (o[1:] - third * v[1:]) <= 0)
         for i, c in np.argwhere(changed | turned):
             pair = slice(i, i + 2)

@@ -267,9 +267,8 @@ class Motion:
             return more * u, more * v
         fastest = max(v, math.sqrt(2 * scene.energy / chain.masses[: chain.movable].min()))
         farthest = u + fastest * (self.step / 2 if whole else scene.duration)
-        if (
-            self._equation == 3 or scene.largest_strain < 1
-        ):  # no contact opens: each holds its share of the energy
+        # no contact opens: each holds its share of the energy
+        if self._equation == 3 or scene.largest_strain < 1:
             pressed, softness = chain.contacts.pressed, np.zeros(chain.grains + 1)
             np.divide(1.0, chain.contacts.stiffness, where=pressed, out=softness)
             held = (chain.exponent + 1) * scene.energy * softness[1:].sum()

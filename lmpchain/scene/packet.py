@@ -122,9 +122,8 @@ class Packet(Excitation):
         omega = 2 * np.pi * self.frequency
         hops = self._hops(chain, first, last)
         middle = 2 * (self.grain - first)  # of the row of grains and contacts in turn
-        ratio = np.minimum(
-            omega / (2 * hops), 0.999
-        )  # a turning point far out, where the packet is nothing
+        # a turning point far out, where the packet is nothing
+        ratio = np.minimum(omega / (2 * hops), 0.999)
         speed = 2 * hops * np.sqrt(1 - ratio**2)  # in places of that row a second
         phase, late = (np.append(0.0, np.cumsum(each)) for each in (np.arcsin(ratio), 1 / speed))
         around = np.sqrt(np.append(speed[:1], speed) * np.append(speed, speed[-1:]))
@@ -135,9 +134,8 @@ class Packet(Excitation):
         wave = height * np.exp(-(apart**2) / 2) * np.cos(phase - phase[middle])
         v = wave[::2] / np.sqrt(chain.masses[first - 1 : last])
         strain = wave[1::2] / np.sqrt(chain.contacts.stiffness[first:last])
-        strain -= (
-            strain.sum() * (share := np.exp(-(apart[1::2] ** 2) / 2)) / share.sum()
-        )  # at rest beyond either end
+        # at rest beyond either end
+        strain -= strain.sum() * (share := np.exp(-(apart[1::2] ** 2) / 2)) / share.sum()
         u = np.append(np.cumsum(strain[::-1])[::-1], 0.0)
         fields = np.zeros((2, chain.grains))
         fields[:, first - 1 : last] = u, v

@@ -35,11 +35,12 @@ def _selection(value: Any) -> Any:
     return tuple(numbers)
 
 
+# what is gathered of every recorded grain
 OF_GRAINS = (
     "peak_displacement",
     "peak_velocity",
     "arrival_time",
-)  # what is gathered of every recorded grain
+)
 OF_CONTACTS = ("peak_force", "force")  # and of a contact, as in "force:40"
 
 

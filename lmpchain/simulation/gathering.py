@@ -40,9 +40,8 @@ class GatheringRun(Run):
         state: Mapping[str, Array],
     ):
         self._run, scene, part = run, scenes[0], parts[0]
-        cone = (
-            scene.fine.light_cone if part is not scene.fine else None
-        )  # a batch computes the whole
+        # a batch computes the whole
+        cone = scene.fine.light_cone if part is not scene.fine else None
         columns = cone.columns if cone else slice(0, None)
         first = columns.start if isinstance(columns, slice) else int(columns[0])
         kept: list[dict[str, Array]] = [{} for _ in scenes]

@@ -87,9 +87,8 @@ def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(
     assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
     errors = [point.error for point in points]
     at_floor = errors.count(1e-9)
-    assert at_floor == (
-        5 if 0.8 * errors[-at_floor - 1] > 1e-9 else 4
-    )  # four in a row do no better
+    # four in a row do no better
+    assert at_floor == (5 if 0.8 * errors[-at_floor - 1] > 1e-9 else 4)
 
 
 def test_an_error_of_1_does_not_hold(monkeypatch: pytest.MonkeyPatch):
@@ -150,9 +149,8 @@ def test_tolerances_tighten_by_the_root_of_10_until_one_is_not_met(monkeypatch: 
     for k in range(17):
         tolerance = 10.0 ** (-1 - k / 2)
         counts.setdefault(math.ceil(tolerance**-0.25), tolerance)
-    assert asked == pytest.approx(
-        list(counts.values()), rel=1e-12
-    )  # one of those with the same steps
+    # one of those with the same steps
+    assert asked == pytest.approx(list(counts.values()), rel=1e-12)
     assert [point.steps for point in points] == list(counts)
 
 
@@ -192,9 +190,8 @@ def test_a_point_has_the_least_of_each_time(monkeypatch: pytest.MonkeyPatch):
     assert last == 1 + 1 + 3  # the search, a run to warm up, and three
     assert point.integration_s == point.seconds == pytest.approx(2.0 + 0.1 / last, rel=1e-12)
     assert point.setup_s == pytest.approx(0.5 + 0.1 / last, rel=1e-12)
-    assert point.estimate_s == pytest.approx(
-        1.0 - 0.1 / 3, rel=1e-12
-    )  # of the first that was timed
+    # of the first that was timed
+    assert point.estimate_s == pytest.approx(1.0 - 0.1 / 3, rel=1e-12)
     assert point.grain_steps_per_s == pytest.approx(
         4 * point.steps * 8 / point.integration_s, rel=1e-12
     )

@@ -11,9 +11,8 @@ from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene
 from lmpchain.benchmark.reference import _first_root, reference
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
-GOOD = (
-    2e-15 if EXTENDED else 1e-12
-)  # what the reference is known to when no scene amplifies round-off
+# what the reference is known to when no scene amplifies round-off
+GOOD = 2e-15 if EXTENDED else 1e-12
 TIGHT = 1e-18  # tolerance of the other integrator: with it, it is known to some 1e-15 where contacts open
 
 

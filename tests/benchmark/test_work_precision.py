@@ -98,9 +98,8 @@ def test_steps_shorten_until_round_off():
     assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
     least = min(point.error for point in points)
     assert least < 1e-12
-    assert all(
-        point.error > 0.5 * least for point in points[-4:]
-    )  # it ends where no more is to be had
+    # it ends where no more is to be had
+    assert all(point.error > 0.5 * least for point in points[-4:])
 
 
 def breaks_down(scene, engine, integrator, step):

@@ -47,9 +47,8 @@ def test_a_loose_contact_only_pushes(exponent: float) -> None:
     assert contacts.force_at(r) == pytest.approx(force, rel=1e-14)
     energy = 3e9 * 2e-8 ** (exponent + 1) / (exponent + 1)
     assert contacts.energy(r) == pytest.approx([energy, 0.0, 0.0], rel=1e-14)
-    assert contacts.elastic_share == pytest.approx(
-        1 / (1 + (exponent + 1) / 2), rel=1e-15
-    )  # virial theorem
+    # virial theorem
+    assert contacts.elastic_share == pytest.approx(1 / (1 + (exponent + 1) / 2), rel=1e-15)
 
 
 @pytest.mark.parametrize("exponent", EXPONENTS)

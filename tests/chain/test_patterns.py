@@ -90,9 +90,8 @@ def test_one_value_stands_for_all_kinds():
         1e-3,
         1e-3,
     ]
-    assert (
-        periodic(5, 1e-3, counts=10**12).diameters.tolist() == [1e-3] * 5
-    )  # one kind, whatever the count
+    # one kind, whatever the count
+    assert periodic(5, 1e-3, counts=10**12).diameters.tolist() == [1e-3] * 5
     assert periodic(5, np.array([1e-3, 2e-3]), counts=np.array([1, 2])).diameters[2] == 2e-3
 
 
@@ -180,9 +179,8 @@ def test_faults_are_named(made: tuple, keys: list[str]):
 def test_faults_of_the_chain_and_of_what_the_pattern_decides():
     assert faults(tapered, 5, 1e-3, 0.1, gravity=-1.0, colour="red") == ["colour", "gravity"]
     assert faults(periodic, 5, 1e-3, material="steel", diameter=1e-3) == ["diameter", "material"]
-    assert faults(decorated, 100, 1e-3, 0.01, material="ptfe", gravity=1e7) == [
-        "diameter"
-    ]  # squashed at rest
+    # squashed at rest
+    assert faults(decorated, 100, 1e-3, 0.01, material="ptfe", gravity=1e7) == ["diameter"]
 
 
 def test_faults_of_patterns_say_their_numbers():

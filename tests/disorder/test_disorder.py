@@ -448,13 +448,14 @@ def test_materials_of_grains_whose_modulus_is_drawn():
 
 # --- Eq. (22) and the command
 
+# of 60 grains at tau = 15, by another code
 SUMS = {
     1: 0.1523,
     3: 0.0258,
     5: -0.0241,
     100: -0.0380,
     1e4: -0.3604,
-}  # of 60 grains at tau = 15, by another code
+}
 
 
 def test_relative_stiffness():

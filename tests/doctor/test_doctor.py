@@ -60,9 +60,8 @@ def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert {finding["name"] for finding in findings} >= NAMES
     assert {(finding["state"], finding["cure"]) for finding in findings} == {("ok", "")}
     assert len(lines) == len(findings)
-    for line, finding in zip(
-        lines, findings, strict=True
-    ):  # three columns, each where it is in all other lines
+    # three columns, each where it is in all other lines
+    for line, finding in zip(lines, findings, strict=True):
         assert (line[:9].strip(), line[9:27].strip(), line[27:]) == (
             "ok",
             finding["name"],
@@ -376,18 +375,16 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     )
     started = tmp_path / "mpiexec.pid"
     until(lambda: started.exists() and started.read_text().strip())
-    until(
-        lambda: psutil.Process(process.pid).status() == psutil.STATUS_SLEEPING
-    )  # it waits for mpiexec
+    # it waits for mpiexec
+    until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_SLEEPING)
     process.send_signal(sent)
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == code
     assert err.startswith("stopped by")
     assert "Traceback" not in out + err
     status = Path("/proc", started.read_text().strip(), "status")
-    assert (
-        not status.exists() or "State:\tZ" in status.read_text()
-    )  # it is gone, or dead and not yet buried
+    # it is gone, or dead and not yet buried
+    assert not status.exists() or "State:\tZ" in status.read_text()
     assert not (tmp_path / "d.json").exists()
 
 

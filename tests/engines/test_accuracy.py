@@ -203,9 +203,8 @@ def test_free_flight_at_a_million_equal_steps(integrator, speed):
     scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2)
     run = simulate(scene, "native", 1e-3, integrator=integrator, step=duration / 10**6)
     off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
-    assert (
-        1e-12 < off < run.error_estimate.total < 1e-9
-    )  # a random walk of roundings alone would say a hundredth of that
+    # a random walk of roundings alone would say a hundredth of that
+    assert 1e-12 < off < run.error_estimate.total < 1e-9
 
 
 @pytest.mark.slow

@@ -149,9 +149,8 @@ def test_rounding_of_no_step_is_a_few_last_digits_and_grows_with_steps_and_phase
     assert native_floor(1e6, 0.0) - least == pytest.approx(
         10 * (native_floor(1e4, 0.0) - least), rel=1e-9
     )
-    assert native_floor(1e4, 0.0) - least == pytest.approx(
-        100 * EPSILON, rel=1e-9
-    )  # a walk of half-ulps, as stated
+    # a walk of half-ulps, as stated
+    assert native_floor(1e4, 0.0) - least == pytest.approx(100 * EPSILON, rel=1e-9)
     phase = native_floor(1e4, 1e3) - native_floor(1e4, 0.0)
     assert 1e3 * EPSILON <= phase <= 4e3 * EPSILON  # up to four last digits of it
     assert native_floor(1e4, 1e5) - native_floor(1e4, 0.0) == pytest.approx(100 * phase, rel=1e-9)

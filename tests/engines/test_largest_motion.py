@@ -12,9 +12,8 @@ from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.integrators.methods import METHODS
 
-PAIR = Chain(
-    grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0
-)  # grain 2 is fixed: an oscillator
+# grain 2 is fixed: an oscillator
+PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA, SPEED = PAIR.band_edge, 1e-3
 LENGTH = SPEED / OMEGA
 

@@ -10,9 +10,8 @@ from lmpchain.engines import Chebyshev, Modes
 from lmpchain.engines.linear import engine as linear
 from lmpchain.integrators.kernels.chebyshev import bessel, terms
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:Eq. "
-)  # that linear engines leave something out is known
+# that linear engines leave something out is known
+pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
 ENGINES = ["modes", "chebyshev"]
 both = pytest.mark.parametrize("engine", ENGINES)
 

@@ -125,9 +125,8 @@ def test_what_a_linear_answer_has_cost(engine):
     if engine == "modes":
         assert cost.force_evaluations == modes_that_move
     else:
-        assert (
-            cost.force_evaluations > terms_of_a_radian_each / 2
-        )  # of half a radian, as the matrix goes from 0 to 4
+        # of half a radian, as the matrix goes from 0 to 4
+        assert cost.force_evaluations > terms_of_a_radian_each / 2
 
 
 @pytest.mark.parametrize("made", [Modes(), Chebyshev()])
@@ -202,9 +201,8 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
     omega, shape = modes.frequency, modes.shape
     u, v = scene.initial()
     moving, grains = chain.movable, chain.grains
-    squeeze = np.zeros(
-        (grains + 1, omega.size)
-    )  # of contact c, from 0 above the top, by a unit of a mode
+    # of contact c, from 0 above the top, by a unit of a mode
+    squeeze = np.zeros((grains + 1, omega.size))
     for contact in range(grains + 1):
         above = shape[contact - 1] if 1 <= contact <= moving else 0.0
         below = shape[contact] if contact < moving else 0.0
@@ -342,9 +340,8 @@ def test_how_far_a_train_of_waves_travels_at_its_largest_strain():
     column = Chain(grains=30, diameter=1e-3)
     scene = Scene(chain=column, excitation=Drive(amplitude=1e-12, frequency=1e4), duration=1e-4)
     times = np.sqrt(column.masses[:-1] / column.linear_stiffness)
-    strain = 1 / (
-        column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times)
-    )  # as energy flows evenly
+    # as energy flows evenly
+    strain = 1 / (column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times))
     assert np.all(np.diff(strain) < 0)
     assert model_error.travel(scene) == pytest.approx(
         float((times * strain).sum() / strain[0]), rel=1e-9

@@ -228,9 +228,8 @@ def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
     scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
     chain, contacts = scene.chain, scene.chain.contacts
     part = slice(0, chain.movable)
-    stretch = -np.diff(
-        np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0
-    )  # of contacts by displacements
+    # of contacts by displacements
+    stretch = -np.diff(np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0)
     form = stretch.T @ (contacts.stiffness[:, None] * stretch)
     u, v = scene.initial()
     energy = (chain.masses * v**2).sum() + (contacts.stiffness * (stretch @ u[part]) ** 2).sum()
@@ -298,9 +297,8 @@ def test_waves_in_resonance_add_up(engine, length):
     known, t = truth(scene), simulate(scene, engine, 0.9)
     assert known
     assert known.error(t) / 1.3 < Modes().look(scene).estimate < 1.3 * known.error(t)
-    assert (
-        known.error(t) < t.error_estimate.model < 6 * known.error(t)
-    )  # of what acts all the time, the bound
+    # of what acts all the time, the bound
+    assert known.error(t) < t.error_estimate.model < 6 * known.error(t)
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")

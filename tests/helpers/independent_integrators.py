@@ -174,9 +174,8 @@ class Sine:
         value, rate = a * np.sin(w * t), a * w * np.cos(w * t)
         if not self.cycles:
             return value, rate
-        half = (
-            w * t / (2 * self.cycles)
-        )  # the square of its sine keeps the digits that 1 - cos loses at first
+        # the square of its sine keeps the digits that 1 - cos loses at first
+        half = w * t / (2 * self.cycles)
         hann, slope = np.sin(half) ** 2, np.sin(half) * np.cos(half) * w / self.cycles
         return value * hann, rate * hann + value * slope
 

@@ -211,9 +211,8 @@ PASCAL = np.array(
     [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1]],
     dtype=WIDE,
 )
-CORRECTIONS = np.array(
-    [WIDE(19) / 120, WIDE(3) / 4, 1, WIDE(1) / 2, WIDE(1) / 12]
-)  # Gear's, for x'' = a(x)
+# Gear's, for x'' = a(x)
+CORRECTIONS = np.array([WIDE(19) / 120, WIDE(3) / 4, 1, WIDE(1) / 2, WIDE(1) / 12])
 
 
 def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:

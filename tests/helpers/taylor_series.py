@@ -161,9 +161,8 @@ def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
     omega = 2 * pi * wide(excitation.frequency)
     if excitation.cycles is None:
         return 1, place, np.array([[size, omega]]), *none[3:]
-    cycles = wide(
-        excitation.cycles
-    )  # sin(w t) sin(w t / 2 c)^2 = sin(w t) / 2 - (sin(w + w/c) t + sin(w - w/c) t) / 4
+    # sin(w t) sin(w t / 2 c)^2 = sin(w t) / 2 - (sin(w + w/c) t + sin(w - w/c) t) / 4
+    cycles = wide(excitation.cycles)
     sines = [
         [size / 2, omega],
         [-size / 4, omega * (1 + 1 / cycles)],

@@ -139,9 +139,8 @@ def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
     most = max(np.sqrt(work), work / chain.grains)  # angle that the work allows
     if angle > most:
         duration *= most / angle * rng.uniform(0.5, 1)
-    if (
-        isinstance(excitation, Drive) and excitation.times is not None
-    ):  # its knots go with the duration
+    # its knots go with the duration
+    if isinstance(excitation, Drive) and excitation.times is not None:
         stretch = duration * rng.uniform(1, 1.2) / excitation.times[-1]
         excitation = Drive(
             times=excitation.times * stretch, displacement=excitation.displacement * stretch

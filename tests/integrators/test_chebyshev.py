@@ -55,9 +55,8 @@ def test_a_chain_moves_as_by_the_exponential_of_its_matrix(ends: str, start: str
     parts = [chain.advance(first), chain.advance(then)]
     for order in (0, 1):
         field = np.concatenate([part[order] for part in parts])
-        assert (
-            np.abs(field - true[order]).max() < 2e-13 * np.abs(true[order]).max()
-        )  # the exponential's
+        # the exponential's
+        assert np.abs(field - true[order]).max() < 2e-13 * np.abs(true[order]).max()
     assert np.array_equal(chain.u, parts[1][0][-1])
     assert np.array_equal(chain.v, parts[1][1][-1])
     assert (parts[1][2] == [0, GRAINS - (mobility[-1] == 0)]).all() or (

@@ -46,9 +46,8 @@ def test_order_of_convergence(engine, integrator):
         assert t.cost.steps == count
         errors.append(relative_error(t.displacement, t.velocity, u, v))
     n = np.array(counts, dtype=float)
-    laws = [np.ones(n.size), -np.log(n)] + (
-        [] if integrator in SPLITTINGS else [1 / n]
-    )  # odd terms, if not symmetric
+    # odd terms, if not symmetric
+    laws = [np.ones(n.size), -np.log(n)] + ([] if integrator in SPLITTINGS else [1 / n])
     slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
     assert min(errors) > 100 * own
     assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
@@ -147,9 +146,8 @@ EXCITATIONS = {
 
 
 RESTARTED = [(*pair, excitation) for pair, excitation in product(PAIRS, EXCITATIONS)]
-RESTARTED = [
-    (e, i, x) for e, i, x in RESTARTED if e == "native" or i == "verlet" or x == "driven"
-]  # LAMMPS is slow
+# LAMMPS is slow
+RESTARTED = [(e, i, x) for e, i, x in RESTARTED if e == "native" or i == "verlet" or x == "driven"]
 
 
 @pytest.mark.parametrize(("engine", "integrator", "excitation"), RESTARTED)

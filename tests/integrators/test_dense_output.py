@@ -29,9 +29,8 @@ from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
-SPRING = Chain(
-    grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0
-)  # grain 2 is fixed
+# grain 2 is fixed
+SPRING = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = np.sqrt(SPRING.contact_constants[0] / SPRING.masses[0])
 SPEED = 1e-3
 

@@ -131,9 +131,8 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     eps = chain.equilibrium_overlap
     u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
     found = np.zeros(7)
-    at_rest = (
-        chain.equilibrium_force.copy()
-    )  # which may be written to, as in loops that are compiled
+    # which may be written to, as in loops that are compiled
+    at_rest = chain.equilibrium_force.copy()
     links = Links(1 / eps, at_rest, 0.0, form, 1.0, series(exponent))
     forces.contact_forces(form, found[1:-1], u, links)
     moved = 1e-5 * eps[0] * np.eye(6)
@@ -171,9 +170,8 @@ def untiled() -> Any:
         names[name] = forces.inlined(again(names[name]))
     names["_march"] = sample_loop.sample_loop(names["_advance"], True, names["_land"])
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT)(again(kernels.march))
-    NativeStepper(
-        ChainBatch([smooth()]), METHODS["verlet"], StepSchedule(1, 1, 1e-6, False), {}
-    )  # now it is known what it takes
+    # now it is known what it takes
+    NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], StepSchedule(1, 1, 1e-6, False), {})
     made.compile(kernels.march.signatures[0])
     return made
 
@@ -285,7 +283,6 @@ def test_no_contact_that_shortens_a_step_is_passed_over():
 def test_steps_do_several_grains_at_a_time(untiled: Any):
     """What is kept for later processes cannot be read; the same compiled anew can."""
     assembly = next(iter(untiled.inspect_asm().values()))
-    assert (
-        packed(assembly, "sqrt") >= 4
-    )  # one for 3/2, 5/4 and 7/4 each, and one for the corrected form
+    # one for 3/2, 5/4 and 7/4 each, and one for the corrected form
+    assert packed(assembly, "sqrt") >= 4
     assert packed(assembly, "fmadd") > 0

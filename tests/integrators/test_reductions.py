@@ -33,9 +33,8 @@ def test_differences_are_those_of_the_samples_where_others_stop():
         i = at - BEGIN
         expected[0, at, :, 0] = np.abs(U[:, i] - OTHERS_U[0, :, i]).max(-1)
         expected[0, at, :, 1] = np.abs(V[:, i] - OTHERS_V[0, :, i]).max(-1)
-        if (
-            at % 2 == 0 or at == FINAL
-        ):  # the second stops at even samples, and is measured from the first
+        # the second stops at even samples, and is measured from the first
+        if at % 2 == 0 or at == FINAL:
             expected[1, at, :, 0] = np.abs(OTHERS_U[0, :, i] - OTHERS_U[1, :, i]).max(-1)
             expected[1, at, :, 1] = np.abs(OTHERS_V[0, :, i] - OTHERS_V[1, :, i]).max(-1)
     assert np.array_equal(differences, expected, equal_nan=True)

@@ -180,9 +180,8 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
 
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
-        started = engine.start(
-            [scene], engine.candidate(scene, 1e-3).sampled, kept
-        )  # else it lands at the end only
+        # else it lands at the end only
+        started = engine.start([scene], engine.candidate(scene, 1e-3).sampled, kept)
         blocks = []
         for block in started.blocks():
             blocks += [block.velocity[0]]

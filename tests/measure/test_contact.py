@@ -235,11 +235,12 @@ def test_grains_that_just_touch_have_not_opened() -> None:
     """A front in the vacuum starts at nothing and grows beyond all powers; an interpolant through it overshoots."""
     chain = vacuum(12)
     assert contacts(record(chain, REST, 10.0, 11)).events() == []
+    # until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine
     for samples in (
         5,
         9,
         33,
-    ):  # until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine
+    ):
         events = contacts(record(chain, Impulse(velocity=1.0), 8.0, samples)).events()
         assert all(event.opens for event in events)
         assert [event.contact for event in events] == list(range(1, len(events) + 1))
@@ -275,18 +276,16 @@ def test_arrival_of_a_known_peak() -> None:
 
 
 def test_an_arrival_that_sampling_hardly_shows() -> None:
-    peak = arrival(
-        np.array([0.0, 1.0, 2.0]), np.array([0.0, 3.0, 2.0])
-    )  # the parabola through them
+    # the parabola through them
+    peak = arrival(np.array([0.0, 1.0, 2.0]), np.array([0.0, 3.0, 2.0]))
     assert (peak.time, peak.height, peak.error) == pytest.approx(
         (1.25, 3.125, 1.0), rel=1e-12, abs=0
     )
     flat = arrival(np.arange(9.0), np.array([0, 0, 0, 1, 1, 1, 1, 0, 0]))
     assert 2 < flat.time < 7
     time = np.arange(12.0)
-    two = np.exp(-((time - 4) ** 2)) + 1.2 * np.exp(
-        -((time - 8.5) ** 2)
-    )  # the second is higher between its samples
+    # the second is higher between its samples
+    two = np.exp(-((time - 4) ** 2)) + 1.2 * np.exp(-((time - 8.5) ** 2))
     assert arrival(time, two).time == pytest.approx(4, abs=0.1)
 
 

@@ -185,9 +185,8 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
     end = 4 * period
     s = end * (1 + node) / 2
     speed = amplitude * omega * np.cos(omega * s)
-    work = (
-        end / 2 * weight @ (k * amplitude * pull(s) * speed)
-    )  # grain 1 itself is as fast as at t = 0
+    # grain 1 itself is as fast as at t = 0
+    work = end / 2 * weight @ (k * amplitude * pull(s) * speed)
     at_end = energy.drive[4 * 64]
     assert at_end == pytest.approx(work, abs=energy.drive_error / 10)
     assert at_end == pytest.approx(work, rel=1e-5, abs=0)
@@ -210,9 +209,8 @@ def test_energy_is_shared_5_to_4_between_walls() -> None:
     """K/E = (delta+1)/(delta+3) + [G(T) - G(0)] / ((delta+3) T E), G = sum m phi phi': the virial theorem."""
     chain = vacuum(20, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=400.0, samples=8001)
-    t = simulate(
-        scene, engine=engines.Native(step=0.05)
-    )  # chaotic after 100, but the theorem holds for any motion
+    # chaotic after 100, but the theorem holds for any motion
+    t = simulate(scene, engine=engines.Native(step=0.05))
     energy = ledger(t)
     g = (t.displacement * t.velocity).sum(1)
     for end in (100, 400):
@@ -259,9 +257,8 @@ def test_energy_of_a_chain_at_rest_is_zero() -> None:
 def test_every_grain_that_moves_is_needed() -> None:
     strike = Impulse(velocity=1e-4)
     whole = ledger(record(COLUMN, strike, 1e-5, 11))
-    turned = ledger(
-        record(COLUMN, strike, 1e-5, 11, grains=list(range(19, 0, -1)))
-    )  # grain 20 is held
+    # grain 20 is held
+    turned = ledger(record(COLUMN, strike, 1e-5, 11, grains=list(range(19, 0, -1))))
     for key, value in whole.__dict__.items():
         assert turned.__dict__[key] == pytest.approx(value, rel=1e-12, abs=0), key
     for grains, missing in (("1:18", ": 19"), ([1], ": 2, 3, 4, 5, 6, 7, 8, 9, ...")):

@@ -116,9 +116,8 @@ def test_the_front_is_the_first_maximum_that_is_high_enough():
 
 
 def test_grains_that_the_front_has_not_passed_are_left_out():
-    t = made_up(
-        lambda t, n: gauss(t, 10 * (n - 1)) + 1e-9 * np.sin(5 * t) * (n == 5)
-    )  # at t = 0, 10, 20, 30 ...
+    # at t = 0, 10, 20, 30 ...
+    t = made_up(lambda t, n: gauss(t, 10 * (n - 1)) + 1e-9 * np.sin(5 * t) * (n == 5))
     t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-8))
     assert track(t).grain.tolist() == [2], "noise below the error of the trajectory is no front"
     t = made_up(lambda t, n: np.tanh(t - 10) + 1 + 0 * n)

@@ -113,10 +113,11 @@ def test_a_dark_breather_swings_with_its_background():
     orbit = dark()
     chain, swing = orbit.chain, np.ptp(orbit.motion()[1], axis=0) / 2
     overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)
+    # less than at rest: grains at the dip take more room
     eps, k = (
         overlap[10:12].mean(),
         chain.contact_constants[0],
-    )  # less than at rest: grains at the dip take more room
+    )
 
     def period(amplitude: float) -> float:
         def potential(x: float) -> float:

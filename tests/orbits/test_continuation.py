@@ -14,9 +14,8 @@ from lmpchain.orbits.closing import Aspect, aspects
 from lmpchain.orbits.shooting import Equations
 from lmpchain.theory import modes
 
-CHAIN = Chain(
-    grains=3, diameter=1e-3, gravity=0.0, top_load=1.0
-)  # one grain that moves, below the driven one
+# one grain that moves, below the driven one
+CHAIN = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)
 OMEGA = float(np.sqrt(2 * CHAIN.linear_stiffness[0] / CHAIN.masses[0]))
 
 
@@ -208,9 +207,8 @@ def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multiplier
     rest = np.zeros(11)
     first = orbits.find(chain, (u, rest), period, energy=float(chain.excess_energy(u, rest)))
     there = orbits.follow(first, "period", 1.04 * period)
-    events = (
-        there.events + orbits.follow(there[-1], "period", 1.05 * period).events
-    )  # one step may pass both
+    # one step may pass both
+    events = there.events + orbits.follow(there[-1], "period", 1.05 * period).events
     assert [event.kind for event in events] == ["Neimark-Sacker", "Neimark-Sacker"]
     for event, inside in zip(events, (1, -1), strict=True):
         near = [

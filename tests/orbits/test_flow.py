@@ -127,6 +127,7 @@ def test_a_period_is_that_of_an_independent_integration(grain: int | None):
         )
 
 
+# a driven orbit is not symmetric about t = 0
 @pytest.mark.parametrize(
     ("grain", "reversible"),
     [
@@ -134,7 +135,7 @@ def test_a_period_is_that_of_an_independent_integration(grain: int | None):
         (None, True),
         (1, False),
         (0, False),
-    ],  # a driven orbit is not symmetric about t = 0
+    ],
 )
 @pytest.mark.parametrize("parameter", [False, True])
 def test_equations_have_the_derivatives_that_differences_show(
@@ -176,9 +177,8 @@ def test_equations_have_the_derivatives_that_differences_show(
         ]
         slope = (ends[0] - ends[1]) / 2e-6
         assert np.abs(slopes[: closure.size, column] - slope).max() < 2e-8 * np.abs(slopes).max()
-    if (
-        not reversible and drive is None
-    ):  # the last row selects one state of the orbit: across the motion
+    # the last row selects one state of the orbit: across the motion
+    if not reversible and drive is None:
         across = np.concatenate((MASSES**0.5 * V / RATE, force(LOADED, U) / MASSES**0.5 / RATE**2))
         np.testing.assert_allclose(slopes[-1, :count], across / np.linalg.norm(across), rtol=1e-9)
         np.testing.assert_array_equal(slopes[-1, count:], 0.0)

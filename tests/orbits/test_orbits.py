@@ -186,9 +186,8 @@ def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent:
         k * d * (d - 1) * (d - 2) / 6 * eps ** (d - 3) / m,
     )
     energy = 0.5 * m * w**2 * (eps * np.array([1e-2, 2e-2])) ** 2
-    shift = (
-        (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)
-    )  # Landau and Lifshitz, section 28
+    # Landau and Lifshitz, section 28
+    shift = (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)
     slope = [(2 * np.pi / orbits.normal_mode(chain, 1, e).period - w) / e for e in energy]
     assert (4 * slope[0] - slope[1]) / 3 == pytest.approx(shift, rel=1e-6)
 

@@ -182,9 +182,8 @@ def test_figure(script: str, command: Command):
 def test_every_script_has_its_picture_on_the_page():
     page = (ANALYSIS / "README.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"\]\(pictures/(\w+)\.png\)", page))
-    drawn = {path.stem for path in (ANALYSIS / "pictures").glob("*.png")} - {
-        "compare"
-    }  # which the README shows
+    # which the README shows
+    drawn = {path.stem for path in (ANALYSIS / "pictures").glob("*.png")} - {"compare"}
     assert shown == drawn
     assert drawn > set(KNOWN) | {"scaling"}
     for name in shown:

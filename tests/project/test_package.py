@@ -82,9 +82,8 @@ def test_built_wheel_works_in_another_folder(tmp_path):
         str(tmp_path / "site"),
         str(wheel),
     )
-    for kept in (ROOT / "lmpchain").rglob(
-        "*.nb[ic]"
-    ):  # compiled code serves where the source has the same time
+    # compiled code serves where the source has the same time
+    for kept in (ROOT / "lmpchain").rglob("*.nb[ic]"):
         shutil.copy2(kept, tmp_path / "site" / kept.relative_to(ROOT))
     for source in (ROOT / "lmpchain").rglob("*.py"):
         shutil.copystat(source, tmp_path / "site" / source.relative_to(ROOT))

@@ -37,12 +37,13 @@ REFUSED = {  # what is wrong with a scene is said alike by all
     "fit": ("column.lammpstrj", "--scene"),
     "dyson": ("column.lammpstrj", "--m", "1", "--scene"),
 }
+# what takes no long time is done where the scene is accepted
 DONE = (
     "plan",
     "run",
     "compare",
     "deck",
-)  # what takes no long time is done where the scene is accepted
+)
 DUMP = "".join(
     f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n6\nITEM: BOX BOUNDS ff ff ff\n-1 1\n-1 1\n-1 1\n"
     "ITEM: ATOMS id x y z vx vy vz\n"

@@ -248,9 +248,8 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
     assert np.diff(expected) == pytest.approx(
         1e6 * np.diff(travel(run.scene.chain, 1)[grains - 1]), rel=0.02
     )
-    assert expected[0] == pytest.approx(
-        1e6 * travel(run.scene.chain, 1)[1], rel=0.6
-    )  # half a contact more
+    # half a contact more
+    assert expected[0] == pytest.approx(1e6 * travel(run.scene.chain, 1)[1], rel=0.6)
     assert time.get_xlabel() == "grain, from the top"
     assert time.get_ylabel() == "arrival (µs)"
     said = [text.get_text() for text in time.get_legend().get_texts()]

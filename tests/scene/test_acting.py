@@ -154,9 +154,8 @@ def test_one_grain_on_a_spring(kind: str, where: str):
         strength = 20.0 / 2e-6
     scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
     corners = [*given.waveform.corners]
-    between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[
-        1:
-    ]  # at resonance samples see little of the motion
+    # at resonance samples see little of the motion
+    between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]
     fields = duhamel(given, strength, between, corners)
     (x, v), largest = (field[7::8] for field in fields), [np.abs(field).max() for field in fields]
 
@@ -243,9 +242,8 @@ def test_order_of_convergence(integrator: str, kind: str):
         assert t.cost.steps == count or integrator == "dop853"
         errors.append(relative_error(t.displacement, t.velocity, u, v))
     assert min(errors) > 100 * own
-    n = np.array(
-        counts, dtype=float
-    )  # the step that is made as two has less of an error than the others
+    # the step that is made as two has less of an error than the others
+    n = np.array(counts, dtype=float)
     laws = [np.ones(n.size), -np.log(n)] + (
         [1 / n] if scene.excitation.waveform.corners and integrator in SPLITTINGS else []
     )
@@ -322,9 +320,8 @@ def test_lammps(kind: str, integrator: str):
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
     assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
-    step = (
-        scene.duration / 200
-    )  # in steps of any length it is the native map: formulas are right to the last digits
+    # in steps of any length it is the native map: formulas are right to the last digits
+    step = scene.duration / 200
     gauge = simulate(scene, engines.Lammps(integrator, step, "gauge"))
     assert err(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
 
@@ -424,9 +421,8 @@ def test_the_force_of_a_driver():
     below = scene_of(WALLED, drives(0.5, 1)["burst"], samples=401)
     alone = scene_of(LOADED, drives(0.5, 1)["burst"], samples=401)
     t, free = simulate(below, "native", 1e-9), simulate(alone, "native", 1e-9)
-    assert np.array_equal(
-        t.displacement, free.displacement
-    )  # a wall above a driven grain moves nothing
+    # a wall above a driven grain moves nothing
+    assert np.array_equal(t.displacement, free.displacement)
     squeezed = contact.contacts(t, [0]).change[:, 0]
     assert contact.drive_force(t) == pytest.approx(
         contact.drive_force(free) - LOAD - squeezed, rel=1e-9, abs=1e-9 * LOAD

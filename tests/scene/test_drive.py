@@ -357,9 +357,8 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
     candidate = solver.candidate(scenes[0], 1e-6)
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
-    monkeypatch.setattr(
-        companion_run, "BLOCK_BYTES", 1
-    )  # four samples a block, after the one at t = 0
+    # four samples a block, after the one at t = 0
+    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)
     begun = solver.start(scenes, candidate)
     blocks = []
     for block in begun.blocks():

@@ -115,9 +115,8 @@ def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None
         points=turns[turns < until] if cycles is None else None,
         limit=500,
     )
-    if (
-        cycles is None
-    ):  # at whole arches it is the area itself; at quarter periods the path is 1 more
+    # at whole arches it is the area itself; at quarter periods the path is 1 more
+    if cycles is None:
         assert wave.area(duration) <= whole[0] + 2 * abs(AMPLITUDE) / wave.omega
         whole_arches = (2 * FREQUENCY * duration) % 1 == 0
         assert not whole_arches or wave.area(duration) == pytest.approx(whole[0], rel=1e-9)

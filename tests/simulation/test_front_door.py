@@ -250,9 +250,8 @@ def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
     monkeypatch.setattr(run_folder.store.Writer, "put", put)
     simulate(SCENE, "native", 1e-6, folder=tmp_path / "run")
     moments = [moment for moment, _ in saved]
-    assert moments[0] == pytest.approx(
-        2 * 0.05 + 2 * 0.5 + 0.05, rel=1e-9
-    )  # two at the beginning, then a second
+    # two at the beginning, then a second
+    assert moments[0] == pytest.approx(2 * 0.05 + 2 * 0.5 + 0.05, rel=1e-9)
     # saving took 0.05 s, so that the next one is 5 s later
     assert moments[1] - moments[0] == pytest.approx(5.05, abs=0.51)
     assert status(tmp_path / "run")["wall_s"] == pytest.approx(now[0], rel=1e-9)

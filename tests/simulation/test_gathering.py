@@ -36,9 +36,8 @@ from lmpchain.stability.step_limit import blow_up
 
 OF_GRAINS = ["peak_velocity", "peak_displacement", "arrival_time"]
 ALL = [*OF_GRAINS, "peak_force:4", "force:4"]
-PAIR = Chain(
-    grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0
-)  # grain 2 is fixed: an oscillator
+# grain 2 is fixed: an oscillator
+PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = PAIR.band_edge
 COLUMN = Chain(grains=30, diameter=1e-3)
 STRUCK = Scene(

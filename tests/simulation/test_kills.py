@@ -124,20 +124,17 @@ def test_a_kill_at_any_change_of_the_disk(
         run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed"
     )
     assert status(run)["attempt"] >= (1 if case is fallback else 2)
-    begun = [
-        folder for folder in left if (folder / "scene.toml").exists()
-    ]  # else there is nothing to go on with
+    # else there is nothing to go on with
+    begun = [folder for folder in left if (folder / "scene.toml").exists()]
     assert len(begun) > most / 2
     for folder in begun:
-        if (
-            status(folder)["state"] == "killed" and rng.random() < 0.5
-        ):  # the next session is killed, too
+        # the next session is killed, too
+        if status(folder)["state"] == "killed" and rng.random() < 0.5:
             again = kill_moments(
                 folder, lambda at=folder: resume(at), 3, rng, tmp_path / f"again {folder.name}"
             )
-            folder = rng.choice(
-                again
-            )  # there is no copy of a moment at which another thread moved a file
+            # there is no copy of a moment at which another thread moved a file
+            folder = rng.choice(again)
         answer = resume(folder)
         assert same(answer, right), folder
         assert answer.cost.steps == right.cost.steps
@@ -270,11 +267,12 @@ CASES = {
     "mpirun": (FEW, FIXED, [2, 1, 2]),
     "two ranks, then mpirun": (FEW, [*FIXED, *TWO], [1, 2, 1]),
 }
+# that need a second attempt
 SEVERAL = {
     "native to a tolerance",
     "lammps",
     "two ranks to a tolerance",
-}  # that need a second attempt
+}
 # an idle rank sleeps: where there are fewer cores than ranks, the other one comes to its turn
 DOZE = {"MPIR_CVAR_POLLS_BEFORE_YIELD": "1", "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1"}
 
@@ -351,9 +349,8 @@ def killed(
         command = Command(line, next(counts), folder)
         while command.at_work() and reached(folder / "run") < part:
             time.sleep(0.01)
-        time.sleep(
-            rng.uniform(0, 1) if part < 0 else rng.uniform(0, 0.1)
-        )  # not always just behind a sample
+        # not always just behind a sample
+        time.sleep(rng.uniform(0, 1) if part < 0 else rng.uniform(0, 0.1))
         there, alive_still = command.processes(), command.at_work()
         victim = command.pid if rng.random() < 0.5 or not there else rng.choice(there)
         with suppress(ProcessLookupError):

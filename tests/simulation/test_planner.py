@@ -108,9 +108,8 @@ def keeps_its_word(seed: int) -> str:
     u, v = truth(scene)
     for tolerance in TOLERANCES:
         with warnings.catch_warnings(action="ignore"), pytest.MonkeyPatch.context() as patch:
-            if seed % 2 and not (
-                scene.drive and scene.chain.grains > 1000
-            ):  # linear theory wherever it would do
+            # linear theory wherever it would do
+            if seed % 2 and not (scene.drive and scene.chain.grains > 1000):
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
                 patch.setattr(selection, "speed", lambda *_: (0.0, 1.0))  # and asked at all
             plan, t = lmpchain.plan(scene, tolerance), simulate(scene, tolerance=tolerance)

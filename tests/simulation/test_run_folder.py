@@ -171,9 +171,8 @@ def test_a_missed_tolerance_is_kept_and_told_again(
     first = capsys.readouterr()
     assert "amplifies round-off" in first.err
     assert main(["resume", f"{tmp_path}/run"]) == 1
-    assert (
-        capsys.readouterr().err == first.err.splitlines(keepends=True)[-1]
-    )  # the scene was warned of before
+    # the scene was warned of before
+    assert capsys.readouterr().err == first.err.splitlines(keepends=True)[-1]
     with pytest.raises(ToleranceNotMet) as caught:
         resume(tmp_path / "run")
     assert caught.value.trajectory is not None

@@ -28,9 +28,8 @@ ENDLESS = Scene(
     duration=1.0,
     samples=20001,
 )
-OFTEN = ENDLESS.replace(
-    samples=200_001
-)  # so that a stop need not wait for a sample, however busy the machine
+# so that a stop need not wait for a sample, however busy the machine
+OFTEN = ENDLESS.replace(samples=200_001)
 VERLET = [
     "--engine",
     "lammps",

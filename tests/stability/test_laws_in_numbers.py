@@ -198,9 +198,8 @@ def test_predicted_times_count_decades_from_the_rounding_of_a_run() -> None:
         growth_rate(s) * reflection_time(s)
         for s in (column(10, 100), column(20, 100), column(40, 100))
     ]
-    assert (rise[1] / rise[0] - 1) ** 2 == pytest.approx(
-        (rise[2] / rise[1] - 1), rel=1e-9
-    )  # 1 - exp(-N / const)
+    # 1 - exp(-N / const)
+    assert (rise[1] / rise[0] - 1) ** 2 == pytest.approx((rise[2] / rise[1] - 1), rel=1e-9)
 
 
 def test_a_tolerance_is_passed_where_the_change_that_was_made_has_grown_beyond_ten_times_it() -> (

@@ -48,18 +48,16 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
         )
         while process.poll() is None and done(out) < part * SCENES:
             time.sleep(0.02)
-        time.sleep(
-            rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1)
-        )  # not always just behind a scene
+        # not always just behind a scene
+        time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))
         there = processes(mark)  # workers
         victim = process.pid if rng.random() < 0.7 or not there else rng.choice(there)
         alive_still = process.poll() is None
         with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
         code, said = process.ended()
-        assert f'File "{PACKAGE}' not in said, (
-            said
-        )  # Python's own resource tracker tells how it was killed
+        # Python's own resource tracker tells how it was killed
+        assert f'File "{PACKAGE}' not in said, said
         assert code in (0, -signal.SIGKILL), said
         until(lambda: not processes(mark))  # nothing of it is left
         counts[0] += alive_still

@@ -143,9 +143,8 @@ def test_draws_fill_a_latin_hypercube(tmp_path):
     gravity, speed = found["chain.gravity"].values, found["excitation.velocity"].values
     assert sorted(np.floor(gravity - 1).astype(int)) == list(range(20))
     assert sorted(np.floor(np.log10(speed * 1e6) * 5).astype(int)) == list(range(20))
-    assert found.peak_velocity[:, 0].values == pytest.approx(
-        speed, rel=1e-12
-    )  # nothing is faster than the strike
+    # nothing is faster than the strike
+    assert found.peak_velocity[:, 0].values == pytest.approx(speed, rel=1e-12)
     assert found.identical(sweep(asked, tmp_path / "b"))
     other = sweep(asked | {"random": asked["random"] | {"seed": 4}}, tmp_path / "b")
     assert not np.isin(other["chain.gravity"], gravity).any()
@@ -599,10 +598,11 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
     assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
     out, err = capfd.readouterr()
     assert "of 8 scenes" in out
+    # a hard strike, what failed
     assert [line.partition(":")[0] for line in err.splitlines()] == [
         "warning",
         "error",
-    ]  # a hard strike, what failed
+    ]
     found = load_sweep(tmp_path / "out")
     reasons = found.reason.values
     assert "squeezes contact" in reasons[1, 1, 0]
@@ -614,9 +614,8 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
     assert np.isnan(lost.solver_error).all()
     assert np.isfinite(found.velocity.where(found.reason == "", 0.0)).all()
     before = contents(tmp_path / "out")
-    assert (
-        main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
-    )  # tells it again, runs nothing
+    # tells it again, runs nothing
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
     assert contents(tmp_path / "out") == before
 
 

@@ -144,10 +144,9 @@ def test_constants_of_eq_32():
     )
 
 
+# differences cannot reach the top
 @each_delta
-@pytest.mark.parametrize(
-    ("h", "tau"), [place for place in PLACES if place[0] > 0.1]
-)  # differences cannot reach the top
+@pytest.mark.parametrize(("h", "tau"), [place for place in PLACES if place[0] > 0.1])
 def test_packets_solve_eq_27(h: float, tau: float | None, delta: float):
     tau = when(h, tau, delta)
     assert (
@@ -256,9 +255,10 @@ def test_impulse_response_is_causal():
     assert continuum.impulse_response(h, 2.0)[1] > 0
     assert continuum.impulse_response(h, 2.0)[2] == 0
     assert continuum.impulse_response(h, continuum.chi(h)).tolist() == [np.inf] * 3
+    # chi = h
     assert continuum.impulse_response([1.999, 2.0, 2.001], 2.0, 1.0) == pytest.approx(
         [1, 1, 0], rel=4e-16
-    )  # chi = h
+    )
 
 
 # ------------------------------------------------------------------------------------- the equation itself

@@ -73,9 +73,8 @@ def test_the_velocity_asked_for_is_the_largest_of_heavy_grains():
     for wave, velocity in ((HERTZ, 0.1), (WAVES[1], 3.0), (solve(0.35), 1.0)):
         coarse = np.linspace(-2, 2, 81)
         fine = coarse[wave.velocity(coarse).argmax()] + np.linspace(-0.05, 0.05, 201)
-        assert wave.velocity(fine).max() == pytest.approx(
-            velocity, rel=2e-7
-        )  # of places 1e-3 apart
+        # of places 1e-3 apart
+        assert wave.velocity(fine).max() == pytest.approx(velocity, rel=2e-7)
     assert solve(0.35).delta == 1.5
 
 

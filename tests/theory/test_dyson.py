@@ -22,9 +22,8 @@ def test_distribution_by_mpmath(function, power: int, m: float):
             for k in kappa
         ]
     exact = np.array(exact, dtype=float)
-    tolerance = 1e-14 + 4e-16 * m * abs(
-        kappa - 1
-    )  # of m log(kappa), which cancels against m (kappa - 1)
+    # of m log(kappa), which cancels against m (kappa - 1)
+    tolerance = 1e-14 + 4e-16 * m * abs(kappa - 1)
     assert np.all(abs(function(kappa, m) - exact) <= tolerance * exact)
 
 

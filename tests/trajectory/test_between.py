@@ -37,10 +37,11 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner intervals, (3,)."""
     t, u, v, a = motion(overlap, exponent)
     at = slice(None, None, FINE)
+    # where the other body is, and how fast
     above = (
         u[at] + overlap(t[at]),
         v[at] + overlap.deriv()(t[at]),
-    )  # where the other body is, and how fast
+    )
     fields = [np.stack(pair, axis=1) for pair in zip(above, (u[at], v[at]), strict=True)]
     contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
     block = block_of(*fields, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, 1.0)

@@ -15,9 +15,8 @@ RNG = np.random.default_rng(12)
 KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
 H, SAMPLES = 0.125, 9
 END = H * (SAMPLES - 1)
-PUSHED = (
-    5 / 16
-)  # by which an error of the acceleration changes a velocity between samples, in intervals
+# by which an error of the acceleration changes a velocity between samples, in intervals
+PUSHED = 5 / 16
 STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
 TILT_S = 0.3  # rad/s by which errors of values may go up and down
 
@@ -298,9 +297,8 @@ def test_where_there_is_no_front(kind: int, sign: float):
 
 
 def test_a_width_whose_ends_are_not_recorded_is_unknown():
-    curve = (Polynomial([0, 0, 1]) * Polynomial([3, -2]))(
-        Polynomial([0, 1.5])
-    )  # 0 again at the end
+    # 0 again at the end
+    curve = (Polynomial([0, 0, 1]) * Polynomial([3, -2]))(Polynomial([0, 1.5]))
     found = front(position_of(curve, hermite.VELOCITY), hermite.VELOCITY)
     assert found[0] == pytest.approx(2 / 3, rel=1e-9)
     assert found[2] == pytest.approx(span(curve, 0.5, 2 / 3), rel=1e-9)

@@ -11,9 +11,8 @@ from lmpchain.trajectory.between.derivatives import Block, Imposed, Law, derive
 RNG = np.random.default_rng(21)
 H, SAMPLES = 0.125, 9
 FINAL = SAMPLES - 1
-PUSHED = (
-    5 / 16
-)  # by which an error of the acceleration changes a velocity between samples, in intervals
+# by which an error of the acceleration changes a velocity between samples, in intervals
+PUSHED = 5 / 16
 STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
 
 
@@ -99,9 +98,8 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
             assert high > 0 or not off
     best, low, high = (float(each[0]) for each in kept.closest)
     ends = (samples_of(wall) - samples_of(position))[0].max()
-    allowed = (
-        2 * PUSHED * H * off * H / 2.1875
-    )  # the wall is as unsure as the grain, which is where it is given
+    # the wall is as unsure as the grain, which is where it is given
+    allowed = 2 * PUSHED * H * off * H / 2.1875
     assert best == pytest.approx(relative, rel=1e-10)
     assert high == pytest.approx(relative + allowed, rel=1e-6)
     assert low == pytest.approx(max(ends, relative - allowed), rel=1e-6)
@@ -133,6 +131,7 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
         u[i + 1] = u[i] + H * ((v[i] + v[i + 1]) / 2 + H / 10 * (a[i] - a[i + 1]))
     kept = Gathered(sign * np.array([u, v, a, 0 * a]), np.zeros((4, SAMPLES)))
     kept.take(3, 4)
+    # of the quintic in the middle interval
     powers = [
         v[3],
         30,
@@ -140,7 +139,7 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
         10 - 10 * 30,
         -15 + 15 * 30,
         6 - 6 * 30,
-    ]  # of the quintic in the middle interval
+    ]
     top = Polynomial(powers)(np.linspace(0, 1, 10_001)).max()
     assert kept.fast.value[0] == pytest.approx(top, rel=1e-6)
 

@@ -143,9 +143,8 @@ def test_a_curvature_is_sure_beyond_the_errors_and_rounding():
     p = path_of(np.zeros((5, 4)), hermite.VELOCITY, H)
     curve = Polynomial([1.0, 0.3, -2.0, 0.7, 0.1, -0.4, 0.2])
     p.d[:] = bernstein(curve.deriv(), 5)
-    ratio = (
-        2 * 52.5 / SHAPE(0.5)
-    )  # of the largest curvature of a misfit, twice, and the largest misfit
+    # of the largest curvature of a misfit, twice, and the largest misfit
+    ratio = 2 * 52.5 / SHAPE(0.5)
     for s in (0.0, 0.4, 1.0):
         bend = abs(curve.deriv(2)(s))
         assert hermite.sure_bend(p, s, 0.0, 0.01) == pytest.approx(bend - ratio * 0.01, rel=1e-12)

@@ -346,9 +346,8 @@ def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
     frames = ["ITEM: TIMESTEP" + part for part in text.split("ITEM: TIMESTEP")[1:]]
     assert len(frames) == 11
     for kept in (1, 5, 10):
-        path.write_text(
-            "".join([*frames[: kept + 1], *frames[kept:]])
-        )  # a restart writes its first frame anew
+        # a restart writes its first frame anew
+        path.write_text("".join([*frames[: kept + 1], *frames[kept:]]))
         assert np.array_equal(Trajectory.from_dump(path, OWN).displacement, truth.displacement)
         for cut in (3, 20, len(frames[kept]) // 2, len(frames[kept]) - 3):
             path.write_text("".join([*frames[:kept], frames[kept][:cut], *frames[kept - 1 :]]))
@@ -392,6 +391,5 @@ def test_the_precision_of_a_dump_is_stated(upright: Path, digits: int, tmp_path:
         strict=True,
     ):
         off = np.abs(mine - true).max()
-        assert (
-            float(stated) / 100 < off <= 2 * float(stated)
-        )  # the height at rest is rounded as well
+        # the height at rest is rounded as well
+        assert float(stated) / 100 < off <= 2 * float(stated)

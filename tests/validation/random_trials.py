@@ -35,12 +35,13 @@ LOW = 3.0  # an estimate below a third of the truth is one too
 ROUND = 2.3e-16  # two answers in double precision may differ by so much
 SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
 FAMILIES = ("native", "step", "auto", "linear", "lammps", "acted")
+# least tolerance that makes sense
 LOOSE = {
     "verlet": 1e-7,
     "gear4": 1e-8,
     "rkn4": 1e-11,
     "kahan-li6": 1e-12,
-}  # least tolerance that makes sense
+}
 ENDINGS = ("right", "above", "missed", "refused", "failed", "slow", "unresolved")
 
 

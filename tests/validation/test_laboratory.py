@@ -78,6 +78,7 @@ def test_trajectory_of_another_code(engine: str) -> None:
     assert chain.contact_constants == pytest.approx(1.244735e10, rel=1e-6)
     assert chain.wall_constants / chain.contact_constants[0] == pytest.approx(np.sqrt(2), rel=1e-14)
     t = _run(chain, lmpchain.Impulse(velocity=strike), 2e-3, 3, 1e-6, engine)
+    # grains 40 to 45
     early = [
         1.34237e-4,
         1.09549e-2,
@@ -85,7 +86,7 @@ def test_trajectory_of_another_code(engine: str) -> None:
         3.72549e-2,
         2.05410e-3,
         5.46741e-6,
-    ]  # grains 40 to 45
+    ]
     late = [2.15842e-4, 0.0138095, 0.0650834, 0.0323546, 0.00143986]  # grains 82 to 86
     assert t.velocity[1, 39:45] == pytest.approx(np.array(early), abs=6e-6 * strike)
     assert t.velocity[2, 81:86] == pytest.approx(np.array(late), abs=6e-6 * strike)
@@ -250,9 +251,8 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
     peaks = {n: find_peak(t.time, t.velocity[:, n - 1])[1] for n in (11, 27, 28, 29, 30, 31)}
     assert (peaks[31] / peaks[11]) ** (1 / 20) == pytest.approx(mean, rel=1e-4)
     before, growth, after = (peaks[n + 2] / peaks[n] for n in (27, 28, 29))
-    final = np.sqrt(
-        after - (after - growth) ** 2 / (after - 2 * growth + before)
-    )  # Aitken's: differences shrink alike
+    # Aitken's: differences shrink alike
+    final = np.sqrt(after - (after - growth) ** 2 / (after - 2 * growth + before))
     assert final == pytest.approx(limit, rel=1e-6)
     if abs(taper) <= 0.05:
         assert 2 / (1 + (1 - taper) ** 3) == pytest.approx(final, abs=2 * taper**2)
@@ -269,9 +269,8 @@ def _loss(light: float) -> float:
         duration=120.0,
         samples=1201,
     )
-    t = lmpchain.simulate(
-        scene, engine=lmpchain.engines.Native(step=0.05)
-    )  # light grains rattle behind: chaos
+    # light grains rattle behind: chaos
+    t = lmpchain.simulate(scene, engine=lmpchain.engines.Native(step=0.05))
     early, late = (
         find_peak(
             t.time, np.maximum(t.displacement[:, 2 * n] - t.displacement[:, 2 * n + 1], 0.0) ** 1.5
@@ -403,9 +402,8 @@ def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
         if np.abs(w - old).max() < 1e-12 * w.max():
             break
     force = np.fft.rfft((1 + w) ** 1.5 - 1)
-    v = (
-        np.fft.irfft(force * spread * np.exp(-0.5j * q), x.size) / c
-    )  # v(x) c is the mean of F over x-1 ... x
+    # v(x) c is the mean of F over x-1 ... x
+    v = np.fft.irfft(force * spread * np.exp(-0.5j * q), x.size) / c
     return np.cumsum(w[::fine][::-1])[::-1], v[::fine]
 
 

@@ -79,10 +79,11 @@ def test_peak_velocity_in_a_column(
         assert when == pytest.approx(arrival, rel=1e-6)
 
 
+# which has Hertz's contacts and springs
 NATIVE, LAMMPS = (
     ("native", 1e-8, 1e-6),
     ("lammps", 1e-5, 1e-4),
-)  # which has Hertz's contacts and springs
+)
 
 
 @pytest.mark.parametrize(

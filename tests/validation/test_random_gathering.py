@@ -47,9 +47,8 @@ def draw(seed: int) -> tuple[Scene, int, float, str]:
 
 def maxima(y: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return begin, end and size of the first maximum at least half as large as the largest, and of near ones."""
-    last = np.append(
-        np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1
-    )  # of values that are the same
+    # of values that are the same
+    last = np.append(np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1)
     first, level = np.append(0, last[:-1] + 1), np.append(y[last], 0.0)
     tops = 1 + np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]))
     tops = tops[level[tops] >= (1 - NEAR_HALF) * y.max() / 2]

@@ -29,9 +29,8 @@ def test_the_reference_finds_a_harmonic_oscillator():
     found, error = reference(scene, 1e-19)
     exact = np.cos(omega * scene.time.astype(np.longdouble))
     assert error < 1e-14
-    assert (
-        np.abs(found.velocity[:, 0] / 1e-6 - exact).max() < 1e-13
-    )  # the last digit of omega, 1000 times
+    # the last digit of omega, 1000 times
+    assert np.abs(found.velocity[:, 0] / 1e-6 - exact).max() < 1e-13
     assert found.largest[0] == pytest.approx(1e-6 / omega, rel=1e-2)
 
 
@@ -125,11 +124,18 @@ def test_a_few_trials(family):
 
 
 # what was above its tolerance without a word, or took no end
+# masses 3e-8 and 5e-3 kg: the last digit of the heavy grain's displacement moves the light one
+# 238 openings make 2e-8 of a last digit; runs at two steps agree better by chance
+# rounding makes 1e-5: what a last digit becomes was looked for below 1e-6 only
+# springs in a vacuum: all four runs agree by chance on less than their error
+# a burst has just begun: modes of low frequency took one sine off another like it
+# crests of a wide packet gain on its troughs, which linear theory did not say
+# roundings of runs at h, 1.5h and 2h agree by chance on a third of what they make
 FOUND = [
     (
         "native",
         2,
-    ),  # masses 3e-8 and 5e-3 kg: the last digit of the heavy grain's displacement moves the light one
+    ),
     ("native", 135),  # steps of dop853 that samples cut, alike in all companions
     ("native", 544),  # two grains between walls make 1e-6 of a last digit
     ("auto", 345),  # grains fly apart: displacements of 3,700 times v / omega
@@ -138,11 +144,11 @@ FOUND = [
     (
         "auto",
         200195,
-    ),  # 238 openings make 2e-8 of a last digit; runs at two steps agree better by chance
+    ),
     (
         "native",
         2000441,
-    ),  # rounding makes 1e-5: what a last digit becomes was looked for below 1e-6 only
+    ),
     ("auto", 2001443),  # runs at h and 2h agree to 1e-4 by chance, both are off by 0.014
     ("acted", 2000404),  # 58 openings under a motion by points: errors scatter
     ("acted", 2000790),  # a wall that moves drives all grains, the first one, too
@@ -158,20 +164,20 @@ FOUND = [
     (
         "acted",
         8000043,
-    ),  # springs in a vacuum: all four runs agree by chance on less than their error
+    ),
     (
         "acted",
         9000167,
-    ),  # a burst has just begun: modes of low frequency took one sine off another like it
+    ),
     (
         "acted",
         10000061,
-    ),  # crests of a wide packet gain on its troughs, which linear theory did not say
+    ),
     ("native", 4000638),  # companions passed over a touch shorter than an eighth of a step
     (
         "native",
         9003082,
-    ),  # roundings of runs at h, 1.5h and 2h agree by chance on a third of what they make
+    ),
     ("native", 101540),  # here the reference was wrong: two solutions left out the same opening
 ]
 

@@ -150,9 +150,8 @@ def _shares(
     q = 2 * np.pi * np.fft.fftfreq(total)
     frequency = w * np.abs(np.sin(q / 2))
     inside = (frequency > 0) & (frequency < 0.999999 * w)
-    weight = (np.abs(np.fft.fft(packet.initial(chain)[1])) ** 2)[
-        inside
-    ]  # every component moves downward
+    # every component moves downward
+    weight = (np.abs(np.fft.fft(packet.initial(chain)[1])) ** 2)[inside]
     theory = transmission(chain, frequency[inside])
     return (
         passed,

@@ -105,9 +105,8 @@ def test_long_waves_and_their_lattice():
     assert np.ptp(x[r > 0]) == pytest.approx(4.967, abs=5e-4)
     assert np.ptp(x[r > r.max() / 2]) == pytest.approx(1.8084, abs=1e-4)
     momentum, kinetic = (speed * r).sum() * 1e-5, ((speed * r) ** 2 / 2).sum() * 1e-5
-    assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(
-        1.419, abs=5e-4
-    )  # 5/9 of the energy is kinetic
+    # 5/9 of the energy is kinetic
+    assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(1.419, abs=5e-4)
 
 
 @pytest.mark.parametrize(

@@ -57,9 +57,8 @@ def fill_jerk(chain, first, last, rates, beyond, imposed):
         v[chain.imposed.wave.body] = imposed
     for n in range(first - 1, last):
         y = (x[n] - x[n + 1]) * chain.links.inverse_length[n] + pressed
-        held = (force[n - beyond] + chain.links.strength[n] * pressed) / (
-            y if y > 0.0 else 1.0
-        )  # the force is K y^delta
+        # the force is K y^delta
+        held = (force[n - beyond] + chain.links.strength[n] * pressed) / (y if y > 0.0 else 1.0)
         rate[n] = (
             delta * held * chain.links.inverse_length[n] * (v[n] - v[n + 1]) if y > 0.0 else 0.0
         )
@@ -105,9 +104,8 @@ def fill_samples(chain, clock, span, first, last, rates, out):
         q = 1.0 - s
         s3 = s * s * s
         q3 = q * q * q
-        along = (
-            q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
-        )  # of u at the beginning; 1 less that at the end
+        # of u at the beginning; 1 less that at the end
+        along = q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
         v0 = h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s))
         v1 = -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q))
         a0 = h * h / 2 * s * s * q3 * q * (1.0 + 4.0 * s)

@@ -94,9 +94,8 @@ def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integra
     assert np.array_equal(u[1:], t.displacement[1:])
     assert np.array_equal(v, t.velocity)
     assert np.abs(u).max() > 0
-    assert u[0] == pytest.approx(
-        t.displacement[0], rel=0, abs=1e-17
-    )  # a dump holds heights, also those at the start
+    # a dump holds heights, also those at the start
+    assert u[0] == pytest.approx(t.displacement[0], rel=0, abs=1e-17)
 
 
 def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
