@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..util.arrays import EPSILON
-from .kernels.layout import Openings
+from .kernels.layout import Shortening
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
@@ -42,15 +42,19 @@ class OpeningSteps:
 OPENING_STEPS = OpeningSteps()
 
 
-def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> Openings:
+def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> Shortening:
     """Return how much shorter steps of these schedules, of one kind, are near openings."""
     steps = OPENING_STEPS
     falls = 1 / (batch.opening_power + 1)
     ratios = np.array([schedule.ratio for schedule in schedules])
-    return Openings(
-        steps.coarse if schedules[0].coarse_openings else steps.shortened,
-        steps.crossing,
-        (order + 1) * falls,
-        steps.least_crossing * EPSILON**falls * ratios,
-        *batch.openings,
+    shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened
+    weight, reach = batch.openings
+    return Shortening(
+        shortened=shortened,
+        close=shortened ** (-14 / 3),
+        factor=steps.crossing,
+        power=(order + 1) * falls,
+        least=steps.least_crossing * EPSILON**falls * ratios,
+        weight=weight,
+        reach=reach,
     )

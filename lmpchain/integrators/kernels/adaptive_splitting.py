@@ -132,7 +132,7 @@ _march = sample_loop(_advance, False, _land)
 def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by a splitting with an adaptive step size.
 
-    `method` is `layout.Stages` and `layout.Openings`.
+    `method` is `layout.Stages` and `layout.Shortening`.
     """
     stages, openings = method
     size = stages.drifts.size - 1

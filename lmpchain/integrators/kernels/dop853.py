@@ -81,7 +81,7 @@ def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by DOP853.
 
     `method` is nodes c (12,), inner weights A^2 (12, 12) and weights (2, 12) of a step in displacement
-    and velocity; `layout.Openings`; and whether steps are shorter near openings.
+    and velocity; `layout.Shortening`; and whether steps are shorter near openings.
     """
     width = chains.x.shape[1]
     slopes = np.zeros((method[0][0].size, width))

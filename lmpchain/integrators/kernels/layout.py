@@ -59,7 +59,7 @@ STATE = np.dtype(
         ("largest_speed", "f8"),  # m/s, of any grain
         ("next_look", "i8"),  # steps after which these two are looked for again
         ("steps", "i8"),  # steps made since t = 0
-        ("step_size", "f8"),  # s: of a method that changes it, or scales its history with it
+        ("step_size", "f8"),  # s: of the last step, with which Gear scales its history
         ("step_begin", "f8"),  # s after the last sample: where the last adaptive step began
     ],
     align=True,  # compiled loops read aligned numbers faster
@@ -227,13 +227,15 @@ class Stages(NamedTuple):
     drifts: Array
 
 
-class Openings(NamedTuple):
+class Shortening(NamedTuple):
     """Steps of a splitting around contacts that open or close, by F schedules in R chains.
 
     Attributes
     ----------
     shortened : float
         h' / h of the shortened steps.
+    close : float
+        shortened^(-14/3), with which contacts that shorten no step are passed over.
     factor, power, least : floats and (F,) array
         Of the step h' that crosses an opening: omega h' = max(factor (omega h)^power, least).
     weight, reach : (R, W) arrays
@@ -242,6 +244,7 @@ class Openings(NamedTuple):
     """
 
     shortened: float
+    close: float
     factor: float
     power: float
     least: Array

@@ -27,7 +27,7 @@ class Near(NamedTuple):
     Attributes
     ----------
     weight, reach : (W,) arrays
-        See `layout.Openings`.
+        See `layout.Shortening`.
     close : float
         See `_may_matter`.
     omega : float
@@ -144,7 +144,7 @@ def shorten(chain, y, w, pull, openings, nearest):
     ----------
     y, w, pull : (W,) arrays
         Displacements, velocities and accelerations.
-    openings : `layout.Openings`
+    openings : `layout.Shortening`
     nearest : (F, R) array
         See `bound_nearness`.
     """
@@ -156,7 +156,7 @@ def shorten(chain, y, w, pull, openings, nearest):
     contacts = Near(
         weight=openings.weight[chain.number, near],
         reach=openings.reach[chain.number, near],
-        close=openings.shortened ** (-14 / 3),
+        close=openings.close,
         omega=chain.omega,
         nearest=nearest[chain.schedule, chain.number],
     )
