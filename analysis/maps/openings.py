@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXPONENT = 1.5
-ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive != "no"]
+ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive]
 # step x frequency below which a slope is found; of the others from the first point on
 ASYMPTOTIC = {"gear4": 0.02}
 RUNS = {"dop853": 120}  # for an error; of the others 40
@@ -61,11 +61,18 @@ def measure(quick: bool) -> dict[str, Any]:
     }
 
 
-def slope(name: str, reach: list[float], error: list[float]) -> float:
-    """Return the order of convergence, from errors of short steps above round-off."""
-    x, y = np.array(reach), np.array(error)
+def labelled(name: str, reach: list[float], error: list[float]) -> str:
+    """Return a method's name with its order of convergence, where three errors or more show one.
+
+    They are those of short steps above round-off.
+    """
+    x = np.array(reach)
+    y = np.array(error)
     used = (x < ASYMPTOTIC.get(name, math.inf)) & (y > FLOOR)
-    return float(np.polyfit(np.log(x[used]), np.log(y[used]), 1)[0])
+    if used.sum() < 3:
+        return name
+    slope = np.polyfit(np.log(x[used]), np.log(y[used]), 1)[0]
+    return f"{name}: {slope:.2f}"
 
 
 def draw(data: dict[str, Any]) -> Figure:
@@ -81,7 +88,7 @@ def draw(data: dict[str, Any]) -> Figure:
         reach, errors = data[kind]["reach"], data[kind]["error"]
         for name, colour, shape in zip(METHODS, SHADES, SHAPES, strict=False):
             if name in errors:
-                label = f"{name}: {slope(name, reach, errors[name]):.2f}"
+                label = labelled(name, reach, errors[name])
                 ax.loglog(
                     reach, errors[name], color=colour, marker=shape, ms=5, lw=1.3, label=label
                 )

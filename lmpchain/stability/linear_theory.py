@@ -125,7 +125,19 @@ def strike_number_where(error: float, scene: Scene) -> float:
 
 
 def struck_column(scene: Scene) -> bool:
-    """Whether it is a uniform column under gravity alone, struck at its top, for ten passages."""
+    """Return whether a scene is a uniform column under gravity alone, struck at its top.
+
+    It lasts for ten passages of the wave at most, and its exponent is at most 2.2: `linear_law`
+    was measured up to there.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    bool
+    """
     chain = scene.chain
     strike = scene.excitation
     if chain.grains == 1 or not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):

@@ -92,7 +92,7 @@ def test_contacts_that_open_and_close(adaptive: bool):
 )
 @pytest.mark.parametrize("method", SPLITTINGS)
 def test_every_splitting(method: str, force: str):
-    for adaptive in {False, METHODS[method].adaptive != "no"}:
+    for adaptive in {False, METHODS[method].adaptive}:
         check_alike(noisy(seed=2), method, adaptive, force=force)
 
 
@@ -120,7 +120,7 @@ def test_a_window_that_grows_takes_in_threads(method: str):
         scene = noisy(3 * LEAST_SHARE, first, first + 2 * LEAST_SHARE - 40).replace(
             duration=1e-3, samples=3
         )
-        for adaptive in {False, METHODS[method].adaptive != "no"}:
+        for adaptive in {False, METHODS[method].adaptive}:
             how = {"steps": 300}
             one = answer(scene, 1, method, adaptive, **how)
             assert one[4]["last"][0] - one[4]["first"][0] > 2 * LEAST_SHARE + 200

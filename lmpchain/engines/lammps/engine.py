@@ -170,13 +170,13 @@ class Lammps(TimeSteppingEngine):
         native = Native(self.splitting.name, self.step, adaptive=False)
         # half of the tolerance is for the step, half for round-off
         trial = run_to_tolerance(native, scene, tolerance / 2, _largest_motion)
-        if trial.missed:
-            raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
         steps = trial.attempt.candidate.steps(scene.samples)
         gauge = gauge_diameter(scene, closest)
         errors = tuple(self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, gauge))
         small = self._takes_gauge(errors, tolerance, fixed)
+        if trial.missed:
+            raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         reason = (
             f"round-off in heights leaves about {errors[0]:.1g} with the physical diameter, "
             f"{errors[1]:.1g} with the gauge diameter; {tolerance:.1g} is asked for"

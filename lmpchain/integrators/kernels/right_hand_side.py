@@ -233,7 +233,8 @@ def sweep(chain, rows):
     begins, ends = share(chain)
     meet(chain.team)
     tile = TILE if ends - begins > 2 * TILE else max(1, ends - begins)
-    together = rows.kick.size if tile == last - first else 1
+    # adaptive verlet sweeps no rows at all between its first stage and its last
+    together = max(1, rows.kick.size) if tile == last - first else 1
     for begin in range(begins, ends, tile):
         end = begin + tile if begin + 2 * tile <= ends else ends
         for row in range(0, rows.kick.size, together):

@@ -179,7 +179,7 @@ def _exceed(last, p, i, t, s, height, bend):
         if flat and not _has_fallen(last):
             return
         s = 0.0 if begin >= (1.0 - ROUNDED) * top else s
-    last.when, last.height, last.off = t + s * p.h, height, larger(error, hidden(p, i) - top)
+    last.when, last.height, last.off = t + s * p.h, height, error
     last.tilt, last.bend = SHAPE.slope * error / p.h, bend
     last.since, last.until = top, last.when
 
