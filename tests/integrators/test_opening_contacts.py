@@ -32,16 +32,12 @@ def test_the_last_digits_are_reached(name: str):
     assert relative_error(t.displacement, t.velocity, u, v) < 3e-13 + 3 * own
 
 
-@pytest.mark.parametrize(
-    ("integrator", "tolerance"), [("verlet", 1e-4), ("rkn6", 1e-9), ("dop853", 1e-9)]
-)
-def test_a_restart_goes_on_with_the_same_bits(
-    integrator: str, tolerance: float, monkeypatch: pytest.MonkeyPatch
-):
+@pytest.mark.parametrize("integrator", ["rkn6", "dop853"])
+def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pytest.MonkeyPatch):
     """Where the length of steps follows from the motion, too."""
     scene = paper("fig1", samples=61)
     engine = engines.Native(integrator=integrator)
-    candidate = engine.candidate(scene, tolerance)
+    candidate = engine.candidate(scene, 1e-9)
     assert candidate.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
