@@ -52,7 +52,7 @@ def errors(case: Case, passed: int) -> tuple[float, float, float] | None:
     error = case.error(run.motion)
     if error < 3 * landed.max() + 10 * case.reference.error:
         return None
-    law = interpolation_loss(run.steps, farthest / (fastest * scene.duration))
+    law = interpolation_loss(run.steps, fastest * scene.duration / farthest)
     return reach, error, error / law
 
 

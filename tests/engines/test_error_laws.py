@@ -189,7 +189,7 @@ def test_rounding_presses_the_contacts_of_a_column_by_its_height():
 
 
 def test_what_interpolated_samples_lose_grows_with_steps_and_distance():
-    assert interpolation_loss(2e3, 0.5) == pytest.approx(interpolation_loss(1e3, 1.0), rel=1e-12)
+    assert interpolation_loss(2e3, 2.0) == pytest.approx(interpolation_loss(1e3, 1.0), rel=1e-12)
     assert 1e3 * EPSILON < interpolation_loss(1e3) < 1e5 * EPSILON
     assert interpolation_loss(2e3) == pytest.approx(2 * interpolation_loss(1e3), rel=1e-12)
 
@@ -199,6 +199,7 @@ def test_equal_steps_may_round_to_one_side():
     assert accumulate(1e8) == pytest.approx(1e4, rel=1e-12)
     assert accumulate(1e8, drifts=True) == pytest.approx(1e8 / 8, rel=1e-12)
     assert accumulate(25.0, drifts=True) == 5.0
+    assert accumulate(1e6, flights=64.0) == pytest.approx(8e3, rel=1e-12)
     assert native_floor(1e8, 0.0, drifts=True) > 1e3 * native_floor(1e8, 0.0)
 
 

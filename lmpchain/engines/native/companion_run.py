@@ -316,14 +316,16 @@ class CompanionRun(Run):
         """Return the round-off that the scene does not amplify."""
         scene = self._scenes[real]
         radians = scene.highest_frequency * scene.duration
+        flights = motion.velocity * scene.duration / motion.displacement
+        # grains in contact fly nowhere
+        free_flights = max(flights, 1.0) if opens else 1.0
         drifts = opens and not self.candidate.adaptive
-        roundoff = native_floor(motion.evaluations, radians, drifts)
+        roundoff = native_floor(motion.evaluations, radians, free_flights, drifts)
         steps = motion.evaluations / self.method.evaluations
         if self._chains.plain[real] and steps:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
         if self.candidate.stride > 1:
-            travelled = motion.displacement / (motion.velocity * scene.duration)
-            roundoff += interpolation_loss(steps, travelled)
+            roundoff += interpolation_loss(steps, flights)
         return roundoff
 
     def _may_amplify(self, real: int, motion: Motion, opens: bool, estimate: float) -> bool:

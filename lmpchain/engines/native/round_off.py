@@ -36,16 +36,20 @@ class Rounding:
 ROUNDING = Rounding()
 
 
-def accumulate(evaluations: float, drifts: bool = False) -> float:
+def accumulate(evaluations: float, flights: float = 1.0, drifts: bool = False) -> float:
     """Return the last digits that the rounding of so many evaluations of the force adds up to.
 
-    It is a random walk; where it `drifts`, at equal steps through free flight, all may round to one side.
+    It is a random walk. A grain that is pushed for a time t/k and flies freely for t has only the velocity of sqrt(n/k)
+    evaluations off, but comes k times as far with it: sqrt(n k), k being `flights`. Where it `drifts`, at equal steps
+    through free flight, all may round to one side.
     """
-    walk = math.sqrt(evaluations)
+    walk = math.sqrt(evaluations * flights)
     return max(walk, ROUNDING.drift * evaluations) if drifts else walk
 
 
-def native_floor(evaluations: float, radians: float, drifts: bool = False) -> float:
+def native_floor(
+    evaluations: float, radians: float, flights: float = 1.0, drifts: bool = False
+) -> float:
     """Return the round-off of a native run, relative to the largest motion.
 
     Parameters
@@ -54,10 +58,13 @@ def native_floor(evaluations: float, radians: float, drifts: bool = False) -> fl
         Of the force.
     radians : float
         Phase of the fastest motion.
+    flights : float
+        How far the fastest grain would come in the whole run, over the largest displacement.
     drifts : bool
         See `accumulate`.
     """
-    return EPSILON * (2 + accumulate(evaluations, drifts) + ROUNDING.phase * radians)
+    walk = accumulate(evaluations, flights, drifts)
+    return EPSILON * (2 + walk + ROUNDING.phase * radians)
 
 
 def plain_loss(scene: Scene, steps: float) -> float:
@@ -69,12 +76,12 @@ def plain_loss(scene: Scene, steps: float) -> float:
     return ROUNDING.plain * EPSILON * scene.chain.load_over_mass * scene.duration / math.sqrt(steps)
 
 
-def interpolation_loss(steps: float, travelled: float = 1.0) -> float:
+def interpolation_loss(steps: float, flights: float = 1.0) -> float:
     """Return what the velocities of interpolated samples lose in so many steps, over the largest one.
 
-    `travelled` is the largest displacement over how far the fastest grain would come in the whole run.
+    `flights` is how far the fastest grain would come in the whole run, over the largest displacement.
     """
-    return ROUNDING.interpolated * EPSILON * steps * travelled
+    return ROUNDING.interpolated * EPSILON * steps / flights
 
 
 def rounded_energy(scene: Scene, evaluations: float) -> float:
