@@ -17,10 +17,9 @@ NEAR_HALF = 2e-3  # maxima so near half of the largest may be the front, or not
 SPARSE = 4.5  # fine times in the longest interval between samples: omega h is 2 there
 SAME = 1e-10  # of the largest value: by which the reference scatters in free flight
 # arrivals of grains in free flight, or nearly so, that were off by more than their error; 1080 to 2691 while that was
-# mended; 2691 to 9572 fronts between samples, beside an opening or hardly turning; 11183 a frequency that was missed
-FOUND: list[Any] = [211, 343, 444, 566, 961, 1811, 1080, 30, 2691, 7395, 9572, 11183]
-# a grain that flies on at all but its largest speed: the turn between two samples is missed, and a later one is told
-FOUND += [pytest.param(5214, marks=pytest.mark.xfail(strict=True, reason="a flat turn is missed"))]
+# mended; 2691 to 9572 fronts between samples, beside an opening or hardly turning; 11183 a frequency that was missed;
+# 5214 a grain that slows down by less than the error of the trajectory, flies on, and is pushed again: the front is later
+FOUND = [211, 343, 444, 566, 961, 1811, 1080, 30, 2691, 7395, 9572, 11183, 5214]
 
 
 def draw(seed: int) -> tuple[Scene, int, float, str]:
@@ -45,26 +44,43 @@ def draw(seed: int) -> tuple[Scene, int, float, str]:
     return scene, contact, tolerance, engine
 
 
-def maxima(y: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return begin, end and size of the first maximum at least half as large as the largest, and of near ones."""
+def fall_after(level: np.ndarray, top: int) -> float:
+    """Return by how much sizes fall after one of them, until a larger one follows."""
+    larger = np.flatnonzero(level[top:] > level[top])
+    end = top + larger[0] if larger.size else level.size
+    return float(level[top] - level[top:end].min())
+
+
+def maxima(
+    y: np.ndarray, time: np.ndarray, fall: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return begin, end and size of the first maximum at least half as large as the largest, and of near ones.
+
+    The size falls by more than `fall` after it.
+    """
     # of values that are the same
     last = np.append(np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1)
     first, level = np.append(0, last[:-1] + 1), np.append(y[last], 0.0)
     tops = 1 + np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]))
     tops = tops[level[tops] >= (1 - NEAR_HALF) * y.max() / 2]
+    tops = tops[np.array([fall_after(level, top) > fall for top in tops.tolist()], dtype=bool)]
     sure = np.flatnonzero(level[tops] >= (1 + NEAR_HALF) * y.max() / 2)
     tops = tops[: sure[0] + 1] if sure.size else tops
     return time[first[tops]], time[last[tops]], level[tops]
 
 
 def wrong_fronts(
-    name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarray, doubt: float
+    name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarray, doubt: float, known: float
 ) -> list[Any]:
-    """Return which fronts (G, 6) are not those of sizes (T, G): their times, and heights and widths where given."""
+    """Return which fronts (G, 6) are not those of sizes (T, G): their times, and heights and widths where given.
+
+    A front is a maximum after which the size falls by more than the `known` error of the trajectory; the reference,
+    which is without that error, may also count one after which it falls at all.
+    """
     bad: list[Any] = []
     for grain in np.flatnonzero(np.isfinite(rows[:, 0])):
         y, (when, height, width, late, off, wide) = sizes[:, grain], rows[grain]
-        begin, end, level = maxima(y, time)
+        begin, end, level = np.concatenate([maxima(y, time, fall) for fall in (0.0, known)], axis=1)
         there = (begin - when <= late + time[1]) & (when - end <= late + time[1])
         if not there.any():
             bad.append((f"time of {name}", int(grain) + 1, when, late, begin, end))
@@ -148,10 +164,12 @@ def faults(seed: int) -> list[Any] | None:
             bad.append(f"force:{contact}")
     arrivals = np.full((scene.chain.grains, 6), np.nan)
     arrivals[:, 0], arrivals[:, 3] = gathered("arrival_time")
-    bad += wrong_fronts("arrival", np.abs(best.velocity), true.time, arrivals, 0.0)
+    known = t.error_estimate.total * best.largest[1]
+    bad += wrong_fronts("arrival", np.abs(best.velocity), true.time, arrivals, 0.0, known)
     for name, values in (("displacement", best.displacement), ("velocity", best.velocity)):
         unsure = (LEAST - 1) * motion.known_error(name)
-        bad += wrong_fronts(name, np.abs(values), true.time, motion.fronts(name, 0.5), unsure)
+        rows, known = motion.fronts(name, 0.5), motion.known_error(name)
+        bad += wrong_fronts(name, np.abs(values), true.time, rows, unsure, known)
     return bad
 
 
