@@ -304,7 +304,8 @@ def _eigenmodes() -> Iterator[Finding]:
 
     chain = Chain(grains=20, diameter=1e-3)
     error = abs(float(eigenmodes(chain).frequency[-1]) / chain.band_edge - 1)
-    text = f"the highest is {error:.0e} from the band edge (must be {DIAGNOSIS_LIMITS.rounding:.0e} or less)"
+    limit = f"must be {DIAGNOSIS_LIMITS.rounding:.0e} or less"
+    text = f"the highest is {error:.0e} from the band edge ({limit})"
     if not error <= DIAGNOSIS_LIMITS.rounding:
         raise LmpchainError(text)
     yield Finding("eigenmodes", "ok", text)

@@ -1,8 +1,9 @@
 """The seam: an engine is a way to answer a scene.
 
-Every engine states which equation it solves, says beforehand what an answer will cost and how far off it will be, and
-delivers the answer in blocks with an estimate of its own error. The light cone, the choice of the engine, step control,
-progress, Ctrl-C and where the output goes are not its business: `lmpchain.simulation` does that for all.
+Every engine states which equation it solves, says beforehand what an answer will cost and how far
+off it will be, and delivers the answer in blocks with an estimate of its own error. The light cone,
+the choice of the engine, step control, progress, Ctrl-C and where the output goes are not its
+business: `lmpchain.simulation` does that for all.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class Candidate(NamedTuple):
     active_grains : int
         Grains that are computed.
     model_error, solver_error : float
-        Expected relative errors: of the equation, and of its numerical solution (NaN if not estimated).
+        Expected relative errors: of the equation, and of its numerical solution (NaN if not
+        estimated).
     cost_s : float
         Expected time, s.
     steps_per_landing : int
@@ -72,17 +74,20 @@ class Candidate(NamedTuple):
         return StepSchedule(steps, stride, self.step, self.adaptive, 1, self.coarse_openings, dense)
 
     def steps(self, samples: int) -> int:
-        """Return how many steps it takes from the first of so many samples to the last, if all are equal."""
+        """Return the number of steps from the first of so many samples to the last.
+
+        That is the number of equal ones; adaptive steps may be more.
+        """
         return -(-self.steps_per_landing * (samples - 1) // self.stride)
 
     def with_steps(self, steps_per_landing: int) -> Candidate:
-        """Return the same with so many steps from landing to landing, of full length near openings."""
+        """Return this candidate with so many steps a landing, and none coarse near openings."""
         step = self.step * self.steps_per_landing / steps_per_landing
         return self._replace(steps_per_landing=steps_per_landing, step=step, coarse_openings=False)
 
     @property
     def sampled(self) -> Candidate:
-        """The same with steps that end on every sample."""
+        """This candidate with steps that end on every sample."""
         steps = math.ceil(self.steps_per_landing / self.stride)
         step = self.step * self.steps_per_landing / (self.stride * steps)
         return self._replace(steps_per_landing=steps, stride=1, step=step)
@@ -136,7 +141,10 @@ class ErrorBudget(NamedTuple):
         return ErrorEstimate(self.model, self.solver)
 
     def last_known(self, tolerance: float, time: Array) -> float:
-        """Return the first of these times, (T,) s, at which round-off exceeds the tolerance, or infinity."""
+        """Return the first time at which amplified round-off exceeds the tolerance, s, or infinity.
+
+        `time` holds the times of the samples, (T,) s.
+        """
         beyond = np.flatnonzero(self.amplified > tolerance)
         return float(time[beyond[0]]) if beyond.size else float("inf")
 
@@ -163,7 +171,7 @@ class Run(ABC):
 
     @abstractmethod
     def state(self) -> Mapping[str, Array]:
-        """Return what `Engine.start` needs to go on with the same bits after the last block with samples."""
+        """Return the arrays from which `Engine.start` goes on, bit by bit, after the last block."""
 
     @abstractmethod
     def close(self) -> None:
@@ -189,8 +197,8 @@ class Engine(ABC):
     ranks_of_mpi : bool
         Whether it shares a scene out over the ranks of MPI.
     start_up_s, seconds_per_grain_step : float
-        Timings of the cost model, s: of every answer, and of a force evaluation for one grain; measured by
-        analysis/calibration/cost_model.py.
+        Timings of the cost model, s: of every answer, and of a force evaluation for one grain;
+        measured by analysis/calibration/cost_model.py.
     """
 
     name: ClassVar[str]
@@ -227,9 +235,10 @@ class Engine(ABC):
     def refine(
         self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
     ) -> Candidate | None:
-        """Propose the next attempt after a run that missed the tolerance (or broke down: error None).
+        """Propose the next attempt after a run that missed the tolerance.
 
-        None says that nothing can help: round-off alone exceeds the tolerance.
+        Its error is None if it broke down. Return None if nothing can help, for round-off alone
+        exceeds the tolerance.
         """
 
     @abstractmethod
@@ -243,7 +252,10 @@ class Engine(ABC):
 
     @abstractmethod
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """Return what shapes the answer besides the choices of a candidate, such as versions, for the record."""
+        """Describe, for the record, what shapes the answer besides the choices of a candidate.
+
+        Versions of compilers and libraries, for example.
+        """
 
     def options(self) -> dict[str, Any]:
         """Return the constructor arguments that make an equal engine in another process.
@@ -262,7 +274,7 @@ class Engine(ABC):
     def write_inputs(
         self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path
     ) -> None:
-        """Write input files for the candidate, with which it runs without this package, to a run folder."""
+        """Write input files to a run folder, with which the candidate runs without this package."""
         return
 
     def part(self, scene: Scene) -> Scene:

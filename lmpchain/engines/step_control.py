@@ -1,7 +1,7 @@
 """Step control: shorter steps until the tolerance is met, or until it is clear that it cannot be.
 
-It serves a single run, a batch of like scenes and the scenes of a sweep alike: `next_attempt` judges an attempt from
-its error estimate, `solve_to_tolerance` goes from attempt to attempt.
+It serves a single run, a batch of like scenes and the scenes of a sweep alike: `next_attempt`
+judges an attempt from its error estimate, `solve_to_tolerance` goes from attempt to attempt.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ class Patience:
 
 
 PATIENCE = Patience()
-T = TypeVar("T")
+Collected = TypeVar("Collected")  # of the blocks of a run
+Proposed = TypeVar("Proposed")
 
 
 class Attempt(NamedTuple):
@@ -86,7 +87,7 @@ class Attempt(NamedTuple):
         return len(self.truncations) + self.breakdowns + 1
 
 
-class Outcome(NamedTuple, Generic[T]):
+class Outcome(NamedTuple, Generic[Collected]):
     """The last attempt: what was collected from it, and why it missed the tolerance, if it did.
 
     Attributes
@@ -104,7 +105,7 @@ class Outcome(NamedTuple, Generic[T]):
         Empty if the tolerance was met, or none is enforced.
     """
 
-    collected: T
+    collected: Collected
     attempt: Attempt
     errors: list[ErrorBudget]
     error: ErrorBudget
@@ -137,8 +138,8 @@ def first_attempt(
 
 
 def run_to_tolerance(
-    engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]
-) -> Outcome[T]:
+    engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], Collected]
+) -> Outcome[Collected]:
     """Solve a scene from the first attempt on; see `solve_to_tolerance`."""
     return solve_to_tolerance(engine, [scene], first_attempt(engine, scene, tolerance), collect)
 
@@ -147,10 +148,10 @@ def solve_to_tolerance(
     engine: Engine,
     scenes: Sequence[Scene],
     attempt: Attempt,
-    collect: Callable[[Run], T],
+    collect: Callable[[Run], Collected],
     begin: Callable[[Attempt], Mapping[str, Array] | None] = lambda _: None,
     patient: bool = False,
-) -> Outcome[T]:
+) -> Outcome[Collected]:
     """Run a scene, or a batch of like ones, at ever shorter steps until the tolerance is met.
 
     Parameters
@@ -163,9 +164,11 @@ def solve_to_tolerance(
     collect : callable
         Takes a run and goes through its blocks.
     begin : callable
-        Told of every attempt before it starts; returns the state to start it from, None for the beginning.
+        Told of every attempt before it starts; returns the state to start it from, None for the
+        beginning.
     patient : bool
-        Whether to go on, for the best answer there is, where the first attempt shows that none meets the tolerance.
+        Whether to go on, for the best answer there is, where the first attempt shows that none
+        meets the tolerance.
 
     Raises
     ------
@@ -187,8 +190,7 @@ def solve_to_tolerance(
             cost = run.cost()
             run.close()
         error = max(errors, key=lambda budget: budget.solver) if errors else None
-        scene = scenes[errors.index(error)] if error and len(errors) > 1 else scenes[0]
-        following, missed = next_attempt(engine, scene, attempt, error, patient)
+        following, missed = next_attempt(engine, scenes[0], attempt, error, patient)
         if not following:
             assert error
             cost = cost._replace(
@@ -213,7 +215,8 @@ def next_attempt(
 
     Returns
     -------
-    the next attempt, None if this was the last one; and why it missed the tolerance, empty if it did not
+    the next attempt, None if this was the last one; and why it missed the tolerance, empty if it
+    did not
     """
     candidate = attempt.candidate
     if error is None:
@@ -232,12 +235,13 @@ def next_attempt(
     return attempt._replace(candidate=better), ""
 
 
-def loosen(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, str]:
+def loosen(propose: Callable[[float], Proposed], tolerance: float) -> tuple[Proposed, float, str]:
     """Return the proposal for a tolerance, or for a looser one while `ToleranceNotMet` is raised.
 
     Returns
     -------
-    the proposal, the tolerance it is for, and why the one asked for was refused (empty if it was not)
+    the proposal, the tolerance it is for, and why the one asked for was refused (empty if it was
+    not)
 
     Raises
     ------
@@ -256,7 +260,7 @@ def loosen(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, s
 
 
 def _stalls(attempt: Attempt) -> bool:
-    """Say whether shorter steps have hardly made the error smaller for some attempts, or there were many."""
+    """Say whether shorter steps hardly make the error smaller, or there were many attempts."""
     truncations = attempt.truncations
     if len(truncations) <= PATIENCE.stalls:
         return False

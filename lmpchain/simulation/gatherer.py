@@ -1,4 +1,4 @@
-"""What is gathered of one realisation: the largest values and fronts of grains, forces of contacts."""
+"""Gathering along one realisation: largest values and fronts of grains, forces of contacts."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Gatherer:
         self._column[-1] = STILL
 
     def take(self, first: int, u: Array, v: Array) -> None:
-        """Take in the samples of a block, (B, N) each, of which `first` is the number of the first."""
+        """Take in the samples of a block, (B, N) each, which begin with sample number `first`."""
         kept, count = self._kept, len(u)
         if not count:
             return
@@ -165,7 +165,7 @@ class Gatherer:
         return every[:, self._scene.recorded - 1]
 
     def _pushes(self, number: int, closer: Array, off: Array | float) -> tuple[Array, Array]:
-        """Return forces of a contact that is closer than at rest by this, m, and their errors, N."""
+        """Return forces of contacts and their errors, N, from approaches beyond that at rest, m."""
         contact = self._scene.chain.contacts.of(np.array([number]))
         less, force, most = (
             contact.force_at(contact.overlap + r) for r in (closer - off, closer, closer + off)
@@ -173,7 +173,7 @@ class Gatherer:
         return force, np.maximum(most - force, force - less) + ROUNDED * EPSILON * force
 
     def _arrivals(self, known: float) -> Array:
-        """Return when the front passes each grain of the part, and how far off that is, (2, N) s."""
+        """Return when the front passes each grain of the part, and the error of that, (2, N) s."""
         kept, part = self._kept, self._part
         events = np.concatenate([kept["log"], kept["latest"]])
         events = events[np.argsort(events["grain"], kind="stable")]

@@ -1,4 +1,4 @@
-"""Quantities gathered all along a run, whose engine answers at finer times than samples are kept of."""
+"""Quantities gathered along a run, whose engine answers at finer times than are recorded."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class GatheringRun(Run):
         return kept
 
     def found(self, errors: Sequence[float]) -> list[dict[str, Array]]:
-        """Return what was gathered of every realisation, and its errors, for relative errors of the answers."""
+        """Return the quantities of every realisation with their errors, given those of answers."""
         return [
             gatherer.found(error) for gatherer, error in zip(self.gatherers, errors, strict=True)
         ]

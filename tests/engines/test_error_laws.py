@@ -44,7 +44,8 @@ def differences(order: float, error: float, ratios: tuple[float, float]) -> tupl
 def estimate(
     order: float, coarse: float | None, fine: float, ratios=(2.0, 4.0), nearby=0.0, settled=False
 ) -> float:
-    return estimate_truncation(fine, coarse, nearby, ratios, order, settled)
+    distances = [fine] if coarse is None else [fine, coarse]
+    return estimate_truncation(distances, ratios, order, nearby, settled)
 
 
 @pytest.mark.parametrize("order", [2, 4, 6, 8])

@@ -71,8 +71,7 @@ def test_cost_never_falls_as_the_tolerance_falls():
         work = []
         for tolerance in 10.0 ** -np.arange(1, 12.6, 0.25):
             choices = [
-                choose_step(scene, METHODS[name], tolerance, True, True)
-                for name in ("rkn4", "rkn6")
+                choose_step(scene, METHODS[name], tolerance, True) for name in ("rkn4", "rkn6")
             ]
             work.append(min(choice.work for choice in choices))
         assert all(later >= 0.999 * earlier for earlier, later in pairwise(work))

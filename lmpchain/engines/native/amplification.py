@@ -1,7 +1,7 @@
 """Amplification of small changes by a scene: native runs that begin a little apart.
 
-Reflections through opening contacts make much of a last digit (a finite-time Lyapunov exponent above 0), and no step
-can give it back.
+Reflections through opening contacts make much of a last digit (a finite-time Lyapunov exponent
+above 0), and no step can give it back.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ class DigitGrowth:
     changes : tuple of float
         Changes at t = 0 that are tried, in last digits: what becomes of one alone scatters by ten.
     reach : float
-        omega h of these runs with velocity Verlet: growth asks for stable steps, not for accurate ones.
+        omega h of these runs with velocity Verlet: growth asks for stable steps, not for accurate
+        ones.
     rate : float
-        Exponent a radian of the fastest motion that no scene exceeds: where that leaves a digit below
-        all that counts, nothing is measured.
+        Exponent a radian of the fastest motion that no scene exceeds: where that leaves a digit
+        below all that counts, nothing is measured.
     broken : float
         Relative distance beyond which a run broke down, for two that keep to the largest motion are
         never so far apart.
@@ -59,13 +60,13 @@ GROWTH = DigitGrowth()
 
 
 def perturb(scene: Scene, change: float) -> Scene:
-    """Return the scene with every velocity changed by a fraction of the largest, alternating in sign.
+    """Return the scene with velocities changed by a fraction of the largest, up and down in turn.
 
     Of the largest displacement where nothing is struck; what does work becomes so much stronger.
     """
     if scene.excitation.does_work:
         return scene.replace(excitation=scene.excitation.scaled(1 + change))
-    displacement, velocity = (field.copy() for field in scene.initial())
+    displacement, velocity = np.array(scene.initial())
     turns = np.where(np.arange(displacement.size) % 2, -1.0, 1.0)
     turns[scene.chain.movable :] = 0.0
     field = velocity if velocity.any() else displacement
@@ -95,18 +96,17 @@ def separate(
     stepper = NativeStepper(batch, method, schedule, {})
     grains = scene.chain.grains
     count = max(1, min(scene.samples, BLOCK_BYTES // (64 * grains)))
-    displacement, velocity = np.zeros((2, 1 + len(changes), count, grains))
+    fields = np.zeros((2, 1 + len(changes), count, grains))
+    displacement, velocity = fields
+    # no step leads to sample 0
+    fields[:, :, 0] = batch.initial
     distances = np.zeros((2, len(changes), scene.samples))
-    initial = batch.initial
-    for kind, field in enumerate(initial):
-        distances[kind, :, 0] = np.abs(field[1:] - field[0]).max(-1)
-    for first in range(1, scene.samples, count):
+    for first in range(0, scene.samples, count):
         final = min(first + count, scene.samples) - 1
         while stepper.sample < final:
             stepper.fill(displacement, velocity, first, final, BURST)
-        for kind, field in enumerate((displacement, velocity)):
-            samples = field[:, : final + 1 - first]
-            distances[kind, :, first : final + 1] = np.abs(samples[1:] - samples[0]).max(-1)
+        samples = fields[:, :, : final + 1 - first]
+        distances[:, :, first : final + 1] = np.abs(samples[:, 1:] - samples[:, :1]).max(-1)
     largest = stepper.largest()[0]
     scale = np.where(largest > 0, largest, 1.0)
     return (distances / scale[:, None, None]).max(0)
@@ -145,8 +145,8 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
     interval = scene.duration / (scene.samples - 1)
     steps = math.ceil(interval * scene.highest_frequency / GROWTH.reach)
     schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
-    changes = [GROWTH.digit * change for change in GROWTH.changes]
-    distances = separate(scene, changes, METHODS["verlet"], schedule)
+    changes = GROWTH.digit * np.array(GROWTH.changes)
+    distances = separate(scene, changes.tolist(), METHODS["verlet"], schedule)
     followed = distances.max(1) <= GROWTH.broken
     return _digits(evaluations) * distances.max(0, where=followed[:, None], initial=0.0)
 

@@ -1,7 +1,7 @@
 """A run with companions: an answer beside native runs at other steps, which show its error.
 
-An engine that rounds in another way than the native one also has a native twin at the same steps. Twin and answer are
-the same map in exact arithmetic: what they differ by is round-off.
+An engine that rounds in another way than the native one also has a native twin at the same steps.
+Twin and answer are the same map in exact arithmetic: what they differ by is round-off.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class CompanionRun(Run):
     Parameters
     ----------
     make : callable
-        Makes the stepper of the answer from its schedule and its kept state, with its companions if it is native.
+        Makes the stepper of the answer from its schedule and its kept state, with its companions if
+        it is native.
     method : Method
     scenes : sequence of R scenes
         One, or a batch of like ones.
@@ -75,7 +76,8 @@ class CompanionRun(Run):
     state : mapping, optional
         What `state` returned.
     twin : bool
-        Whether the answer is not native, so that a native twin at the same step measures its round-off.
+        Whether the answer is not native, so that a native twin at the same step measures its
+        round-off.
     """
 
     def __init__(
@@ -139,10 +141,10 @@ class CompanionRun(Run):
             self._allowed = self.native.chains.allowed
 
     def _bound_approach(self) -> Array:
-        """Return how much closer than at rest grains can come, (R,) m: what is beyond it is broken."""
+        """Return how much closer than at rest grains can come, (R,) m, unless a run is unstable."""
         bound = self._chains.contacts.overlap_bound(self._allowed[:, None]).max(1)
         if self._chains.imposed.acts:
-            # no energy bounds what is driven, but a million times as close as the column is long is broken
+            # no energy bounds what is driven; a million times its length no column survives
             lengths = [scene.chain.diameters.sum() for scene in self._scenes]
             bound = np.minimum(bound, 1e6 * min(lengths))
         return bound
@@ -180,7 +182,10 @@ class CompanionRun(Run):
                 self._sample_s = (self._spent_s - spent_s) / (until + 1 - first)
 
     def _end_of_block(self, final: int) -> int:
-        """Return the last sample of the next block: a multiple of those after which all runs stop together."""
+        """Return the last sample of the next block.
+
+        Blocks end where all runs land on a sample together.
+        """
         begin = max(self._sample, 0)
         fit = min(self._most, int(BLOCK_S / self._sample_s))
         if begin + fit >= final:
@@ -214,7 +219,10 @@ class CompanionRun(Run):
         return steps < max_steps or self._steppers[stepper].sample >= until
 
     def _leave_broken(self, first: int, until: int) -> None:
-        """Leave native chains whose grains are too close; their error is infinite. Raise if it is the answer."""
+        """Leave native chains whose grains are too close; their error is infinite.
+
+        Raise if it is the answer.
+        """
         broken = ~(self.native.closest() <= self._closest_allowed)
         if not broken.any():
             return
@@ -224,7 +232,7 @@ class CompanionRun(Run):
         self._lost = broken[1 - self._twin :]
 
     def _keep(self, u: Array, v: Array, first: int, stop: int) -> Block:
-        """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
+        """Check samples `first` ... `stop` - 1, and keep their distances from the companions."""
         began = clock()
         companions = self._companions
         runs = Runs(*self._fields, companions.against, companions.strides)
@@ -247,7 +255,10 @@ class CompanionRun(Run):
     def _describe_breakdown(self, sample: int, cause: str) -> str:
         t = sample * self.scene.duration / (self.scene.samples - 1)
         step = self.candidate.step
-        return f"{cause}, after t = {t:.4g} s at steps of {step:.3g} s: use a shorter step or a tolerance"
+        return (
+            f"{cause}, after t = {t:.4g} s at steps of {step:.3g} s: "
+            "use a shorter step or a tolerance"
+        )
 
     @property
     def peaks(self) -> Array:
@@ -274,20 +285,19 @@ class CompanionRun(Run):
         lowest = self.native.watched["least_strain"].reshape(-1, self.realisations).min(0)
         evaluations = self.native.steps * self.method.evaluations
         table = np.column_stack((scale, lowest, evaluations)).tolist()
-        motions = [Motion(*row) for row in table]
         return [
-            self._estimate(real, motion, distances[:, real]) for real, motion in enumerate(motions)
+            self._estimate(real, Motion(*row), distances[:, real]) for real, row in enumerate(table)
         ]
 
     def _scale(self) -> Array:
-        """Return what errors are relative to: the largest displacement and velocity, (R, 2) m and m/s."""
+        """Return the largest displacement and velocity, (R, 2) m and m/s, to which errors refer."""
         scale = self.peaks
         if self._twin and not self.native.largest()[0, 1]:
             # only what rounding presses moves: its velocities are below those of its displacements
             scale[0, 1] = max(scale[0, 1], self.scene.highest_frequency * scale[0, 0])
+        # where nothing is set in motion, units take its place
         idle = self._chains.scale[:, 1] == 0.0
-        if idle.any():  # where nothing is set in motion, units take its place
-            scale[idle] = self._chains.units[idle]
+        scale[idle] = self._chains.units[idle]
         scale[scale == 0.0] = 1.0
         return scale
 
@@ -329,7 +339,10 @@ class CompanionRun(Run):
         return roundoff
 
     def _may_amplify(self, real: int, motion: Motion, opens: bool, estimate: float) -> bool:
-        """Say whether amplified rounding can count: contacts open, waves return, and there is time for it."""
+        """Say whether amplified rounding can count.
+
+        Contacts must open, waves must return to them, and there must be time for it to grow.
+        """
         complete = self._sample == self.scene.samples - 1
         recurrent = self._companions.recurrent[real] and opens and self.closest[real] > 0
         counts = min(estimate, self.candidate.solver_error)
@@ -338,7 +351,10 @@ class CompanionRun(Run):
         )
 
     def cost(self) -> Cost:
-        """Return what it has cost so far; steps and evaluations are those of the realisation that took most."""
+        """Return the cost so far.
+
+        Steps and evaluations are those of the realisation that took most.
+        """
         steps = int(max(self._answer.steps.tolist()))
         share = 1.0 if self._twin else self.native.own_part
         integration_s = share * self._seconds[0]
@@ -373,7 +389,7 @@ class CompanionRun(Run):
 
 
 def fit_block(fit: int, samples: int, together: int) -> int:
-    """Return the samples of a block: all if they fit, or a multiple of those at which all runs stop."""
+    """Return the samples of a block: all if they fit, or a multiple of `together`."""
     return samples - 1 if fit >= samples else max(1, fit // together) * together
 
 

@@ -1,8 +1,8 @@
 """Companions of an answer: native runs at other steps, whose distances show its truncation error.
 
-They run at 2h and 4h, for the rate at which differences shrink gives the error; where 4h is too long there is one at
-2h, and where that is, one at h/2. Where contacts open again and again errors scatter, and two runs may agree by chance:
-there runs one more, at about 1.5h.
+They run at 2h and 4h, for the rate at which differences shrink gives the error; where 4h is too
+long there is one at 2h, and where that is, one at h/2. Where contacts open again and again errors
+scatter, and two runs may agree by chance: there runs one more, at about 1.5h.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from .estimate import estimate_truncation
 
 @dataclass(frozen=True)
 class Openings:
-    """What openings of contacts do to the order of a method; analysis/calibration/richardson_estimate.py.
+    """Effect of openings of contacts on the order of a method.
+
+    Measured by analysis/calibration/richardson_estimate.py.
 
     Attributes
     ----------
     near : float
-        r / eps below which the force of a contact is no longer a smooth function of time; -1 is an opening.
+        r / eps below which the force of a contact is no longer a smooth function of time; -1 is an
+        opening.
     order : float
         That is trusted at most after steps that shorten near openings.
     coarse_order : float
@@ -43,11 +46,11 @@ class Openings:
     kinked_order : float
         That is trusted there.
     returning : float
-        Phase of the fastest motion, in radians a grain, after which waves come back to contacts that
-        opened: errors scatter from there on.
+        Phase of the fastest motion, in radians a grain, after which waves come back to contacts
+        that opened: errors scatter from there on.
     nearby, nearby_kinked : float
-        Step of the companion that runs where errors scatter, over that of the answer, and that for forces
-        with kinks.
+        Step of the companion that runs where errors scatter, over that of the answer, and that for
+        forces with kinks.
     """
 
     near: float = -0.5
@@ -63,6 +66,14 @@ class Openings:
     def kinks(self, exponent: float) -> bool:
         """Say whether the force of contacts of this exponent has a kink at an opening."""
         return exponent < self.kinked_below
+
+    def trusted_order(self, exponent: float, candidate: Candidate) -> float:
+        """Return the highest order that is trusted where contacts open, or nearly so."""
+        if not candidate.adaptive:
+            return self.equal_order
+        if self.kinks(exponent):
+            return self.kinked_order
+        return self.coarse_order if candidate.coarse_openings else self.order
 
 
 OPENINGS = Openings()
@@ -89,8 +100,8 @@ class Companions:
     ratios : tuple of float
         Mean steps of the companions over those of the answer.
     against, strides : (S,) arrays
-        With which run each of the S beside the answer is compared (0: the answer, from 1: one of these),
-        and every how many samples.
+        With which run each of the S beside the answer is compared (0: the answer, from 1: one of
+        these), and every how many samples.
     together : int
         After so many samples all of these stop.
     recurrent : list of R bool
@@ -102,12 +113,14 @@ class Companions:
     ):
         self._method = method
         self._candidate = candidate
-        self._kinks = OPENINGS.kinks(scenes[0].chain.exponent)
+        exponent = scenes[0].chain.exponent
+        self._order_at_openings = min(method.order, OPENINGS.trusted_order(exponent, candidate))
         longer = longer_steps(method, scenes, candidate)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._nearby = len(longer) == 2 and candidate.adaptive and any(self.recurrent)
         if self._nearby:
-            longer.append(OPENINGS.nearby_kinked if self._kinks else OPENINGS.nearby)
+            kinks = OPENINGS.kinks(exponent)
+            longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
         self.answer = candidate.schedule()
         arrangement = _arrange(
             self.answer, tuple(longer), self._nearby, twin, scenes[0].samples - 1
@@ -115,17 +128,10 @@ class Companions:
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
 
     def order(self, opens: bool, smooth_excitation: bool) -> float:
-        """Return the order of the method that is trusted, where contacts open or nearly so, or not."""
-        order = self._method.order
-        if not self._candidate.adaptive:
-            regular = smooth_excitation and not opens
-            return order if regular else min(order, OPENINGS.equal_order)
-        if not opens:
-            return order
-        if self._kinks:
-            return min(order, OPENINGS.kinked_order)
-        coarse = self._candidate.coarse_openings
-        return min(order, OPENINGS.coarse_order if coarse else OPENINGS.order)
+        """Return the order of the method that is trusted; less where contacts open or nearly so."""
+        # adaptive steps end on the knots of an excitation, equal ones pass over them
+        regular = not opens and (self._candidate.adaptive or smooth_excitation)
+        return self._method.order if regular else self._order_at_openings
 
     def truncation(self, real: int, distances: Array, order: float, opens: bool) -> float:
         """Return the truncation error of a realisation from the distances between its runs.
@@ -135,7 +141,8 @@ class Companions:
         real : int
             Its number, from 0.
         distances : (S, 2) array
-            Largest distances in displacements and velocities, relative to the motion, as in `against`.
+            Largest distances in displacements and velocities, relative to the motion, as in
+            `against`.
         order : float
             That is trusted.
         opens : bool
@@ -146,11 +153,10 @@ class Companions:
         settled = order == self._method.order and not self._candidate.adaptive
         return max(
             estimate_truncation(
-                fine=field[0],
-                coarse=field[1] if proper > 1 else None,
+                field[:proper],
+                self.ratios[:proper],
+                order,
                 nearby=field[-1] if scatters else 0.0,
-                ratios=self.ratios[:proper],
-                order=order,
                 settled=settled,
             )
             for field in distances.T.tolist()
@@ -185,25 +191,26 @@ def _arrange(
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
     """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
 
-    None where these are unstable, too few, or would be cut by the knots of a drive as those of the answer are.
+    None where these are unstable, too few, or would be cut by the knots of a drive as those of the
+    answer are.
     """
     if candidate.steps(scenes[0].samples) < FEWEST_STEPS:
         return []
     reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
-    stable = method.stability_limit / reach if reach > 0 else math.inf
-    knots = (
-        min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
-    )
-    limit = min(stable, knots / candidate.step)
-    return [ratio for ratio in (2.0, 4.0) if ratio <= limit]
+    ratios = [ratio for ratio in (2.0, 4.0) if ratio * reach <= method.stability_limit]
+    if not candidate.adaptive:
+        return ratios
+    knots = min(scene.excitation.knot_spacing for scene in scenes)
+    return [ratio for ratio in ratios if ratio * candidate.step <= knots]
 
 
 def recurs(scene: Scene) -> bool:
-    """Say whether contacts may open again and again, by reflections or a drive; or once, at a kink."""
-    kinks = OPENINGS.kinks(scene.chain.exponent)
+    """Say whether contacts may open again and again, by reflections or a drive.
+
+    Where the force has a kink at an opening, once is enough.
+    """
     # what acts all along opens contacts again without a reflection
     crossed = 1 if scene.excitation.does_work else scene.chain.grains
-    radians = scene.highest_frequency * scene.duration
-    if not kinks and radians <= OPENINGS.returning * crossed:
-        return False
-    return min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
+    returns = scene.highest_frequency * scene.duration > OPENINGS.returning * crossed
+    opens = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
+    return opens and (returns or OPENINGS.kinks(scene.chain.exponent))

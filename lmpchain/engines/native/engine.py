@@ -34,14 +34,14 @@ class Native(TimeSteppingEngine):
         s; the largest step up to it that divides the sample interval is used, and no tolerance is
         enforced.
     threads : int
-        Over which a batch of chains is shared out, or one long chain, of which each takes at least 4096 grains in
-        motion; not with dop853 and gear4. The bits are those of one thread.
+        Over which a batch of chains is shared out, or one long chain, of which each takes at least
+        4096 grains in motion; not with dop853 and gear4. The bits are those of one thread.
     force : "auto", "exact" or "plain"
-        The form of the force: exact keeps the digits of the weakest wave, plain is faster and wrong by the last digit
-        of the force at rest, auto takes what loses nothing.
+        The form of the force: exact keeps the digits of the weakest wave, plain is faster and wrong
+        by the last digit of the force at rest, auto takes what loses nothing.
     adaptive : bool
-        Whether steps shorten where a contact is about to open or has just closed, which keeps the order of the method
-        there; not with a given step.
+        Whether steps shorten where a contact is about to open or has just closed, which keeps the
+        order of the method there; not with a given step.
 
     Raises
     ------
@@ -54,7 +54,6 @@ class Native(TimeSteppingEngine):
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
     batches: ClassVar[bool] = True
     twin: ClassVar[bool] = False
-    dense: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 1e-4
     seconds_per_grain_step: ClassVar[float] = 8e-10  # with the companions that show the error
 
@@ -97,7 +96,7 @@ class Native(TimeSteppingEngine):
         return {"force": name_of(force_form(scene, self.force))}
 
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
-        """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.
+        """Predict round-off: a random walk of force evaluations, and the loss of a plain force.
 
         The phase shifts by a quarter of what `native_floor` allows for.
         """
@@ -109,7 +108,7 @@ class Native(TimeSteppingEngine):
         return walk
 
     def computed(self, scene: Scene) -> float:
-        """Return how many grains it computes in each step, on average: those that a wave has reached by then."""
+        """Return the grains that a step computes, on average: those that waves have reached."""
         first, last = scene.excitation.reach(scene.chain)
         reached = last - first + 1 + 2 * PAD + scene.highest_frequency * scene.duration / 4
         return min(scene.chain.grains, reached)

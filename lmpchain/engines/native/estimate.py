@@ -5,29 +5,32 @@ The estimate of the largest relative error of an answer at steps h is
     e = max(2 d12 / (g - 1),  b)                                 truncation
         + eps (2 + w(n) + 1.5 omega T) + w(n) A                  round-off, as it is and amplified
 
-with b = 0.7 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone, at
-2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where nothing
-opens and steps are equal.
+with b = 0.7 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
+at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
+nothing opens and steps are equal.
 
-========  ==========  ===================================================================================
+========  ==========  =========================================================================
 symbol    variable    meaning
-========  ==========  ===================================================================================
-d12       fine        distance of the answer from a companion at steps r1 h = 2 h, over the largest motion
+========  ==========  =========================================================================
+d12       fine        distance of the answer from a companion at steps r1 h = 2 h, over the
+                      largest motion
 d24       coarse      distance of that companion from one at steps r2 h = 4 h
 dn        nearby      distance of the answer from one at 1.5 h, which runs where errors scatter
 r1, r2    ratios      steps of the companions over h
 p         order       order that is trusted, see `Companions.order`
-g         gain        error at steps r1 h over that at h, as observed: (d24 / d12)^(ln r1 / ln(r2 / r1)),
-                      at most r1^p, and at least 1.5 for steps of twice the length
+g         gain        error at steps r1 h over that at h, as observed:
+                      (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
+                      of twice the length
 eps       EPSILON     unit of the last place of 1
-n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n k) where contacts
-                      open: k is how far the fastest grain would fly, over the largest displacement
+n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n k)
+                      where contacts open: k is how far the fastest grain would fly, over the
+                      largest displacement
 omega T   radians     phase of the fastest motion in the duration
 A         amplified   what the scene makes of one last digit, see `amplification`
-========  ==========  ===================================================================================
+========  ==========  =========================================================================
 
-Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; the observed rate is that
-of Roache, Annu. Rev. Fluid Mech. 29, 123 (1997).
+Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; the
+observed rate is that of Roache, Annu. Rev. Fluid Mech. 29, 123 (1997).
 """
 
 from __future__ import annotations
@@ -39,7 +42,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Trust:
-    """How far the differences between runs are trusted; analysis/calibration/richardson_estimate.py.
+    """Trust in the differences between runs.
+
+    Measured by analysis/calibration/richardson_estimate.py.
 
     Attributes
     ----------
@@ -48,9 +53,11 @@ class Trust:
     least_gain : float
         Of steps of twice the length: differences that shrink by less show no order at all.
     nearby : float
-        Share of the distance from a companion at 1.5 h that the error is at least, where errors scatter.
+        Share of the distance from a companion at 1.5 h that the error is at least, where errors
+        scatter.
     settled : float
-        Difference up to which two runs alone show the error: phases that are far off lose the order.
+        Difference up to which two runs alone show the error: phases that are far off lose the
+        order.
     """
 
     safety: float = 2.0
@@ -63,33 +70,37 @@ TRUST = Trust()
 
 
 def estimate_truncation(
-    fine: float,
-    coarse: float | None,
-    nearby: float,
+    distances: Sequence[float],
     ratios: Sequence[float],
     order: float,
+    nearby: float = 0.0,
     settled: bool = False,
 ) -> float:
     """Return the truncation error of an answer by Richardson's extrapolation at the observed rate.
 
     Parameters
     ----------
-    fine, coarse, nearby : float
-        Relative distances d12, d24 and dn; coarse is None where there is one companion alone, nearby 0
-        where there is none.
-    ratios : sequence of one or two float
-        Steps of the companions over that of the answer; below 1 for one at shorter steps.
+    distances : sequence of one or two float
+        Relative distances d12 and d24, d12 alone where there is one companion.
+    ratios : sequence of as many float
+        Steps of these companions over that of the answer; below 1 for one at shorter steps.
     order : float
         That is trusted.
+    nearby : float
+        Relative distance dn from the companion at 1.5 h; 0 where there is none.
     settled : bool
         Whether the force is a smooth function of time, so that the order is sure.
     """
+    fine = distances[0]
     if not math.isfinite(fine):
+        # no rate follows from a companion that broke down
         return math.inf
-    if coarse is None:
-        # the distance alone is a bound on the error at the longer steps, and no rate is seen
-        known = settled and fine <= TRUST.settled and ratios[0] > 1
-        return TRUST.safety * fine / (ratios[0] ** order - 1) if known else TRUST.safety * fine
+    if len(distances) == 1:
+        # the distance alone bounds the error at the longer steps, and no rate is seen; a companion
+        # at shorter ones shows no order either
+        gain = max(ratios[0] ** order, 2.0) if settled and fine <= TRUST.settled else 2.0
+        return TRUST.safety * fine / (gain - 1)
+    coarse = distances[1]
     first, second = ratios
     gain = observe_gain(fine, coarse, first, second, order)
     extrapolated = TRUST.safety * fine / (gain - 1)
@@ -99,7 +110,7 @@ def estimate_truncation(
 
 
 def observe_gain(fine: float, coarse: float, first: float, second: float, order: float) -> float:
-    """Return the error at steps `first` times as long over that of the answer, as differences shrink."""
+    """Return the factor by which the error grows at steps `first` times as long, as observed."""
     doublings = math.log2(second / first)
     # from two differences that are both round-off, no rate above the order follows, nor one below 1
     rate = math.log2(max(coarse, 1e-300) / max(fine, 1e-300)) / doublings

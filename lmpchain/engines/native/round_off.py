@@ -18,7 +18,8 @@ class Rounding:
     Attributes
     ----------
     phase : float
-        Of the phase of the fastest motion, a radian: masses, stiffnesses and fractions of a step are rounded.
+        Of the phase of the fastest motion, a radian: masses, stiffnesses and fractions of a step
+        are rounded.
     drift : float
         Of a displacement, an evaluation of the force: in free flight equal steps round to one side.
     plain : float
@@ -39,9 +40,9 @@ ROUNDING = Rounding()
 def accumulate(evaluations: float, flights: float = 1.0, drifts: bool = False) -> float:
     """Return the last digits that the rounding of so many evaluations of the force adds up to.
 
-    It is a random walk. A grain that is pushed for a time t/k and flies freely for t has only the velocity of sqrt(n/k)
-    evaluations off, but comes k times as far with it: sqrt(n k), k being `flights`. Where it `drifts`, at equal steps
-    through free flight, all may round to one side.
+    It is a random walk. A grain that is pushed for a time t/k and flies freely for t has only the
+    velocity of sqrt(n/k) evaluations off, but comes k times as far with it: sqrt(n k), k being
+    `flights`. Where it `drifts`, at equal steps through free flight, all may round to one side.
     """
     walk = math.sqrt(evaluations * flights)
     return max(walk, ROUNDING.drift * evaluations) if drifts else walk
@@ -70,22 +71,23 @@ def native_floor(
 def plain_loss(scene: Scene, steps: float) -> float:
     """Return the velocity that the plain form of the force loses in so many steps, m/s.
 
-    The last digit of the force at rest is an acceleration a = 0.9 EPSILON F_n / m; at every step it goes either way,
-    which makes a sqrt(duration h) of the velocity.
+    The last digit of the force at rest is an acceleration a = 0.9 EPSILON F_n / m; at every step it
+    goes either way, which makes a sqrt(duration h) of the velocity.
     """
     return ROUNDING.plain * EPSILON * scene.chain.load_over_mass * scene.duration / math.sqrt(steps)
 
 
 def interpolation_loss(steps: float, flights: float = 1.0) -> float:
-    """Return what the velocities of interpolated samples lose in so many steps, over the largest one.
+    """Return the round-off of velocities of interpolated samples, over the largest velocity.
 
-    `flights` is how far the fastest grain would come in the whole run, over the largest displacement.
+    `flights` is how far the fastest grain would come in the whole run, over the largest
+    displacement.
     """
     return ROUNDING.interpolated * EPSILON * steps / flights
 
 
 def rounded_energy(scene: Scene, evaluations: float) -> float:
-    """Return the energy that contacts gain by rounding where heights are held, J: their last digit walks."""
+    """Return the energy that contacts gain by the rounding of heights, J: the last digit walks."""
     height = scene.chain.diameters.sum() + np.abs(scene.initial()[0]).max()
     closer = np.full(scene.chain.grains + 1, EPSILON * accumulate(evaluations) * height)
     return float(scene.chain.contacts.energy(closer).sum())

@@ -1,8 +1,8 @@
-"""The step of an answer: the longest that should meet the tolerance, and the next one if it did not.
+"""The step of an answer: the longest that should meet the tolerance, and its correction.
 
-The error of a method of order p is C (omega h)^p after the time for which C, its `error_constant`, is
-given; it grows in proportion to time, and with how far contacts open. The first step makes it half the
-tolerance, and the next one follows from the error estimate e,
+The error of a method of order p is C (omega h)^p after the time for which C, its `error_constant`,
+is given; it grows in proportion to time, and with how far contacts open. The first step makes it
+half the tolerance, and the next one follows from the error estimate e,
 
     h' = h (0.7 tolerance / e)^(1/p),
 
@@ -38,13 +38,13 @@ class FirstStep:
     longest_opening : float
         The same where contacts may open.
     foreseen : float
-        Tolerance up to which an error is foreseen where nothing bounds the strain: for a tighter one the
-        first attempt shows how long steps may be.
+        Tolerance up to which an error is foreseen where nothing bounds the strain: for a tighter
+        one the first attempt shows how long steps may be.
     safe_strain : float
         Strain up to which no contact comes near to opening.
     opening_error : float
-        Factor on the error where contacts open a little and steps are shorter there; it grows with the
-        root of the strain.
+        Factor on the error where contacts open a little and steps are shorter there; it grows with
+        the root of the strain.
     largest_opening_error : float
         The most that it is.
     equal_error : float
@@ -75,7 +75,7 @@ class FirstStep:
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Samples that steps pass over, and when they are interpolated; analysis/calibration/long_steps.py.
+    """Interpolation of samples that steps pass over; analysis/calibration/long_steps.py.
 
     Attributes
     ----------
@@ -130,8 +130,6 @@ class StepControl:
             return self.most
         if error.roundoff > self.roundoff * tolerance:
             return None
-        if not math.isfinite(error.truncation):
-            return self.most
         room = max(tolerance - error.roundoff, tolerance / 4)
         ratio = (error.truncation / (self.target * room)) ** (1 / error.order)
         return min(max(ratio, self.least), self.most)
@@ -187,9 +185,7 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
     return StepChoice(method, steps, 1, False, False, method.evaluations * steps)
 
 
-def choose_step(
-    scene: Scene, method: Method, tolerance: float, adaptive: bool, interpolates: bool
-) -> StepChoice:
+def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> StepChoice:
     """Return the longest step of a method that should meet the tolerance.
 
     Parameters
@@ -198,27 +194,23 @@ def choose_step(
     method : Method
     tolerance : float
     adaptive : bool
-        Whether steps may be shorter near openings.
-    interpolates : bool
-        Whether samples may be interpolated.
+        Whether steps may be shorter near openings, and pass over samples.
     """
     may_open = scene.largest_strain > FIRST_STEP.safe_strain
-    adaptive = adaptive and method.adaptive and may_open
-    reach = expected_reach(scene, method, tolerance, adaptive)
+    shortens = adaptive and method.adaptive and may_open
+    reach = expected_reach(scene, method, tolerance, shortens)
     phase = scene.highest_frequency * scene.duration / (scene.samples - 1)  # of an interval
     steps = math.ceil(phase / reach)
-    work = method.evaluations * steps
-    # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
-    if interpolates and scene.chain.compressed and method.interpolates:
-        dense = _interpolate(scene, method, tolerance, adaptive, phase, reach)
-        if dense is not None and dense.work < work:
-            return dense
     coarse = False
-    if adaptive and not OPENINGS.kinks(scene.chain.exponent):
+    if shortens and not OPENINGS.kinks(scene.chain.exponent):
         # where samples hold steps short, shorter ones near openings would only cost
-        shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, adaptive)
+        shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
-    return StepChoice(method, steps, 1, adaptive, coarse, work)
+    choices = [StepChoice(method, steps, 1, shortens, coarse, method.evaluations * steps)]
+    # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
+    if adaptive and scene.chain.compressed and method.interpolates:
+        choices += _interpolate(scene, method, tolerance, shortens, phase, reach)
+    return min(choices, key=lambda choice: choice.work)
 
 
 def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> float:
@@ -230,14 +222,15 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     error = method.error_constant * max(1.0, radians / FIRST_STEP.radians)
     error *= FIRST_STEP.opening_factor(strain, adaptive)
     reach = (tolerance / TRUST.safety / error) ** (1 / method.order)
-    # some methods are stable for longer steps than half a period of the fastest motion, and no good there
+    # some methods are stable for longer steps than half a period of the fastest motion, and no good
+    # there
     stable = min(method.stability_limit, math.pi)
     if strain <= FIRST_STEP.safe_strain:
         reach = min(reach, FIRST_STEP.longest * stable)
     else:
-        # two companions, at up to four times the step, show the rate at which the error falls; of one alone
-        # the distance itself counts, which is 2^order times the error. Where nothing bounds the strain,
-        # errors of longer steps scatter, and two runs may agree by chance.
+        # two companions, at up to four times the step, show the rate at which the error falls; of
+        # one alone the distance itself counts, which is 2^order times the error. Where nothing
+        # bounds the strain, errors of longer steps scatter, and two runs may agree by chance.
         alone = min(reach / 2, FIRST_STEP.longest_opening * stable) if strain < math.inf else 0.0
         reach = max(min(reach, stable / 4), alone)
     if adaptive:
@@ -248,19 +241,22 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
 
 def _interpolate(
     scene: Scene, method: Method, tolerance: float, adaptive: bool, phase: float, reach: float
-) -> StepChoice | None:
-    """Return the choice of steps that pass over samples, or None where these would be wrong or too many."""
+) -> list[StepChoice]:
+    """Return the choice of steps that pass over samples, if there are such steps.
+
+    There is none where interpolated samples would be wrong, or too many to hold.
+    """
     smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
     rate = phase / min(reach, smooth)  # steps a sample
     if interpolation_loss(rate * (scene.samples - 1)) > tolerance / TRUST.safety:
-        return None
+        return []
     steps, stride = land(scene, rate)
     if not 1 < stride <= INTERPOLATION.values // scene.chain.grains:
-        return None
+        return []
     # steps that could all be equal cost half as much as those that look for samples between
     evaluations = method.evaluations * steps / stride * (1.0 if adaptive else 2.0)
     work = evaluations + INTERPOLATION.evaluations
-    return StepChoice(method, steps, stride, adaptive, False, work)
+    return [StepChoice(method, steps, stride, adaptive, False, work)]
 
 
 def land(scene: Scene, rate: float) -> tuple[int, int]:

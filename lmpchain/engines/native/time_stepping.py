@@ -1,4 +1,4 @@
-"""Engines that step through time: their options, their steps, and the start of a run with companions."""
+"""Engines that step through time: options, steps, and the start of a run with companions."""
 
 from __future__ import annotations
 
@@ -33,17 +33,14 @@ class TimeSteppingEngine(Engine):
     Attributes
     ----------
     twin : bool
-        Whether a native twin measures its round-off. Its steps must then be those of the native engine in exact
-        arithmetic.
-    dense : bool
-        Whether it interpolates samples that steps pass over.
+        Whether a native twin measures its round-off. Its steps must then be those of the native
+        engine in exact arithmetic.
     adaptive : bool
-        Whether steps are shorter where contacts open, if the method allows.
+        Whether steps are shorter where contacts open and pass over samples, if the method allows.
     """
 
     adaptive: bool = False
     twin: ClassVar[bool] = True
-    dense: ClassVar[bool] = False
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
@@ -69,18 +66,19 @@ class TimeSteppingEngine(Engine):
         schedules: Sequence[StepSchedule],
         state: Mapping[str, Array],
     ) -> Stepper:
-        """Make the stepper of the answer, with its companions if native, from the start or a kept state."""
+        """Make the stepper of the answer, from the start or a kept state.
+
+        A native one moves the companions of the answer, too.
+        """
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
-        if self.step is not None:
-            choices = [choose_given_step(scene, method, self.step) for method in self.methods]
-        else:
-            dense = self.dense and self.adaptive
-            choices = [
-                choose_step(scene, method, tolerance, self.adaptive, dense)
-                for method in self.methods
-            ]
+        choices = [
+            choose_step(scene, method, tolerance, self.adaptive)
+            if self.step is None
+            else choose_given_step(scene, method, self.step)
+            for method in self.methods
+        ]
         return self.propose(scene, tolerance, min(choices, key=lambda choice: choice.work))
 
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
@@ -126,18 +124,18 @@ class TimeSteppingEngine(Engine):
     def refine(
         self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
     ) -> Candidate | None:
-        """Shorten the step by what the error asks for; where contacts open after all, let steps adapt."""
+        """Shorten the step as the error asks for; let steps adapt where contacts open after all."""
         method = METHODS[candidate.integrator]
         ratio = STEP_CONTROL.ratio(error, tolerance)
         if ratio is None:
             # to interpolate no sample loses less
             return candidate.sampled if candidate.stride > 1 else None
-        lost_order = error is None or error.order < method.order
-        if lost_order and self.adaptive and method.adaptive:
-            candidate = candidate._replace(adaptive=True)
-        if candidate.coarse_openings and lost_order:
-            # steps near openings get their full order, and those elsewhere may stay as long
-            ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
+        if error is None or error.order < method.order:
+            # contacts open after all
+            candidate = candidate._replace(adaptive=self.adaptive and method.adaptive)
+            if candidate.coarse_openings:
+                # steps near openings get their full order, and those elsewhere may stay as long
+                ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
         shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
         # with a step a sample or more, to interpolate none is cheaper
         return shorter.sampled if shorter.steps_per_landing > shorter.stride else shorter
@@ -172,7 +170,7 @@ def kind(scene: Scene) -> tuple:
 
 
 def alike(scene: Scene, candidate: Candidate) -> tuple:
-    """Return what scenes have in common that have the answer and error in a batch that they have alone."""
+    """Return a key of scenes whose answers and errors in a batch are those that they have alone."""
     longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
     return (
         *kind(scene),
