@@ -55,6 +55,27 @@ def places(page: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
+NAMED = re.compile(r"`([\w./-]+\.py)`|\b((?:lmpchain|analysis|tests|docs)/[\w./-]+\.py)\b")
+
+
+def test_files_that_pages_name_exist():
+    """A page may name a file by the end of its path, as `engines/base.py`."""
+    folders = ("lmpchain", "analysis", "tests", "docs")
+    files = [
+        f"/{file.relative_to(ROOT)}" for name in folders for file in (ROOT / name).rglob("*.py")
+    ]
+    pages = [ROOT / "README.md", *(ROOT / "analysis").rglob("*.md"), *PAGES]
+    named = {
+        (page.name, one or other)
+        for page in pages
+        for one, other in NAMED.findall(page.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 50
+    assert not {
+        (page, name) for page, name in named if not any(x.endswith(f"/{name}") for x in files)
+    }
+
+
 @pytest.mark.parametrize(
     "page", [ROOT / "README.md", ROOT / "analysis" / "README.md", *PAGES], ids=lambda p: p.stem
 )
