@@ -327,8 +327,8 @@ class CompanionRun(Run):
         scene = self._scenes[real]
         radians = scene.highest_frequency * scene.duration
         flights = motion.velocity * scene.duration / motion.displacement
-        # grains in contact fly nowhere
-        free_flights = max(flights, 1.0) if opens else 1.0
+        # grains in contact fly nowhere, and none turns faster than the fastest motion
+        free_flights = max(min(flights, radians), 1.0) if opens else 1.0
         drifts = opens and not self.candidate.adaptive
         roundoff = native_floor(motion.evaluations, radians, free_flights, drifts)
         steps = motion.evaluations / self.method.evaluations
