@@ -38,8 +38,8 @@ BEAD, TAU = 1e-3, 14.5  # the paper's beads, m, and its time of 100 us at g, in 
 def vacuum_power(exponent: float, loaded: bool) -> float:
     """Return p of g^p, by which the solution after a strike tends to that without gravity.
 
-    Overlaps at rest shift every contact: without a load they are ``(m g n / K)^(1/delta)``; under a load F gravity
-    changes them by ``n m g / F`` of themselves.
+    Overlaps at rest shift every contact: without a load they are ``(m g n / K)^(1/delta)``; under a
+    load F gravity changes them by ``n m g / F`` of themselves.
     """
     return 1.0 if loaded else 1 / exponent
 
@@ -58,9 +58,9 @@ def springs_error(grains: int, excess: ArrayLike) -> Array:
 def period(scene: Scene) -> float:
     """Return the period, s, of a chain with one degree of freedom.
 
-    It has one moving grain, or grains 1 and 3 in antiphase.
-    It has one degree of freedom, so ``T = 2 int dx / v(x)`` with v from the conserved energy, whatever the amplitude:
-    one grain bounces on the one below, or flies, at large ones. Stretches end where a contact opens, and
+    It has one moving grain, or grains 1 and 3 in antiphase. It has one degree of freedom, so
+    ``T = 2 int dx / v(x)`` with v from the conserved energy, whatever the amplitude: one grain
+    bounces on the one below, or flies, at large ones. Stretches end where a contact opens, and
     ``x = turn (1 - s^2)`` takes the root away at the turning points; right to some 1e-12.
     """
     chain, velocity = scene.chain, scene.initial()[1]
@@ -91,10 +91,10 @@ def period(scene: Scene) -> float:
 def buckling(chain: Chain, gauge: float = 0.0) -> Modes:
     """Return the buckling modes of a column of frictionless spheres.
 
-    These are `.frequency`, rates of growth in 1/s, and `.shape`.
-    A contact pushes along the line of centres, so sideways by ``F_n (x_n - x_(n+1)) / d_n`` away from the axis, and
-    nothing pulls back: ``m x'' = +(F/d) Laplacian``. Alike grains under a load grow by up to ``2 sqrt(F / (m d))``. The
-    gauge diameter, or else the physical one, less the overlap is d.
+    These are `.frequency`, rates of growth in 1/s, and `.shape`. A contact pushes along the line of
+    centres, so sideways by ``F_n (x_n - x_(n+1)) / d_n`` away from the axis, and nothing pulls
+    back: ``m x'' = +(F/d) Laplacian``. Alike grains under a load grow by up to
+    ``2 sqrt(F / (m d))``. The gauge diameter, or else the physical one, less the overlap is d.
     """
     contacts, last = chain.contacts, chain.movable
     apart = (gauge or chain.contact_lengths) - contacts.overlap
@@ -112,7 +112,8 @@ def dyson_rounding(kappa: ArrayLike, m: ArrayLike) -> Array:
 
 
 def front_of_springs(n: ArrayLike) -> Array:
-    """Return Eq. (11) at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by its series for large orders.
+    """Return Eq. (11) at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by its series for large
+    orders.
 
     Abramowitz and Stegun, 9.3.31; right to 1e-15 from n = 500 on.
     """
@@ -136,7 +137,9 @@ def bessel_rounding(n: ArrayLike) -> Array:
 
 
 def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
-    """Return the distance of the solution under each gravity from that without; strike 1 cm/s, load in N."""
+    """Return the distance of the solution under each gravity from that without; strike 1 cm/s, load
+    in N.
+    """
 
     def struck(g: float) -> Trajectory:
         chain = Chain(grains=20, diameter=BEAD, gravity=g, top_load=load, exponent=exponent)
@@ -150,7 +153,9 @@ def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
 def weak(
     exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3
 ) -> Scene:
-    """Return a column of 30 beads until tau = 14.5, struck at a velocity or with a strike number."""
+    """Return a column of 30 beads until tau = 14.5, struck at a velocity or with a strike
+    number.
+    """
     chain = Chain(grains=30, diameter=BEAD, gravity=gravity, exponent=exponent)
     speed = number * chain.length_scale / chain.time_scale if velocity is None else velocity
     return Scene(
@@ -165,7 +170,10 @@ def from_linear(scene: Scene) -> float:
 
 
 def from_springs(scene: Scene) -> float:
-    """Return the distance of v / v0 from Eq. (19) for springs at the last sample, over the largest."""
+    """Return the distance of v / v0 from Eq.
+
+    (19) for springs at the last sample, over the largest.
+    """
     n = np.arange(1, scene.chain.grains)
     springs = bessel.finite(np.ones(n.size), n, 1, TAU)
     velocity = simulate(scene, "native", 1e-11).velocity[-1, :-1] / scene.initial()[1][0]
@@ -194,7 +202,9 @@ def measured_period(scene: Scene) -> float:
 
 
 def squeezing(strain: float) -> Scene:
-    """Return 10 beads under gravity, struck for an overlap of `strain` diameters of two beads alone."""
+    """Return 10 beads under gravity, struck for an overlap of `strain` diameters of two beads
+    alone.
+    """
     chain = Chain(grains=10, diameter=BEAD)
     power, overlap = chain.exponent + 1, strain * BEAD
     speed = math.sqrt(
@@ -206,7 +216,9 @@ def squeezing(strain: float) -> Scene:
 
 
 def squeezed(scene: Scene) -> tuple[float, float]:
-    """Return the largest overlap over the diameter, and the distance of LAMMPS from the native engine."""
+    """Return the largest overlap over the diameter, and the distance of LAMMPS from the native
+    engine.
+    """
     native, contacts = simulate(scene, "native", 1e-11), scene.chain.contacts
     overlap = (
         contacts.overlap + contacts.closer(native.displacement)
@@ -216,7 +228,8 @@ def squeezed(scene: Scene) -> tuple[float, float]:
 
 
 def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: int = 40) -> Array:
-    """Return the largest distance from the axis of a bent column at rest in LAMMPS, (samples + 1,) m.
+    """Return the largest distance from the axis of a bent column at rest in LAMMPS, (samples + 1,)
+    m.
 
     Parameters
     ----------

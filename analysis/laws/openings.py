@@ -17,8 +17,9 @@ from lmpchain.util.arrays import Array
 def drift(scene: Scene, growth: Callable[[float], float], step: float) -> float:
     """Return the predicted relative rate, 1/s, at which a weak wave gains energy from a method.
 
-    Every mode k gains 2 ln g(omega_k h) / h, and counts by the part of the energy that it is given. `growth` is g of
-    the method, `Method.growth`: 1 for every splitting, above 1 for gear4, below 1 for dop853.
+    Every mode k gains 2 ln g(omega_k h) / h, and counts by the part of the energy that it is given.
+    `growth` is g of the method, `Method.growth`: 1 for every splitting, above 1 for gear4, below 1
+    for dop853.
     """
     modes, moving = eigenmodes(scene.chain), slice(scene.chain.movable)
     u, v = ((x[moving] * modes.mass) @ modes.shape for x in scene.initial())
@@ -30,8 +31,9 @@ def drift(scene: Scene, growth: Callable[[float], float], step: float) -> float:
 def order_through_openings(integrator: str, exponent: float) -> float:
     """Return the order of a fixed-step method where contacts open or close.
 
-    There the force goes as t^delta. A step h that holds such a moment is wrong by some h^(delta+1) in the velocity,
-    whatever the method, and there are so many such steps as openings: the error is h^(delta+1) or h^p.
+    There the force goes as t^delta. A step h that holds such a moment is wrong by some h^(delta+1)
+    in the velocity, whatever the method, and there are so many such steps as openings: the error is
+    h^(delta+1) or h^p.
     """
     return min(METHODS[integrator].order, exponent + 1)
 
@@ -46,10 +48,11 @@ def errors_through_openings(
 ) -> Array:
     """Return relative errors at the end of a scene at about these numbers of native steps.
 
-    Steps are of one length, or adaptive, with short ones at openings.
-    Each is the root of the mean square over so many `runs` of up to a fifth more steps, for the error of a step that
-    crosses an opening depends on where in the step that falls. One error is the largest difference from the reference
-    over the largest value in any of its samples, the larger one of displacement and velocity.
+    Steps are of one length, or adaptive, with short ones at openings. Each is the root of the mean
+    square over so many `runs` of up to a fifth more steps, for the error of a step that crosses an
+    opening depends on where in the step that falls. One error is the largest difference from the
+    reference over the largest value in any of its samples, the larger one of displacement and
+    velocity.
     """
     engine = engines.Native(integrator=integrator)
     scene = Scene(**scene.given() | {"samples": 2, "grains": "all"})

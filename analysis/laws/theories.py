@@ -13,14 +13,18 @@ SLOWEST_TAIL = {0.01: 3.3, 0.001: 6.1, 0.0001: 8.5}  # of `behind_front`
 
 
 def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
-    """Return the first-order error of Eq. (6), all contacts as stiff as that below the displaced grain.
+    """Return the first-order error of Eq.
 
-    Norm: root of the sum of squares over grains at an instant, of displacements. A wave of wave number k, with
-    omega = 2 sin(k/2), that runs for T = tau sqrt(kappa) meets other stiffnesses than those where it began, and gets
-    out of phase by sin(k) T^2 gradient / 4. Its amplitude changes, too; and the contact above is softer. The
-    difference of both solutions, where Eq. (6) itself is cos(omega T) exp(-s^2 k^2/2), is ::
+    (6), all contacts as stiff as that below the displaced grain.
 
-        i gradient [(cos(k/2) / 4 - omega s^2 k / 2) T sin(omega T) + sin(k) T^2/4 cos(omega T)] exp(-s^2 k^2/2)
+    Norm: root of the sum of squares over grains at an instant, of displacements. A wave of wave
+    number k, with omega = 2 sin(k/2), that runs for T = tau sqrt(kappa) meets other stiffnesses
+    than those where it began, and gets out of phase by sin(k) T^2 gradient / 4. Its amplitude
+    changes, too; and the contact above is softer. The difference of both solutions, where Eq. (6)
+    itself is cos(omega T) exp(-s^2 k^2/2), is ::
+
+        i gradient [(cos(k/2) / 4 - omega s^2 k / 2) T sin(omega T) + sin(k) T^2/4 cos(omega T)]
+        exp(-s^2 k^2/2)
           + gradient omega T/4 sin(omega T) exp(-s^2 k^2/2)
 
     Parameters
@@ -30,7 +34,8 @@ def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
     travelled : float
         T, how many grains the front has gone.
     width : float
-        s, standard deviation in grains of a displacement of Gaussian shape; 0 for that of one grain.
+        s, standard deviation in grains of a displacement of Gaussian shape; 0 for that of one
+        grain.
     """
     T, s = travelled, width
     count = 64 + 8 * int(T + 1)
@@ -47,8 +52,8 @@ def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
 def uniform_reach(error: float, gradient: float) -> float:
     """Return the distance in grains at which the error of Eq. (6) reaches this value.
 
-    sqrt(4 sqrt(2) error / gradient), the limit of `uniform_law` for many grains: sqrt(12 sqrt(2) error n) at grain n of
-    a Hertzian column.
+    sqrt(4 sqrt(2) error / gradient), the limit of `uniform_law` for many grains: sqrt(12 sqrt(2)
+    error n) at grain n of a Hertzian column.
 
     Examples
     --------
@@ -61,11 +66,12 @@ def uniform_reach(error: float, gradient: float) -> float:
 def bessel_law(contrast: float, tau: float) -> float:
     """Return the error of the engine "bessel", all contacts as stiff as the first, after a strike.
 
-    Norm: that of the package. Early, contact 2 is harder by the contrast than assumed: tau^4 contrast / 24 (Taylor
-    series); exp(-tau^2/4), fitted, stands for the further terms. Late, the front is at n = tau - 0.51 tau^(1/3) and,
-    through contacts each harder than the one before, early by contrast (n^2/4 - n/2); displacements are off by that
-    times the largest velocity, 1.071 n^(-1/3), over the largest displacement, 1.274 (Airy). Within 25 % of what is
-    measured for errors below 0.05, and 40 % below 0.1.
+    Norm: that of the package. Early, contact 2 is harder by the contrast than assumed: tau^4
+    contrast / 24 (Taylor series); exp(-tau^2/4), fitted, stands for the further terms. Late, the
+    front is at n = tau - 0.51 tau^(1/3) and, through contacts each harder than the one before,
+    early by contrast (n^2/4 - n/2); displacements are off by that times the largest velocity, 1.071
+    n^(-1/3), over the largest displacement, 1.274 (Airy). Within 25 % of what is measured for
+    errors below 0.05, and 40 % below 0.1.
 
     Parameters
     ----------
@@ -86,8 +92,9 @@ def bessel_law(contrast: float, tau: float) -> float:
 def far_field_law(n: ArrayLike, tau: ArrayLike, exponent: float = 1.5) -> Array:
     """Return the error of Eq. (8) against its parent Eq. (7): (16 n^2 - 1) / (16 n^(xi/2) tau).
 
-    Norm: at one grain over a period, relative to the amplitude 1 / (n^(xi/4) sqrt(pi tau)). The next term of Hankel's
-    expansion of J_2n. Both are far from Eq. (3), in which nothing oscillates after long times.
+    Norm: at one grain over a period, relative to the amplitude 1 / (n^(xi/4) sqrt(pi tau)). The
+    next term of Hankel's expansion of J_2n. Both are far from Eq. (3), in which nothing oscillates
+    after long times.
 
     Examples
     --------
@@ -101,10 +108,11 @@ def far_field_law(n: ArrayLike, tau: ArrayLike, exponent: float = 1.5) -> Array:
 def continuum_law(width: float, tau: float, exponent: float = 1.5) -> float:
     """Return the error of Eq. (27) after a strike spread as exp(-chi(h)^2 / (2 width^2)).
 
-    Norm: root of the sum of squares over grains at tau, of velocities. The wave of frequency lambda lags behind by the
-    phase lambda^3 w^3 / 3, w^3 = h^(1 - 3 xi/2) / (8 - 12 xi) (Airy), at the depth h of the front. In the travel time
-    chi, Eq. (27) is the radial wave equation in d = 1 + xi/eta dimensions, where the spectrum of a Gaussian is one:
-    error = (w^3/3) sqrt((d/2) (d/2 + 1) (d/2 + 2)) / width^3. Some 20 % too large for Hertz at tau = 10, 7 % at 100.
+    Norm: root of the sum of squares over grains at tau, of velocities. The wave of frequency lambda
+    lags behind by the phase lambda^3 w^3 / 3, w^3 = h^(1 - 3 xi/2) / (8 - 12 xi) (Airy), at the
+    depth h of the front. In the travel time chi, Eq. (27) is the radial wave equation in d = 1 +
+    xi/eta dimensions, where the spectrum of a Gaussian is one: error = (w^3/3) sqrt((d/2) (d/2 + 1)
+    (d/2 + 2)) / width^3. Some 20 % too large for Hertz at tau = 10, 7 % at 100.
 
     Parameters
     ----------
@@ -141,10 +149,12 @@ def _airy_lag(tau: float, exponent: float) -> float:
 
 
 def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
-    """Return the error of Eq. (30) at depth h below a driven top (Hertz): phase omega^3 sqrt(h) / 12.
+    """Return the error of Eq. (30) at depth h below a driven top (Hertz): phase omega^3 sqrt(h) /
+    12.
 
-    The difference of the wave numbers, k^3 / 24 with k = omega / h^(1/6), summed up from the top. At the first grains,
-    where no wavelength fits in, it is less: what is measured is lower by 0.01 at omega = 0.3 and 0.03 at 0.7.
+    The difference of the wave numbers, k^3 / 24 with k = omega / h^(1/6), summed up from the top.
+    At the first grains, where no wavelength fits in, it is less: what is measured is lower by 0.01
+    at omega = 0.3 and 0.03 at 0.7.
 
     Examples
     --------
@@ -157,9 +167,10 @@ def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
 def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
     """Return the time tau after which the error of Eq. (35) at depth h is below this value (Hertz).
 
-    Norm: relative error of the displacement of one grain after a strike on grain 1. The top sends down no wave above
-    its own band edge, omega = 2, and the slowest of them lags behind the light cone by sqrt(h). They leave a tail:
-    chi + sqrt(h) + s h^(1/4), with s fitted for tau from 30 to 300, 3.3 for an error of 1 %.
+    Norm: relative error of the displacement of one grain after a strike on grain 1. The top sends
+    down no wave above its own band edge, omega = 2, and the slowest of them lags behind the light
+    cone by sqrt(h). They leave a tail: chi + sqrt(h) + s h^(1/4), with s fitted for tau from 30 to
+    300, 3.3 for an error of 1 %.
 
     Raises
     ------

@@ -57,8 +57,8 @@ def column(
 def linear_error(scene: Scene) -> dict[str, float]:
     """Return the error of Eq. (3) in every norm of `linear_law`, against the native engine at 1e-9.
 
-    Norms over all samples take those of the scene; "peak" is of the deepest grain that the front has passed, and left
-    out if there is none.
+    Norms over all samples take those of the scene; "peak" is of the deepest grain that the front
+    has passed, and left out if there is none.
     """
     linear, full = theory(scene, "chebyshev"), simulate(scene, "native", 1e-9, on_miss="warn")
     errors = {
@@ -102,7 +102,9 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
 
 
 def local_error(tau: float) -> float:
-    """Return the error of Eq. (7) after a displacement of grain 1, Euclidean over grains, at tau."""
+    """Return the error of Eq. (7) after a displacement of grain 1, Euclidean over grains, at
+    tau.
+    """
     grains = int(1.3 * continuum.depth(tau)) + 20
     unit = WEAK * Chain(grains=grains, diameter=BEAD).length_scale
     scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))
@@ -162,10 +164,10 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
 def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
     """Return depths (G,) and the complex amplitude there over that of grain 1, (G,).
 
-    It is the factor of exp(i omega tau).
-    The top is driven weakly at the frequency omega, in units of tau, for a time tau. The average is over the last four
-    periods; left out are depths that the wave has reached but lately and, within 15 / omega of travel time, where no
-    local wavelength is known.
+    It is the factor of exp(i omega tau). The top is driven weakly at the frequency omega, in units
+    of tau, for a time tau. The average is over the last four periods; left out are depths that the
+    wave has reached but lately and, within 15 / omega of travel time, where no local wavelength is
+    known.
     """
     chain = Chain(grains=int(continuum.depth(tau)), diameter=BEAD)
     drive = Drive(
@@ -180,7 +182,9 @@ def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
 
 
 def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return wavelengths in grains and phase velocities over the continuum's, (G,) each; see `driven`."""
+    """Return wavelengths in grains and phase velocities over the continuum's, (G,) each; see
+    `driven`.
+    """
     h, motion = driven(frequency, tau)
     number = -np.diff(np.angle(motion)) % (2 * np.pi)
     return 2 * np.pi / number, frequency / (h[:-1] + 0.5) ** (1 / 6) / number
@@ -194,7 +198,9 @@ def harmonic_error(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
 
 
 def fronts(tau: float) -> tuple[Array, Array, Array]:
-    """Return grains, arrival times of the largest velocity and its widths at half height in tau, (G,)."""
+    """Return grains, arrival times of the largest velocity and its widths at half height in tau,
+    (G,).
+    """
     scene = column(WEAK, tau, int(continuum.depth(1.2 * tau)) + 30)
     front = track(theory(scene, "chebyshev"))
     return front.grain, front.time / scene.chain.time_scale, front.width / scene.chain.time_scale

@@ -25,7 +25,9 @@ WIDTH = 2.2346 / 4 ** (1 / 3)
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return errors over depth and time, and over width and time; phase velocities; the front over depth."""
+    """Return errors over depth and time, and over width and time; phase velocities; the front over
+    depth.
+    """
     far = 40.0 if quick else 150.0
     times, h, impulse = impulse_error(far, 41 if quick else 76)
     h, impulse = h[::2], impulse[:, ::2]
@@ -129,7 +131,11 @@ def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:
         )
     fine = np.geomspace(2, 40, 200)
     axes.loglog(
-        fine, 1 - phase_velocity(fine), color="black", lw=1.3, label="law: 1 − sin(x)/x, x = π/λ"
+        fine,
+        1 - phase_velocity(fine),
+        color="black",
+        lw=1.3,
+        label="law: 1 − sin(x)/x, x = π/λ",
     )
     for level in (0.01, 0.1):
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)

@@ -34,8 +34,8 @@ STEPS = {  # omega h where the error is a power law
 def hot(grains: int) -> lmpchain.Scene:
     """Return a loaded chain with random velocities, large enough to be nonlinear.
 
-    The last grain starts at rest.
-    With more than four grains energy may stay localised for 1e5 steps and then spread, which mimics a trend of 1e-6.
+    The last grain starts at rest. With more than four grains energy may stay localised for 1e5
+    steps and then spread, which mimics a trend of 1e-6.
     """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
     speed = (
@@ -93,7 +93,9 @@ def runge_kutta(
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return relative errors of the energy over time, their trends, and their spread against the step."""
+    """Return relative errors of the energy over time, their trends, and their spread against the
+    step.
+    """
     scene = hot(4)
     edge, periods = scene.chain.band_edge, 2e3 if quick else PERIODS
     long: dict[str, Any] = {}
@@ -186,8 +188,15 @@ def _trends(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]]) ->
     for place, (name, record) in enumerate(data["long"].items()):
         time, error = np.array(record["time"]), np.array(record["error"])
         unit = (error - record["rate"] * time).std() / time[-1]
-        ax.errorbar(record["rate"] / unit, -place, xerr=record["sure"] / unit, fmt=styles[name]["marker"],
-                    color=styles[name]["color"], capsize=4, ms=6)  # fmt: skip
+        ax.errorbar(
+            record["rate"] / unit,
+            -place,
+            xerr=record["sure"] / unit,
+            fmt=styles[name]["marker"],
+            color=styles[name]["color"],
+            capsize=4,
+            ms=6,
+        )
     ax.axvline(0, color="0.6", lw=1, zorder=0)
     ax.set_xscale("symlog", linthresh=0.1)
     ax.set(xlim=(-1e7, 1e7), xticks=[-1e6, -1e3, -1, 0, 1, 1e3, 1e6])

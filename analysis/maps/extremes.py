@@ -50,7 +50,10 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _dyson(m: float) -> tuple[float, float, float]:
-    """Return the largest error of Eq. (23) within 3 standard deviations, its law, and the printed form's."""
+    """Return the largest error of Eq.
+
+    (23) within 3 standard deviations, its law, and the printed form's.
+    """
     kappa = 1 + np.linspace(-0.9, 3, 14) / np.sqrt(m)
     with mp.workdps(60):
         true = [
@@ -126,8 +129,14 @@ def _weights(axes: Axes, data: dict[str, Any]) -> None:
     values, law, printed = np.array(data["dyson"], dtype=float).T
     axes.plot(data["orders"], law, color=BLUE, lw=1.2, label="rounding of κ: ε m |κ - 1|")
     axes.plot(data["orders"], values, **POINT, marker="o", color=BLUE, label="theory.dyson.weight")
-    axes.plot(data["orders"], np.where(np.isfinite(printed), printed, np.nan), **POINT, marker="x", color=RED,
-              label="as printed")  # fmt: skip
+    axes.plot(
+        data["orders"],
+        np.where(np.isfinite(printed), printed, np.nan),
+        **POINT,
+        marker="x",
+        color=RED,
+        label="as printed",
+    )
     axes.axvline(limits.MOST_PRINTED, color=RED, ls="--", lw=1)
     axes.annotate(
         "overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED

@@ -71,7 +71,9 @@ def draw(data: dict[str, Any]) -> Figure:
     )
     draw_boundaries(plane, grains[0], grains[-1])
     plane.set_title(
-        "Eq. (6), one κ for all grains: white, measured; dashed, law", loc="left", fontsize="medium"
+        "Eq. (6), one κ for all grains: white, measured; dashed, law",
+        loc="left",
+        fontsize="medium",
     )
     _draw_width(width, data)
     _draw_strike(strike, data)

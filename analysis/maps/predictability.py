@@ -1,7 +1,8 @@
 """Predictability of a struck column: growth of a change in the last digits, and its limit.
 
-Columns of glass beads of 1 mm under g. Reflections through contacts that open and close amplify any change of the start
-until two runs are uncorrelated; the predictability time of a tolerance is when rounding has grown to it.
+Columns of glass beads of 1 mm under g. Reflections through contacts that open and close amplify any
+change of the start until two runs are uncorrelated; the predictability time of a tolerance is when
+rounding has grown to it.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 1
 
 
 def measure(quick: bool) -> dict:
-    """Return the decades of growth for strikes x times, each length, and predicted predictability times."""
+    """Return the decades of growth for strikes x times, each length, and predicted predictability
+    times.
+    """
     velocities = np.logspace(-3.5, -0.5, 3 if quick else 10)
     panels = []
     for grains in LENGTHS[:1] if quick else LENGTHS:
@@ -54,7 +57,9 @@ def measure(quick: bool) -> dict:
 
 
 def draw(data: dict) -> Figure:
-    """Draw growth as colours over strike x time, with measured and predicted predictability times."""
+    """Draw growth as colours over strike x time, with measured and predicted predictability
+    times.
+    """
     panels, velocities, times = (
         data["panels"],
         np.array(data["velocities"]),

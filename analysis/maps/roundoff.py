@@ -1,7 +1,7 @@
 """Round-off error against the strike, for both engines and several lengths of column.
 
-Every point is a run held against the same steps in extended precision; every line is the law. Columns of glass beads of
-1 mm under g, struck at the top, until the wave is at the floor.
+Every point is a run held against the same steps in extended precision; every line is the law.
+Columns of glass beads of 1 mm under g, struck at the top, until the wave is at the floor.
 """
 
 from __future__ import annotations

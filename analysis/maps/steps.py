@@ -93,7 +93,10 @@ def draw(data: dict[str, Any]) -> Figure:
     picture.legend(
         entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False
     )
-    said = "The longest step that a loaded chain of 12 grains survives for 100 periods, after strikes from weak to strong"
+    said = (
+        "The longest step that a loaded chain of 12 grains survives for 100 periods, "
+        "after strikes from weak to strong"
+    )
     picture.suptitle(said, x=0.01, ha="left")
     return picture
 

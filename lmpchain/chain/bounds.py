@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from .contacts import free_approach, hertz_constant
-from .impurities import Impurity
+from .impurities import Kinds
 from .materials import Material
 from .plausible import LIMITS
 
-ROUNDING = 1 + 1e-9  # on bounds: where all grains are alike they are reached
+# factor on bounds: where all grains are alike they are reached, and rounding would pass them
+ROUNDING = 1 + 1e-9
 
 
 class Bounds(NamedTuple):
-    """Bounds on the grains of a chain and on all of its contacts.
+    """Bounds on all grains of a chain and on all of its contacts.
 
     Attributes
     ----------
@@ -49,7 +50,8 @@ class Bounds(NamedTuple):
 
     def struck(self, speed: float) -> float:
         """Return a bound on overlaps at rest and in the first collision at this speed, m."""
-        energy = self.heaviest * speed * speed / 2  # of two grains it is half of that at most
+        # of one grain that meets another at rest; what they share is half of it at most
+        energy = self.heaviest * speed * speed / 2
         collision = free_approach(energy, self.softest, self.exponent)
         return max(self.overlap, collision) * ROUNDING
 
@@ -60,55 +62,53 @@ class Bounds(NamedTuple):
 
 
 def bounds(
-    kind: tuple[Material, float],
+    kinds: Kinds,
     grains: int,
-    impurities: Sequence[Impurity],
     walls: Sequence[Material],
-    weights: tuple[float, float, float],
+    top_load: float,
+    gravity: float,
+    exponent: float,
 ) -> Bounds | None:
     """Return the bounds of a chain; None if numbers are too large or too small to say.
 
     Parameters
     ----------
-    kind : tuple
-        Material and diameter of the grains that are alike, m.
+    kinds : Kinds
+        The common grain and the impurities.
     grains : int
-    impurities : sequence of Impurity
     walls : sequence of Material
         Those that differ from the grains.
-    weights : tuple
-        Top load, N, gravity, m/s2, and exponent.
+    top_load, gravity, exponent : float
+        N, m/s2, and delta.
     """
-    load, gravity, exponent = weights
-    odd: list[Any] = [(i.material or kind[0], i.diameter or kind[1], i.mass) for i in impurities]
-    materials, diameters, given = zip(*((*kind, None), *odd), strict=True)
+    moduli = [*kinds.moduli, *(wall.plane_strain_modulus for wall in walls)]
+    narrowest = min(kinds.diameters)
+    widest = max(kinds.diameters)
     try:
-        masses = [
-            mass or material.density * math.pi / 6 * diameter**3
-            for material, diameter, mass in zip(materials, diameters, given, strict=True)
-        ]
-        moduli = [material.plane_strain_modulus for material in (*materials, *walls)]
-        lengths = [min(diameters), max(diameters)]  # a power of them has its extremes at the ends
+        # of mean diameters between these two: a power of them has its extremes at the ends
         softest = min(
-            hertz_constant(min(moduli) / 2, min(diameters) / 4, length, exponent)
-            for length in lengths
+            hertz_constant(min(moduli) / 2, narrowest / 4, length, exponent)
+            for length in (narrowest, widest)
         )
-        hardest = max(  # at a wall, whose radius is infinite
-            hertz_constant(max(moduli) / 2, max(diameters) / 2, length, exponent)
-            for length in lengths
+        # at a wall, whose radius is infinite
+        hardest = max(
+            hertz_constant(max(moduli) / 2, widest / 2, length, exponent)
+            for length in (narrowest, widest)
         )
-        weight = gravity * (grains * masses[0] + sum(masses[1:]))
-        overlap = ((load + weight) / softest) ** (1 / exponent)
+        weight = gravity * (grains * kinds.masses[0] + sum(kinds.masses[1:]))
         extremes = Bounds(
             softest,
             hardest,
-            min(masses),
-            max(masses),
-            min(diameters),
-            min(material.sound_speed for material in materials),
-            overlap,
-            exponent,
+            lightest=min(kinds.masses),
+            heaviest=max(kinds.masses),
+            narrowest=narrowest,
+            slowest=min(material.sound_speed for material in kinds.materials),
+            overlap=((top_load + weight) / softest) ** (1 / exponent),
+            exponent=exponent,
         )
-        return extremes if extremes.frequency(overlap) ** 2 < LIMITS.stiffness_over_mass else None
+        # written so that what is no number has no bounds either
+        computable = extremes.frequency(extremes.overlap) ** 2 < LIMITS.stiffness_over_mass
+        return extremes if computable else None
+    # Python's own floats raise where they overflow or are divided by 0
     except ArithmeticError:
         return None

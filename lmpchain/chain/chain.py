@@ -17,7 +17,7 @@ from . import walls
 from .bounds import Bounds, bounds
 from .contacts import FEW_GRAINS, Contacts
 from .equilibrium import Equilibrium, Grains, derive_chain
-from .impurities import Impurities, kinds, misfits, with_impurities
+from .impurities import Impurities, Kinds, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import AtRest
 from .plausible import LIMITS, least_compression, remarks, too_compressed
@@ -69,8 +69,8 @@ class Chain(AtRest, Checked):
     >>> chain = Chain(grains=120, material=GLASS, diameter=1e-3)
     >>> f"{chain.length_scale:.5e} m"
     '6.94554e-10 m'
-    >>> Chain(grains=20, material="steel", diameter=5e-3, top_load=10, top="wall", bottom="wall").movable
-    20
+    >>> Chain(grains=20, material="steel", diameter=5e-3, top_load=10, top="wall").movable
+    19
     """
 
     grains: Annotated[Whole, Field(ge=1, le=10**8)]
@@ -94,6 +94,7 @@ class Chain(AtRest, Checked):
     def _faults(self) -> Iterator[tuple[str, str]]:
         faults = [*self._misfits(), *self._falls(), *self._tiny_forces()]
         yield from faults
+        # of numbers that do not fit together there are no arrays to look at
         if not faults:
             yield from self._extremes()
 
@@ -117,12 +118,16 @@ class Chain(AtRest, Checked):
         """Yield numbers that cannot be computed with, and contacts compressed too much."""
         if self.bounds and self.bounds.compression <= LIMITS.compression:
             return
-        weights = self.grains, self.top_load, self.gravity, self.exponent
-        least = least_compression(self._kinds, *weights) if self._alike else 0.0
-        if least > LIMITS.compression:
-            yield "diameter", too_compressed(f"a contact is compressed by at least {least:.2g}")
-            return
-        with np.errstate(all="ignore"):  # numbers that overflow are faults
+        # before gigabytes of arrays are made of a column that could not stand
+        if self._kinds:
+            weights = (self.top_load, self.gravity, self.exponent)
+            least = least_compression(self._kinds, self.grains, *weights)
+            if least > LIMITS.compression:
+                contact = f"a contact is compressed by at least {least:.2g}"
+                yield "diameter", too_compressed(contact)
+                return
+        # numbers that overflow are faults
+        with np.errstate(all="ignore"):
             computable = self.equilibrium.computable(self.movable)
             compression = self.equilibrium.compression
         if not computable:
@@ -134,6 +139,7 @@ class Chain(AtRest, Checked):
             yield "diameter", too_compressed(contact)
 
     def _remarks(self) -> Iterator[str]:
+        # bounds are known at once; arrays are derived only where these do not settle it
         compression = 0.0
         if self.exponent == 1.5 and not (
             self.bounds and self.bounds.compression <= LIMITS.hertz_compression
@@ -159,26 +165,26 @@ class Chain(AtRest, Checked):
         materials = (self.top_material, self.bottom_material)
         yield from walls.misfits(ends, materials, self.given_wall_constants)
 
-    @property
-    def _alike(self) -> bool:
-        """Whether all grains are alike but for the impurities, so that no arrays are needed."""
-        one = isinstance(self.diameter, float) and isinstance(self.material, Material)
-        return one and self.given_masses is None and self.given_contact_constants is None
-
-    @property
-    def _kinds(self) -> Array:
-        """Plane-strain modulus, diameter and mass of the kinds of grains, (3, I+1)."""
-        return kinds(self.material, self.diameter, self.impurity)
+    @cached_property
+    def _kinds(self) -> Kinds | None:
+        """The few kinds of grains of a chain that needs no arrays; None if grains are listed."""
+        if (
+            isinstance(self.diameter, float)
+            and isinstance(self.material, Material)
+            and self.given_masses is None
+            and self.given_contact_constants is None
+        ):
+            return kinds(self.material, self.diameter, self.impurity)
+        return None
 
     @cached_property
     def bounds(self) -> Bounds | None:
         """Bounds on all grains and contacts; None where only arrays can tell."""
-        if not self._alike or self.given_wall_constants is not None:
+        if self._kinds is None or self.given_wall_constants is not None:
             return None
-        built = [wall for wall in (self.top_material, self.bottom_material) if wall]
-        kind = (self.material, self.diameter)
+        planes: list[Any] = [wall for wall in (self.top_material, self.bottom_material) if wall]
         weights = (self.top_load, self.gravity, self.exponent)
-        return bounds(kind, self.grains, self.impurity, built, weights)  # type: ignore[arg-type]
+        return bounds(self._kinds, self.grains, planes, *weights)
 
     def by_grain(self, prop: str, common: Array | None = None) -> Array:
         """Return a property of the material of every grain, (N,).
@@ -210,6 +216,7 @@ class Chain(AtRest, Checked):
             "material.density", "material.youngs_modulus", "material.poissons_ratio". Impurities
             keep their own values. Empty for this chain.
         """
+        # () for a single chain
         rows = np.broadcast_shapes(*(values.shape[:-1] for values in drawn.values()))
 
         def spread(value: Any, size: int) -> Array:
@@ -278,6 +285,7 @@ class Chain(AtRest, Checked):
     @cached_property
     def depths(self) -> Array:
         """How far below grain 1 the centre of every grain rests, (N,) m."""
+        # of centres: the mean diameter less the overlap, walls left out
         distances = (self.contact_lengths - self.contacts.overlap)[1:-1]
         return read_only(np.append(0.0, np.cumsum(distances)))
 
@@ -334,32 +342,37 @@ class Chain(AtRest, Checked):
                 for impurity in self.impurity
                 if first <= impurity.grain <= last
             )
+        # of a wall that is left out there is no constant
         if "wall_constants" in fields:
             outer = [first == 1, last == self.grains]
             fields["wall_constants"] = read_only(self.wall_constants * outer)
+        # the weight of the grains above presses on, without their motion
         if first > 1:
             fields |= {"top": "free", "top_load": self._force_on(first)}
             fields.pop("top_material", None)
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
-        piece = Chain._unchecked(**fields)  # a part of a valid chain is valid
-        # contacts of a chain that was derived as a whole need no second derivation
+        # a part of a valid chain is valid
+        piece = Chain._unchecked(**fields)
+        # the contacts of a whole chain need no second derivation, which would take as long as the
+        # run of a short one
         if first == 1 and last < self.grains <= min(FEW_GRAINS, 8 * last):
             return piece._with_known(equilibrium=self.equilibrium.above(last))
         return piece
 
     def _force_on(self, grain: int) -> float:
         """Return the force at rest on grain n > 1 from the grains above it, N."""
-        if not self._alike:
+        if self._kinds is None:
             return float(self.contacts.force[grain - 1])
-        mass = self._kinds[2].astype(np.longdouble)
+        # in long doubles, as the weights of `derive_chain`
+        common, *impure = np.array(self._kinds.masses, dtype=np.longdouble)
         excess = [
-            impure - mass[0]
-            for impure, impurity in zip(mass[1:], self.impurity, strict=True)
+            mass - common
+            for mass, impurity in zip(impure, self.impurity, strict=True)
             if impurity.grain < grain
         ]
-        return float(self.top_load + self.gravity * ((grain - 1) * mass[0] + sum(excess)))
+        return float(self.top_load + self.gravity * ((grain - 1) * common + sum(excess)))
 
     def dynamical_matrix(self) -> tuple[Array, Array]:
         """Return the tridiagonal dynamical matrix D of the linearised chain, 1/s2.
@@ -411,6 +424,7 @@ class Chain(AtRest, Checked):
             Displacement of the top wall, m; by default 0.
         """
         kinetic = 0.5 * (self.masses * velocity**2).sum(-1)
+        # grains at rest, as before a strike: nothing is in the contacts
         if wall is None and not np.any(displacement):
             return kinetic
         return kinetic + self.contacts.energy(Contacts.closer(displacement, wall)).sum(-1)

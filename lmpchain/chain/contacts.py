@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
 
-FEW_GRAINS = 10**4  # of a chain: up to here all contacts are known sooner than those of some parts
-OPENING_MARGIN = 1.05  # on the largest strain: a contact that opens is softer than at rest
-SERIES_BELOW = 0.02  # strain below which 11 terms of the energy's series have all digits
+# grains of a chain: up to here all contacts are known sooner than those of some parts
+FEW_GRAINS = 10**4
+# factor on the largest strain: a contact that opens is softer than at rest
+OPENING_MARGIN = 1.05
+# strain below which 11 terms of the energy's series have all digits
+SERIES_BELOW = 0.02
 Number = TypeVar("Number", float, Array)
 
 
@@ -102,6 +105,7 @@ class Contacts:
     @classmethod
     def at_rest(cls, constant: Array, force: Array, exponent: float) -> Contacts:
         """Return contacts with these constants, N/m^delta, that carry these forces at rest, N."""
+        # where there is no wall, 0 / 0 would be no number
         overlap = (force / np.where(constant > 0, constant, 1.0)) ** (1 / exponent)
         stiffness = exponent * constant * overlap ** (exponent - 1)
         return cls(exponent, *map(read_only, (constant, force, overlap, stiffness)))
@@ -120,17 +124,15 @@ class Contacts:
         """Whether the contact is compressed at rest, (..., N+1) bool."""
         return read_only(self.force > 0)
 
-    def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
-        """Return these contacts of one chain, or the contacts of these of many chains.
-
-        With None, the contacts of one chain as those of many, (1, N+1).
-        """
+    def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
+        """Return these contacts of one chain, or the contacts of these of many chains."""
         return Contacts(self.exponent, *(values[numbers] for values in self._arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
-        ended = (read_only(np.append(values[:grain], 0.0)) for values in self._arrays)
-        return Contacts(self.exponent, *ended)
+        # there is no wall below the grain that is held
+        arrays = (read_only(np.append(values[:grain], 0.0)) for values in self._arrays)
+        return Contacts(self.exponent, *arrays)
 
     def force_at(self, overlap: Array) -> Array:
         """Return the force K o^delta of contacts with the overlap o, 0 if open, (..., N+1) N."""
@@ -147,6 +149,7 @@ class Contacts:
         The top wall is at (...) m, by default where it is at rest.
         """
         u = np.asarray(displacement)
+        # filled in place: numpy's diff of a row with two ends would copy long records twice
         closer = np.empty((*u.shape[:-1], u.shape[-1] + 1))
         closer[..., 0] = 0.0 if wall is None else wall
         closer[..., 0] -= u[..., 0]
@@ -159,6 +162,7 @@ class Contacts:
 
         The relative accuracy does not depend on the amplitude of the wave.
         """
+        # from s = -1 on the contact is open, and the force at rest is all that is lost
         s = r / np.where(self.pressed, self.overlap, np.inf)
         relative = np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0)))
         change = self.force * np.where(s > -1, relative, -1.0)
@@ -170,7 +174,7 @@ class Contacts:
         It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for
         the weakest waves.
         """
-        # most of a long chain rests, and powers cost time
+        # most of a long chain rests, and powers take most of the time
         if np.ndim(r) == 2 and not (moves := r.any(axis=0)).all():
             energy = np.zeros(r.shape)
             energy[:, moves] = self.of(np.flatnonzero(moves)).energy(r[:, moves])
@@ -236,12 +240,11 @@ class Contacts:
         # a loose contact has no strain; where there is none, neither moves
         strain = self.approach_bound(energy) / np.where(self.pressed, self.overlap, 1.0)
         bounded = (self.pressed == self.exists).all(-1)
-        return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]  # of one, a number
+        # of one chain a number, and no array of none
+        return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
     """Return the contacts of R chains of one length as one, (R, N+1), for compiled loops."""
-    if len(contacts) == 1:
-        return contacts[0].of(None)
-    rows = map(np.array, zip(*(each._arrays for each in contacts), strict=True))
+    rows = map(np.array, zip(*(chain._arrays for chain in contacts), strict=True))
     return Contacts(contacts[0].exponent, *rows)

@@ -1,4 +1,4 @@
-"""The chain at rest: everything that follows from its grains, of one chain or of many at once."""
+"""Equilibrium of chains: all that follows from their grains, of one chain or of many at once."""
 
 from __future__ import annotations
 
@@ -113,7 +113,8 @@ def derive_chain(grains: Grains) -> Equilibrium:
     between = (diameters[..., :-1] + diameters[..., 1:]) / 2
     lengths = _with_ends(between, diameters[..., 0], diameters[..., -1])
     constants = _contact_constants(grains, lengths)
-    # in long doubles: rounding of the weight of many grains would show in the stiffnesses
+    # every contact carries the load and the weight of all grains above it
+    # in long doubles: the rounding of the weight of many grains would show in the stiffnesses
     weight = grains.gravity * masses.cumsum(-1, dtype=np.longdouble)
     force = np.empty(constants.shape)
     force[..., 0] = grains.top_load
@@ -132,6 +133,7 @@ def _contact_constants(grains: Grains, lengths: Array) -> Array:
     ]
     modulus = pair_value(_with_ends(grains.moduli, *planes))
     radius = pair_value(_with_ends(grains.diameters / 2, math.inf, math.inf))
+    # Hertz's constants, which given ones replace
     natural = hertz_constant(modulus, radius, lengths, grains.exponent)
     given = grains.contact_constants
     between = np.where(np.isnan(given), natural[..., 1:-1], given)
@@ -139,7 +141,8 @@ def _contact_constants(grains: Grains, lengths: Array) -> Array:
     for wall, constant, end in zip(grains.walls, grains.wall_constants, (0, -1), strict=True):
         if wall and math.isnan(constant):
             constant = natural[..., end]
-            if between.shape[-1]:  # in the proportion of Hertz's law to the next contact
+            # in the proportion of Hertz's law to the next contact, which may be given
+            if between.shape[-1]:
                 constant = constant * (between[..., end] / natural[..., 1:-1][..., end])
         ends.append(constant if wall else 0.0)
     return _with_ends(between, *ends)

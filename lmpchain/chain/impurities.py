@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field
 from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Checked, Positive, Whole
-from .materials import OneMaterial
+from .materials import Material, OneMaterial
 
 
 class Impurity(Checked):
@@ -46,15 +46,17 @@ def _impurities(value: Any) -> tuple[Impurity, ...]:
         isinstance(item, Impurity | dict) for item in value
     ):
         raise ValueError("must be a list of impurities, [[chain.impurity]] in a scene file")
-    made, faults = [], []
+    impurities = []
+    faults = []
     for place, item in enumerate(value):
+        # a fault of one must not hide those of the others
         try:
-            made.append(item if isinstance(item, Impurity) else Impurity(**item))
+            impurities.append(item if isinstance(item, Impurity) else Impurity(**item))
         except InputError as error:
             faults += error.under(str(place))
     if faults:
         raise InputError(faults)
-    return tuple(made)
+    return tuple(impurities)
 
 
 Impurities = Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)]
@@ -72,15 +74,17 @@ def misfits(
             )
         elif impurity.grain in [other.grain for other in impurities[:place]]:
             yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
+        # K of the neighbouring contacts would have to change, and they are fixed
         elif constants_given and (impurity.diameter or impurity.material):
             yield (
                 f"impurity.{place}",
-                "may only have a mass of its own where contact_constants are given: they would not follow",
+                "may only have a mass of its own where contact_constants are given: "
+                "they would not follow",
             )
 
 
 def with_impurities(values: Array, impurities: Sequence[Impurity], key: str) -> Array:
-    """Return a copy of the values (..., N) with those that impurities have of their own."""
+    """Return a copy of the values (..., N) in which impurities have theirs."""
     changed = np.array(values, dtype=float)
     for impurity in impurities:
         if (value := getattr(impurity, key)) is not None:
@@ -88,14 +92,35 @@ def with_impurities(values: Array, impurities: Sequence[Impurity], key: str) -> 
     return changed
 
 
-def kinds(material: Any, diameter: Any, impurities: Sequence[Impurity]) -> Array:
-    """Return modulus, diameter and mass of a common grain and every impurity, (3, I+1)."""
-    columns = []
-    for impurity in (None, *impurities):
-        kind = getattr(impurity, "material", None) or material
-        width = getattr(impurity, "diameter", None) or diameter
-        mass = getattr(impurity, "mass", None)
-        with np.errstate(over="ignore"):  # a Python float would raise
-            sphere = kind.density * np.pi / 6 * np.float64(width) ** 3
-        columns.append((kind.plane_strain_modulus, width, mass or sphere))
-    return np.array(columns).T
+class Kinds(NamedTuple):
+    """The kinds of grains of a chain: the common grain, and every impurity.
+
+    Attributes
+    ----------
+    materials : list of Material
+    diameters, masses : list of float
+        m and kg.
+    """
+
+    materials: list[Material]
+    diameters: list[float]
+    masses: list[float]
+
+    @property
+    def moduli(self) -> list[float]:
+        """Plane-strain modulus E / (1 - nu^2) of every kind, Pa."""
+        return [material.plane_strain_modulus for material in self.materials]
+
+
+def kinds(material: Material, diameter: float, impurities: Sequence[Any]) -> Kinds:
+    """Return the kinds of grains of a chain whose common grain is given."""
+    materials = [material, *(impurity.material or material for impurity in impurities)]
+    diameters = [diameter, *(impurity.diameter or diameter for impurity in impurities)]
+    own_masses = [None, *(impurity.mass for impurity in impurities)]
+    # a power of a Python float raises where it overflows, one of numpy's is infinite
+    with np.errstate(over="ignore"):
+        masses = [
+            mass or kind.density * np.pi / 6 * float(np.float64(width) ** 3)
+            for kind, width, mass in zip(materials, diameters, own_masses, strict=True)
+        ]
+    return Kinds(materials, diameters, masses)

@@ -99,6 +99,7 @@ TUNGSTEN_CARBIDE = _material(
 MATERIALS = {m.name: m for m in (GLASS, STEEL, PTFE, BRASS, TUNGSTEN_CARBIDE)}
 
 
+# a scene file has names and tables, Python may have materials
 def _one_material(value: Any) -> Material:
     if isinstance(value, Material):
         return value
@@ -107,8 +108,8 @@ def _one_material(value: Any) -> Material:
     if isinstance(value, str) and value in MATERIALS:
         return MATERIALS[value]
     raise ValueError(
-        f"no material is called {shown(value)}{did_you_mean(value, MATERIALS)}; use {', '.join(MATERIALS)}, "
-        "or give density, youngs_modulus and poissons_ratio"
+        f"no material is called {shown(value)}{did_you_mean(value, MATERIALS)}; "
+        f"use {', '.join(MATERIALS)}, or give density, youngs_modulus and poissons_ratio"
     )
 
 

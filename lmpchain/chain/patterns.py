@@ -142,6 +142,7 @@ def periodic(
     [1.0, 1.0, 2.0, 1.0, 1.0, 2.0, 1.0]
     """
     cell = _Cell(grains=grains, diameters=diameters, materials=materials, counts=counts)
+    # counts beyond the chain would only make arrays that are cut again
     repeats = np.resize(np.minimum(cell.counts, cell.grains), cell.kinds)
     kind = np.resize(np.repeat(np.arange(cell.kinds), repeats), cell.grains)
     material = cell.materials
@@ -169,14 +170,15 @@ class _Tapered(_Pattern):
     def diameters(self, count: int) -> Array:
         """Return the diameters of `count` neighbouring grains, (count,) m."""
         with np.errstate(over="ignore", under="ignore"):
-            made = self.diameter * (1 - self.taper) ** np.arange(count, dtype=float)
-            volume = made[-1] ** 3
+            diameters = self.diameter * (1 - self.taper) ** np.arange(count, dtype=float)
+            volume = diameters[-1] ** 3
+        # a grain whose mass is 0 or infinite would be a fault of `masses`, which nobody gave
         if not 0 < volume < np.inf:
             raise InputError.at(
                 "taper",
-                f"grain {count} would be {made[-1]:.2g} m wide: nearer to 0, or fewer grains",
+                f"grain {count} would be {diameters[-1]:.2g} m wide: nearer to 0, or fewer grains",
             )
-        return made
+        return diameters
 
 
 class _Decorated(_Tapered):

@@ -1,4 +1,4 @@
-"""What a notebook shows of a chain."""
+"""Table and picture of a chain at rest, as a notebook shows them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from ..util.plotting import axes_in_units, legend
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DETAILED_GRAINS = 1_000_000  # longest chain that a notebook looks at in detail
-DRAWN = 2000  # points of a curve in a picture
+# longest chain whose arrays a notebook makes just to show it
+DETAILED_GRAINS = 1_000_000
+DRAWN_POINTS = 2000  # of a curve in a picture
 
 
 class AtRest(Shown):
@@ -38,16 +39,18 @@ class AtRest(Shown):
         """Draw masses and overlaps at rest over their largest values; returns the axes."""
         ax = axes_in_units(ax, "", "")
         number = np.arange(1, self.grains + 1)
-        some = slice(None, None, -(-self.grains // DRAWN))
-        drawn = [
+        every = -(-self.grains // DRAWN_POINTS)
+        curves = [
             ("mass", "kg", number, self.masses),
+            # a contact lies between two grains
             ("overlap at rest", "m", number[:-1] + 0.5, self.equilibrium_overlap),
         ]
-        for name, unit, place, values in drawn:
+        for name, unit, position, values in curves:
+            # nothing is pressed together in the sonic vacuum
             if values.any():
                 ax.plot(
-                    place[some],
-                    (values / values.max())[some],
+                    position[::every],
+                    (values / values.max())[::every],
                     ".-",
                     lw=1,
                     label=f"{name} / {values.max():.3g} {unit}",

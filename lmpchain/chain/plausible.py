@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..util.arrays import Array
 from .contacts import Contacts, hertz_constant
+from .impurities import Kinds
 
 
 @dataclass(frozen=True)
@@ -63,20 +65,23 @@ def remarks(diameter: float | Array, compression: float) -> Iterator[str]:
 
 
 def least_compression(
-    kinds: Array, grains: int, load: float, gravity: float, exponent: float
+    kinds: Kinds, grains: int, top_load: float, gravity: float, exponent: float
 ) -> float:
     """Return a lower bound on the largest overlap over diameter of a long chain, without arrays.
 
-    Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays
-    are no burden. Of the 2 I + 1 lowest contacts one is between two common grains.
+    0 for a chain whose arrays are no burden.
     """
     if grains < LIMITS.long_chain:
         return 0.0
-    modulus, diameter, mass = kinds[:, 0]
-    above = max(grains - 3 * kinds.shape[1], 0)
-    constant = hertz_constant(modulus / 2, diameter / 4, diameter, exponent)
+    # of the 2 I + 1 lowest contacts one is between two common grains, and of the grains above it
+    # no more than I are impurities
+    above = max(grains - 3 * len(kinds.masses), 0)
+    # numpy's numbers: a Python float raises where it overflows
+    diameter: Any = np.float64(kinds.diameters[0])
+    mass: Any = np.float64(kinds.masses[0])
     with np.errstate(all="ignore"):
-        force = load + gravity * above * mass
+        constant = hertz_constant(kinds.moduli[0] / 2, diameter / 4, diameter, exponent)
+        force = top_load + gravity * above * mass
         return float(Contacts.at_rest(constant, force, exponent).overlap / diameter)
 
 

@@ -1,4 +1,6 @@
-"""The chain at rest, its band edge and its energy, against formulas and methods that the package does not use."""
+"""The chain at rest, its band edge and its energy, against formulas and methods that the package
+does not use.
+"""
 
 import dataclasses
 import tracemalloc
@@ -52,7 +54,9 @@ def test_the_chain_of_the_paper():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
 def test_contact_constant_for_any_exponent(exponent: float):
-    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) with everything from the two grains of the contact."""
+    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) with everything from the two grains of the
+    contact.
+    """
     chain = Chain(
         grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent
     )
@@ -103,11 +107,18 @@ def test_a_wall_of_the_same_material_is_sqrt_2_times_as_stiff(exponent: float):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 def test_wall_constants_of_other_materials(exponent: float):
-    """K = (4/3) E* sqrt(R) d^(1.5 - delta) with the radius and the diameter of the grain that touches the wall."""
+    """K = (4/3) E* sqrt(R) d^(1.5 - delta) with the radius and the diameter of the grain that
+    touches the wall.
+    """
     chain = Chain(
-        grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent, **BETWEEN,
-        top_material=BRASS, bottom_material="tungsten_carbide",
-    )  # fmt: skip
+        grains=3,
+        material=[GLASS, STEEL, PTFE],
+        diameter=[1e-3, 2e-3, 5e-3],
+        exponent=exponent,
+        **BETWEEN,
+        top_material=BRASS,
+        bottom_material="tungsten_carbide",
+    )
     ends = [(GLASS, 1e-3, BRASS), (PTFE, 5e-3, TUNGSTEN_CARBIDE)]
     for constant, (grain, d, wall) in zip(chain.wall_constants, ends, strict=True):
         soft = (1 - grain.poissons_ratio**2) / grain.youngs_modulus + (
@@ -172,7 +183,9 @@ def test_forces_balance_at_rest_between_walls(chain: Chain):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 def test_the_contact_law_and_what_follows_from_it(exponent: float):
-    """Stiffness is the slope of the force, a collision ends where the energy is spent, and loads scale stiffnesses."""
+    """Stiffness is the slope of the force, a collision ends where the energy is spent, and loads
+    scale stiffnesses.
+    """
     every = Chain(grains=5, diameter=1e-3, exponent=exponent).contacts
     contacts = every.of(np.flatnonzero(every.pressed))
     o, h, alike = contacts.overlap, 1e-4 * contacts.overlap, np.ones(4)
@@ -263,7 +276,9 @@ def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
 
 
 def test_band_edge_between_like_walls():
-    """N equal springs between equal walls of constant kappa k: the determinant in closed form for two grains."""
+    """N equal springs between equal walls of constant kappa k: the determinant in closed form for
+    two grains.
+    """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
     k, m = chain.contact_constants[0], chain.masses[0]
     assert chain.band_edge == pytest.approx(np.sqrt((2 + np.sqrt(2)) * k / m), rel=1e-14, abs=0)
@@ -281,7 +296,9 @@ def test_band_edge_of_a_free_pair_and_of_a_vacuum():
 
 
 def contact_energy(chain: Chain, n: int, r: float) -> float:
-    """Work done on contact n, 0 that with a wall above, beyond that of its force at rest, closer by r, J."""
+    """Work done on contact n, 0 that with a wall above, beyond that of its force at rest, closer by
+    r, J.
+    """
     eps, force, delta = chain.contacts.overlap[n], chain.contacts.force[n], chain.exponent
     if force == 0:
         return quad(
@@ -361,7 +378,9 @@ def test_excess_energy_between_walls(chain: Chain):
 
 
 def test_excess_energy_of_contacts_that_rest():
-    """Of many samples, columns that never move are left out, and the others are what each sample alone gives."""
+    """Of many samples, columns that never move are left out, and the others are what each sample
+    alone gives.
+    """
     contacts = Chain(grains=9, diameter=1e-3, bottom="wall").contacts
     r = np.random.default_rng(1).normal(size=(5, 10)) * contacts.overlap[-1]
     r[:, [0, 4, 8, 9]] = 0.0
@@ -522,42 +541,96 @@ def test_an_impurity_is_mixed_with_other_materials_and_diameters():
 OWN = {"contact_constants": [1e9] * 4}
 SOFT = Material(density=1.0, youngs_modulus=1.0, poissons_ratio=0.0)
 FAULTY = {  # what is given, the key that must be named and some of what must be said
-    "impurity that is no grain": ({"impurity": [Impurity(grain=6, mass=1e-6)]}, "impurity.0.grain", "no grain 6"),
-    "impurity at grain 0": ({"impurity": [{"grain": 0, "mass": 1e-6}]}, "impurity.0.grain", "at least 1"),
-    "impurity twice": (
-        {"impurity": [{"grain": 2, "mass": 1e-6}, {"grain": 2, "diameter": 1e-3}]}, "impurity.1.grain", "a second time"
+    "impurity that is no grain": (
+        {"impurity": [Impurity(grain=6, mass=1e-6)]},
+        "impurity.0.grain",
+        "no grain 6",
     ),
-    "impurity like the others": ({"impurity": [{"grain": 2}]}, "impurity.0.diameter", "give a diameter, a material or"),
+    "impurity at grain 0": (
+        {"impurity": [{"grain": 0, "mass": 1e-6}]},
+        "impurity.0.grain",
+        "at least 1",
+    ),
+    "impurity twice": (
+        {"impurity": [{"grain": 2, "mass": 1e-6}, {"grain": 2, "diameter": 1e-3}]},
+        "impurity.1.grain",
+        "a second time",
+    ),
+    "impurity like the others": (
+        {"impurity": [{"grain": 2}]},
+        "impurity.0.diameter",
+        "give a diameter, a material or",
+    ),
     "impurity without a number": ({"impurity": [{"mass": 1e-6}]}, "impurity.0.grain", "is missing"),
     "impurity of no known material": (
-        {"impurity": [{"grain": 2, "material": "jelly"}]}, "impurity.0.material", "no material is called"
+        {"impurity": [{"grain": 2, "material": "jelly"}]},
+        "impurity.0.material",
+        "no material is called",
     ),
-    "impurity with a negative mass": ({"impurity": [{"grain": 2, "mass": -1.0}]}, "impurity.0.mass", "above 0"),
-    "impurity with an unknown key": ({"impurity": [{"grain": 2, "colour": 1}]}, "impurity.0.colour", "unknown key"),
+    "impurity with a negative mass": (
+        {"impurity": [{"grain": 2, "mass": -1.0}]},
+        "impurity.0.mass",
+        "above 0",
+    ),
+    "impurity with an unknown key": (
+        {"impurity": [{"grain": 2, "colour": 1}]},
+        "impurity.0.colour",
+        "unknown key",
+    ),
     "impurity that is no table": ({"impurity": [2]}, "impurity", "must be a list of impurities"),
-    "impurity by itself": ({"impurity": {"grain": 2, "mass": 1e-6}}, "impurity", "must be a list of impurities"),
+    "impurity by itself": (
+        {"impurity": {"grain": 2, "mass": 1e-6}},
+        "impurity",
+        "must be a list of impurities",
+    ),
     "size beside own constants": (
-        OWN | {"impurity": [{"grain": 2, "diameter": 2e-3}]}, "impurity.0", "they would not follow"
+        OWN | {"impurity": [{"grain": 2, "diameter": 2e-3}]},
+        "impurity.0",
+        "they would not follow",
     ),
     "material beside own constants": (
-        OWN | {"impurity": [{"grain": 2, "material": "ptfe"}]}, "impurity.0", "may only have a mass of its own"
+        OWN | {"impurity": [{"grain": 2, "material": "ptfe"}]},
+        "impurity.0",
+        "may only have a mass of its own",
     ),
-    "no wall above": ({"top_material": "steel"}, "top_material", 'there is none unless top = "wall"'),
-    "no wall below": ({"bottom_material": STEEL}, "bottom_material", 'there is none unless bottom = "wall"'),
-    "wall of no known material": ({"top": "wall", "top_material": "air"}, "top_material", "no material is called"),
+    "no wall above": (
+        {"top_material": "steel"},
+        "top_material",
+        'there is none unless top = "wall"',
+    ),
+    "no wall below": (
+        {"bottom_material": STEEL},
+        "bottom_material",
+        'there is none unless bottom = "wall"',
+    ),
+    "wall of no known material": (
+        {"top": "wall", "top_material": "air"},
+        "top_material",
+        "no material is called",
+    ),
     "fixed top": ({"top": "fixed"}, "top", "must be 'free' or 'wall'"),
     "hung from a wall": ({"top": "wall", "bottom": "free"}, "bottom", "a free chain would fall"),
     "pressed against nothing": (
-        {"top": "wall", "bottom": "free", "gravity": 0.0, "top_load": 1.0}, "bottom", "a free chain would fall"
+        {"top": "wall", "bottom": "free", "gravity": 0.0, "top_load": 1.0},
+        "bottom",
+        "a free chain would fall",
     ),
     "crushed by its weight on the wall": (
-        {"bottom": "wall", "bottom_material": SOFT}, "diameter", "contact 5 is compressed by"
+        {"bottom": "wall", "bottom_material": SOFT},
+        "diameter",
+        "contact 5 is compressed by",
     ),
     "crushed by the wall above": (
-        {"top": "wall", "top_load": 1e-3, "top_material": SOFT}, "diameter", "contact 0 is compressed by"
+        {"top": "wall", "top_load": 1e-3, "top_material": SOFT},
+        "diameter",
+        "contact 0 is compressed by",
     ),
-    "no wall constants": ({"wall_constants": None}, "wall_constants", "leave it out if it is not given"),
-}  # fmt: skip
+    "no wall constants": (
+        {"wall_constants": None},
+        "wall_constants",
+        "leave it out if it is not given",
+    ),
+}
 
 
 @pytest.mark.parametrize(("keys", "key", "message"), FAULTY.values(), ids=FAULTY)
@@ -570,7 +643,9 @@ def test_a_fault_names_its_key_and_says_what_to_do(keys: dict, key: str, message
 
 
 def test_the_strike_is_held_against_walls_too():
-    """Grain 1 thrown up at a wall of rubber, or driven into grain 2, goes in too deep for Hertz's law."""
+    """Grain 1 thrown up at a wall of rubber, or driven into grain 2, goes in too deep for Hertz's
+    law.
+    """
     rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
     chain = Chain(grains=5, diameter=1e-3, top="wall", top_material=rubber)
     strikes = [
@@ -619,7 +694,9 @@ def test_materials():
     "odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]]
 )
 def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impurity], monkeypatch):
-    """A hundred million grains would be gigabytes; the bound is what arrays say of a chain that is just long."""
+    """A hundred million grains would be gigabytes; the bound is what arrays say of a chain that is
+    just long.
+    """
     tracemalloc.start()
     try:
         with pytest.raises(

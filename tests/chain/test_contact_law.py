@@ -1,4 +1,6 @@
-"""Contacts one by one: force, energy, bounds and what follows from them, in 40 digits or in closed form."""
+"""Contacts one by one: force, energy, bounds and what follows from them, in 40 digits or in closed
+form.
+"""
 
 import mpmath as mp
 import numpy as np
@@ -7,7 +9,8 @@ import pytest
 from lmpchain import Chain, Impurity, InputError
 from lmpchain.chain.bounds import bounds
 from lmpchain.chain.contacts import Contacts, dynamical_matrix, together
-from lmpchain.chain.materials import GLASS, PTFE, STEEL
+from lmpchain.chain.impurities import Kinds, kinds
+from lmpchain.chain.materials import GLASS, PTFE, STEEL, Material
 from lmpchain.chain.plausible import LIMITS, least_compression
 
 EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
@@ -65,7 +68,9 @@ def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float) -> 
 
 
 def test_energy_bounds_overlaps_and_strains() -> None:
-    """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2; the lesser of the two counts."""
+    """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2; the lesser of the
+    two counts.
+    """
     constant, force = np.array([1e9, 2e9, 5e8]), np.array([1e-4, 3e-4, 2e-4])
     contacts = Contacts.at_rest(constant, force, 1.5)
     for energy in (1e-25, 1e-14, 1e-11, 1e-6):
@@ -128,7 +133,9 @@ def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:
 
 
 def test_bounds_are_reached_where_grains_are_alike() -> None:
-    """Masses, sizes and sound exactly; constants between two grains and at a wall; the lowest overlap."""
+    """Masses, sizes and sound exactly; constants between two grains and at a wall; the lowest
+    overlap.
+    """
     chain = Chain(
         grains=2,
         diameter=2e-3,
@@ -157,7 +164,7 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
     assert known.frequency(1e-6) == pytest.approx(pair, rel=1e-8)
     assert known.frequency(1e-6) > pair
     odd = (Impurity(grain=1, diameter=1e-3, material=PTFE), Impurity(grain=2, mass=1.0))
-    mixed = bounds((GLASS, 2e-3), 5, odd, [STEEL], (0.0, 9.81, 1.5))
+    mixed = bounds(kinds(GLASS, 2e-3, odd), 5, [STEEL], 0.0, 9.81, 1.5)
     assert (mixed.lightest, mixed.heaviest) == pytest.approx(
         (2200 * np.pi / 6 * 1e-9, 1.0), rel=1e-14
     )
@@ -172,7 +179,7 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
 def test_what_overflows_has_no_bounds() -> None:
     for diameter, density in ((1e-300, 1.0), (1e150, 1.0), (1e-120, 1e-10)):
         material = GLASS.replace(density=density)
-        assert bounds((material, diameter), 5, (), (), (0.0, 9.81, 3.0)) is None
+        assert bounds(kinds(material, diameter, ()), 5, (), 0.0, 9.81, 3.0) is None
 
 
 def test_depths_and_loads_from_grain_to_grain() -> None:
@@ -200,18 +207,21 @@ def test_energy_that_a_moved_wall_puts_in() -> None:
 
 
 def test_a_long_chain_is_judged_by_its_common_grains() -> None:
-    """From a million grains on, at least what the grains well above the lowest ones weigh is carried."""
-    kinds = np.array([[6e10, 6e10], [1e-3, 2e-3], [1e-6, 1e-5]])
-    assert least_compression(kinds, LIMITS.long_chain - 1, 0.0, 9.81, 1.5) == 0.0
+    """From a million grains on, at least what the grains well above the lowest ones weigh is
+    carried.
+    """
+    material = Material(density=1.0, youngs_modulus=6e10, poissons_ratio=0.0)
+    both = Kinds([material, material], [1e-3, 2e-3], [1e-6, 1e-5])
+    assert least_compression(both, LIMITS.long_chain - 1, 0.0, 9.81, 1.5) == 0.0
     constant = 2 / 3 * 6e10 * np.sqrt(1e-3 / 4)
     force = 0.3 + 9.81 * (LIMITS.long_chain - 6) * 1e-6
     expected = (force / constant) ** (2 / 3) / 1e-3
-    assert least_compression(kinds, LIMITS.long_chain, 0.3, 9.81, 1.5) == pytest.approx(
+    assert least_compression(both, LIMITS.long_chain, 0.3, 9.81, 1.5) == pytest.approx(
         expected, rel=1e-12
     )
     constant *= 1e-3**-0.5
     expected = (force / constant) ** 0.5 / 1e-3
-    assert least_compression(kinds, LIMITS.long_chain, 0.3, 9.81, 2.0) == pytest.approx(
+    assert least_compression(both, LIMITS.long_chain, 0.3, 9.81, 2.0) == pytest.approx(
         expected, rel=1e-12
     )
 
@@ -232,7 +242,10 @@ def test_a_tenth_of_the_diameter_is_the_most_that_a_load_may_squeeze(alike: bool
     assert not faults(top_load=0.9999 * most, **rest)
     ((key, text),) = faults(top_load=1.0001 * most, **rest)
     assert key == "diameter"
-    said = "contact 1 is compressed by 0.1 of the diameter, more than 0.1: use fewer grains, less gravity or load"
+    said = (
+        "contact 1 is compressed by 0.1 of the diameter, more than 0.1: use fewer grains, "
+        "less gravity or load"
+    )
     assert text.startswith(said)
     ((_, text),) = faults(
         top_load=4 * most, impurity=[Impurity(grain=3, material=PTFE)], **({"gravity": 0.0})

@@ -1,4 +1,6 @@
-"""Copies: a changed one is checked and owes nothing to the old one, and nothing else changes a value."""
+"""Copies: a changed one is checked and owes nothing to the old one, and nothing else changes a
+value.
+"""
 
 import copy
 import pickle

@@ -1,4 +1,6 @@
-"""Patterned chains: their grains one by one, and what follows from them by formulas written out here."""
+"""Patterned chains: their grains one by one, and what follows from them by formulas written out
+here.
+"""
 
 from math import pi, sqrt
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Pieces of a chain, and what long chains cost, against the whole and against chains written out grain by grain."""
+"""Pieces of a chain, and what long chains cost, against the whole and against chains written out
+grain by grain.
+"""
 
 import tracemalloc
 from itertools import combinations
@@ -25,13 +27,25 @@ from lmpchain import (
 MORE = {
     "vacuum": Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="free"),
     "springs with impurities": Chain(
-        grains=12, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1e-3, top="wall",
-        impurity=[Impurity(12, 2e-3), Impurity(grain=3, mass=1e-4), Impurity(grain=4, material=PTFE)],
+        grains=12,
+        diameter=1e-3,
+        exponent=1.0,
+        gravity=0.0,
+        top_load=1e-3,
+        top="wall",
+        impurity=[
+            Impurity(12, 2e-3),
+            Impurity(grain=3, mass=1e-4),
+            Impurity(grain=4, material=PTFE),
+        ],
     ),
     "own masses with an impurity": Chain(
-        grains=5, diameter=1e-3, masses=[1e-6, 3e-6, 2e-6, 1e-6, 2e-6], impurity=[Impurity(grain=3, mass=4e-6)]
+        grains=5,
+        diameter=1e-3,
+        masses=[1e-6, 3e-6, 2e-6, 1e-6, 2e-6],
+        impurity=[Impurity(grain=3, mass=4e-6)],
     ),
-}  # fmt: skip
+}
 ALL = CHAINS | {f"walled, {name}": chain for name, chain in WALLED.items()} | MORE
 each_chain = pytest.mark.parametrize("chain", ALL.values(), ids=ALL)
 
@@ -94,7 +108,9 @@ def test_the_largest_part_is_the_chain_and_parts_are_chains_like_others(chain: C
     ids=["top", "middle", "near the wall", "driven", "profile"],
 )
 def test_a_part_moves_as_the_whole(strike, first: int, last: int):
-    """Until the wave comes to its ends; grain 60 is an impurity, and below grain 120 lies a wall."""
+    """Until the wave comes to its ends; grain 60 is an impurity, and below grain 120 lies a
+    wall.
+    """
     chain = Chain(
         grains=120,
         diameter=1e-3,
@@ -153,7 +169,9 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
 
 
 def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
-    """Bounds spare sound chains the arrays; they must never let a faulty one pass, nor refuse a sound one."""
+    """Bounds spare sound chains the arrays; they must never let a faulty one pass, nor refuse a
+    sound one.
+    """
     rng = np.random.default_rng(11)
     refused = 0
     for _ in range(300):
@@ -176,7 +194,10 @@ def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
             "grains": grains,
             "exponent": float(rng.choice([1.0, 1.5, 2.5])),
             "top_load": float(rng.choice([0.0, 0.1])),
-        } | {end: str(rng.choice([kind, "wall"])) for end, kind in (("top", "free"), ("bottom", "fixed"))}  # fmt: skip
+        } | {
+            end: str(rng.choice([kind, "wall"]))
+            for end, kind in (("top", "free"), ("bottom", "fixed"))
+        }
         materials, diameters = [soft] * grains, [diameter] * grains
         for impurity in odd:
             materials[impurity.grain - 1], diameters[impurity.grain - 1] = (

@@ -31,7 +31,10 @@ def test_a_load_beyond_hertz_is_remarked_on(alike: bool) -> None:
     most = 2 / 3 * 62e9 / 0.96 * np.sqrt(0.25e-3) * 1e-5**1.5
     width = {} if alike else {"diameter": [1e-3] * 4}
     assert not remarks(top_load=0.999 * most, **width)
-    said = "diameter: at rest a contact is squeezed to 0.02 of the diameter; Hertz's law holds to about 0.01"
+    said = (
+        "diameter: at rest a contact is squeezed to 0.02 of the diameter; "
+        "Hertz's law holds to about 0.01"
+    )
     assert remarks(top_load=2**1.5 * most, **width) == [said]
     assert not remarks(top_load=2**1.5 * most, exponent=1.6, **width)
 

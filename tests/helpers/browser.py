@@ -1,4 +1,6 @@
-"""Headless Chromium, steered through a pipe by the DevTools protocol; nothing but the browser is needed."""
+"""Headless Chromium, steered through a pipe by the DevTools protocol; nothing but the browser is
+needed.
+"""
 
 import base64
 import json

@@ -1,4 +1,6 @@
-"""Commands as processes of their own: started, watched by what they have done so far, stopped and read."""
+"""Commands as processes of their own: started, watched by what they have done so far, stopped and
+read.
+"""
 
 import os
 import pty
@@ -120,7 +122,9 @@ def at_work(folder: Path, process: subprocess.Popen[str], samples: int = 1) -> N
 
 
 def busy(process: int, seconds: float) -> None:
-    """Wait until a process has computed for so long with LAMMPS loaded, however little of the cores it is given."""
+    """Wait until a process has computed for so long with LAMMPS loaded, however little of the cores
+    it is given.
+    """
     watched = psutil.Process(process)
 
     def spent() -> float:
@@ -138,7 +142,8 @@ def on_a_terminal(
 ) -> Iterator[tuple[subprocess.Popen[str], Callable[[str], str]]]:
     """Run a command whose stderr is a terminal, where it shows its progress.
 
-    Yields the process and a function that reads from the terminal until a pattern is found and returns what was read.
+    Yields the process and a function that reads from the terminal until a pattern is found and
+    returns what was read.
     """
     terminal, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (24, 120))

@@ -1,6 +1,9 @@
-"""Kick-drift splittings in extended precision, from Eq. (1) alone: differences of their answers check derivatives.
+"""Kick-drift splittings in extended precision, from Eq.
 
-What a chain is made of is found here from diameters and moduli anew, so that one number may be changed at a time.
+(1) alone: differences of their answers check derivatives.
+
+What a chain is made of is found here from diameters and moduli anew, so that one number may be
+changed at a time.
 """
 
 from __future__ import annotations
@@ -24,10 +27,16 @@ def parameters(scene: Scene) -> dict[str, Array]:
     chain, excitation = scene.chain, scene.excitation
     u, v = scene.initial()
     made = {
-        "masses": chain.masses, "contact_constants": chain.contact_constants, "wall_constants": chain.wall_constants,
-        "diameters": chain.diameters, "youngs_moduli": chain.by_grain("youngs_modulus"),
-        "top_load": [chain.top_load], "gravity": [chain.gravity], "displacement": u, "velocity": v,
-    }  # fmt: skip
+        "masses": chain.masses,
+        "contact_constants": chain.contact_constants,
+        "wall_constants": chain.wall_constants,
+        "diameters": chain.diameters,
+        "youngs_moduli": chain.by_grain("youngs_modulus"),
+        "top_load": [chain.top_load],
+        "gravity": [chain.gravity],
+        "displacement": u,
+        "velocity": v,
+    }
     if excitation.does_work and excitation.times is None:
         made["amplitude"] = [excitation.amplitude]
         if excitation.frequency is not None:
@@ -57,7 +66,9 @@ def _hertz(scene: Scene, young: Array, d: Array) -> Array:
 
 
 def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
-    """Return masses, constants and so on with some parameters changed, and all that follows from them."""
+    """Return masses, constants and so on with some parameters changed, and all that follows from
+    them.
+    """
     chain, now = scene.chain, parameters(scene)
     before = {name: value.copy() for name, value in now.items()}
     now |= changed
@@ -122,7 +133,9 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
 def run(
     scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]
 ) -> tuple[Array, Array, Any]:
-    """Return displacement and velocity (looks+1, N) after so many steps a look, and what the chain is made of."""
+    """Return displacement and velocity (looks+1, N) after so many steps a look, and what the chain
+    is made of.
+    """
     chain, now = scene.chain, made_of(scene, changed)
     m, delta = now["masses"], WIDE(chain.exponent)
     k = np.concatenate(

@@ -1,10 +1,12 @@
-"""References that the engines did not make: two integrators that share nothing with the package but Eq. (1).
+"""References that the engines did not make: two integrators that share nothing with the package but
+Eq. (1).
 
-Both take a scene and return ``(u, v, error)``: displacement (T, N) m and velocity (T, N) m/s of every grain at the
-recorded times, positive downward, and how far a second, looser run came out, in the sense of `relative_error`. They
-find the equilibrium from masses and the constants of contacts and walls themselves and integrate displacements in units
-of the strike, so weak waves keep all their digits. A driven grain is put where its motion says, at every evaluation of
-the force, and its knots end a step. Times are those of ``scene.time``.
+Both take a scene and return ``(u, v, error)``: displacement (T, N) m and velocity (T, N) m/s of
+every grain at the recorded times, positive downward, and how far a second, looser run came out, in
+the sense of `relative_error`. They find the equilibrium from masses and the constants of contacts
+and walls themselves and integrate displacements in units of the strike, so weak waves keep all
+their digits. A driven grain is put where its motion says, at every evaluation of the force, and its
+knots end a step. Times are those of ``scene.time``.
 """
 
 from __future__ import annotations
@@ -26,12 +28,14 @@ Reference = tuple[NDArray[np.float64], NDArray[np.float64], float]
 
 
 class Motion:
-    """Eq. (1) for one scene: lengths in units of `length`, times in units of `time`, in the precision `kind`.
+    """Eq. (1) for one scene: lengths in units of `length`, times in units of `time`, in the
+    precision `kind`.
 
-    ``x_n'' = [f_(n-1) - f_n] / m_n`` where f_n is the force of contact n minus its equilibrium value; contact 0 is
-    with a wall above grain 1 and contact N with one below grain N. It is found as ``F_n expm1(delta log1p(s))`` with
-    ``s = (phi_n - phi_(n+1)) / eps_n``, which does not cancel, as ``-F_n`` once the contact is open, and as
-    ``K_n max(r, 0)^delta`` where nothing presses the two together.
+    ``x_n'' = [f_(n-1) - f_n] / m_n`` where f_n is the force of contact n minus its equilibrium
+    value; contact 0 is with a wall above grain 1 and contact N with one below grain N. It is found
+    as ``F_n expm1(delta log1p(s))`` with ``s = (phi_n - phi_(n+1)) / eps_n``, which does not
+    cancel, as ``-F_n`` once the contact is open, and as ``K_n max(r, 0)^delta`` where nothing
+    presses the two together.
     """
 
     def __init__(self, scene: Scene, kind: type[np.floating[Any]]):
@@ -90,7 +94,9 @@ class Motion:
         return state
 
     def size(self, t: np.floating[Any], state: Array) -> Array:
-        """Return the largest displacement and velocity of all grains in a state (2, N), and of a wall that moves."""
+        """Return the largest displacement and velocity of all grains in a state (2, N), and of a
+        wall that moves.
+        """
         largest = np.abs(state).max(axis=1)
         if self.acting and self.body == 0:  # it moves before any grain does
             u, v = self.acting(t * self.time)
@@ -98,7 +104,9 @@ class Motion:
         return largest
 
     def closeness(self, t: np.floating[Any], x: Array) -> Array:
-        """Return how much closer than at rest contacts (N+1,) are, over their overlap at rest if they have one."""
+        """Return how much closer than at rest contacts (N+1,) are, over their overlap at rest if
+        they have one.
+        """
         bodies = np.zeros(x.size + 2, dtype=x.dtype)  # a wall, or nothing, at either end
         bodies[1:-1] = x
         if self.acting and not self.pushes:
@@ -108,14 +116,18 @@ class Motion:
     def changes(
         self, t: np.floating[Any], state: Array, step: np.floating[Any], later: Array
     ) -> bool:
-        """Return whether a contact that presses at time t, in a state (2, N), is open a step later, or the reverse."""
+        """Return whether a contact that presses at time t, in a state (2, N), is open a step later,
+        or the reverse.
+        """
         before, after = (
             self.closeness(*at) > self.opens for at in ((t, state[0]), (t + step, later[0]))
         )
         return bool(((before != after) & (self.strength > 0)).any())
 
     def acceleration(self, t: np.floating[Any], x: Array) -> Array:
-        """Return x'' (N,) of the displacements x (N,) at time t; 0 for a grain that is held or driven."""
+        """Return x'' (N,) of the displacements x (N,) at time t; 0 for a grain that is held or
+        driven.
+        """
         s = self.closeness(t, x)
         if self.compressed:
             shut = s > -1
@@ -130,7 +142,9 @@ class Motion:
         return pull * self.mobility
 
     def stretches(self) -> Iterator[tuple[np.floating[Any], np.floating[Any], bool]]:
-        """Yield begin and end of every stretch of time that is smooth, and whether a sample is taken at its end."""
+        """Yield begin and end of every stretch of time that is smooth, and whether a sample is
+        taken at its end.
+        """
         for begin, end in pairwise(self.instants):
             inside = self.knots[(self.knots > begin) & (self.knots < end)]
             for left, right in pairwise([begin, *inside, end]):
@@ -185,7 +199,9 @@ class Sine:
 
 
 class Spline:
-    """The cubic (not-a-knot) spline through points: their slopes from SciPy, its pieces in the precision `kind`."""
+    """The cubic (not-a-knot) spline through points: their slopes from SciPy, its pieces in the
+    precision `kind`.
+    """
 
     def __init__(self, times: Array, values: Array, kind: type[np.floating[Any]]):
         slopes = CubicSpline(times, values)(times, 1)
@@ -226,7 +242,9 @@ def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Spline |
 
 
 def relative_error(u: Array, v: Array, u_ref: Array, v_ref: Array) -> float:
-    """Max over displacement and velocity of max|x - x_ref| / max|x_ref| over all samples and grains."""
+    """Max over displacement and velocity of max|x - x_ref| / max|x_ref| over all samples and
+    grains.
+    """
     pairs = ((u, u_ref), (v, v_ref))
     return max(float(np.abs(np.asarray(x) - ref).max() / np.abs(ref).max()) for x, ref in pairs)
 
@@ -242,10 +260,10 @@ def _twice(
 def scipy_reference(scene: Scene) -> Reference:
     """Integrate with SciPy's DOP853 in double precision, restarted at every sample.
 
-    rtol is 3e-14 (SciPy allows no less than 2.3e-14) and atol 1e-17 of the strike. The error given is the distance to
-    a run at rtol 1e-12. Where no contact opens it is pessimistic, by up to the ratio of the two. Where contacts open
-    the step control of either run stumbles by chance and the distance bounds nothing: trust some 1e-10 there and
-    compare with `extended_reference`.
+    rtol is 3e-14 (SciPy allows no less than 2.3e-14) and atol 1e-17 of the strike. The error given
+    is the distance to a run at rtol 1e-12. Where no contact opens it is pessimistic, by up to the
+    ratio of the two. Where contacts open the step control of either run stumbles by chance and the
+    distance bounds nothing: trust some 1e-10 there and compare with `extended_reference`.
     """
     motion = Motion(scene, np.float64)
     grains = motion.start.shape[1]
@@ -272,15 +290,17 @@ def scipy_reference(scene: Scene) -> Reference:
 
 
 def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
-    """Integrate with extrapolated Stoermer steps in extended precision (80 bits where the machine has them).
+    """Integrate with extrapolated Stoermer steps in extended precision (80 bits where the machine
+    has them).
 
-    Every step is divided into 1, 2, 3 ... equal parts and extrapolated to none at all, until two columns agree to
-    `tolerance` of the largest displacement and velocity; where ten columns do not, the step shrinks. So it does where a
-    contact opens or closes within it, for there columns may agree by chance: until what the force misses in a step so
-    short, its power delta + 1, is no more than `tolerance`. Hairer, Norsett and Wanner, Solving Ordinary Differential
-    Equations I, section II.14. The error given is the distance to a run with a tolerance ten times looser, so
-    pessimistic. `tolerance` is that of one step, not of the whole run: errors add up and grow with the motion, by
-    some 1e4 in a strong strike.
+    Every step is divided into 1, 2, 3 ... equal parts and extrapolated to none at all, until two
+    columns agree to `tolerance` of the largest displacement and velocity; where ten columns do not,
+    the step shrinks. So it does where a contact opens or closes within it, for there columns may
+    agree by chance: until what the force misses in a step so short, its power delta + 1, is no more
+    than `tolerance`. Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section
+    II.14. The error given is the distance to a run with a tolerance ten times looser, so
+    pessimistic. `tolerance` is that of one step, not of the whole run: errors add up and grow with
+    the motion, by some 1e4 in a strong strike.
     """
     motion = Motion(scene, np.longdouble)
     tolerance = max(tolerance, 9 * float(np.finfo(np.longdouble).eps))
@@ -339,7 +359,9 @@ def _extrapolate(
 def _stoermer(
     motion: Motion, state: Array, push: Array, begin: Array, step: Array, parts: int
 ) -> Array:
-    """Advance x'' = a(t, x) by `parts` leapfrog steps; the error holds only even powers of their length."""
+    """Advance x'' = a(t, x) by `parts` leapfrog steps; the error holds only even powers of their
+    length.
+    """
     h = step / parts
     x, gain = state[0], push * (h / 2)
     for part in range(1, parts + 1):

@@ -1,4 +1,6 @@
-"""An independent answer to a scene, and errors relative to its largest motion at any time of the run."""
+"""An independent answer to a scene, and errors relative to its largest motion at any time of the
+run.
+"""
 
 from collections.abc import Callable
 
@@ -14,7 +16,9 @@ BETWEEN = 12  # times between two samples at which the largest motion is looked 
 def true_error(
     t: Trajectory, scene: Scene, integrate: Callable[[Scene], Reference] = extended_reference
 ) -> tuple[float, float]:
-    """Return the error of a trajectory as the package defines it, and that of the independent answer itself."""
+    """Return the error of a trajectory as the package defines it, and that of the independent
+    answer itself.
+    """
     finer = (scene.samples - 1) * BETWEEN + 1
     u, v, own = integrate(Scene(**scene.given() | {"samples": finer, "grains": "all"}))
     pairs, columns = ((t.displacement, u), (t.velocity, v)), scene.recorded - 1

@@ -12,8 +12,8 @@ def approx(
 ) -> Any:
     """Compare like `pytest.approx`, but with no absolute tolerance unless a test asks for one.
 
-    With pytest's default, 1e-12, any two energies of a weak wave are equal. A value that ought to be 0
-    needs `abs`: only the test knows the scale of what it is compared with.
+    With pytest's default, 1e-12, any two energies of a weak wave are equal. A value that ought to
+    be 0 needs `abs`: only the test knows the scale of what it is compared with.
     """
     if abs is None:
         rel, abs = 1e-6 if rel is None else rel, 0.0

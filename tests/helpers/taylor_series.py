@@ -1,8 +1,10 @@
-"""A reference for hard scenes: Taylor series in time, in extended precision, compiled from `taylor_series.c`.
+"""A reference for hard scenes: Taylor series in time, in extended precision, compiled from
+`taylor_series.c`.
 
-It shares nothing with the package but Eq. (1): equilibrium, force and time integration are its own. Steps follow the
-radius of convergence, so that contacts that open and close cost no accuracy, and the motion is known at any time. Its
-error is the distance to a second run of another order and with tolerances a hundred times looser.
+It shares nothing with the package but Eq. (1): equilibrium, force and time integration are its own.
+Steps follow the radius of convergence, so that contacts that open and close cost no accuracy, and
+the motion is known at any time. Its error is the distance to a second run of another order and with
+tolerances a hundred times looser.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ class Unresolved(ArithmeticError):
 
 
 class Reference(NamedTuple):
-    """Displacement and velocity (T, N) in SI units, the largest of either at any time, and steps and events taken."""
+    """Displacement and velocity (T, N) in SI units, the largest of either at any time, and steps
+    and events taken.
+    """
 
     displacement: Array
     velocity: Array
@@ -64,7 +68,8 @@ def _library(kind: str) -> Any:
 
 
 def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int = 0) -> Reference:
-    """Return the solution with this tolerance of one step, and a Taylor order higher by `more` than is best for it.
+    """Return the solution with this tolerance of one step, and a Taylor order higher by `more` than
+    is best for it.
 
     Raises
     ------
@@ -120,13 +125,27 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     tolerance = max(tolerance, FINEST[kind])
     at = [np.ascontiguousarray(delta, dtype=real), k, f, eps, mobility]
     result = _library(kind).integrate(
-        chain.grains, *map(_address, at), drive, place, len(sines), _address(sine), knots.size, _address(knots),
-        _address(pieces), _address(start), scene.samples, _address(instants), ctypes.c_double(tolerance),
-        min(ceil(-log(tolerance) / 2) + 3 + more, 36), ctypes.c_double(MOST_WORK), *map(_address, (out, peak, stats)),
-    )  # fmt: skip
+        chain.grains,
+        *map(_address, at),
+        drive,
+        place,
+        len(sines),
+        _address(sine),
+        knots.size,
+        _address(knots),
+        _address(pieces),
+        _address(start),
+        scene.samples,
+        _address(instants),
+        ctypes.c_double(tolerance),
+        min(ceil(-log(tolerance) / 2) + 3 + more, 36),
+        ctypes.c_double(MOST_WORK),
+        *map(_address, (out, peak, stats)),
+    )
     if result:
         raise Unresolved(
-            f"{['', 'too many steps', 'too short a step'][result]} ({stats[0]:g} steps, {stats[1]:g} events)"
+            f"{['', 'too many steps', 'too short a step'][result]} "
+            f"({stats[0]:g} steps, {stats[1]:g} events)"
         )
     scale = (float(length), float(length / time))
     return Reference(
@@ -139,7 +158,9 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
 
 
 def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
-    """Return what acts: kind, where, sines (S, 2) up to a time, knots, and pieces between them; see `Drive` in C."""
+    """Return what acts: kind, where, sines (S, 2) up to a time, knots, and pieces between them; see
+    `Drive` in C.
+    """
     wide = np.longdouble
     none = 0, 0, np.zeros((1, 2), wide), wide(np.inf), np.zeros(1, wide), np.zeros(4, wide)
     if excitation.kind not in ("drive", "force"):
@@ -183,10 +204,12 @@ def _address(array: NDArray[Any]) -> ctypes.c_void_p:
 
 
 def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
-    """Return a solution with this tolerance of one step, and its error: the distance to a looser one.
+    """Return a solution with this tolerance of one step, and its error: the distance to a looser
+    one.
 
-    It is never below what all openings, and the ends of the wave, may leave out, for two solutions may leave out the
-    same, nor below the digits that a burst loses as it begins: it is a sum of three sines.
+    It is never below what all openings, and the ends of the wave, may leave out, for two solutions
+    may leave out the same, nor below the digits that a burst loses as it begins: it is a sum of
+    three sines.
     """
     best, looser = solve(scene, tolerance), solve(scene, 100 * tolerance, more=2)
     left_out = (best.events + 2) * max(tolerance, FINEST["long double"])

@@ -1,4 +1,6 @@
-"""Derivatives of a run, back and forth, against differences of plain NumPy in 80-bit numbers, for every law and end."""
+"""Derivatives of a run, back and forth, against differences of plain NumPy in 80-bit numbers, for
+every law and end.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ def pressed(**options: Any) -> Chain:
 
 
 def flying(strains: float, **options: Any) -> Scene:
-    """Return a scene in which all grains fly about, contacts by so many overlaps closer or apart."""
+    """Return a scene in which all grains fly about, contacts by so many overlaps closer or
+    apart.
+    """
     chain = pressed(**options)
     scale = chain.contacts.overlap.max() or 1e-7
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
@@ -91,17 +95,23 @@ def sizes(scene: Scene, states: np.ndarray) -> Inputs:
     moving[: scene.excitation.driven] = False
     drive = plain.column(scene).drive.astype(float)
     return Inputs(
-        chain.masses, contacts.constant, np.where(contacts.pressed, contacts.force, 0.0), u * moving, v * moving,
+        chain.masses,
+        contacts.constant,
+        np.where(contacts.pressed, contacts.force, 0.0),
+        u * moving,
+        v * moving,
         np.full(drive.size, np.abs(drive).max(initial=0.0)) if drive.size != 2 else drive,
-    )  # fmt: skip
+    )
 
 
 def differences(
     scene: Scene, method: str, steps: list[Any], looks: list[int]
 ) -> tuple[np.ndarray, Inputs, Inputs]:
-    """Return states at looks (looks+1, 2, N), directions, one for each number that may change, and the slopes there.
+    """Return states at looks (looks+1, 2, N), directions, one for each number that may change, and
+    the slopes there.
 
-    Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a change.
+    Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a
+    change.
     """
     base = plain.column(scene)
     true = plain.by_splitting(Motion(base), SPLITTINGS[method], steps)[looks]
@@ -257,10 +267,13 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
     weights = rng.normal(size=(2, *run.velocity.shape))
     weights[0] *= scene.highest_frequency
     changes = Inputs(
-        chain.masses * rng.normal(size=(1, 900)), chain.contacts.constant * rng.normal(size=(1, 901)),
-        chain.contacts.force * rng.normal(size=(1, 901)), np.zeros((1, 900)), np.zeros((1, 900)),
+        chain.masses * rng.normal(size=(1, 900)),
+        chain.contacts.constant * rng.normal(size=(1, 901)),
+        chain.contacts.force * rng.normal(size=(1, 901)),
+        np.zeros((1, 900)),
+        np.zeros((1, 900)),
         np.zeros((1, 0)),
-    )  # fmt: skip
+    )
     everywhere = changes._replace(
         velocity=speed * rng.normal(size=(1, 900)), displacement=1e-9 * rng.normal(size=(1, 900))
     )

@@ -20,9 +20,15 @@ SCENES = [
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(
     ("name", "adaptive", "landing"),
-    [("rkn6", True, 1), ("rkn6", True, 12), ("rkn4", False, 1), ("verlet", False, 1), ("dop853", True, 1),
-     ("gear4", False, 1)],
-)  # fmt: skip
+    [
+        ("rkn6", True, 1),
+        ("rkn6", True, 12),
+        ("rkn4", False, 1),
+        ("verlet", False, 1),
+        ("dop853", True, 1),
+        ("gear4", False, 1),
+    ],
+)
 def test_they_have_the_bits_of_runs_of_their_own(
     name: str, adaptive: bool, landing: int, threads: int
 ):
@@ -61,9 +67,15 @@ def method_of_one_stage(name: str) -> bool:
 
 @pytest.mark.parametrize(
     ("name", "adaptive", "landing"),
-    [("rkn6", True, 1), ("rkn6", True, 12), ("rkn6", False, 12), ("verlet", False, 1), ("dop853", True, 1),
-     ("gear4", False, 1)],
-)  # fmt: skip
+    [
+        ("rkn6", True, 1),
+        ("rkn6", True, 12),
+        ("rkn6", False, 12),
+        ("verlet", False, 1),
+        ("dop853", True, 1),
+        ("gear4", False, 1),
+    ],
+)
 def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, landing: int):
     """They need no zeros where no wave has come; nor do those of companions where these stop."""
     chain = Chain(grains=300, diameter=1e-3)

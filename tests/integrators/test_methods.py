@@ -1,4 +1,6 @@
-"""What methods say of themselves, schedules of steps, and what acts as a function of its numbers."""
+"""What methods say of themselves, schedules of steps, and what acts as a function of its
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,14 @@ from lmpchain.integrators.stepper import NativeStepper, room_for
 def test_methods_are_known_by_name_order_and_evaluations():
     known = {name: (m.order, m.evaluations, m.adaptive) for name, m in METHODS.items()}
     assert known == {
-        "verlet": (2, 1, False), "rkn4": (4, 6, True), "rkn6": (6, 11, True), "kahan-li6": (6, 9, True),
-        "kahan-li8": (8, 17, True), "dop853": (8, 12, True), "gear4": (4, 1, False),
-    }  # fmt: skip
+        "verlet": (2, 1, False),
+        "rkn4": (4, 6, True),
+        "rkn6": (6, 11, True),
+        "kahan-li6": (6, 9, True),
+        "kahan-li8": (8, 17, True),
+        "dop853": (8, 12, True),
+        "gear4": (4, 1, False),
+    }
     assert all(method.name == name for name, method in METHODS.items())
     assert [METHODS[name].spread for name in ("verlet", "gear4")] == [1.0, 1.0]
     assert METHODS["dop853"].spread == pytest.approx(np.linalg.norm(DOP853.B), rel=1e-15)
@@ -161,8 +168,8 @@ def test_a_companion_of_many_steps_lands_on_all_samples():
 def test_a_companion_of_a_dense_run_is_compared_in_one_sample_a_step_or_more():
     """Every fourth, second or each sample, as its steps pass over so many."""
     for steps, stride, ratio, dense in (
-        (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2), (16, 8, 4, 2),
-        (3, 2, 2, 1), (3, 3, 2, 2),
+        (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2),
+        (16, 8, 4, 2), (3, 2, 2, 1), (3, 3, 2, 2),
     ):  # fmt: skip
         longer = StepSchedule(steps, stride, 1e-9, True, dense=1).longer(ratio)
         fewer = -(-steps // ratio)
@@ -198,7 +205,9 @@ def changed(excitation: Drive | Force, place: int, value: float) -> Drive | Forc
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("what", ACTS)
 def test_what_acts_changes_as_differences_say(what: str, order: int):
-    """Back and forth; samples before, between and behind those given, one of which lies on a knot."""
+    """Back and forth; samples before, between and behind those given, one of which lies on a
+    knot.
+    """
     excitation = ACTS[what]
     course, times = ImposedCourse(excitation), np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5
     samples = excitation.times is not None

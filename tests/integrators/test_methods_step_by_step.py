@@ -1,4 +1,6 @@
-"""Every compiled method against the same in plain NumPy, for every law, end and excitation, step by step."""
+"""Every compiled method against the same in plain NumPy, for every law, end and excitation, step by
+step.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def pressed(**options: Any) -> Chain:
 
 
 def flying(chain: Chain, strains: float, samples: int = 5) -> Scene:
-    """Return a scene in which all grains fly about, contacts by so many overlaps closer or apart."""
+    """Return a scene in which all grains fly about, contacts by so many overlaps closer or
+    apart.
+    """
     scale = chain.contacts.overlap.max() or 1e-7
     edge = chain.band_edge or np.sqrt(
         chain.contacts.stiffness_at(np.full(GRAINS + 1, scale)).max() / chain.masses.min()
@@ -55,17 +59,47 @@ LAWS = {
     "7/4": (flying(pressed(exponent=1.75), 4.0), "plain", "plain square roots"),
     "2": (flying(pressed(exponent=2.0, bottom="wall"), 4.0), "plain", "plain square roots"),
     "2.3": (flying(pressed(exponent=2.3, bottom="wall"), 1.0), "auto", "vectorised power"),
-    "vacuum": (flying(pressed(gravity=0.0, top_load=0.0, **BETWEEN), 1.0), "auto", "plain square roots"),
-    "vacuum, free": (flying(pressed(gravity=0.0, top_load=0.0, bottom="free"), 1.0), "auto", "plain square roots"),
-    "vacuum, springs": (flying(pressed(gravity=0.0, top_load=0.0, exponent=1.0), 1.0), "auto", "spring"),
-    "vacuum, 3": (
-        flying(pressed(gravity=0.0, top_load=0.0, exponent=3.0, top="wall"), 1.0), "auto", "vectorised power",
+    "vacuum": (
+        flying(pressed(gravity=0.0, top_load=0.0, **BETWEEN), 1.0),
+        "auto",
+        "plain square roots",
     ),
-    "touching wall": (flying(pressed(top_load=0.0, **BETWEEN), 1.0), "exact", "corrected square root"),
-    "touching wall, 2": (flying(pressed(top_load=0.0, exponent=2.0, **BETWEEN), 3.0), "plain", "plain square roots"),
-    "touching wall, 2.3": (flying(pressed(top_load=0.0, exponent=2.3, **BETWEEN), 3.0), "auto", "vectorised power"),
-    "touching wall, 1": (flying(pressed(top_load=0.0, exponent=1.0, **BETWEEN), 3.0), "auto", "spring"),
-}  # fmt: skip
+    "vacuum, free": (
+        flying(pressed(gravity=0.0, top_load=0.0, bottom="free"), 1.0),
+        "auto",
+        "plain square roots",
+    ),
+    "vacuum, springs": (
+        flying(pressed(gravity=0.0, top_load=0.0, exponent=1.0), 1.0),
+        "auto",
+        "spring",
+    ),
+    "vacuum, 3": (
+        flying(pressed(gravity=0.0, top_load=0.0, exponent=3.0, top="wall"), 1.0),
+        "auto",
+        "vectorised power",
+    ),
+    "touching wall": (
+        flying(pressed(top_load=0.0, **BETWEEN), 1.0),
+        "exact",
+        "corrected square root",
+    ),
+    "touching wall, 2": (
+        flying(pressed(top_load=0.0, exponent=2.0, **BETWEEN), 3.0),
+        "plain",
+        "plain square roots",
+    ),
+    "touching wall, 2.3": (
+        flying(pressed(top_load=0.0, exponent=2.3, **BETWEEN), 3.0),
+        "auto",
+        "vectorised power",
+    ),
+    "touching wall, 1": (
+        flying(pressed(top_load=0.0, exponent=1.0, **BETWEEN), 3.0),
+        "auto",
+        "spring",
+    ),
+}
 
 ACTED = pressed(**BETWEEN)
 DURATION = 12 / ACTED.band_edge

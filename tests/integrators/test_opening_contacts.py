@@ -1,4 +1,6 @@
-"""Contacts that open and close: steps that shorten there reach the last digits, and leave no other trace."""
+"""Contacts that open and close: steps that shorten there reach the last digits, and leave no other
+trace.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,9 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("integrator", engines.Native.integrators[1:])
 def test_a_grain_that_another_leaves_stays_at_rest(integrator: str, exponent: float):
-    """Whatever the method knows of the time before the strike, grains that only touch part without a force."""
+    """Whatever the method knows of the time before the strike, grains that only touch part without
+    a force.
+    """
     chain = Chain(
         grains=4, material="steel", diameter=5e-3, gravity=0.0, bottom="free", exponent=exponent
     )
@@ -88,9 +92,12 @@ def test_a_wall_that_a_grain_only_touches_leaves_no_trace_as_they_part():
 
 
 VACUUM = Chain(
-    grains=3, diameter=[0.0012001812626771244, 0.0012802513367209123, 0.0010127062034172446], gravity=0.0,
-    exponent=1.25, bottom="wall",
-)  # fmt: skip
+    grains=3,
+    diameter=[0.0012001812626771244, 0.0012802513367209123, 0.0010127062034172446],
+    gravity=0.0,
+    exponent=1.25,
+    bottom="wall",
+)
 LOADED = Chain(
     grains=12,
     diameter=0.0009368922485308815,
@@ -99,10 +106,19 @@ LOADED = Chain(
     bottom="wall",
 )
 SHAKEN = [
-    -0.04487068238831758, -0.1851992625629299, 0.0877566894513918, -0.08368754958403263, -0.0741312381387248,
-    -0.09985996279394338, -0.020006704977478196, 0.03807569029890475, 0.14838876306193696, 0.018253745774708785,
-    0.06857513489478681, 0.06974671625593308,
-]  # fmt: skip
+    -0.04487068238831758,
+    -0.1851992625629299,
+    0.0877566894513918,
+    -0.08368754958403263,
+    -0.0741312381387248,
+    -0.09985996279394338,
+    -0.020006704977478196,
+    0.03807569029890475,
+    0.14838876306193696,
+    0.018253745774708785,
+    0.06857513489478681,
+    0.06974671625593308,
+]
 
 
 @pytest.mark.parametrize(
@@ -130,7 +146,9 @@ SHAKEN = [
     ids=["vacuum", "loaded"],
 )
 def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: int):
-    """With steps of twice the length there, estimates of full order were 0.24 and 0.88 of the error."""
+    """With steps of twice the length there, estimates of full order were 0.24 and 0.88 of the
+    error.
+    """
     engine, truth = Native("rkn6"), reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
     candidate = engine.candidate(scene, 1e-3)._replace(
@@ -144,7 +162,9 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
 def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(name: str):
-    """They cost a quarter less or better, with an estimate of a lower order; after a miss they are short."""
+    """They cost a quarter less or better, with an estimate of a lower order; after a miss they are
+    short.
+    """
     scene, engine = paper(name, samples=301), Native("rkn6")
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
     engine.dense = False  # nor are samples interpolated

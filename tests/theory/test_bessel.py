@@ -1,4 +1,6 @@
-"""Eqs. (5)-(8), (11), (13) and (19)-(21), against an integrator, mpmath, images and published numbers."""
+"""Eqs. (5)-(8), (11), (13) and (19)-(21), against an integrator, mpmath, images and published
+numbers.
+"""
 
 import mpmath as mp
 import numpy as np
@@ -17,7 +19,8 @@ def besselj(order: int, z: float) -> float:
         return float(mp.besselj(order, mp.mpf(float(z)), maxprec=20000))
 
 
-# ---------------------------------------------------------------------------------------------- uniform chains
+# ----------------------------------------------------------------------------------------------
+# uniform chains
 
 
 def test_infinite_chain_against_an_integrator():
@@ -66,7 +69,9 @@ def test_free_end_by_the_other_closed_form(n: int, T: float):
     ("n", "T"), [(1, 0.4), (1, 40.0), (3, 7.0), (50, 10.0), (40, 45.0), (200, 3.0)]
 )
 def test_free_end_impulse_by_quadrature(n: int, T: float):
-    """Eq. (13), as small as it may be: the integrand is scaled to 1, for the quadrature has an absolute error."""
+    """Eq. (13), as small as it may be: the integrand is scaled to 1, for the quadrature has an
+    absolute error.
+    """
     with mp.workdps(25):
         last = mp.besselj(2 * n - 1, 2 * T) if n > T else mp.mpf(1)
         places = mp.linspace(0, T, 3 + int(T / 2))
@@ -96,7 +101,9 @@ def test_closed_forms_begin_with_the_initial_data():
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 3.0])
 def test_local_and_far_field(delta: float):
-    """Eqs. (7) and (8): the next term of the asymptotic series is (16 n^2 - 1) / (8 x) of the envelope."""
+    """Eqs. (7) and (8): the next term of the asymptotic series is (16 n^2 - 1) / (8 x) of the
+    envelope.
+    """
     for n in (1, 2, 5):
         root = n ** ((1 - 1 / delta) / 2)
         assert bessel.local(n, 7.3, delta) == pytest.approx(
@@ -109,11 +116,14 @@ def test_local_and_far_field(delta: float):
     assert bessel.local(0, 5.0, 1.5) == 1
 
 
-# --------------------------------------------------------------------------------- any chain: Eqs. (19) to (21)
+# --------------------------------------------------------------------------------- any chain: Eqs.
+# (19) to (21)
 
 
 def test_coefficients_of_a_uniform_chain():
-    """A_n = A_(n+1) = 1 and 0 elsewhere, until the reflection takes 1 away at j = 2N - n and 2N - n + 1."""
+    """A_n = A_(n+1) = 1 and 0 elsewhere, until the reflection takes 1 away at j = 2N - n and 2N - n
+    + 1.
+    """
     found = bessel.coefficients(np.ones(7), np.arange(1, 8), 1, 15)
     expected = np.zeros((7, 15))
     for n in range(1, 8):
@@ -191,7 +201,9 @@ def test_series_against_modes_over_a_long_time():
 
 
 def test_uniform_series_by_images():
-    """The held grain N and the free end reflect: images of grain 1 at distances 2N - 1, with alternating signs."""
+    """The held grain N and the free end reflect: images of grain 1 at distances 2N - 1, with
+    alternating signs.
+    """
     N, n, T = 12, np.arange(1, 12), np.array([[3.0], [20.0], [80.0]])
     shift = (2 * N - 1) * np.arange(-20, 21)[:, None, None]
     sign = (-1.0) ** np.arange(-20, 21)[:, None, None]
@@ -218,7 +230,10 @@ def test_peak_velocity_published(n: int, peak: float):
 
 
 def test_long_time_laws_of_the_top_grain():
-    """Dynamic C tau^(-1/5), static its derivative -(C/5) tau^(-6/5), without the oscillation of Eq. (8)."""
+    """Dynamic C tau^(-1/5), static its derivative -(C/5) tau^(-6/5), without the oscillation of Eq.
+
+    (8).
+    """
     kappa, tau = gravity_column(2600), np.array([50.0, 200.0, 1600.0])
     law = continuum.impulse_amplitude() * tau**-0.2
     assert bessel.finite_impulse(kappa, 1, 1, tau) / law == pytest.approx([1.00002, 1, 1], abs=5e-6)
@@ -227,11 +242,14 @@ def test_long_time_laws_of_the_top_grain():
     assert static == pytest.approx(-law[-1] / 5 / 1600, rel=1e-6)
 
 
-# ------------------------------------------------------------------------------------------------ the whole module
+# ------------------------------------------------------------------------------------------------
+# the whole module
 
 
 def test_tables_of_bessel_functions():
-    """J_(2k) and the sums of odd orders, from no argument to large ones and from order 0 to far too high ones."""
+    """J_(2k) and the sums of odd orders, from no argument to large ones and from order 0 to far too
+    high ones.
+    """
     z = np.array([0.0, 1e-5, 0.5, 3.0, -30.0, 77.7, 1000.3])
     even, integral, column = bessel_series.table("z", z, 700)
     for i, x in enumerate(z):

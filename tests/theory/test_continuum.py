@@ -35,7 +35,8 @@ def test_travel_time_and_depth(delta: float):
     assert continuum.depth(continuum.chi(h, delta), delta) == pytest.approx(h, rel=1e-14)
 
 
-# ------------------------------------------------------------------------------------------------------- modes
+# ----------------------------------------------------------------------------------------------
+# modes
 
 
 @each_delta
@@ -88,7 +89,8 @@ def test_modes_fade_with_depth():
     assert np.log(size[-1] / size[-20]) / np.log(h[-1] / h[-20]) == pytest.approx(-1 / 12, abs=1e-6)
 
 
-# ----------------------------------------------------------------------------------------------- superpositions
+# -----------------------------------------------------------------------------------------------
+# superpositions
 
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 3.0])
@@ -115,7 +117,9 @@ def test_superposition_and_resonant_packet(h: float, tau: float | None, delta: f
 
 @pytest.mark.parametrize("power", [1, 2])
 def test_superposition_along_the_real_axis(power: int):
-    """A = exp(-lambda) and exp(-lambda^2), where the integral needs no rotation; the second allows only a small one."""
+    """A = exp(-lambda) and exp(-lambda^2), where the integral needs no rotation; the second allows
+    only a small one.
+    """
 
     def integrand(t: mp.mpf) -> mp.mpf:  # lambda = t^5 takes the singularity at 0 away
         x = t**5
@@ -133,7 +137,9 @@ def test_superposition_along_the_real_axis(power: int):
 
 
 def test_constants_of_eq_32():
-    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed -2 sin(pi/10) belongs to the imaginary part."""
+    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed -2 sin(pi/10) belongs to the
+    imaginary part.
+    """
     h, tau = 2.0, np.array([3.0, 6.0])
     chi = continuum.chi(h)
     R = np.sqrt(tau**2 - chi**2)
@@ -184,7 +190,10 @@ def test_packet_front_for_hertz():
 
 
 def test_resonant_packet_published():
-    """No resonance: 0.886524713011 at the cone for h = 2, 0.93751 outside at tau = 1, where Eq. (34) prints 1.1203."""
+    """No resonance: 0.886524713011 at the cone for h = 2, 0.93751 outside at tau = 1, where Eq.
+
+    (34) prints 1.1203.
+    """
     assert continuum.resonant_packet(2.0, continuum.chi(2.0)) == pytest.approx(
         0.886524713011, abs=1e-12
     )
@@ -202,7 +211,8 @@ def test_resonant_packet_published():
     )
 
 
-# --------------------------------------------------------------------------------------------- impulse response
+# ---------------------------------------------------------------------------------------------
+# impulse response
 
 
 @pytest.mark.parametrize("delta", DELTAS[1:])
@@ -261,7 +271,8 @@ def test_impulse_response_is_causal():
     )
 
 
-# ------------------------------------------------------------------------------------- the equation itself
+# ------------------------------------------------------------------------------------- the equation
+# itself
 
 
 def relative(found: np.ndarray, exact: np.ndarray) -> float:
@@ -271,7 +282,9 @@ def relative(found: np.ndarray, exact: np.ndarray) -> float:
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("driven", [False, True])
 def test_solver_is_of_second_order(delta: float, driven: bool):
-    """Against a standing wave between the free top and the held grain: exact, and not smooth in h at the top."""
+    """Against a standing wave between the free top and the held grain: exact, and not smooth in h
+    at the top.
+    """
     lam = float(modes.quasi_normal(1, 6, delta))
     shape = lambda h: continuum.standing(h, lam, delta)  # noqa: E731
     drive = (
@@ -302,7 +315,9 @@ def test_solver_conserves_momentum():
 
 
 def test_solver_keeps_what_eq_28_keeps():
-    """A tau + B is exact until the held grain is felt, and h^(1/delta) + D rests if its flux is given at the top."""
+    """A tau + B is exact until the held grain is felt, and h^(1/delta) + D rests if its flux is
+    given at the top.
+    """
     field = continuum.solve([0.0, 5.0], 60, displacement=lambda h: 3.0, velocity=lambda h: 2.0)
     assert field.displacement[1, :30] == pytest.approx(13, rel=1e-14)
     assert field.velocity[1, :30] == pytest.approx(2, rel=1e-14)
@@ -312,7 +327,10 @@ def test_solver_keeps_what_eq_28_keeps():
 
 
 def test_impulse_of_fig_9():
-    """Behind the front the solver meets Eq. (35) made causal; far ahead it has nothing, unlike the printed |...|."""
+    """Behind the front the solver meets Eq.
+
+    (35) made causal; far ahead it has nothing, unlike the printed |...|.
+    """
     field = continuum.solve([60.0], 140, velocity=lambda h: h < 1)
     chi = continuum.chi(field.h)
     exact = continuum.impulse_response(field.h, 60.0)
@@ -325,7 +343,10 @@ def test_impulse_of_fig_9():
 
 
 def test_driven_top_of_fig_8():
-    """A driven top sends down the conjugate of u_lambda: 0.1 %, where Eq. (29) as printed is 100 % off."""
+    """A driven top sends down the conjugate of u_lambda: 0.1 %, where Eq.
+
+    (29) as printed is 100 % off.
+    """
     lam, tau = 0.5, 200.0
 
     def drive(t: float) -> tuple[float, float]:
@@ -437,7 +458,9 @@ def test_defaults_of_the_solver():
 
 
 def test_steps_of_the_solver(monkeypatch):
-    """Velocity Verlet at 0.9 of the stable step 2 / w_max: so many evaluations from a sample to the next."""
+    """Velocity Verlet at 0.9 of the stable step 2 / w_max: so many evaluations from a sample to the
+    next.
+    """
     times = []
 
     def drive(now):

@@ -1,4 +1,6 @@
-"""Eqs. (22) and (23): Dyson's distribution against mpmath, its moments, and the sum over the column."""
+"""Eqs. (22) and (23): Dyson's distribution against mpmath, its moments, and the sum over the
+column.
+"""
 
 import mpmath as mp
 import numpy as np
@@ -52,7 +54,9 @@ def test_moments(function, mean, variance, m: int):
 
 @pytest.mark.parametrize("m", [1, 2, 10])
 def test_printed_form_leaves_the_compliance_alone(m: int):
-    """The mean of 1/kappa is exactly 1 for every m, so disorder does not change the speed of long waves."""
+    """The mean of 1/kappa is exactly 1 for every m, so disorder does not change the speed of long
+    waves.
+    """
     assert quad(lambda k: dyson.weight(k, m) / k, 0, 60, points=[1])[0] == pytest.approx(
         1, abs=1e-11
     )
@@ -76,7 +80,9 @@ def test_sum_as_printed(column):
 
 
 def test_sum_for_large_m(column):
-    """It diverges as sqrt(m / 2 pi) times the velocity of grain 1, where kappa = 1; normalised it is that velocity."""
+    """It diverges as sqrt(m / 2 pi) times the velocity of grain 1, where kappa = 1; normalised it
+    is that velocity.
+    """
     kappa, velocity = column
     m = 1e4
     assert dyson.average(velocity, kappa, m) == pytest.approx(
@@ -100,7 +106,8 @@ def test_sum_broadcasts(column):
     assert table[0, 0] == pytest.approx(by_hand, rel=1e-13)
 
 
-# ---------------------------------------------------------------------------------------- his exact spectrum
+# ---------------------------------------------------------------------------------------- his exact
+# spectrum
 
 
 @pytest.mark.parametrize(
@@ -129,7 +136,9 @@ def test_spectrum_by_mpmath(shape: float, rate: float, frequency: float):
 
 @pytest.mark.parametrize("shape", [60, 100])
 def test_spectrum_of_nearly_ordered_chains(shape: float):
-    """By quadrature with many more nodes and further beyond the saddle, from low to high frequencies."""
+    """By quadrature with many more nodes and further beyond the saddle, from low to high
+    frequencies.
+    """
     w = np.sqrt(shape) * np.array([0.5, 1.5, 1.9, 2.5, 8.0])
     s, weight = np.polynomial.legendre.leggauss(40)
     s, weight = ((2 * np.arange(50)[:, None] + 1 + s) / 50 - 1).ravel(), np.tile(weight / 50, 50)
@@ -150,7 +159,9 @@ def test_spectrum_of_nearly_ordered_chains(shape: float):
 
 @pytest.mark.parametrize("shape", [0.05, 1, 100])
 def test_dysons_chain_at_its_ends(shape):
-    """All modes lie below a high frequency; few below a low one, by the singularity psi'(shape) / log^2."""
+    """All modes lie below a high frequency; few below a low one, by the singularity psi'(shape) /
+    log^2.
+    """
     mean = np.sqrt(shape)
     assert dyson.integrated(mean * 40, shape) == pytest.approx(1, abs=1e-8)
     low = dyson.integrated(np.array([1e-20, 1e-40]), shape)

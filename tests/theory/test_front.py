@@ -1,4 +1,6 @@
-"""The front of a strike on the top grain: exponents, absolute amplitude and shape, against the chain itself."""
+"""The front of a strike on the top grain: exponents, absolute amplitude and shape, against the
+chain itself.
+"""
 
 from functools import cache
 
@@ -37,7 +39,10 @@ def test_exponents_have_no_jump_at_three():
     [(100, -0.2381), (200, -0.2441), (500, -0.2504), (1000, -0.2541), (2000, -0.2569)],
 )
 def test_local_exponents_of_the_chain_published(n: int, slope: float):
-    """They approach -4/15 slowly and pass -1/4 near n = 500. Source: an independent code, four digits."""
+    """They approach -4/15 slowly and pass -1/4 near n = 500.
+
+    Source: an independent code, four digits.
+    """
     low, high = round(n / 1.05), round(n * 1.05)
     assert np.log(peak(high) / peak(low)) / np.log(high / low) == pytest.approx(slope, abs=3e-4)
 
@@ -90,7 +95,9 @@ def test_profiles_by_quadrature(delta: float, s: float):
 
 
 def test_shape_of_the_front_in_the_chain():
-    """The limit approaches the chain, by 2^(-1/3) or faster for every doubling of n; 2 % off at n = 4000."""
+    """The limit approaches the chain, by 2^(-1/3) or faster for every doubling of n; 2 % off at n =
+    4000.
+    """
     misses = []
     for n in (500, 4000):
         width = ((n - 0.5) ** 0.5 / 4) ** (1 / 3)
