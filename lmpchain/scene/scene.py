@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import InstanceOf
 
 from ..chain.chain import Chain
-from ..chain.picture import DETAILED_GRAINS, DRAWN
+from ..chain.picture import DETAILED_GRAINS, DRAWN_POINTS
 from ..chain.plausible import LIMITS
 from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
@@ -144,7 +144,7 @@ class Scene(Recording):
         if waveform:
             name = self.excitation.strength[1]
             ax = axes_in_units(ax, "s", "m" if name == "displacement" else "N")
-            time = np.linspace(0.0, self.duration, DRAWN)
+            time = np.linspace(0.0, self.duration, DRAWN_POINTS)
             ax.plot(time, waveform.at(time))
             ax.set(xlabel="time", ylabel=f"{name}, downward")
             return ax

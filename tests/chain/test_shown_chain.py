@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from lmpchain import PTFE, Chain
-from lmpchain.chain.picture import DETAILED_GRAINS, DRAWN
+from lmpchain.chain.picture import DETAILED_GRAINS, DRAWN_POINTS
 
 
 def remarks(**fields: object) -> list[str]:
@@ -75,5 +75,5 @@ def test_the_picture_of_a_chain_has_masses_and_overlaps_over_their_largest() -> 
     assert axes.get_ylim()[1] > 1.1
     vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0).plot(Figure().subplots())
     assert len(vacuum.get_lines()) == 1
-    many = Chain(grains=2 * DRAWN + 1, diameter=1e-3).plot(Figure().subplots())
+    many = Chain(grains=2 * DRAWN_POINTS + 1, diameter=1e-3).plot(Figure().subplots())
     assert many.get_lines()[0].get_xdata()[:3].tolist() == [1, 4, 7]
