@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
+__all__ = ["Bands", "Cell", "GapModes", "branches", "gap_modes", "gaps", "repeating"]
 
-NEGLIGIBLE = 1e-9  # width of a gap over the highest frequency, and difference of equal grains
+# width of a gap over the highest frequency, and relative difference of equal grains
+NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ class Cell:
             ("gravity", chain.gravity == 0, uniform),
             ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
         )
-        # the last contact shows the ratio of given constants to those of Hertz
+        # the last contact shows the ratio of given constants to those of Hertz; one grain has none
         ends = [-2, -1, 0][-chain.grains - 1 :]
         d = chain.diameters[ends]
         modulus = chain.by_grain("plane_strain_modulus")[ends]
@@ -117,6 +119,7 @@ class Bands(Shown):
         bands = branches(self.cell, np.arccos(np.clip(cosine, -1, 1)).ravel())
         nearest = np.abs(bands.frequency - w.ravel()).argmin(0)
         v = np.take_along_axis(bands.group_velocity, nearest[None], 0)[0].reshape(w.shape)
+        # in a gap the wavenumber is complex, and the cosine beyond 1
         with np.errstate(divide="ignore"):
             return np.where(np.abs(cosine) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
 
@@ -201,12 +204,13 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     q = np.atleast_1d(real(wavenumber))
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b)
+    # first order perturbation of a singular value
     product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
     # at frequency 0 the phases of both vectors are free
     soft = frequency <= NEGLIGIBLE * np.abs(slope).max(initial=0.0)
     velocity = np.where(soft, np.abs(product), product.real)
-    order = slice(None, None, -1)
-    return Bands(cell, q, frequency.T[order], velocity.T[order], gaps(cell))
+    # singular values fall, branches rise
+    return Bands(cell, q, frequency.T[::-1], velocity.T[::-1], gaps(cell))
 
 
 def gaps(cell: Cell | Chain) -> Array:
@@ -281,6 +285,7 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     """
     modes = eigenmodes(chain)
     low, high = _outside(cell).T[..., None]
+    # modes at an edge belong to the band
     margin = NEGLIGIBLE * modes.frequency[-1]
     inside = ((modes.frequency > low + margin) & (modes.frequency < high - margin)).any(0)
     shape = modes.shape[:, inside].T
@@ -294,6 +299,7 @@ def _outside(cell: Cell | Chain) -> Array:
     cell = Cell.of(cell) if isinstance(cell, Chain) else cell
     b, _ = _extensions(cell, np.array([0.0, np.pi]))
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=1)
+    # a branch may rise or fall between the two wavenumbers
     low = edges.min(0)
     high = edges.max(0)
     between = np.column_stack((high, np.append(low[1:], np.inf)))
@@ -304,53 +310,73 @@ def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
     """Return masses and stiffness, (P,), and resonators, (R, 3): grain from 0, mass, stiffness."""
     m = real(cell.masses)
     k = real(cell.stiffness)
-    inside = np.zeros((m.size, 2)) if cell.resonators is None else real(cell.resonators)
+    resonators = np.zeros((m.size, 2)) if cell.resonators is None else real(cell.resonators)
 
     def positive(x: Array) -> bool:
         return bool((x > 0).all() and np.isfinite(x).all())
 
     masses = m.ndim == 1 and m.size > 0 and positive(m)
-    carried = inside.shape == (m.size, 2) and (inside >= 0).all()
+    carried = resonators.shape == (m.size, 2) and (resonators >= 0).all()
     require(
         ("masses", masses, "must be above 0, one a grain"),
         ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one a grain"),
         ("resonators", carried, "must be (mass, stiffness), one a grain"),
     )
-    grains = np.flatnonzero(inside[:, 0])
-    return m, k, np.column_stack((grains, inside[grains]))
+    # mass 0 stands for a grain without one
+    grains = np.flatnonzero(resonators[:, 0])
+    return m, k, np.column_stack((grains, resonators[grains]))
 
 
 def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return B and its derivative by the wavenumber, (K, P + R, P + R)."""
-    m, k, inside = _check_cell(cell)
+    m, k, resonators = _check_cell(cell)
     size = m.size
-    total = size + len(inside)
+    total = size + len(resonators)
+    turn = np.exp(1j * q)
     b, slope = np.zeros((2, q.size, total, total), complex)
-    for i in range(size):
-        b[:, i, i] += np.sqrt(k[i] / m[i])
-        turn = np.exp(1j * q) if i == size - 1 else np.ones(q.size)
-        coupling = np.sqrt(k[i] / m[(i + 1) % size]) * turn
-        b[:, i, (i + 1) % size] -= coupling
-        if i == size - 1:
-            slope[:, i, 0] = -1j * coupling
-    for row, (grain, mass, stiffness) in enumerate(inside, size):
+    b[:, :size, :size] = extensions(m, k, turn)
+    # the last contact alone turns with the wavenumber
+    slope[:, size - 1, 0] = -1j * (np.sqrt(k[-1] / m[0]) * turn)
+    for row, (grain, mass, stiffness) in enumerate(resonators, size):
         b[:, row, row] = np.sqrt(stiffness / mass)
         b[:, row, int(grain)] = -np.sqrt(stiffness / m[int(grain)])
     return b, slope
 
 
+def extensions(masses: Array, stiffness: Array, turn: NDArray[Any]) -> NDArray[Any]:
+    """Return B of cells without resonators, (..., K, P, P).
+
+    Parameters
+    ----------
+    masses, stiffness : (..., P) arrays
+        kg and N/m.
+    turn : (K,) array
+        exp(i wavenumber), by which the next cell is ahead.
+    """
+    size = masses.shape[-1]
+    b = np.zeros((*masses.shape[:-1], turn.size, size, size), turn.dtype)
+    for i in range(size):
+        below = (i + 1) % size
+        b[..., i, i] += np.sqrt(stiffness[..., i] / masses[..., i])[..., None]
+        coupling = np.sqrt(stiffness[..., i] / masses[..., below])[..., None]
+        # of a cell of one grain, both are in one place
+        b[..., i, below] -= coupling * (turn if i == size - 1 else 1.0)
+    return b
+
+
 def _half_trace(cell: Cell, w: Array) -> Array:
     """Return cos(wavenumber) at frequencies: half the trace of the transfer matrix of a cell."""
-    m, k, inside = _check_cell(cell)
-    square = w**2
+    m, k, resonators = _check_cell(cell)
+    square = w.ravel() ** 2
+    # a grain is as heavy as the force that it takes: that of its resonator, too
     dynamic = np.broadcast_to(m[:, None], (m.size, w.size)).copy()
     with np.errstate(divide="ignore", invalid="ignore"):
-        for grain, mass, stiffness in inside:
-            dynamic[int(grain)] += mass / (1 - square.ravel() * mass / stiffness)
-    matrix = np.broadcast_to(np.eye(2), (w.size, 2, 2))
+        for grain, mass, stiffness in resonators:
+            dynamic[int(grain)] += mass / (1 - square * mass / stiffness)
     # of displacement and force
+    matrix = np.broadcast_to(np.eye(2), (w.size, 2, 2))
     for inertia, stiff in zip(dynamic, k, strict=True):
         step = np.broadcast_to(np.eye(2), (w.size, 2, 2)).copy()
-        step[:, 1, 0] = inertia * square.ravel()
+        step[:, 1, 0] = inertia * square
         matrix = np.array([[1.0, -1 / stiff], [0.0, 1.0]]) @ step @ matrix
     return matrix.trace(axis1=1, axis2=2).reshape(w.shape) / 2

@@ -93,6 +93,7 @@ def infinite_general(
     """
     n = whole("n", n)
     p = whole("p", p)
+    # a picture asks for the same grains and times many times over
     grains, row = np.unique(n, return_inverse=True)
     distance = abs(grains[:, None] - p)
     even, integral, column = table("T", 2 * real(T), int(distance.max()) + 1)
@@ -194,7 +195,7 @@ def local(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{local(1, 1.0):.6f}"
     '0.352834'
     """
-    xi, _, _ = exponents(delta)
+    xi = exponents(delta).xi
     n = whole("n", n, 0)
     return jv(2 * n, 2 * n ** (xi / 2) * real(tau))
 
@@ -229,7 +230,7 @@ def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{far_field(1, 100.0):.5f} {local(1, 100.0):.5f}"
     '0.01540 0.01489'
     """
-    xi, _, _ = exponents(delta)
+    xi = exponents(delta).xi
     n = whole("n", n, 1)
     tau = real(tau)
     require(("tau", tau > 0, "must be above 0"))

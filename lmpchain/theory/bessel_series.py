@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..util.arrays import Array
 from .domain import real, require, whole
 
-DECAY = 640.0  # recurrences begin where Bessel functions are exp(-640), near the smallest number
+# recurrences begin where Bessel functions are exp(-640), near the smallest number
+DECAY = 640.0
 
 
 def coefficients(
@@ -65,6 +66,7 @@ def coefficients(
         ("scale", large, "must be larger, for no frequency may lie above 2 sqrt(scale)"),
     )
     coefficients = np.empty((*n.shape, terms))
+    # T_(j-1) and T_j of the matrix, applied to the displacement of grain k
     before, now = np.zeros((2, kappa.size))
     now[int(whole("k", k)) - 1] = 1.0
     for j in range(terms):
@@ -169,6 +171,7 @@ def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, N
     count = count or int(start.max()) // 2 + 1
     even, integral = np.zeros((2, count, values.size))
     above, now, norm, odd = np.zeros((4, values.size))
+    # each z begins at its own order; above it, its column stays 0
     for order in range(int(start.max()), -1, -1):
         below = 2 * (order + 1) / size * now - above
         above = now
@@ -185,6 +188,7 @@ def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, N
 
 def _start(z: Array) -> NDArray[np.int64]:
     """Return the order where J(z) has decayed to exp(-DECAY), by Debye's exponent."""
+    # Newton's method from above, where the exponent is convex
     order = z + 80 * np.cbrt(z) + 1
     for _ in range(12):
         angle = np.arccosh(order / z)

@@ -111,11 +111,11 @@ class DimerSoliton(Shown):
         constant = chain.contact_constants
         heavy = np.arange(chain.grains) % 2 == int(mass[0] < mass[1])
         heaviest = mass[heavy][0]
-        wanted = np.where(heavy, heaviest, self.mass_ratio * heaviest)
+        alternating = np.where(heavy, heaviest, self.mass_ratio * heaviest)
         low = 1 + GRID.period / 2
         high = chain.movable - GRID.period / 2
         exponent = f"must have the exponent {self.delta:g} of the wave"
-        masses = np.abs(mass / wanted - 1) < 1e-9
+        masses = np.abs(mass / alternating - 1) < 1e-9
         ratio = f"must alternate in the ratio {self.mass_ratio:.12g}"
         fits = f"must lie from {low:g} to {high:g} for the wave to fit the chain"
         require(
@@ -148,6 +148,7 @@ class DimerSoliton(Shown):
         """Return A or A' by its Fourier series, 0 beyond."""
         size = self.place.size
         k = 2 * np.pi * np.fft.rfftfreq(size, GRID.period / size)
+        # all wave numbers but 0 stand for two of the complex series
         twice = np.where(k == 0, 1, 2)
         weight = np.fft.rfft(self.values) * (1j * k) ** derivative * twice / size
         angle = np.multiply.outer(x - self.place[0], k)
@@ -267,12 +268,14 @@ def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
     def operator(symbol: Array) -> Array:
         return np.fft.ifft(symbol[:, None] * fourier, axis=0).real
 
+    # the equation divided by c^2, and integrated twice: A less its mean is a sum of forces
     mirror = np.eye(points)[-np.arange(points) % points]
     alone = operator(inverse)
     heavy = operator(inverse * np.exp(-1j * k)) @ mirror - alone
     light = operator(inverse * np.exp(1j * k)) @ mirror - alone
     slope = operator(1j * k * (np.arange(points) != points // 2))[0]
     values = _approximate(near, delta, x)
+    # a row more fixes the position of the wave, a column more is for the mass of light grains
     inertia = 1 / near
     matrix = np.zeros((points + 1, points + 1))
     matrix[-1, :-1] = slope
@@ -286,6 +289,7 @@ def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
         matrix[:-1, -1] = -light @ force
         change = np.linalg.solve(matrix, np.append(residual, slope @ values))
         size = max(np.abs(change[:-1]).max() / values.max(), abs(change[-1]) / inertia)
+        # more than a fifth at once would leave for another wave, or none
         change *= min(1.0, 0.2 / size)
         values = values - change[:-1]
         inertia = inertia - change[-1]
@@ -314,6 +318,7 @@ def _approximate(ratio: float, delta: float, x: Array) -> Array:
     motion = solve_ivp(rate, (0, until), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-10)
     overlap = -np.diff(motion.y[:grains], axis=0)
 
+    # when the pulse passes a contact: the first peak, as light grains rattle behind it
     def centre(number: int) -> float:
         force = np.maximum(overlap[number], 0.0) ** delta
         begin = int(np.argmax(force > 0.3 * force.max()))

@@ -1,8 +1,8 @@
-"""Shared by the formulas: domains of validity, exponents, depth and travel time."""
+"""Domains of validity, exponents, depth and travel time, which the formulas share."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,8 +31,25 @@ def whole(key: str, value: ArrayLike, least: int | None = None) -> NDArray[np.in
     return number.astype(np.int64)
 
 
-def exponents(delta: float) -> tuple[float, float, float]:
-    """Return xi = 1 - 1/delta, eta = 1 + 1/delta and nu = 1/(1 + delta).
+class Exponents(NamedTuple):
+    """The exponents of the paper that follow from that of the contact force.
+
+    ====== ======== ==================================================
+    symbol variable meaning
+    ====== ======== ==================================================
+    xi     ``xi``   1 - 1/delta: stiffness grows with depth as h^xi
+    eta    ``eta``  1 + 1/delta: a wave takes (2/eta) h^(eta/2)
+    nu     ``nu``   1/(1 + delta): the order of the Bessel functions
+    ====== ======== ==================================================
+    """
+
+    xi: float
+    eta: float
+    nu: float
+
+
+def exponents(delta: float) -> Exponents:
+    """Return xi, eta and nu for the exponent delta of the contact force.
 
     Raises
     ------
@@ -42,10 +59,10 @@ def exponents(delta: float) -> tuple[float, float, float]:
     Examples
     --------
     >>> exponents(1.0)
-    (0.0, 2.0, 0.5)
+    Exponents(xi=0.0, eta=2.0, nu=0.5)
     """
     require(("delta", np.isfinite(delta) and delta >= 1, f"must be 1 or more (got {shown(delta)})"))
-    return 1 - 1 / delta, 1 + 1 / delta, 1 / (1 + delta)
+    return Exponents(xi=1 - 1 / delta, eta=1 + 1 / delta, nu=1 / (1 + delta))
 
 
 def chi(h: ArrayLike, delta: float = 1.5) -> Array:
@@ -72,7 +89,7 @@ def chi(h: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{chi(100.0):.4f}"
     '55.6991'
     """
-    _, eta, _ = exponents(delta)
+    eta = exponents(delta).eta
     h = real(h)
     require(("h", h >= 0, "must be 0 or more"))
     return 2 / eta * h ** (eta / 2)
@@ -104,7 +121,7 @@ def depth(tau: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{depth(150.0):.1f}"
     '328.3'
     """
-    _, eta, _ = exponents(delta)
+    eta = exponents(delta).eta
     tau = real(tau)
     require(("tau", tau >= 0, "must be 0 or more"))
     return (eta / 2 * tau) ** (2 / eta)

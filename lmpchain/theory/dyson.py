@@ -152,6 +152,7 @@ def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
     top = np.where(discriminant > 0, np.sqrt(np.maximum(discriminant, 0)) - 0.5, saddle)
     peak = (scale * top + shape * np.log(top / (1 + top))).real
     onward = np.abs(saddle) * np.exp(0.75j * np.pi)
+    # exponent beyond which the integrand is nothing
     far = 60.0
     total = np.zeros((2, *scale.shape), complex)
 
@@ -196,6 +197,7 @@ def _log_peak(m: Array) -> Array:
     small = np.minimum(m, 20.0)
     large = np.maximum(m, 20.0)
     series = (1 / 12 - (1 / 360 - (1 / 1260 - 1 / 1680 / large**2) / large**2) / large**2) / large
+    # the terms of the exact formula cancel where m is large
     return np.where(
         m < 20,
         xlogy(small, small) - small - gammaln(small),

@@ -87,7 +87,7 @@ def solve(
         ("tau", ascending, "must be a list that ascends from 0 or more"),
         ("cells", cells % 2, "must be odd"),
     )
-    _, eta, _ = exponents(delta)
+    eta = exponents(delta).eta
     width = 1 / cells
     middle = cells // 2
     # the next cell is centred on grain N and held
@@ -96,6 +96,7 @@ def solve(
     face = np.arange(1, moving + 1) * width
     # flux over phi_b - phi_a, for a cell of this width
     rate = eta * face / np.diff(centre**eta) / width
+    # Gershgorin's bound on the frequencies, and velocity Verlet's omega h = 2
     longest = 0.9 * 2 / np.sqrt(2 * (rate[:-1] + rate[1:]).max(initial=rate[0]))
 
     def begin(start: Callable[[Array], ArrayLike] | None) -> Array:

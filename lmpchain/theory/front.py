@@ -49,6 +49,7 @@ def decay(delta: float = 1.5) -> tuple[float, float]:
     '4.000000000000 1.000000000000'
     """
     xi, eta, _ = exponents(delta)
+    # waves are dispersed at the top, not at the front
     if delta >= 3:
         return xi / 4, xi / 4
     a = xi / (2 * eta)
@@ -194,6 +195,7 @@ def _scales(n: ArrayLike, delta: float) -> tuple[Array, Array, float]:
 def _smooth(s: Array, a: float, derivative: int) -> Array:
     """Return an s-derivative of the integral of y^(-a) Ai(y - s) over y > 0, by Gauss-Jacobi."""
     reach = np.maximum(s, 0.0) + 16
+    # Airy's function falls beyond y = s, and the more it oscillates before, the more nodes it takes
     x, weight = roots_jacobi(64 + int(reach.max() ** 1.5), 0.0, -a)
     y = reach[..., None] * (1 + x) / 2
     ai, slope, _, _ = airy(y - s[..., None])

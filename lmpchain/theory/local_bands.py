@@ -6,7 +6,7 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
-from .bands import repeating
+from .bands import extensions, repeating
 
 
 def local_bands(chain: Chain) -> Array:
@@ -23,11 +23,7 @@ def local_bands(chain: Chain) -> Array:
     start = np.minimum(number, chain.grains - 1 - period)[:, None] + np.arange(period)
     m = chain.masses[start if period > 1 else number[:, None]]
     k = chain.linear_stiffness[start]
-    # at the wavenumbers 0 and pi
-    b = np.zeros((chain.grains, 2, period, period))
-    for i in range(period):
-        turn = np.array([1.0, -1.0]) if i == period - 1 else 1.0
-        b[:, :, i, i] += np.sqrt(k[:, i] / m[:, i])[:, None]
-        b[:, :, i, (i + 1) % period] -= np.sqrt(k[:, i] / m[:, (i + 1) % period])[:, None] * turn
+    # at the wavenumbers 0 and pi, where bands have their edges
+    b = extensions(m, k, np.array([1.0, -1.0]))
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=2)
     return np.sort(edges.transpose(0, 2, 1), axis=2)

@@ -16,7 +16,8 @@ from .domain import exponents, real, require, whole
 
 __dir__ = listed(__name__)
 
-DEGENERATE = 1e-8  # relative gap of modes of one space, and mixture whose square is rounding
+# relative gap of modes of one space, and mixture whose square is rounding
+DEGENERATE = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +136,7 @@ def between(stiffness: Array, mass: Array) -> Modes:
     order = np.argsort(frequency)
     frequency = frequency[order]
     shape = shape[:, order]
+    # LAPACK's error is relative to the highest frequency: only low modes suffer from it
     low = int(frequency.searchsorted(frequency[-1] / 2))
     if low > 1:
         shape[:, :low] = _separate(shape[:, :low], stiffness, mass)
@@ -165,6 +167,7 @@ def _separate(shape: Array, stiffness: Array, mass: Array) -> Array:
         overlap = shape.T @ (mass[:, None] * shape)
         squares = np.diag(elastic) / np.diag(overlap)
         gap = squares - squares[:, None]
+        # modes of one frequency are only made orthonormal
         mixed = (np.eye(squares.size) - overlap) / 2
         apart = np.abs(gap) > DEGENERATE * np.maximum(squares, squares[:, None])
         np.divide(elastic - overlap * squares, gap, out=mixed, where=apart)
@@ -235,7 +238,7 @@ def band_edge(grains: int, delta: float = 1.5) -> float:
     >>> f"{band_edge(101):.3f}"
     '4.241'
     """
-    xi, _, _ = exponents(delta)
+    xi = exponents(delta).xi
     require(("delta", delta > 1, "must be above 1"))
     depth = _bottom(grains)
     first = float(ai_zeros(1)[0][0])
@@ -272,7 +275,7 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     >>> f"{count(2.0, 101, 1.0):.1f}"
     '100.5'
     """
-    xi, _, _ = exponents(delta)
+    xi = exponents(delta).xi
     depth = _bottom(grains)
     frequency = real(frequency)
     require(("frequency", frequency >= 0, "must be 0 or more"))
@@ -296,6 +299,7 @@ def _bottom(grains: int) -> float:
 
 def _zero(order: float, k: Array) -> Array:
     """Return the k-th positive zero of J_order, -1/2 <= order <= 0, by Newton's method."""
+    # McMahon's expansion, two terms of it
     z = (k + order / 2 - 0.25) * np.pi
     z = z - (4 * order**2 - 1) / (8 * z)
     for _ in range(6):

@@ -169,6 +169,7 @@ def transparent(
         turn = np.exp(1j * wave.wavenumber * (chain.grains + 1 - numbers[0] - numbers[-1]))
         return float(np.imag(wave.amplitude_reflected / wave.amplitude_transmitted * turn))
 
+    # some resonances are narrow: by default the steps are 1 % of the factor
     nodes = np.linspace(np.log(low), np.log(high), 401)
     values = np.array([reflection(x) for x in nodes])
     roots = [
@@ -176,6 +177,7 @@ def transparent(
         for i in np.flatnonzero(values[:-1] * values[1:] < 0)
     ]
     factor = np.exp(roots)
+    # a uniform chain reflects nothing
     return factor[np.abs(factor - 1) > 1e-9]
 
 
@@ -187,23 +189,27 @@ def _change(chain: Chain, grains: Sequence[int], vary: Property, factor: float) 
         diameters = chain.diameters
         impurities = [Impurity(grain=n, diameter=float(diameters[n - 1]) * factor) for n in grains]
     else:
+        # a uniform chain has one material
         material: Any = chain.material
         modulus = material.youngs_modulus * factor
-        stiffer = type(material)(**material.given() | {"youngs_modulus": modulus})
+        stiffer = material.replace(youngs_modulus=modulus)
         impurities = [Impurity(grain=n, material=stiffer) for n in grains]
-    return Chain(**chain.given() | {"impurity": impurities})
+    return chain.replace(impurity=impurities)
 
 
 def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
     """Return reflection and transmission of grains (N,), kg, and contacts (N-1,), N/m."""
     square = frequency**2
-    above, half_above = _lead(frequency / 2 * np.sqrt(mass[0] / stiffness[0]))
-    below, half_below = _lead(frequency / 2 * np.sqrt(mass[-1] / stiffness[-1]))
+    # sin(k/2) and exp(i k/2) in the lead above and in that below
+    above = frequency / 2 * np.sqrt(mass[0] / stiffness[0])
+    below = frequency / 2 * np.sqrt(mass[-1] / stiffness[-1])
+    half_above = _half_turn(above)
+    half_below = _half_turn(below)
     edge = 2 * np.sqrt(stiffness[0] / mass[0])
     message = f"must be above 0 and below {edge:.6g} rad/s, the band edge of the lead above"
     require(("frequency", (above > 0) & (above < 1), message))
-    # displacement and force on the contact below, from the transmitted wave upward, and the
-    # logarithm of their size, which may leave the range of numbers
+    # displacement and force on the contact below, from the transmitted wave upward; the
+    # logarithm of their size apart, as it may leave the range of numbers in a gap
     displacement = np.ones(frequency.shape, complex)
     force = -2j * stiffness[-1] * below * half_below
     logarithm = np.zeros(frequency.shape)
@@ -221,6 +227,7 @@ def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
     incoming = (displacement * step - force) / (2j * sine)
     reflected = (force - displacement * step.conj()) / (2j * sine) / incoming
     transmitted = np.exp(-logarithm) / incoming
+    # energy flows at the rate k sin(wavenumber) times the square of the amplitude
     share = stiffness[-1] * below * half_below.real / (stiffness[0] * above * half_above.real)
     return Transmission(
         frequency=frequency,
@@ -232,8 +239,8 @@ def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
     )
 
 
-def _lead(sine: Array) -> tuple[Array, Complex]:
-    """Return sin(k/2) and exp(i k/2) of a lead, of the wave that decays away if sin(k/2) > 1."""
+def _half_turn(sine: Array) -> Complex:
+    """Return exp(i k/2) from sin(k/2); of the wave that decays away if that is above 1."""
     travelling = np.sqrt(np.maximum(1 - sine**2, 0))
     decaying = -1j * np.sqrt(np.maximum(sine**2 - 1, 0))
-    return sine, np.where(sine <= 1, travelling, decaying) + 1j * sine
+    return np.where(sine <= 1, travelling, decaying) + 1j * sine

@@ -36,7 +36,7 @@ from .soliton_limits import (
     nesterenko_speed,
     sen_displacement,
 )
-from .soliton_series import law, long_wave_speed, rows, solve_series
+from .soliton_series import Series, law, long_wave_speed, rows, solve_series
 
 __all__ = [
     "Soliton",
@@ -54,8 +54,9 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-WEAKEST = 1.0001  # speed over that of sound
-HARDEST = 6.0  # exponent: beyond, contacts are so short that a series converges slowly
+SLOWEST = 1.0001  # speed over that of sound
+# exponent: beyond, contacts are so short that a series converges slowly
+HARDEST = 6.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -167,6 +168,7 @@ class Soliton(Shown):
         >>> f"{profile.velocity.max():.4f} m/s"
         '5.2186 m/s'
         """
+        # grain and contact that carry the wave are the units of mass, length and time
         first = self._first_contact(chain, grain)
         mass = float(chain.masses[first])
         contact = chain.contacts.of(first)
@@ -184,6 +186,7 @@ class Soliton(Shown):
             # nothing moves below the wave, where a grain may be held
             displacement = self.displacement(-2 * self.reach) * length - displacement
             velocity = -velocity
+        # what is left of the tail at a grain that is held
         displacement[chain.movable :] = 0.0
         velocity[chain.movable :] = 0.0
         return Profile(displacement=displacement, velocity=velocity)
@@ -198,6 +201,7 @@ class Soliton(Shown):
             ("gravity", chain.gravity == 0, gravity),
             ("top_load", chain.compressed == self.loaded, load),
         )
+        # one grain beyond where the overlap is 1e-10 of the largest
         highest = float(self.overlap(0.0))
         far = 1 + brentq(lambda x: float(self.overlap(x)) / highest - 1e-10, 0.0, 2 * self.reach)
         low = 1 + far
@@ -272,9 +276,10 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
         ("velocity", positive, f"must be above 0 (got {velocity!r})"),
     )
     series = solve_series(float(delta), None if speed is None else float(speed))
-    wave = Soliton(float(delta), speed is not None, series.speed, 1.0, *series[1:])
+    wave = _make_soliton(float(delta), speed is not None, series)
     if velocity is None:
         return wave
+    # in the sonic vacuum a wave of any velocity is that of speed 1, rescaled
     speed = (velocity / float(wave.velocity(0.0))) ** ((delta - 1) / (delta + 1))
     return replace(wave, speed=speed, height=speed ** (2 / (delta - 1)))
 
@@ -308,8 +313,20 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     def excess(r: float) -> float:
         return r * float(long_wave_speed(real(r), delta)) - velocity
 
+    # the long-wave speed of that overlap is near enough for Newton's method
     overlap = brentq(excess, 1e-4 * velocity, velocity)
     near = float(long_wave_speed(real(overlap), delta))
-    require(("velocity", near > WEAKEST, "is too small: the wave is that of Korteweg and de Vries"))
-    series = solve_series(float(delta), near, float(velocity))
-    return Soliton(float(delta), True, series.speed, 1.0, *series[1:])
+    require(("velocity", near > SLOWEST, "is too small: the wave is that of Korteweg and de Vries"))
+    return _make_soliton(float(delta), True, solve_series(float(delta), near, float(velocity)))
+
+
+def _make_soliton(delta: float, loaded: bool, series: Series) -> Soliton:
+    return Soliton(
+        delta,
+        loaded,
+        speed=series.speed,
+        height=1.0,
+        reach=series.reach,
+        series=series.coefficients,
+        residual=series.residual,
+    )

@@ -36,16 +36,16 @@ class Resolution:
         Weight of residuals over the overlap in the same place.
     stretch : float
         b of the stretched x = reach sinh(b z) / sinh(b).
-    fewest, most : int
-        Coefficients.
+    fewest_terms, most_terms : int
+        Coefficients of the first series tried, and of the longest.
     """
 
     drop: float = 45.0
     residual: float = 1e-13
     tails: float = 1e-5
     stretch: float = 3.0
-    fewest: int = 48
-    most: int = 370
+    fewest_terms: int = 48
+    most_terms: int = 370
 
 
 RESOLUTION = Resolution()
@@ -100,12 +100,13 @@ def solve_series(delta: float, speed: float | None, velocity: float | None = Non
     With a velocity, the largest of a grain, the speed is an approximation to begin with.
     """
     guess, reach = _guess(delta, speed)
-    terms = RESOLUTION.fewest
-    while terms <= RESOLUTION.most:
+    terms = RESOLUTION.fewest_terms
+    while terms <= RESOLUTION.most_terms:
         with np.errstate(over="ignore", invalid="ignore"):
             series = _newton(delta, speed, velocity, terms, guess, reach)
         if series and series.residual < RESOLUTION.residual:
             return series
+        # a longer series begins with the shorter one
         if series:
             guess = partial(_extend, series, delta, speed is not None)
         terms = 3 * terms // 2
@@ -138,6 +139,7 @@ def _newton(
     def basis(x: Array) -> Array:
         return rows(x, terms, reach, delta, loaded)
 
+    # the equation is to hold at Chebyshev's nodes
     z = np.cos(np.pi * (np.arange(terms) + 0.5) / (2 * terms))
     b = RESOLUTION.stretch
     x = reach * (np.sinh(b * z) / np.sinh(b) if loaded else z)
@@ -173,6 +175,7 @@ def _newton(
         size = np.abs(np.append(at @ change[:-1], change[-1])).max()
         if not np.isfinite(size):
             return None
+        # no overlap may change by more than e^3, where the equation is no longer linear
         change *= min(1.0, 3 / size)
         series = series - change[:-1]
         c = float(c * np.exp(-change[-1]))
@@ -181,6 +184,7 @@ def _newton(
             break
     else:
         return None
+    # between the nodes, where nothing makes it hold
     between = np.linspace(0, reach, 4 * terms + 1)
     overlap = np.exp(basis(between) @ series)
     force = contact.force_change(np.exp(basis(between[:, None] + s) @ series)) @ weight
@@ -198,13 +202,16 @@ def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array],
         rate = np.log(delta)
         reach = float(np.arccosh(1 + drop * rate**2 / bend) / rate)
         return lambda x: -bend / rate**2 * (np.cosh(rate * x) - 1), reach
+    # log(overlap) of the long-wave soliton, in closed form where it is strong or weak
     strong = np.log(delta * (delta + 1) / 2 * speed**2) / (delta - 1)
     weak = np.log(6 * (speed - 1) / (delta - 1)) - 1
     low = min(weak, strong) - 3
     high = max(weak, strong) + 3
     highest = brentq(lambda y: float(long_wave_speed(np.exp(y), delta)) - speed, low, high)
+    # the tail falls as exp(-kappa x), sinh(kappa/2) = c kappa/2
     furthest = 2 * np.log(speed) + 10
     kappa = 2 * brentq(lambda z: float(np.sinh(z) / z) - speed, 1e-9, furthest, xtol=1e-15)
+    # sech^power has that tail and the curvature of Nesterenko's wave
     power = max(2.0, kappa**2 / bend)
 
     def logarithm(x: Array) -> Array:

@@ -110,6 +110,7 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
         """Return the integral of both over depths above h."""
         travel, time = np.broadcast_arrays(chi(h, delta), tau)
         x = np.divide(travel, time, out=np.where(travel > 0, np.inf, 0.0), where=time > 0)
+        # the slope is infinite on the light cone itself
         inside = np.minimum(x, np.nextafter(1.0, 0.0))
         share = np.where(x < 1, betainc(order, other, inside**2), 1.0)
         slope = 2 * inside ** (2 * order) * (1 - inside**2) ** (other - 1) / beta(order, other)
@@ -153,5 +154,6 @@ def peaked(
     xi, eta, _ = exponents(delta)
     shifted = real(tau) + c3
     travel = chi(h, delta)
+    # in factors, which do not cancel near the light cone
     with np.errstate(divide="ignore"):
         return c1 + c2 * abs((shifted - travel) * (shifted + travel)) ** (-xi / (2 * eta))

@@ -280,7 +280,7 @@ def test_how_soon_a_wave_is_found(arguments, solutions: int, terms: int, monkeyp
 
 
 def test_a_wave_that_no_series_resolves(monkeypatch):
-    short = replace(soliton_series.RESOLUTION, most=60)
+    short = replace(soliton_series.RESOLUTION, most_terms=60)
     monkeypatch.setattr(soliton_series, "RESOLUTION", short)
     for arguments, key in (((1.5, 1.2), "speed"), ((3.0, None), "delta")):
         with pytest.raises(InputError, match=f"^{key}: its wave is too wide or too sharp"):
