@@ -20,7 +20,7 @@ from .waveform import Waveform
 
 @dataclass(frozen=True)
 class WaveformLimits:
-    """What nobody means by a waveform in SI units, and what overflows.
+    """Limits of waveforms, beyond which nobody means SI units, or numbers overflow.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ LIMITS = WaveformLimits()
 
 
 class _Acting(Excitation):
-    """What a motion and a force have in common: their course over time."""
+    """A motion or a force over time, by a formula or through points."""
 
     does_work: ClassVar[bool] = True
     if TYPE_CHECKING:
@@ -63,8 +63,9 @@ class _Acting(Excitation):
         if given not in self._ways(values):
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
         elif self.times is not None:
-            yield from self._samples(values, getattr(self, values))
+            yield from self._point_faults(values, getattr(self, values))
         elif not self.waveform.fastest < LIMITS.frequency:
+            # a burst of few cycles or a short push is fast by its envelope: that is to blame then
             key = "frequency"
             if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
                 key = "cycles" if "cycles" in given else "duration"
@@ -72,17 +73,21 @@ class _Acting(Excitation):
             yield key, f"{frequency}, too fast to compute with: use SI units"
 
     def _ways(self, values: str) -> list[set[str]]:
+        """Return the sets of fields that describe a course over time."""
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
 
     def _words(self, values: str) -> str:
+        """Return the sets of fields in words."""
         return f"amplitude and frequency, with or without cycles, or times and {values}"
 
-    def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
+    def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
+        """Yield the faults of points that a spline is to go through."""
         if (np.abs(values) > LIMITS.value).any():
             yield key, f"must be at most {LIMITS.value:g} in size"
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
         steps = np.diff(self.times)
+        # the spline of points that lie much closer than others overflows
         if self.times[0] != 0 or not (steps > LIMITS.spacing * self.times[-1]).all():
             least = f"{LIMITS.spacing:g} of the last"
             yield "times", f"must begin with 0 and increase, each by more than {least}"
@@ -91,11 +96,10 @@ class _Acting(Excitation):
             yield "times", f"{apart}, too little to compute with: use SI units"
 
     def _too_short(self, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield a fault of points that end before the recording."""
         if self.times is not None and self.times[-1] < duration:
-            yield (
-                "times",
-                f"end at {self.times[-1]:g} s, before the recording does at {duration:g} s",
-            )
+            end = f"end at {self.times[-1]:g} s"
+            yield "times", f"{end}, before the recording does at {duration:g} s"
 
     @property
     def smooth(self) -> bool:
@@ -158,18 +162,16 @@ class Drive(_Acting):
     grain: Annotated[Whole, Field(ge=0, le=1)] = 1
     start: Profile = NOT_GIVEN
 
-    def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
-        yield from super()._samples(key, values)
+    def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
+        yield from super()._point_faults(key, values)
         if values[0] != 0:
             yield key, f"must begin with 0, where {'grain 1' if self.grain else 'the wall'} rests"
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield what this chain, or a scene that lasts so long, does not allow."""
+        """Yield the faults that it has on this chain for so long, s."""
         if self.grain == 0 and chain.top != "wall":
-            yield (
-                "grain",
-                '0 moves the top wall, and there is none: use top = "wall", or drive grain 1',
-            )
+            cure = 'use top = "wall", or drive grain 1'
+            yield "grain", f"0 moves the top wall, and there is none: {cure}"
         if self.grain == 1 and chain.movable < 2:
             yield "kind", "with grain 1 driven nothing is left to move: use more grains"
         yield from self._too_short(duration)
@@ -177,8 +179,10 @@ class Drive(_Acting):
             yield from self._start_faults(chain, duration)
 
     def _start_faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield the faults of the displacement and velocity that it begins with."""
         faults = list(self.start.faults(chain, duration))
         yield from ((f"start.{key}", message) for key, message in faults)
+        # a profile of the wrong length may have no first entry
         for key, values in self.start.given().items():
             if not faults and self.grain and values[0]:
                 yield f"start.{key}", "must be 0 for grain 1, which moves as the drive says"
@@ -190,7 +194,7 @@ class Drive(_Acting):
 
     @property
     def wall(self) -> Waveform | None:
-        """How the top wall moves, m; None if it stands still."""
+        """Motion of the top wall, m; None if it stands still."""
         return None if self.grain else self.waveform
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
@@ -201,7 +205,10 @@ class Drive(_Acting):
         return u, v
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return those of the start, (N,); of grain 1 the largest of it or of the wall."""
+        """Return the largest displacement and velocity (N,): those of the start, and of the drive.
+
+        Grain 1 has those of what is driven, itself or the wall that pushes it.
+        """
         fields = self._others(chain)
         for order, values in enumerate(fields):
             values[0] = max(abs(values[0]), self.waveform.largest(order))
@@ -209,24 +216,22 @@ class Drive(_Acting):
 
     def _others(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity (N,) at t = 0 of the grains that it does not move."""
-        return (
-            (np.zeros(chain.grains), np.zeros(chain.grains))
-            if self.start is None
-            else self.start.initial(chain)
-        )
+        if self.start is None:
+            return np.zeros(chain.grains), np.zeros(chain.grains)
+        return self.start.initial(chain)
 
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return grain 1, as the first, and the last that moves at t = 0."""
         return 1, 1 if self.start is None else self.start.reach(chain)[1]
 
     def part(self, first: int, last: int) -> Drive:
-        """Return the same for these grains: it moves grain 1, which must be among them."""
+        """Return the drive of these grains: it moves grain 1, which must be among them."""
         return self if self.start is None else self.replace(start=self.start.part(first, last))
 
     def scaled(self, factor: float) -> Drive:
-        """Return the same motion, so many times as strong."""
-        bolder = super().scaled(factor)
-        return bolder if self.start is None else bolder.replace(start=self.start.scaled(factor))
+        """Return the motion, so many times as strong, with its start."""
+        scaled = super().scaled(factor)
+        return scaled if self.start is None else scaled.replace(start=self.start.scaled(factor))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
         """Return displacement, m, and velocity, m/s, of what is driven at these times, s."""
@@ -238,17 +243,19 @@ class Drive(_Acting):
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E) by that at t = 0 and the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
-        (u, v), k = self._others(chain), chain.contacts.stiffness
-        begun = np.sqrt((chain.masses * v**2).sum() + (k * chain.contacts.closer(u) ** 2).sum())
-        return float(begun + np.sqrt(k[self.grain]) * self.waveform.path(duration))
+        initial = 0.0 if self.start is None else self.start.energy_norm(chain, duration)
+        stiffness = chain.contacts.stiffness[self.grain]
+        return float(initial + np.sqrt(stiffness) * self.waveform.path(duration))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
-        """Return what keeps it on its path: forces of its contacts and inertia of a grain."""
-        speed, acceleration = self.motion(time)[1], self.acceleration(time)
+        """Return the push that keeps it on its path: forces of its contacts, inertia of a grain."""
+        motion = self.motion(time)[1], self.acceleration(time)
+        # the wall passes on the force of contact 0; the contacts 0 and 1 push grain 1 back
         if not self.grain:
-            return Push(force[:, 0], rate[:, 0], speed, acceleration, 0.0, False)
-        force, rate = force[:, 1] - force[:, 0], rate[:, 1] - rate[:, 0]
-        return Push(force, rate, speed, acceleration, float(chain.masses[0]), True)
+            return Push(force[:, 0], rate[:, 0], *motion, 0.0, False)
+        force = force[:, 1] - force[:, 0]
+        rate = rate[:, 1] - rate[:, 0]
+        return Push(force, rate, *motion, float(chain.masses[0]), True)
 
 
 class Force(OneGrain, _Acting):
@@ -302,35 +309,38 @@ class Force(OneGrain, _Acting):
         return super().waveform
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield what this chain, or a scene that lasts so long, does not allow."""
+        """Yield the faults that it has on this chain for so long, s."""
         yield from super().faults(chain, duration)
         yield from self._too_short(duration)
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return rest."""
+        """Return displacement and velocity of every grain at t = 0: all of them rest."""
         return np.zeros(chain.grains), np.zeros(chain.grains)
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return how far and how fast it moves its grain, as its contacts and inertia allow.
+        """Estimate displacement and velocity of its grain, as its contacts and inertia allow.
 
-        It is an estimate: nothing is known of what the chain does later.
+        Nothing is known of what the chain does later.
         """
-        size, mass = self.waveform.largest(), chain.masses[self.grain - 1]
+        size = self.waveform.largest()
+        mass = chain.masses[self.grain - 1]
+        # no force, no scale of its motion
         if not size:
             return self.initial(chain)
         contacts = chain.contacts.of(slice(self.grain - 1, self.grain + 1))
         distance = max(contacts.of(n).squeezed_by(size) for n in np.flatnonzero(contacts.exists))
+        # the speed that its impulse gives a free grain, or its work over that distance
         speed = min(self.waveform.gained / mass, float(np.sqrt(2 * size * distance / mass)))
-        return self.at_grain(chain, speed * np.sqrt(mass * distance / size)), self.at_grain(
-            chain, speed
-        )
+        displacement = self.at_grain(chain, speed * np.sqrt(mass * distance / size))
+        return displacement, self.at_grain(chain, speed)
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E) by its impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
         return float(self.waveform.area(duration) / np.sqrt(chain.masses[self.grain - 1]))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
-        """Return the force itself."""
-        n, given = self.grain, self.waveform.at(time)
-        acceleration = (given + force[:, n - 1] - force[:, n]) / chain.masses[n - 1]
-        return Push(given, self.waveform.at(time, 1), velocity[:, n - 1], acceleration, 0.0, True)
+        """Return the push on its grain, which is the force itself."""
+        n = self.grain
+        applied = self.waveform.at(time)
+        acceleration = (applied + force[:, n - 1] - force[:, n]) / chain.masses[n - 1]
+        return Push(applied, self.waveform.at(time, 1), velocity[:, n - 1], acceleration, 0.0, True)

@@ -1,4 +1,4 @@
-"""What every excitation says of itself, so that nothing else needs to know which one it is."""
+"""Properties of every excitation, so that nothing else needs to know which one it is."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ class Excitation(Checked):
 
     @property
     def waveform(self) -> Waveform | None:
-        """What acts after t = 0: the motion of grain 1 or of the top wall, m, or a force, N."""
+        """Course of what acts after t = 0: motion of grain 1 or of the top wall, m; a force, N."""
         return None
 
     @property
     def wall(self) -> Waveform | None:
-        """How the top wall moves, m; None if it stands still."""
+        """Motion of the top wall, m; None if it stands still."""
         return None
 
     @property
@@ -115,7 +115,7 @@ class Excitation(Checked):
 
     @property
     def label(self) -> str:
-        """What it is called in the title of a picture."""
+        """Name in the title of a picture."""
         return f"a {self.kind}"
 
     @abstractmethod
@@ -124,7 +124,7 @@ class Excitation(Checked):
 
     @abstractmethod
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield what this chain, or a scene that lasts so long, does not allow."""
+        """Yield the faults, key and message, that it has on this chain for so long, s."""
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
         """Return the largest displacement (N,) m and velocity (N,) m/s that it imposes."""
@@ -132,8 +132,8 @@ class Excitation(Checked):
 
     def strongest(self, chain: Chain) -> tuple[float, float]:
         """Return the largest displacement and speed that it imposes on any grain, m and m/s."""
-        u, v = (float(np.abs(x).max()) for x in self.largest(chain))
-        return u, v
+        displacement, velocity = self.largest(chain)
+        return float(np.abs(displacement).max()), float(np.abs(velocity).max())
 
     def energy(self, chain: Chain) -> float:
         """Return the energy above rest, J: that at t = 0, or infinite if it does work later."""
@@ -145,18 +145,19 @@ class Excitation(Checked):
 
     @abstractmethod
     def part(self, first: int, last: int) -> Excitation:
-        """Return the same for `Chain.part(first, last)`, which has all grains that it moves."""
+        """Return the excitation of `Chain.part(first, last)`, which has all that it moves."""
 
     def scaled(self, factor: float) -> Self:
-        """Return the same excitation, so many times as strong."""
-        strengths = {key: getattr(self, key) for key in self.strength}
-        return self.replace(
-            **{key: factor * value for key, value in strengths.items() if value is not None}
-        )
+        """Return the excitation, so many times as strong."""
+        given = self.given()
+        return self.replace(**{key: factor * given[key] for key in self.strength if key in given})
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E), J^(1/2), of the energy E that it puts into the linearised chain."""
-        return np.inf
+        u, v = self.initial(chain)
+        contacts = chain.contacts
+        kinetic = (chain.masses * v**2).sum()
+        return float(np.sqrt(kinetic + (contacts.stiffness * contacts.closer(u) ** 2).sum()))
 
     def push(
         self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array
@@ -190,7 +191,7 @@ class OneGrain(Excitation):
         return self.grain, self.grain
 
     def part(self, first: int, last: int) -> Excitation:
-        """Return the same with the grain as it is numbered among grains first ... last."""
+        """Return the excitation with its grain as it is numbered among grains first ... last."""
         return self if first == 1 else self.replace(grain=self.grain - first + 1)
 
     def at_grain(self, chain: Chain, value: float) -> Array:

@@ -1,4 +1,4 @@
-"""How a chain is set in motion: what happens at t = 0, and all excitations by name."""
+"""Excitations at t = 0: an impulse or a displacement of one grain; all excitations by name."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from .base import Excitation
 
 @dataclass(frozen=True)
 class Cut:
-    """When a chain is cut to the grains that the wave can have reached.
+    """Limits of the cut of a chain to the grains that the wave can have reached.
 
     Attributes
     ----------
@@ -56,26 +56,33 @@ def reached(
     if not math.isfinite(energy) or grains < CUT.shortest:
         return 1, grains
     top, bottom = excitation.reach(chain)
-    few = chain.contacts if grains <= FEW_GRAINS else None  # of many only some are looked at
-    known = None if few is None else few.stiffness_at(few.overlap_bound(energy))
-    away = 32
+    # the stiffest contact within reach decides how far that is: look further until it suffices
+    reach = 32
     while True:
-        first, last = max(1, top - away), min(grains, bottom + away)
+        first = max(1, top - reach)
+        last = min(grains, bottom + reach)
         if last - first + 1 > CUT.share * grains:
             return 1, grains
-        if known is None:
-            part = chain.part(first, last)
-            contacts, masses = part.contacts, part.masses
-            stiffness = contacts.stiffness_at(contacts.overlap_bound(energy))
-        else:
-            stiffness, masses = (
-                known[first - (first == 1) : last + (last == grains)],
-                chain.masses[first - 1 : last],
-            )
-        needed = _distance(2 * math.sqrt(float(stiffness.max()) / masses.min()) * duration)
-        if needed <= away:
+        omega = _fastest(chain, first, last, energy)
+        needed = _distance(2 * omega * duration)
+        if needed <= reach:
             return max(1, top - needed), min(grains, bottom + needed)
-        away = max(needed, 2 * away)
+        reach = max(needed, 2 * reach)
+
+
+def _fastest(chain: Chain, first: int, last: int, energy: float) -> float:
+    """Bound sqrt(k_max / m_min), rad/s, of grains first ... last with this energy above rest, J."""
+    if chain.grains <= FEW_GRAINS:
+        stiffness = chain.contacts.stiffness_at(chain.contacts.overlap_bound(energy))
+        # contacts between these grains, and those with the walls of the chain
+        stiffness = stiffness[first - (first == 1) : last + (last == chain.grains)]
+        masses = chain.masses[first - 1 : last]
+    else:
+        # the arrays of a long chain take long: those of the piece suffice
+        piece = chain.part(first, last)
+        stiffness = piece.contacts.stiffness_at(piece.contacts.overlap_bound(energy))
+        masses = piece.masses
+    return math.sqrt(float(stiffness.max()) / masses.min())
 
 
 def _distance(x: float) -> int:
@@ -84,9 +91,14 @@ def _distance(x: float) -> int:
     The logarithm of that is concave where it falls: Newton's method ends beyond its root, never
     before.
     """
-    d, log, square, further = max(8.0, x / 2), math.log(x / 2 + 1e-300), x * x, 1.0
-    while abs(further) > 0.5 and d >= 8:
-        seen = 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) - math.log(CUT.unseen)
-        further = seen / (2 * (math.log(2 * d + 0.5) - log) + 8 * square / (8 * d + 4) ** 2)
-        d += further
+    d = max(8.0, x / 2)
+    log = math.log(x / 2 + 1e-300)
+    square = x * x
+    correction = 1.0
+    while abs(correction) > 0.5 and d >= 8:
+        excess = 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) - math.log(CUT.unseen)
+        # the derivative of log (2d)! is nearly 2 log(2d + 1/2)
+        slope = 2 * (math.log(2 * d + 0.5) - log) + 8 * square / (8 * d + 4) ** 2
+        correction = excess / slope
+        d += correction
     return max(8, math.ceil(d)) + 2

@@ -84,27 +84,30 @@ class Packet(Excitation):
         else:
             first, last = self._within(chain, EXTENT.inside)
             if first < 1 or last > chain.movable:
-                yield (
-                    "width",
-                    f"the packet is {EXTENT.inside:g} widths long on either side, which does not fit in the chain",
-                )
+                length = f"{EXTENT.inside:g} widths long on either side"
+                yield "width", f"the packet is {length}, which does not fit in the chain"
                 return
-            speed = self._hops(chain, first, last)
-            if (2 * np.pi * self.frequency >= 2 * speed).any():
-                limit, slowest = float(speed.min() / np.pi), first + int(speed.argmin()) // 2
+            hops = self._hops(chain, first, last)
+            # w = 2 sqrt(k/m) sin(q/2) has a real wave number below 2 sqrt(k/m) only
+            if (2 * np.pi * self.frequency >= 2 * hops).any():
+                limit = f"{float(hops.min() / np.pi):.4g} Hz"
+                # two hops a grain
+                slowest = first + int(hops.argmin()) // 2
                 yield (
                     "frequency",
-                    f"must be below the highest that travels at grain {slowest}, {limit:.4g} Hz",
+                    f"must be below the highest that travels at grain {slowest}, {limit}",
                 )
 
     def _within(self, chain: Chain, widths: float) -> tuple[int, int]:
+        """Return the first and the last grain so many widths around the middle."""
         far = int(min(np.ceil(widths * self.width), chain.grains))
         return self.grain - far, self.grain + far
 
     @staticmethod
     def _hops(chain: Chain, first: int, last: int) -> Array:
         """Return sqrt(k/m), 1/s, from each grain to the contact below, and on to the next grain."""
-        k, m = chain.contacts.stiffness[first:last], chain.masses[first - 1 : last]
+        k = chain.contacts.stiffness[first:last]
+        m = chain.masses[first - 1 : last]
         return np.sqrt(np.column_stack((k / m[:-1], k / m[1:]))).ravel()
 
     def reach(self, chain: Chain) -> tuple[int, int]:
@@ -113,7 +116,7 @@ class Packet(Excitation):
         return max(1, first), min(chain.movable, last)
 
     def part(self, first: int, last: int) -> Packet:
-        """Return the same with its middle as it is numbered among grains first ... last."""
+        """Return the packet with its middle as it is numbered among grains first ... last."""
         return self.replace(grain=self.grain - first + 1)
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
@@ -121,21 +124,25 @@ class Packet(Excitation):
         first, last = self.reach(chain)
         omega = 2 * np.pi * self.frequency
         hops = self._hops(chain, first, last)
-        middle = 2 * (self.grain - first)  # of the row of grains and contacts in turn
-        # a turning point far out, where the packet is nothing
+        # places are those of the row of grains and contacts in turn
+        middle = 2 * (self.grain - first)
+        # a turning point lies far out, where the packet is nothing: any real wave number does there
         ratio = np.minimum(omega / (2 * hops), 0.999)
-        speed = 2 * hops * np.sqrt(1 - ratio**2)  # in places of that row a second
-        phase, late = (np.append(0.0, np.cumsum(each)) for each in (np.arcsin(ratio), 1 / speed))
-        around = np.sqrt(np.append(speed[:1], speed) * np.append(speed, speed[-1:]))
-        apart = (late - late[middle]) * around[middle] / (2 * self.width)
-        height = (
-            self.amplitude * omega * np.sqrt(chain.masses[self.grain - 1] * around[middle] / around)
-        )
-        wave = height * np.exp(-(apart**2) / 2) * np.cos(phase - phase[middle])
+        speed = 2 * hops * np.sqrt(1 - ratio**2)  # group velocity, places a second
+        phase = np.append(0.0, np.cumsum(np.arcsin(ratio)))
+        arrival = np.append(0.0, np.cumsum(1 / speed))
+        # at a place, the geometric mean of the speeds on either side
+        local_speed = np.sqrt(np.append(speed[:1], speed) * np.append(speed, speed[-1:]))
+        distance = (arrival - arrival[middle]) * local_speed[middle] / (2 * self.width)
+        envelope = np.exp(-(distance**2) / 2)
+        # the flow of energy, its density times the speed, is the same everywhere (WKB)
+        flow = chain.masses[self.grain - 1] * local_speed[middle]
+        height = self.amplitude * omega * np.sqrt(flow / local_speed)
+        wave = height * envelope * np.cos(phase - phase[middle])
         v = wave[::2] / np.sqrt(chain.masses[first - 1 : last])
         strain = wave[1::2] / np.sqrt(chain.contacts.stiffness[first:last])
-        # at rest beyond either end
-        strain -= strain.sum() * (share := np.exp(-(apart[1::2] ** 2) / 2)) / share.sum()
+        # no net strain, or the grains beyond one end would be displaced for good
+        strain -= strain.sum() * envelope[1::2] / envelope[1::2].sum()
         u = np.append(np.cumsum(strain[::-1])[::-1], 0.0)
         fields = np.zeros((2, chain.grains))
         fields[:, first - 1 : last] = u, v

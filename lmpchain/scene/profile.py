@@ -24,29 +24,25 @@ class Profile(Excitation):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         if self.displacement is None and self.velocity is None:
-            yield (
-                "displacement",
-                "give displacement or velocity of every grain, or a file with both",
-            )
+            cure = "give displacement or velocity of every grain, or a file with both"
+            yield "displacement", cure
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
         """Yield what this chain does not allow."""
-        for key in ("displacement", "velocity"):
-            value = getattr(self, key)
-            if value is None:
-                continue
-            if len(value) != chain.grains:
-                yield key, f"must have one entry a grain, {chain.grains}, not {len(value)}"
-            elif chain.bottom == "fixed" and value[-1] != 0:
+        for key, values in self.given().items():
+            if len(values) != chain.grains:
+                yield key, f"must have one entry a grain, {chain.grains}, not {len(values)}"
+            elif chain.bottom == "fixed" and values[-1] != 0:
                 yield key, f"must be 0 for grain {chain.grains}, which is held"
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""
-        rest = np.zeros(chain.grains)
-        return (
-            rest.copy() if self.displacement is None else self.displacement.copy(),
-            rest.copy() if self.velocity is None else self.velocity.copy(),
+        # copies: a drive writes that of grain 1 into them
+        displacement, velocity = (
+            np.zeros(chain.grains) if values is None else values.copy()
+            for values in (self.displacement, self.velocity)
         )
+        return displacement, velocity
 
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return the first and the last grain that it moves; grain 1 if there is none."""

@@ -1,7 +1,8 @@
-"""When and which grains are recorded."""
+"""The recording of a run: its times and its grains."""
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from typing import Annotated, Any
@@ -16,43 +17,37 @@ from ..util.validation import Checked, Positive, Whole
 
 
 def _selection(value: Any) -> Any:
-    """Grains to record: "all", "1:200" or a list of numbers."""
+    """Check grains to record: "all", "1:200" or a list of numbers."""
+    cure = 'must be "all", a range such as "1:200", or a list of grains'
     if isinstance(value, str):
-        parts = value.split(":")
-        if value != "all" and not (
-            len(parts) == 2 and all(p.isascii() and p.isdigit() and len(p) < 19 for p in parts)
-        ):
-            raise ValueError(
-                f'must be "all", a range such as "1:200", or a list of grains (got {shown(value)})'
-            )
+        # numbers of more digits than any chain has grains are none
+        if value != "all" and not re.fullmatch("[0-9]{1,18}:[0-9]{1,18}", value):
+            raise ValueError(f"{cure} (got {shown(value)})")
         return value
     try:
-        numbers = [v.item() if isinstance(v, np.generic) else v for v in value]
+        numbers = [number.item() if isinstance(number, np.generic) else number for number in value]
     except TypeError:
         numbers = []
-    if not numbers or any(isinstance(v, bool) or not isinstance(v, int) for v in numbers):
-        raise ValueError('must be "all", a range such as "1:200", or a list of grains')
+    # True is an int of Python, and no grain
+    if not numbers or any(type(number) is not int for number in numbers):
+        raise ValueError(cure)
     return tuple(numbers)
 
 
-# what is gathered of every recorded grain
-OF_GRAINS = (
-    "peak_displacement",
-    "peak_velocity",
-    "arrival_time",
-)
-OF_CONTACTS = ("peak_force", "force")  # and of a contact, as in "force:40"
+# quantities that are gathered of every recorded grain, and those of a contact, as "force:40"
+OF_GRAINS = ("peak_displacement", "peak_velocity", "arrival_time")
+OF_CONTACTS = ("peak_force", "force")
 
 
 def contact_of(name: str) -> int | None:
     """Return the contact that a quantity names, 40 of "force:40"; None if it names none."""
     number = name.partition(":")[2]
-    plain = number.isascii() and number.isdigit() and str(int(number[:18])) == number
-    return int(number) if plain else None
+    # one way to write a number, or "force:07" and "force:7" were two arrays of one contact
+    return int(number) if re.fullmatch("0|[1-9][0-9]{0,17}", number) else None
 
 
-def _asked(value: Any) -> Any:
-    """Quantities to gather: names, those of a contact with its number."""
+def _quantities(value: Any) -> Any:
+    """Check quantities to gather: names, those of a contact with its number."""
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if not names:
         raise ValueError(
@@ -80,43 +75,41 @@ class Recording(Checked):
     duration: Annotated[Positive, Field(le=1e12)]
     samples: Annotated[Whole, Field(ge=2, le=10**8)] = 101
     grains: Annotated[str | tuple[int, ...], BeforeValidator(_selection)] = "all"
-    quantities: Annotated[tuple[str, ...], BeforeValidator(_asked)] = ()
+    quantities: Annotated[tuple[str, ...], BeforeValidator(_quantities)] = ()
 
     def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
         """Yield what this chain does not allow."""
         if self.duration / (self.samples - 1) < sys.float_info.min:
-            apart = f"{self.samples} samples in {self.duration:g} s are too close for numbers of full precision"
-            yield "duration", f"{apart}: record for longer"
+            samples = f"{self.samples} samples in {self.duration:g} s"
+            fault = f"{samples} are too close for numbers of full precision"
+            yield "duration", f"{fault}: record for longer"
         first, last = self._ends(chain)
         if not 1 <= first <= last <= chain.grains:
-            yield (
-                "grains",
-                f"grains are numbered 1 to {chain.grains} (got {shown(first)} to {shown(last)})",
-            )
+            got = f"got {shown(first)} to {shown(last)}"
+            yield "grains", f"grains are numbered 1 to {chain.grains} ({got})"
         elif isinstance(self.grains, tuple) and len(set(self.grains)) < len(self.grains):
             yield "grains", "names a grain twice"
         if self.quantities:
-            yield from self._strangers(chain)
+            yield from self._contact_faults(chain)
 
-    def _strangers(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        """Yield the first contact that is asked for and not there."""
-        there = np.flatnonzero(chain.contacts.exists)
-        if missing := [number for number in self.contacts.values() if number not in there]:
-            known = (
-                f"the contacts are numbered {there[0]} to {there[-1]}"
-                if there.size
-                else "there is no contact"
-            )
-            yield "quantities", f"{known} (got {missing[0]})"
+    def _contact_faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
+        """Yield the first contact that is asked for and is not one of the chain."""
+        existing = np.flatnonzero(chain.contacts.exists)
+        if missing := [number for number in self.contacts.values() if number not in existing]:
+            numbers = "there is no contact"
+            if existing.size:
+                numbers = f"the contacts are numbered {existing[0]} to {existing[-1]}"
+            yield "quantities", f"{numbers} (got {missing[0]})"
 
     @property
     def contacts(self) -> dict[str, int]:
-        """The contact of each of the quantities that are gathered of one."""
+        """Numbers of the contacts of those quantities that are gathered of one, by name."""
         return {
             name: number for name in self.quantities if (number := contact_of(name)) is not None
         }
 
     def _ends(self, chain: Chain) -> tuple[int, int]:
+        """Return the smallest and the largest number of a recorded grain."""
         if self.grains == "all":
             return 1, chain.grains
         if isinstance(self.grains, str):

@@ -1,4 +1,4 @@
-"""The scene: a chain, how it is struck and what is recorded. It says what, never how."""
+"""The scene: a chain, how it is struck and what is recorded, whatever method solves it."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ from .excitation import Drive
 from .light_cone import reached
 from .recording import Recording
 from .strike import (
+    Squeeze,
+    Surroundings,
     first_overlaps,
     squeezed,
     strike_faults,
@@ -37,11 +39,11 @@ from .strike import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LONGEST = 3600.0  # s: of a duration that may be meant
+LONGEST_DURATION = 3600.0  # s: of one that may be meant
 # omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is
 # known between them
-FINE = 0.5
-MARGIN = 10  # grains at rest drawn on either side of those that are moved
+GATHERING_TURN = 0.5
+DRAWN_AROUND = 10  # grains at rest drawn on either side of those that are moved
 
 
 class Scene(Recording):
@@ -86,39 +88,42 @@ class Scene(Recording):
     def _faults(self) -> Iterator[tuple[str, str]]:
         misfits = list(self.excitation.faults(self.chain, self.duration))
         yield from misfits
+        # how far an excitation squeezes a chain that it does not fit cannot be computed
         if not misfits and not self._gentle:
-            yield from strike_faults(self.excitation, *self._squeezed)
+            yield from strike_faults(self.excitation, self._squeeze)
         yield from self.faults(self.chain)
 
     def _remarks(self) -> Iterator[str]:
-        if self.duration > LONGEST:
+        if self.duration > LONGEST_DURATION:
             long = f"{self.duration:g} s is long for a wave in a chain"
             yield f"duration: {long}; times are in seconds (100 us is 1e-4)"
         if not self._gentle:
             yield from strike_remarks(
-                self.chain, self.excitation, self._surroundings, self._squeezed[1]
+                self.chain, self.excitation, self._surroundings, self._squeeze.compression
             )
 
     @cached_property
-    def _overlap_at_most(self) -> float:
-        """Bound on overlaps at rest and in the first collision, m; else infinite."""
-        bounds, speed = self.chain.bounds, self.excitation.strike_velocity
+    def _overlap_bound(self) -> float:
+        """Bound on overlaps at rest and in the first collision, m; infinite where none is known."""
+        bounds = self.chain.bounds
+        speed = self.excitation.strike_velocity
         return bounds.struck(speed) if bounds and speed else np.inf
 
     @property
     def _gentle(self) -> bool:
         """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
-        bounds, speed = self.chain.bounds, abs(self.excitation.strike_velocity)
+        # with arrays of all contacts in place of bounds, a run of 100 grains takes a fifth longer
+        bounds = self.chain.bounds
         return (
             bounds is not None
-            and self._overlap_at_most <= LIMITS.hertz_compression * bounds.narrowest
-            and speed <= bounds.slowest
+            and self._overlap_bound <= LIMITS.hertz_compression * bounds.narrowest
+            and abs(self.excitation.strike_velocity) <= bounds.slowest
         )
 
     @cached_property
-    def _squeezed(self) -> tuple[int, float]:
-        """Contact that is squeezed most at first, and to what part of the diameter."""
-        return squeezed(*self._surroundings)
+    def _squeeze(self) -> Squeeze:
+        """The contact that is squeezed most at first, and to what part of the diameter."""
+        return squeezed(self._surroundings)
 
     def _summary(self) -> Iterator[Sequence[str]]:
         yield "chain", repr(self.chain), ""
@@ -150,7 +155,8 @@ class Scene(Recording):
             return ax
         ax = axes_in_units(ax, "", "")
         first, last = self.excitation.reach(self.chain)
-        near = np.arange(max(1, first - MARGIN), min(self.chain.grains, last + MARGIN) + 1)
+        top = max(1, first - DRAWN_AROUND)
+        near = np.arange(top, min(self.chain.grains, last + DRAWN_AROUND) + 1)
         for name, unit, values in zip(
             ("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True
         ):
@@ -167,17 +173,18 @@ class Scene(Recording):
 
     @cached_property
     def finer(self) -> int:
-        """How many times closer than samples those times are at which quantities are gathered.
+        """Intervals from sample to sample that quantities are gathered in: 1, 2, 3, 4, 6, 8 ...
 
-        It is 1, 2, 3, 4, 6, 8, 12 ..., so that scenes of a sweep have the same.
+        Few numbers are allowed, so that the scenes of a sweep share theirs.
         """
-        needed = (
-            self.highest_frequency * self.duration / (self.samples - 1) / FINE
-            if self.quantities
-            else 1.0
-        )
+        if not self.quantities:
+            return 1
+        turn = self.highest_frequency * self.duration / (self.samples - 1)
+        needed = turn / GATHERING_TURN
         power = 2 ** max(0, math.ceil(math.log2(needed)))
-        return 3 * power // 4 if power >= 4 and 3 * power // 4 >= needed else power
+        # between two powers of 2, half as much again as the smaller one
+        between = 3 * power // 4
+        return between if power >= 4 and between >= needed else power
 
     @property
     def fine(self) -> Scene:
@@ -193,7 +200,7 @@ class Scene(Recording):
 
     @property
     def ungathered(self) -> Scene:
-        """The same scene with samples alone, for what studies the methods and not the answer."""
+        """The scene with samples alone, for studies of the methods and not of the answer."""
         return self.replace(quantities=None) if self.quantities else self
 
     @property
@@ -211,14 +218,13 @@ class Scene(Recording):
         return self.excitation if isinstance(self.excitation, Drive) else None
 
     @cached_property
-    def _surroundings(self) -> tuple[int, Chain, Excitation]:
+    def _surroundings(self) -> Surroundings:
         return surroundings(self.chain, self.excitation)
 
     @cached_property
     def imposed(self) -> tuple[float, float]:
         """The largest displacement and speed that the excitation imposes, m and m/s."""
-        _, chain, excitation = self._surroundings
-        return excitation.strongest(chain)
+        return self._surroundings.excitation.strongest(self._surroundings.chain)
 
     @property
     def at_rest(self) -> bool:
@@ -228,8 +234,7 @@ class Scene(Recording):
     @cached_property
     def energy(self) -> float:
         """Energy above rest, J: that at t = 0, or infinite if the excitation does work later."""
-        _, chain, excitation = self._surroundings
-        return excitation.energy(chain)
+        return self._surroundings.excitation.energy(self._surroundings.chain)
 
     @cached_property
     def strike_number(self) -> float:
@@ -237,8 +242,7 @@ class Scene(Recording):
 
         Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
         """
-        _, chain, excitation = self._surroundings
-        return strike_number(chain, excitation)
+        return strike_number(self._surroundings.chain, self._surroundings.excitation)
 
     @cached_property
     def highest_frequency(self) -> float:
@@ -249,8 +253,10 @@ class Scene(Recording):
         """
         bounds = self.chain.bounds
         fastest = max(self.chain.band_edge, self.excitation.fastest)
-        if not (bounds and bounds.frequency(self._overlap_at_most) <= fastest):
+        # a bound below the others spares the overlaps of all contacts
+        if not (bounds and bounds.frequency(self._overlap_bound) <= fastest):
             fastest = max(fastest, self._pair_frequency)
+        # nothing moves in a vacuum that is not struck: any frequency above 0 does
         return fastest or 1 / self.duration
 
     @property
@@ -273,18 +279,17 @@ class Scene(Recording):
         compliance c is 1/k or, between two ends that stand still, where the others must give way,
         ``(1 - (1/k) / sum 1/k) / k``.
         """
-        chain, contacts, excitation = self.chain, self.chain.contacts, self.excitation
-        k, pressed = contacts.stiffness, contacts.pressed
+        contacts = self.chain.contacts
+        k = contacts.stiffness
+        pressed = contacts.pressed
+        # a contact that only touches opens at once: linear theory has no bound there
         if not (pressed == contacts.exists).all() or not pressed.any():
             return np.inf
         compliance = np.divide(1.0, k, out=np.zeros(k.size), where=pressed)
-        if excitation.does_work:
-            norm = excitation.energy_norm(chain, self.duration)  # sqrt(2 E)
-        else:
-            u, v = self.initial()
-            norm = float(np.sqrt((chain.masses * v**2).sum() + (k * contacts.closer(u) ** 2).sum()))
-            if pressed[0]:
-                compliance *= 1 - compliance / compliance.sum()
+        # a wall at the top: both ends stand still, unless something drives it or works on the chain
+        if pressed[0] and not self.excitation.does_work:
+            compliance *= 1 - compliance / compliance.sum()
+        norm = self.excitation.energy_norm(self.chain, self.duration)
         return float(norm * (np.sqrt(compliance[pressed]) / contacts.overlap[pressed]).max())
 
     @cached_property
@@ -304,7 +309,8 @@ class Scene(Recording):
 
     def part(self, first: int, last: int) -> Scene:
         """Return grains first ... last, all recorded: right until a wave meets their ends."""
-        return Scene._unchecked(  # a part of a valid scene is valid
+        # a part of a valid scene is valid
+        return Scene._unchecked(
             chain=self.chain.part(first, last),
             excitation=self.excitation.part(first, last),
             duration=self.duration,

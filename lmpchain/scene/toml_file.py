@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ..chain.materials import MATERIALS, Material
 from ..errors import InputError, short, shown
 from ..util.files import check_readable
 from ..util.suggestions import did_you_mean, not_among
+from ..util.validation import Checked
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
 from .recording import Recording
@@ -43,7 +44,6 @@ class FileSizes:
 
 FILE_SIZES = FileSizes()
 SECTIONS = ("chain", "excitation", "recording")
-T = TypeVar("T")
 
 
 def read(path: str | PathLike[str]) -> dict[str, Any]:
@@ -55,32 +55,53 @@ def read(path: str | PathLike[str]) -> dict[str, Any]:
 def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]:
     """Return the fields of a scene from the tables of its file; its CSV files lie in `folder`."""
     faults = list(_section_faults(data))
-    given = {key: dict(data[key]) for key in SECTIONS if isinstance(data.get(key), dict)}
-
-    def attempt(section: str, make: Callable[[dict[str, Any]], T]) -> T | None:
-        if section not in given:
-            return None
-        try:
-            return make(given[section])
-        except InputError as error:
-            faults.extend(error.under(section))
-            return None
-
-    chain = attempt("chain", lambda keys: _chain(keys, folder))
-    excitation = attempt("excitation", lambda keys: _excitation(keys, folder))
-    recording = attempt("recording", lambda keys: Recording(**keys))
-    counted = chain or _of_this_length(given.get("chain", {}))
-    if counted and excitation:
-        duration = recording.duration if recording else 0.0
-        misfits = list(excitation.faults(counted, duration))
-        if chain and not misfits:
-            misfits = list(strike_faults(excitation, *squeezed(*surroundings(chain, excitation))))
-        faults.extend(InputError(misfits).under("excitation"))
-    if counted and recording:
-        faults.extend(InputError(recording.faults(counted)).under("recording"))
-    if faults or not (chain and excitation and recording):
+    chain = _section(data, "chain", lambda keys: _chain(keys, folder), faults)
+    excitation = _section(data, "excitation", lambda keys: _excitation(keys, folder), faults)
+    recording = _section(data, "recording", lambda keys: Recording(**keys), faults)
+    faults += _misfits(data, chain, excitation, recording)
+    # a section without an object has left a fault
+    if faults:
         raise InputError(faults)
     return {"chain": chain, "excitation": excitation, **recording.given()}
+
+
+def _section(
+    data: dict[str, Any],
+    section: str,
+    make: Callable[[dict[str, Any]], Any],
+    faults: list[tuple[str, str]],
+) -> Any:
+    """Return what a section describes, or None and its faults added to the others."""
+    table = data.get(section)
+    if not isinstance(table, dict):
+        return None
+    try:
+        # a copy: keys are taken out on the way
+        return make(dict(table))
+    except InputError as error:
+        faults += error.under(section)
+        return None
+
+
+def _misfits(
+    data: dict[str, Any],
+    chain: Chain | None,
+    excitation: Excitation | None,
+    recording: Recording | None,
+) -> Iterator[tuple[str, str]]:
+    """Yield what the chain does not allow the excitation and the recording."""
+    # where the chain has faults of its own, its length and ends may still be sound
+    stand_in = chain or _of_this_length(data.get("chain"))
+    if not stand_in:
+        return
+    if excitation:
+        duration = recording.duration if recording else 0.0
+        faults = list(excitation.faults(stand_in, duration))
+        if chain and not faults:
+            faults = list(strike_faults(excitation, squeezed(surroundings(chain, excitation))))
+        yield from InputError(faults).under("excitation")
+    if recording:
+        yield from InputError(recording.faults(stand_in)).under("recording")
 
 
 def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -110,22 +131,20 @@ def _misplaced(key: str) -> str:
     return f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {', '.join(SECTIONS)}"
 
 
-def _of_this_length(table: dict[str, Any]) -> Chain | None:
+def _of_this_length(table: Any) -> Chain | None:
     """Return a sound chain of this length and ends, to check other tables against."""
-    kept = {key: table[key] for key in ("grains", "top", "bottom") if key in table}
+    keys = table.keys() & {"grains", "top", "bottom"} if isinstance(table, dict) else ()
     try:
-        return Chain(**kept, diameter=1e-3, gravity=0.0)
+        return Chain(**{key: table[key] for key in keys}, diameter=1e-3, gravity=0.0)
     except InputError:
         return None
 
 
 def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables of a scene file; of `recording`, what is recorded is taken."""
-    struck = {"kind": excitation.kind}
+    """Return the tables of a scene file; of `recording`, the options of a recording are taken."""
     return {
-        "chain": {key: _toml(value) for key, value in chain.given().items() if value is not None},
-        "excitation": struck
-        | {key: _toml(value) for key, value in excitation.given().items() if value is not None},
+        "chain": _table(chain),
+        "excitation": {"kind": excitation.kind} | _table(excitation),
         "recording": {
             key: _toml(recording[key]) for key in Recording.arguments if key in recording
         },
@@ -133,7 +152,7 @@ def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -
 
 
 def parse(path: Path) -> dict[str, Any]:
-    """Return what a TOML file holds; raises `InputError` if it cannot be read."""
+    """Read a TOML file into its tables; raises `InputError` if it cannot be read."""
     name = str(path)
     try:
         check_readable(path, FILE_SIZES.scene)
@@ -154,13 +173,15 @@ def parse(path: Path) -> dict[str, Any]:
         ) from None
     except RecursionError:
         raise InputError.at(name, "is not valid TOML: nested too deeply") from None
-    except ValueError as error:  # a number of thousands of digits; a name with a null character
+    # a number of thousands of digits; a name with a null character
+    except ValueError as error:
         raise InputError.at(name, f"cannot be read: {error}") from None
 
 
 def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
         columns = _csv(folder, keys.pop("file"), ("material", "diameter", "mass"))
+        # a column that the table has as well: which of them is meant cannot be known
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
             raise InputError(
                 [(key, "is in the file already; take it out of one of them") for key in twice]
@@ -176,28 +197,29 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
 def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
-        meant = "".join(
+        # "kid" may be meant for it
+        guesses = "".join(
             f"; {shown(key)} is unknown{guess}"
             for key in keys
             if (guess := did_you_mean(key, ["kind"]))
         )
-        missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
+        missing = f"is missing; {' | '.join(EXCITATIONS)}{guesses}"
         raise InputError.at("kind", missing if kind is None else not_among(kind, EXCITATIONS))
-    made = EXCITATIONS[kind]
-    _fill(keys, made, folder)
+    excitation = EXCITATIONS[kind]
+    _fill(keys, excitation, folder)
     if isinstance(start := keys.get("start"), dict):
         try:
             keys["start"] = Profile(**_fill(dict(start), Profile, folder))
         except InputError as error:
             raise InputError(error.under("start")) from None
-    return made(**keys)
+    return excitation(**keys)
 
 
-def _fill(keys: dict[str, Any], made: type[Excitation], folder: Path | None) -> dict[str, Any]:
+def _fill(keys: dict[str, Any], kind: type[Excitation], folder: Path | None) -> dict[str, Any]:
     """Put the columns of a CSV file in the place of its name."""
-    if made.columns and "file" in keys:
-        columns = _csv(folder, keys.pop("file"), tuple(made.columns))
-        keys |= {made.columns[name]: column for name, column in columns.items()}
+    if kind.columns and "file" in keys:
+        columns = _csv(folder, keys.pop("file"), tuple(kind.columns))
+        keys |= {kind.columns[name]: column for name, column in columns.items()}
     return keys
 
 
@@ -210,7 +232,7 @@ def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]
         raise InputError.at("file", f"a scene without a folder can name no file: {cure}")
     path = folder / name
     header, rows = _read_table(path)
-    # where a row is a grain, a column may count the grains
+    # where a row is a grain, and no instant, a column may count the grains
     counters = set() if "time" in known else {"grain"}
     _check_table(path, header, rows, known, counters)
     columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True))
@@ -230,7 +252,9 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
     """Return the header and the rows of a CSV file."""
     try:
         check_readable(path, FILE_SIZES.table)
+        # spreadsheets begin a file with a mark of its encoding, which utf-8-sig takes off
         with open(path, encoding="utf-8-sig", newline="") as opened:
+            # a file that is one endless line would fill the memory
             lines = iter(lambda: opened.readline(FILE_SIZES.line), "")
             filled = (row for row in csv.reader(lines) if any(row))
             header, *rows = ([cell.strip() for cell in row] for row in filled)
@@ -252,6 +276,7 @@ def _check_table(
     if names - {*known, *counters} or not names & {*known} or len(names) < len(header):
         message = f"{path} must have a header with some of {', '.join(known)}"
         raise InputError.at("file", message)
+    # lines are counted from 1, and the header is the first
     for line, row in enumerate(rows, 2):
         if len(row) != len(header):
             message = f"{path}, line {line}: must have {len(header)} values, as the header has"
@@ -260,14 +285,20 @@ def _check_table(
         raise InputError.at("file", f"{path} has a header and nothing below it")
 
 
+def _table(options: Checked) -> dict[str, Any]:
+    """Return options as a table of TOML, which has no word for None."""
+    return {key: _toml(value) for key, value in options.given().items() if value is not None}
+
+
 def _toml(value: Any) -> Any:
+    """Return a value as TOML has it: materials by name, arrays as lists, numbers of Python."""
     if isinstance(value, Material):
-        standard = MATERIALS.get(value.name)
-        return (
-            value.name if standard == value else {k: v for k, v in value.given().items() if v != ""}
-        )
+        # the name alone would stand for the material of the package
+        if MATERIALS.get(value.name) == value:
+            return value.name
+        return {key: constant for key, constant in value.given().items() if constant != ""}
     if isinstance(value, Impurity | Profile):
-        return {k: _toml(v) for k, v in value.given().items() if v is not None}
+        return _table(value)
     if isinstance(value, np.ndarray | tuple):
         return [_toml(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value

@@ -60,38 +60,44 @@ class Waveform:
         t = np.asarray(t, dtype=float)
         if self.spline is not None:
             return self.spline(t, order)
-        a, w, e = self.amplitude, self.omega, self.envelope
-        if not e:
-            sine, slope = a * np.sin(w * t), a * w * np.cos(w * t)
-            value = (sine, slope, -(w**2) * sine, -(w**2) * slope)[order]
-        else:
-            sin, cos, part, slope = (
-                np.sin(w * t),
-                np.cos(w * t),
-                np.sin(e * t) ** 2,
-                e * np.sin(2 * e * t),
-            )
-            bend = 2 * e**2 * np.cos(2 * e * t)
-            terms = (
-                sin * part,
-                w * cos * part + sin * slope,
-                -(w**2) * sin * part + 2 * w * cos * slope + sin * bend,
-            )
-            turn = (
-                -(w**2) * cos * part - 3 * w * sin * slope + 3 * cos * bend
-            ) * w - 4 * e**2 * sin * slope
-            value = a * (*terms, turn)[order]
+        value = self._burst(t, order) if self.envelope else self._sine(t, order)
         return value if np.isinf(self.end) else np.where(t < self.end, value, 0.0)
+
+    def _sine(self, t: Array, order: int) -> Array:
+        """Return ``A sin(w t)``, or a derivative of it."""
+        w = self.omega
+        value = self.amplitude * np.sin(w * t)
+        slope = self.amplitude * w * np.cos(w * t)
+        return (value, slope, -(w**2) * value, -(w**2) * slope)[order]
+
+    def _burst(self, t: Array, order: int) -> Array:
+        """Return ``A sin(w t) h`` with ``h = sin(e t)^2``, or a derivative by Leibniz's rule."""
+        w = self.omega
+        e = self.envelope
+        sin = np.sin(w * t)
+        cos = np.cos(w * t)
+        # of h, the first two derivatives; the third is -4 e^2 of the first
+        hann = np.sin(e * t) ** 2
+        slope = e * np.sin(2 * e * t)
+        bend = 2 * e**2 * np.cos(2 * e * t)
+        first = w * cos * hann + sin * slope
+        second = -(w**2) * sin * hann + 2 * w * cos * slope + sin * bend
+        third = -(w**2) * cos * hann - 3 * w * sin * slope + 3 * cos * bend
+        third = third * w - 4 * e**2 * sin * slope
+        return self.amplitude * (sin * hann, first, second, third)[order]
 
     @property
     def sines(self) -> tuple[tuple[float, float], ...]:
         """Amplitude and frequency, rad/s, of the sines that it is the sum of up to its end."""
-        a, w, e = self.amplitude, self.omega, self.envelope
+        a = self.amplitude
+        w = self.omega
+        e = self.envelope
+        # the product of a sine and sin^2 is the carrier and its two side bands
         return ((a / 2, w), (-a / 4, w + 2 * e), (-a / 4, w - 2 * e)) if e else ((a, w),)
 
     @property
     def corners(self) -> tuple[float, ...]:
-        """Times, s, after which it is another function: where it ends, or the knots of a spline."""
+        """Times, s, after which another formula holds: its end, or the knots of a spline."""
         if self.spline is not None:
             return tuple(self.spline.x.tolist())
         return () if np.isinf(self.end) else (self.end,)
@@ -99,16 +105,16 @@ class Waveform:
     @property
     def smooth(self) -> bool:
         """Whether it has no corners but one at which a step can end."""
+        # a not-a-knot spline through four points is one cubic
         return self.spline is None or len(self.spline.x) <= 4
 
     @property
     def fastest(self) -> float:
         """Highest frequency that a step must resolve, rad/s."""
-        return (
-            1 / self.knot_spacing
-            if self.spline is not None
-            else float(self.omega + 2 * self.envelope)
-        )
+        if self.spline is not None:
+            return 1 / self.knot_spacing
+        # the upper side band of a burst
+        return float(self.omega + 2 * self.envelope)
 
     @property
     def knot_spacing(self) -> float:
@@ -134,7 +140,9 @@ class Waveform:
             return np.inf
         until = min(duration, self.end)
         if self.envelope:
+            # the mean of sin^2 is 1/2 over the whole burst, and below 1 over a beginning of it
             return abs(self.amplitude) * until / 2 * (1 if until == self.end else 2)
+        # each arch of a sine has the area 2 A/w; round-off must not begin another one
         arches = np.ceil(self.omega * until / np.pi * (1 - 1e-12))
         return float(abs(self.amplitude) * min(2 * arches / self.omega, until))
 
@@ -143,10 +151,9 @@ class Waveform:
         if self.spline is not None:
             return np.inf
         until = min(duration, self.end)
-        return float(
-            abs(self.amplitude)
-            * (1 + 4 * self.omega / (2 * np.pi) * until + (2 if self.envelope else 0))
-        )
+        # four quarters a period, one that may have begun, and the rise and fall of an envelope
+        quarters = 1 + 4 * self.omega / (2 * np.pi) * until + (2 if self.envelope else 0)
+        return float(abs(self.amplitude) * quarters)
 
     @property
     def _dense(self) -> Array:

@@ -158,11 +158,12 @@ def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
         (Impulse(velocity=1e-4, grain=19_999), 19_998, 20_000),
         (Profile(velocity=wide), 99, 104),
     ):
-        begin, near, excitation = surroundings(many, strike)
+        around = surroundings(many, strike)
+        begin, near, excitation = around
         assert (begin, near.grains) == (first, last - first + 1)
         fields = zip(excitation.initial(near), strike.initial(many), strict=True)
         assert all(np.array_equal(x, y[first - 1 : last]) for x, y in fields)
-        contact, relative = squeezed(begin, near, excitation)
+        contact, relative = squeezed(around)
         overlaps = first_overlaps(many, strike)[first - 1 : last + 1]
         inside = overlaps[1:-1] if last < 20_000 else overlaps[1:]
         assert contact == first + int(np.argmax(inside))
