@@ -1,8 +1,9 @@
-"""The cost of all derivatives of an answer over that of the run itself, at the same step, as a Markdown table.
+"""The cost of all derivatives of an answer over that of the run, at the same step: a table.
 
-Every grain moves from the start, so that no run is spared what a wave has not reached. The run is the stepper of the
-native engine alone, without the companions that show its error; both are timed with their setting up. Times are seconds
-of the processor, so that others on the machine do not count.
+Every grain moves from the start, so that no run is spared what a wave has not reached. The run is
+the stepper of the native engine alone, without the companions that show its error; both are timed
+with their setting up. Times are seconds of the processor, so that others on the machine do not
+count.
 """
 
 import time

@@ -1,8 +1,10 @@
-"""A large sweep, killed again and again, ends with the bytes of one that was left alone on other workers; its memory.
+"""A large sweep, killed again and again, ends with the bytes of one that was left alone.
 
-Arrival times and largest velocities of random columns like the paper's are kept, as in `sweep_speed.py`. The process
-that leads is killed when so many shards are written as chance says. Each folder is hashed and removed; 10^6 scenes take
-some 4 GB meanwhile, so name a folder with room for them.
+Arrival times and largest velocities of random columns like the paper's are kept, as in
+`sweep_speed.py`. The process that leads is killed when as many shards are written as chance says; the
+memory of every process is watched.
+Each folder is hashed and removed; 10^6 scenes take some 4 GB meanwhile, so name a folder with room
+for them.
 """
 
 import argparse
@@ -59,7 +61,8 @@ def swept(
 ) -> tuple[bool, dict[int, int]]:
     """Sweep, and kill the process that leads once so many shards are complete.
 
-    Returns whether it came to its end, and the most memory that any of its processes has had, MB, by the shards done.
+    Returns whether it came to its end, and the most memory that any of its processes has had, MB,
+    by the shards done.
     """
     command = [
         sys.executable,
@@ -119,14 +122,16 @@ def main() -> None:
         total = shards(out)
         rate = f"{seconds:.0f} s, {arguments.scenes / seconds:.0f} scenes a second"
         print(
-            f"{arguments.scenes} scenes on {arguments.workers + 1} workers: {rate}, in {len(found)} files"
+            f"{arguments.scenes} scenes on {arguments.workers + 1} workers: {rate}, in "
+            f"{len(found)} files"
         )
         halves = [
             max((mb for n, mb in memory.items() if (2 * n < total) == first), default=0)
             for first in (True, False)
         ]
         print(
-            f"most memory of a process, MB: {halves[0]} in the first half, {halves[1]} in the second",
+            f"most memory of a process, MB: {halves[0]} in the first half, {halves[1]} in the "
+            "second",
             flush=True,
         )
         shutil.rmtree(out)

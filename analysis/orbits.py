@@ -1,7 +1,8 @@
 """Breathers in the gap of a dimer: their family, their shape, and where they lose stability.
 
-The lowest optical mode of a dimer between walls softens with its energy, leaves its band and becomes a breather, as
-narrow as it is strong. Floquet multipliers on the unit circle say that it is stable.
+The lowest optical mode of a dimer between walls softens with its energy, leaves its band and
+becomes a breather, as narrow as it is strong. Floquet multipliers on the unit circle say that it is
+stable.
 """
 
 import numpy as np
@@ -44,9 +45,11 @@ def main() -> None:
         here = far[-1][-1]
     both = orbits.Family(
         (*near.orbits[::-1], *(orbit for piece in far for orbit in piece.orbits[1:])),
-        np.concatenate((near.value[::-1], *(piece.value[1:] for piece in far))), "period",
-        tuple(event for piece in (near, *far) for event in piece.events), all(piece.reached for piece in (near, *far)),
-    )  # fmt: skip
+        np.concatenate((near.value[::-1], *(piece.value[1:] for piece in far))),
+        "period",
+        tuple(event for piece in (near, *far) for event in piece.events),
+        all(piece.reached for piece in (near, *far)),
+    )
     say("events", len(both.events))
     say("orbits followed", len(both))
     inside = np.flatnonzero(both.period > breather.period)

@@ -1,9 +1,9 @@
-"""Speed of a sweep: scenes a second, the share of the integration, and files, for random columns like the paper's.
+"""Speed of a sweep of random columns: scenes a second, share of the integration, files.
 
-Arrival times and largest velocities are kept. With one worker the CPU time of the integration and its error estimate
-is set against that of everything; with more, wall time counts, from nothing to the dataset, start of the processes
-included.
-Kernels are compiled beforehand. Compare numbers of one run only: other work on the machine slows all of them.
+Arrival times and largest velocities are kept. With one worker the CPU time of the integration and
+its error estimate is set against that of everything; with more, wall time counts, from nothing to
+the dataset, start of the processes included. Kernels are compiled beforehand. Compare numbers of
+one run only: other work on the machine slows all of them.
 """
 
 import argparse
@@ -44,7 +44,9 @@ def asked(realisations: int, seed: int = 1) -> dict[str, object]:
 
 
 def share(realisations: int) -> tuple[float, float]:
-    """Return CPU time of a sweep in this process, s, and the part of it that is integration and its estimate."""
+    """Return CPU time of a sweep in this process, s, and the part of it that is integration and its
+    estimate.
+    """
     inside = [0.0]
     blocks, errors = CompanionRun.blocks, CompanionRun.errors
 
@@ -91,7 +93,8 @@ def main() -> None:
         files = sum(path.is_file() for path in Path(folder).rglob("*"))
     done = f"{arguments.scenes} scenes in {seconds:.1f} s ({used:.1f} s of CPU)"
     print(
-        f"{arguments.workers} workers: {done}, {arguments.scenes / seconds:.0f} a second, in {files} files"
+        f"{arguments.workers} workers: {done}, {arguments.scenes / seconds:.0f} a second, in "
+        f"{files} files"
     )
 
 

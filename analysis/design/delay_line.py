@@ -1,9 +1,10 @@
-"""A delay line: bead diameters in a piece of chain that let a pulse arrive later by a given time, and hardly weaker.
+"""A delay line: bead diameters that let a pulse arrive later by a given time, hardly weaker.
 
-A soft push travels down steel beads under a load. Of 20 beads in the middle each may have 0.8 to 1.8 times the diameter
-of the others; the delay wanted is 10 times what a pulse takes from bead to bead. Long waves take sqrt(m / k) for each
-bead, which says how large equal beads would have to be: these delay, but reflect. Random search has as many seconds of
-the processor, and only tries pieces that delay long waves by the time wanted.
+A soft push travels down steel beads under a load. Of 20 beads in the middle each may have 0.8 to
+1.8 times the diameter of the others; the delay wanted is 10 times what a pulse takes from bead to
+bead. Long waves take sqrt(m / k) for each bead, which says how large equal beads would have to be:
+these delay, but reflect. Random search has as many seconds of the processor, and only tries pieces
+that delay long waves by the time wanted.
 """
 
 import sys
@@ -48,7 +49,9 @@ PRECISION = 0.1  # of the delay, in UNIT: what matters as much as all of the pea
 
 
 class Late:
-    """The squared error of the delay, over its precision, and the squared loss of the peak, of it at first."""
+    """The squared error of the delay, over its precision, and the squared loss of the peak, of it
+    at first.
+    """
 
     dense = True
 
@@ -86,7 +89,9 @@ def delay_of_long_waves(diameters: np.ndarray) -> float:
 
 
 def of_delay(shape: np.ndarray) -> np.ndarray:
-    """Return diameters as much larger, by a factor, as the delay of long waves wants; raises where none is enough."""
+    """Return diameters as much larger, by a factor, as the delay of long waves wants; raises where
+    none is enough.
+    """
 
     def with_factor(factor: float) -> np.ndarray:
         diameters = np.full(BEADS, SIZE)

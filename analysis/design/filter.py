@@ -1,8 +1,9 @@
-"""A filter: masses of three grains that repeat, which stop waves of one band and let those of a higher one pass.
+"""A filter: masses of three grains that repeat, and stop one band but let a higher one pass.
 
-Packets of waves of 0.45 and of 0.8 of the highest frequency travel down a uniform chain under a load, to twelve cells
-of three grains, whose masses may be a quarter to three times those of the others. What passes of the one, less what
-passes of the other, shall be least: by gradients of two runs, and, on its own, by transfer matrices over both spectra.
+Packets of waves of 0.45 and of 0.8 of the highest frequency travel down a uniform chain under a
+load, to twelve cells of three grains, whose masses may be a quarter to three times those of the
+others. What passes of the one, less what passes of the other, shall be least: by gradients of two
+runs, and, on its own, by transfer matrices over both spectra.
 """
 
 import sys
@@ -69,7 +70,9 @@ class Way:
         )
 
     def passed(self, factors: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the share of the energy that passes, and its derivatives by the factors, by a run."""
+        """Return the share of the energy that passes, and its derivatives by the
+        factors, by a run.
+        """
         scene = self.scene.replace(chain=with_cells(factors))
         value, by_name, _ = self._energy(scene, range(LAST + 1, GRAINS + 1), ("masses",))
         by_factor = MASS * by_name["masses"][FIRST:LAST].reshape(CELLS, CELL).sum(0)

@@ -1,18 +1,21 @@
-"""A shock protector of 20 steel beads: diameters that let least force through to a wall, within a given length.
+"""A shock protector of 20 steel beads: diameters that let least force through to a wall.
 
-The first bead strikes at 1 m/s; it and the wall are as they are. The other 19 may have half to one and a half times
-its diameter, and all together no more length than 20 equal ones. Random search has as many seconds of the processor.
+The first bead strikes at 1 m/s; it and the wall are as they are. The other 19 may have half to one
+and a half times its diameter, and all together no more length than 20 equal ones. Random search has
+as many seconds of the processor.
 
-The protectors of Fraternali, Porter and Daraio (arXiv:0802.1451), found by an evolutionary algorithm, change materials
-and order as well. Of that paper its abstract is known here: hard and heavy beads at the loaded end, hard and soft ones
-by turns in the middle, soft and light ones at the wall. Its beads, striker and forces are not, so that none is compared
-with. What stands in for it has the same 20 beads, striker, steel wall and length: the best of all orders of that kind
-of equal beads of steel and PTFE, whose diameters are then optimised by exact gradients; and an evolutionary algorithm
-(SciPy's differential evolution) that chooses material and diameter of each bead, for as many seconds of the processor,
-whose best diameters gradients improve.
+The protectors of Fraternali, Porter and Daraio (arXiv:0802.1451), found by an evolutionary
+algorithm, change materials and order as well. Of that paper its abstract is known here: hard and
+heavy beads at the loaded end, hard and soft ones by turns in the middle, soft and light ones at the
+wall. Its beads, striker and forces are not, so that none is compared with. What stands in for it
+has the same 20 beads, striker, steel wall and length: the best of all orders of that kind of equal
+beads of steel and PTFE, whose diameters are then optimised by exact gradients; and an evolutionary
+algorithm (SciPy's differential evolution) that chooses material and diameter of each bead, for as
+many seconds of the processor, whose best diameters gradients improve.
 
-`--all-orders` runs all 2^19 orders of equal beads of the two materials behind the striker (some six minutes on two
-cores): no evolutionary algorithm, theirs or any other, can find a better order of them than the best of these.
+`--all-orders` runs all 2^19 orders of equal beads of the two materials behind the striker (some six
+minutes on two cores): no evolutionary algorithm, theirs or any other, can find a better order of
+them than the best of these.
 """
 
 import sys
@@ -74,7 +77,9 @@ def random_beads(rng: np.random.Generator) -> Scene:
 
 
 def composite(materials: list[str], diameters: np.ndarray, duration: float = 4e-3) -> Scene:
-    """Return the scene of beads of these materials, which are slower than steel, before the same wall."""
+    """Return the scene of beads of these materials, which are slower than steel, before the same
+    wall.
+    """
     chain = CHAIN.replace(material=materials, diameter=diameters, bottom_material="steel")
     return SCENE.replace(chain=chain, duration=duration, samples=1 + round(duration * 1e5))
 
@@ -87,7 +92,9 @@ def best_of(orders: Iterable[list[str]]) -> tuple[float, list[str]]:
 
 
 def family() -> tuple[float, list[str]]:
-    """Return the least peak of some steel beads, PTFE and steel by turns, and some PTFE beads, and their order."""
+    """Return the least peak of some steel beads, PTFE and steel by turns, and some PTFE beads, and
+    their order.
+    """
     orders = []
     for hard in range(1, BEADS):
         for soft in range(BEADS - hard + 1):
@@ -97,7 +104,9 @@ def family() -> tuple[float, list[str]]:
 
 
 def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
-    """Return the least peak of the orders of these numbers, whose binary digits say which beads are PTFE."""
+    """Return the least peak of the orders of these numbers, whose binary digits say which beads are
+    PTFE.
+    """
     return best_of(
         ["steel", *(("steel", "ptfe")[number >> bead & 1] for bead in range(BEADS - 1))]
         for number in numbers
@@ -116,15 +125,23 @@ def every_order() -> None:
     say("best of the family over best of all", family()[0] / least)
     began = time.process_time()
     found = optimise(
-        composite(order, CHAIN.diameters), PEAK, ["diameters"], {"diameters": (LOW, HIGH)}, [spare_length], starts=4,
-        runs=150, tolerance=1e-3,
-    )  # fmt: skip
+        composite(order, CHAIN.diameters),
+        PEAK,
+        ["diameters"],
+        {"diameters": (LOW, HIGH)},
+        [spare_length],
+        starts=4,
+        runs=150,
+        tolerance=1e-3,
+    )
     say("that order, diameters optimised", wall_force(found.scene)[1].max(), "N")
     say("time of that", time.process_time() - began, "s")
 
 
 def evolution(seconds: float) -> tuple[float, Scene, int]:
-    """Return the least peak that an evolutionary algorithm finds in so many seconds of the processor, and its runs."""
+    """Return the least peak that an evolutionary algorithm finds in so many seconds of the
+    processor, and its runs.
+    """
     best, tried, end = (np.inf, SCENE), 0, time.process_time() + seconds
 
     def peak(genes: np.ndarray) -> float:
@@ -183,9 +200,15 @@ def main() -> None:
     ordered, order = family()
     began = time.process_time()
     mixed = optimise(
-        composite(order, CHAIN.diameters), PEAK, ["diameters"], {"diameters": (LOW, HIGH)}, [spare_length],
-        starts=starts // 2, runs=runs, tolerance=1e-3,
-    )  # fmt: skip
+        composite(order, CHAIN.diameters),
+        PEAK,
+        ["diameters"],
+        {"diameters": (LOW, HIGH)},
+        [spare_length],
+        starts=starts // 2,
+        runs=runs,
+        tolerance=1e-3,
+    )
     took = time.process_time() - began
     mixed_peak = wall_force(mixed.scene)[1].max()
     evolved, bred_scene, bred = evolution(took)

@@ -1,9 +1,10 @@
-"""Two impurities that a wave passes: their masses by optimisation of a run, against the formula of scattering.
+"""Two impurities that a wave passes: their masses by optimisation, against scattering theory.
 
-A packet of waves travels down a uniform chain under a load; of its energy least shall come back from two grains side by
-side, whose masses may be 1.35 to 3 times those of the others, each on its own: at 1 there is nothing to come back from.
-Two like masses M let the frequency with w^2 = 2 K / M pass (Martinez, Yasuda, Kim, Kevrekidis, Porter and Yang, Phys.
-Rev. E 93, 052224 (2016)); a packet has a band of frequencies.
+A packet of waves travels down a uniform chain under a load; of its energy least shall come back
+from two grains side by side, whose masses may be 1.35 to 3 times those of the others, each on its
+own: at 1 there is nothing to come back from. Two like masses M let the frequency with w^2 = 2 K / M
+pass (Martinez, Yasuda, Kim, Kevrekidis, Porter and Yang, Phys. Rev. E 93, 052224 (2016)); a packet
+has a band of frequencies.
 """
 
 import sys

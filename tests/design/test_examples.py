@@ -1,4 +1,6 @@
-"""Scripts of the design examples against transfer matrices, Bloch waves and the speed of long waves."""
+"""Scripts of the design examples against transfer matrices, Bloch waves and the speed of long
+waves.
+"""
 
 import runpy
 import sys

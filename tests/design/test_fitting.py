@@ -1,4 +1,6 @@
-"""Fits against runs of another integrator, draws of noise, and what linear theory of errors says."""
+"""Fits against runs of another integrator, draws of noise, and what linear theory of
+errors says.
+"""
 
 from pathlib import Path
 
@@ -154,7 +156,9 @@ def test_a_posterior_is_as_wide_as_the_covariance_says():
 
 
 def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far fits to noisy runs of LAMMPS are off, (draws, K), over the error and as a squared distance."""
+    """Return how far fits to noisy runs of LAMMPS are off, (draws, K), over the error and as a
+    squared distance.
+    """
     run = simulate(SCENE, engine="lammps", tolerance=1e-8)
     clean, rng = run.velocity[:, [grain - 1 for grain in LOOKED_AT]], np.random.default_rng(1)
     start = guess(0.0196).replace(chain=guess().chain.replace(top_load=0.51))

@@ -1,4 +1,6 @@
-"""Gradients against differences in extended precision, the linear propagator, and runs at higher accuracy."""
+"""Gradients against differences in extended precision, the linear propagator, and runs at higher
+accuracy.
+"""
 
 from typing import Any
 
@@ -86,7 +88,9 @@ def draw(rng: np.random.Generator) -> Scene:
 
 
 def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np.ndarray:
-    """Return central differences, by parameters of a name, of the sum of weights times displacement and velocity."""
+    """Return central differences, by parameters of a name, of the sum of weights times displacement
+    and velocity.
+    """
     base = extended.parameters(scene)
     u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
     forces, weight = scene.chain.contacts.force, scene.chain.masses.sum()
@@ -197,14 +201,18 @@ def test_what_acts_has_derivatives_as_in_extended_precision(what: str):
     reason="derivatives lose digits where hardly a wave has come, or gone back", strict=True
 )
 def test_what_acts_has_derivatives_by_a_distant_wall():
-    """The wave moves grain N by 2e-5 of an overlap; the derivative by the wall's constant is 5e-8 off, not 1e-8."""
+    """The wave moves grain N by 2e-5 of an overlap; the derivative by the wall's constant is 5e-8
+    off, not 1e-8.
+    """
     check_scene(1, acted("burst of grain 1"))
 
 
 def propagator(
     scene: Scene, masses: np.ndarray, constants: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the generator of the linear chain and that of u, v -> u, v over the duration, (2N, 2N)."""
+    """Return the generator of the linear chain and that of u, v -> u, v over the duration, (2N,
+    2N).
+    """
     chain, n = scene.chain, masses.size
     carried = chain.top_load + chain.gravity * np.cumsum(masses)[:-1]
     k = chain.exponent * constants ** (1 / chain.exponent) * carried ** (1 - 1 / chain.exponent)
@@ -233,7 +241,9 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     slope = propagator(scene, chain.masses, chain.contact_constants)[0]
 
     def derivative(masses: np.ndarray, constants: np.ndarray) -> float:
-        """Return that of the velocity of grain 3 in this direction: the Frechet derivative of the exponential."""
+        """Return that of the velocity of grain 3 in this direction: the Frechet derivative of the
+        exponential.
+        """
         carried = chain.contacts.force[1:-1]
         growth = (
             constants / chain.contact_constants / 1.5 + 9.81 * np.cumsum(masses)[:-1] / carried / 3
@@ -290,7 +300,9 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
 def test_adjoints_of_long_chains_agree_with_tangents(
     velocity: float, struck: int, options: dict[str, float]
 ):
-    """Through windows that grow or tiles, and several pieces, for every law by which these are undone or made again."""
+    """Through windows that grow or tiles, and several pieces, for every law by which these are
+    undone or made again.
+    """
     rng, start = np.random.default_rng(1), np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
     scene = Scene(
@@ -331,7 +343,9 @@ def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float,
 
 @pytest.mark.parametrize("seed", [0, 3])  # delta 1.5 and 1.8
 def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
-    """Against very many steps of one length, of which four times as many are at least fifty times as far off."""
+    """Against very many steps of one length, of which four times as many are at least fifty times
+    as far off.
+    """
     scene, objective, names = drawn(seed), Momentum([2]), ["masses", "contact_constants"]
     step = 1 / scene.highest_frequency
     true = at_step(scene, objective, names, SPLITTINGS["rkn6"], step / 16384)[1]
@@ -362,11 +376,18 @@ def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothin
     [(21, "top_load", 1.5), (41, "top_load", 2.0), (20, "gravity", 1.0)],
 )
 def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str, exponent: float):
-    """By mirror symmetry the middle grain stays where it is, under any load; springs move alike under any weight."""
+    """By mirror symmetry the middle grain stays where it is, under any load; springs move alike
+    under any weight.
+    """
     chain = Chain(
-        grains=grains, diameter=1e-3, gravity=0 if name == "top_load" else 9.81, top_load=0.1, top="wall",
-        bottom="wall", exponent=exponent,
-    )  # fmt: skip
+        grains=grains,
+        diameter=1e-3,
+        gravity=0 if name == "top_load" else 9.81,
+        top_load=0.1,
+        top="wall",
+        bottom="wall",
+        exponent=exponent,
+    )
     velocity, middle = np.zeros(grains), grains // 2
     velocity[[middle - 1, middle + 1]] = 1e-3, -1e-3
     still = Profile(displacement=np.zeros(grains), velocity=velocity)
@@ -387,7 +408,9 @@ def test_steps_that_are_none_are_refused(step: float):
 
 
 def test_two_steps_that_agree_by_chance_are_no_bound():
-    """A contact opens: gradients at the steps h and 2h are ten times nearer to each other than to the true one."""
+    """A contact opens: gradients at the steps h and 2h are ten times nearer to each other than to
+    the true one.
+    """
     chain = Chain(
         grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall"
     )

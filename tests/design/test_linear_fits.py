@@ -1,4 +1,6 @@
-"""Fits of what is linear in its unknowns, against closed-form least squares; traces against plain NumPy."""
+"""Fits of what is linear in its unknowns, against closed-form least squares; traces against plain
+NumPy.
+"""
 
 from functools import cache
 from pathlib import Path
@@ -19,7 +21,9 @@ NOISE = np.array([2e-2, 5e-2]) * WEAK
 
 @cache
 def wave() -> np.ndarray:
-    """Return the velocities (T, 2) of grains 2 and 5 after a strike of 1 m/s in the linear chain."""
+    """Return the velocities (T, 2) of grains 2 and 5 after a strike of 1 m/s in the
+    linear chain.
+    """
     return simulate(SCENE, "modes").velocity[:, [1, 4]] / WEAK
 
 
@@ -37,9 +41,11 @@ def columns() -> np.ndarray:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_linear_fit_is_that_of_the_normal_equations(known: bool):
-    """Estimate, covariance, chi square and its growth along each number; with a noise that is known, or is not.
+    """Estimate, covariance, chi square and its growth along each number; with a noise that is
+    known, or is not.
 
-    Without it residuals are in m/s, 1e-9, and the search for the least squares stopped where it began.
+    Without it residuals are in m/s, 1e-9, and the search for the least squares stopped where it
+    began.
     """
     offset = (0.3 * WEAK, -0.2 * WEAK)
     values, matrix = noisy(1, offset), columns()
@@ -115,7 +121,9 @@ def test_a_fit_is_written_and_drawn_with_its_data():
 
 
 def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
-    """Of 200 draws 68 and 95 % within one and two standard deviations; a draw moves the estimate in proportion."""
+    """Of 200 draws 68 and 95 % within one and two standard deviations; a draw moves the estimate in
+    proportion.
+    """
     answer = fit(Traces(SCENE.time, [2, 5], noisy(4), noise=NOISE), SCENE, ["velocity"])
     column = columns()[:, 0]
     miss = [
@@ -128,7 +136,9 @@ def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
 
 
 def test_numbers_of_several_traces_have_names_units_and_begins():
-    """A trigger in durations, a gain of 1, offsets in the largest value; of entries in their own units."""
+    """A trigger in durations, a gain of 1, offsets in the largest value; of entries in their own
+    units.
+    """
     one = Traces(SCENE.time, [2, 5], noisy(1), trigger=True, gain=True, offset=True)
     two = Traces(SCENE.time[5:], [3], 4 * noisy(1)[5:, :1], offset=True)
     wanted = {
@@ -141,9 +151,18 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
     problem = Problem(SCENE, [one, two], wanted)
     velocity = [f"velocity {n}" for n in range(1, 7)]
     assert problem.names == [
-        "masses 2", "masses 4", "displacement 3", "top_load", "diameters", *velocity, "trigger 1", "gain 1",
-        "offset 1 2", "offset 1 5", "offset 2 3",
-    ]  # fmt: skip
+        "masses 2",
+        "masses 4",
+        "displacement 3",
+        "top_load",
+        "diameters",
+        *velocity,
+        "trigger 1",
+        "gain 1",
+        "offset 1 2",
+        "offset 1 5",
+        "offset 2 3",
+    ]
     m, largest = CHAIN.masses[0], np.abs(noisy(1)).max()
     second = 4 * np.abs(noisy(1)[5:, 0]).max()
     origin = [m, m, 0.0, 0.5, 2e-3, WEAK, 0, 0, 0, 0, 0, 0.0, 1.0, 0.0, 0.0, 0.0]
@@ -221,7 +240,8 @@ def test_places_and_values_that_are_none_are_refused():
     scene = SCENE.replace(chain=CHAIN.replace(top="free"))
     zeros = np.zeros(3)
     for field, place, allowed in (
-        ("velocity", 0, "1 to 6"), ("force", 7, "1 to 6"), ("contact", 7, "0 to 6"), ("contact", -1, "0 to 6"),
+        ("velocity", 0, "1 to 6"), ("force", 7, "1 to 6"), ("contact", 7, "0 to 6"),
+        ("contact", -1, "0 to 6"),
         ("contact", 0, "0 to 6"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=f"^places: the chain has no {place}: use {allowed}$"):

@@ -1,4 +1,6 @@
-"""Objectives and their gradients, in chains whose contacts open, against differences and runs at higher accuracy."""
+"""Objectives and their gradients, in chains whose contacts open, against differences and runs at
+higher accuracy.
+"""
 
 from typing import Any
 
@@ -101,7 +103,9 @@ def test_energy_is_what_measure_gives_a_part_of_the_chain(group: list[int]):
 
 
 def test_weak_waves_lose_no_digits_of_the_energy():
-    """Of a strike weaker by 1e10 all energies and derivatives are 1e-20 of those of linear waves."""
+    """Of a strike weaker by 1e10 all energies and derivatives are 1e-20 of those of
+    linear waves.
+    """
     names = ["masses", "contact_constants", "top_load"]
     values = [
         at_step(

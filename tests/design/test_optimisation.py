@@ -23,7 +23,9 @@ BOUNDS = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
 
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7])
 def test_an_optimum_is_as_flat_as_its_value_is_exact(tolerance: float):
-    """By a share e beside the mean the momentum is less by 3/16 e^2: a value within its tolerance says no more."""
+    """By a share e beside the mean the momentum is less by 3/16 e^2: a value within its tolerance
+    says no more.
+    """
     found = optimise(
         BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=1, tolerance=tolerance
     )

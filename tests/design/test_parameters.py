@@ -1,4 +1,6 @@
-"""How what a motion depends on follows from what a scene is made of, against differences of scenes made anew."""
+"""How what a motion depends on follows from what a scene is made of, against differences of scenes
+made anew.
+"""
 
 from typing import Any
 
@@ -14,8 +16,13 @@ N = 5
 DIAMETERS = 1e-3 * np.array([1.0, 1.3, 0.9, 1.1, 1.2])
 KNOTS = np.linspace(0, 1e-5, 5)
 PLAIN: dict[str, Any] = {
-    "grains": N, "diameter": DIAMETERS, "top_load": 0.2, "exponent": 1.7, "top": "wall", "bottom": "wall",
-}  # fmt: skip
+    "grains": N,
+    "diameter": DIAMETERS,
+    "top_load": 0.2,
+    "exponent": 1.7,
+    "top": "wall",
+    "bottom": "wall",
+}
 MIXED = ["glass", "steel", "brass", "glass", "steel"]
 CHAINS = {
     "walls of their grains": PLAIN | {"material": MIXED},
@@ -106,7 +113,8 @@ def test_inputs_follow_all_that_a_chain_is_made_of(chain: str):
 @pytest.mark.parametrize(
     ("acting", "names"),
     [
-        ("profile", ["displacement", "velocity"]), ("sine", ["amplitude", "frequency"]), ("points", ["drive"]),
+        ("profile", ["displacement", "velocity"]), ("sine", ["amplitude", "frequency"]),
+        ("points", ["drive"]),
         ("force", ["force"]), ("sine force", ["amplitude", "frequency"]),
     ],
 )  # fmt: skip
@@ -126,7 +134,8 @@ def test_inputs_are_masses_constants_and_forces_at_rest():
     np.testing.assert_array_equal([inputs.displacement, inputs.velocity], made.initial())
     assert inputs.drive.size == 0
     for acting, drive in (
-        ("sine", [1e-8, 1e5]), ("points", 1e-8 * np.arange(5.0) ** 2), ("force", 1e-3 * np.arange(5.0)),
+        ("sine", [1e-8, 1e5]), ("points", 1e-8 * np.arange(5.0) ** 2),
+        ("force", 1e-3 * np.arange(5.0)),
         ("sine force", [1e-3, 1e5]),
     ):  # fmt: skip
         np.testing.assert_array_equal(parameters.inputs(scene(acting=acting)).drive, drive)

@@ -1,4 +1,6 @@
-"""Forces of contacts, quadrature, and what objectives give, against closed forms and plain NumPy."""
+"""Forces of contacts, quadrature, and what objectives give, against closed forms and
+plain NumPy.
+"""
 
 from typing import Any
 
@@ -41,7 +43,9 @@ def value(scene: Scene, objective: Any, step: float = 2e-8) -> float:
 
 @pytest.mark.parametrize("size", range(2, 14))
 def test_sums_with_corrected_ends_integrate_polynomials(size: int):
-    """Of degree 2k + 1 at least, k the number of corrections on either side; up to 5 of them, where they have room."""
+    """Of degree 2k + 1 at least, k the number of corrections on either side; up to 5 of them, where
+    they have room.
+    """
     corrections = min(5, (size - 1) // 2)
     x, weight = np.arange(size) / (size - 1), quadrature(size) / (size - 1)
     np.testing.assert_allclose(weight, weight[::-1], rtol=1e-14)
@@ -51,7 +55,9 @@ def test_sums_with_corrected_ends_integrate_polynomials(size: int):
 
 @pytest.mark.parametrize("contact", [0, 2, 4])
 def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(contact: int):
-    """Closed, then open; by overlap, by the force at rest at fixed constant, and by the constant at fixed force."""
+    """Closed, then open; by overlap, by the force at rest at fixed constant, and by the constant at
+    fixed force.
+    """
     chain = Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=0.02, exponent=1.7)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5, samples=6)
     rng, eps = np.random.default_rng(1), chain.contacts.overlap.max()
@@ -79,7 +85,9 @@ def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(contact: 
 
 
 def test_a_smooth_peak_is_the_mean_of_the_force_with_its_powers_as_weights():
-    """By quadrature of a run of another integrator; of a contact that opens, and one that no wave has reached."""
+    """By quadrature of a run of another integrator; of a contact that opens, and one that no wave
+    has reached.
+    """
     chain = Chain(grains=5, diameter=1e-3, top_load=0.02, bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=5e-3), duration=1e-5, samples=401)
     run = simulate(scene, engine=Native(integrator="dop853"), tolerance=1e-10)
@@ -155,7 +163,9 @@ def test_energy_looks_at_the_neighbours_of_a_group():
 
 @pytest.mark.parametrize("at", [0.0, 0.26, 0.34, None])
 def test_an_oscillator_has_its_energy_and_momentum_at_the_nearest_sample(at: float | None):
-    """m v0 cos(w t) and m v0^2 / 2 cos^2(w t); their sum with the potential is what the strike gave."""
+    """m v0 cos(w t) and m v0^2 / 2 cos^2(w t); their sum with the potential is what the strike
+    gave.
+    """
     scene, m = swinging(1.3, 9), ONE.masses[0]
     time = None if at is None else at * scene.duration
     sample = -1 if at is None else round(8 * at)
@@ -171,7 +181,9 @@ def test_an_oscillator_has_its_energy_and_momentum_at_the_nearest_sample(at: flo
 
 @pytest.mark.parametrize("share", [0.5, -0.5, -0.99])
 def test_an_oscillator_arrives_when_its_cosine_does(share: float):
-    """At w t = arccos(share), upwards for a negative threshold; a positive one is reached at once."""
+    """At w t = arccos(share), upwards for a negative threshold; a positive one is
+    reached at once.
+    """
     scene = swinging(0.9, 4)
     if share > 0:
         with pytest.raises(
@@ -220,7 +232,9 @@ def test_a_misfit_is_half_the_sum_of_squares():
 
 
 def test_the_work_of_a_drive_is_that_of_its_force():
-    """A sine of grain 1 against a grain that moves: by quadrature of a run of another integrator."""
+    """A sine of grain 1 against a grain that moves: by quadrature of a run of another
+    integrator.
+    """
     chain = Chain(grains=3, diameter=1e-3, top_load=0.02)
     amplitude, frequency = 0.3 * chain.length_scale, 2e4
     drive = Drive(amplitude=amplitude, frequency=frequency)

@@ -82,7 +82,8 @@ def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("of", "text"),
     [
-        ("peak_force", "peak_force:CONTACT"), ("peek_force:3", "peak_force"), ("momentum:9-3", "FIRST-LAST"),
+        ("peak_force", "peak_force:CONTACT"), ("peek_force:3", "peak_force"),
+        ("momentum:9-3", "FIRST-LAST"),
         ("peak_force:99", "12"),
     ],
 )  # fmt: skip

@@ -1,4 +1,6 @@
-"""What sensitivities, optima and boxes say and draw: numbers in text, JSON and pictures; draws against closed forms."""
+"""What sensitivities, optima and boxes say and draw: numbers in text, JSON and pictures; draws
+against closed forms.
+"""
 
 import json
 from pathlib import Path
@@ -41,7 +43,9 @@ def cubed(_: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarra
 
 @pytest.mark.parametrize("share", [0.02, 0.2])
 def test_scatter_and_shift_are_those_of_a_cubic_answer(share: float):
-    """-8 (1 + s z)^3 of a normal z: what 16 pairs of draws can tell, and exactly that of these draws."""
+    """-8 (1 + s z)^3 of a normal z: what 16 pairs of draws can tell, and exactly that of these
+    draws.
+    """
     answer = sensitivity(FLYING, Function(cubed, [1]), {"velocity": share})
     assert answer.value == pytest.approx(-8, rel=1e-12)
     assert answer.relative["velocity"] == pytest.approx([-24.0, 0.0], rel=1e-9, abs=1e-12)
@@ -100,9 +104,15 @@ def test_a_table_ranks_what_matters():
     table = shown(diameters=0.3, gravity=0.4)
     ranks = table.ranked()
     names = [
-        "diameters 2", "gravity", "diameters 1", "contact_constants 3", "contact_constants 2", "contact_constants 1",
-        "diameters 3", "diameters 4",
-    ]  # fmt: skip
+        "diameters 2",
+        "gravity",
+        "diameters 1",
+        "contact_constants 3",
+        "contact_constants 2",
+        "contact_constants 1",
+        "diameters 3",
+        "diameters 4",
+    ]
     assert [name for name, _ in ranks] == names
     assert [part for _, part in ranks][:3] == pytest.approx([-0.02, 0.007, 0.005], rel=1e-12)
     lines = [" ".join(line.split()) for line in table.table().splitlines()]
@@ -194,7 +204,8 @@ def test_answers_are_named_in_one_word(of: str, exact: Any, unit: str):
     ("of", "form"),
     [
         ("peak_force:x", "peak_force:CONTACT"), ("arrival_time:4", "arrival_time:GRAIN@VELOCITY"),
-        ("energy:3-", "energy:GRAIN or energy:FIRST-LAST"), ("momentum:3-2", "momentum:GRAIN or momentum:FIRST-LAST"),
+        ("energy:3-", "energy:GRAIN or energy:FIRST-LAST"),
+        ("momentum:3-2", "momentum:GRAIN or momentum:FIRST-LAST"),
     ],
 )  # fmt: skip
 def test_the_form_of_an_answer_is_said(of: str, form: str):
@@ -226,7 +237,9 @@ def test_what_an_answer_depends_on_is_what_is_given_and_not_0():
 
 
 def test_steps_are_halved_until_two_comparisons_are_enough():
-    """First against twice the step; if that is enough, against half again the step, or shorter if these are few."""
+    """First against twice the step; if that is enough, against half again the step, or shorter if
+    these are few.
+    """
     asked: list[tuple[float, int]] = []
 
     class Run:

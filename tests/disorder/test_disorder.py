@@ -1,4 +1,6 @@
-"""Chains with random contacts: the law of the factors, averages over many chains, and the command `dyson`."""
+"""Chains with random contacts: the law of the factors, averages over many chains, and the command
+`dyson`.
+"""
 
 import json
 import re
@@ -49,7 +51,10 @@ def generator(seed: int = 1) -> np.random.Generator:
 @pytest.mark.parametrize("m", [0.7, 1, 2.5, 20, 300])
 @pytest.mark.parametrize(("law", "shape"), [("dyson", lambda m: m), ("paper", lambda m: m + 1)])
 def test_moments_of_the_factors(m, law, shape):
-    """Mean 1 and variance 1/m; of Eq. (23) as printed 1 + 1/m and (m+1)/m^2; within 5 standard errors."""
+    """Mean 1 and variance 1/m; of Eq.
+
+    (23) as printed 1 + 1/m and (m+1)/m^2; within 5 standard errors.
+    """
     size, k = 400_000, shape(m)
     zeta = factors(m, size, generator(), law)
     mean, variance = {"dyson": (1, 1 / m), "paper": (1 + 1 / m, (m + 1) / m**2)}[law]
@@ -60,7 +65,9 @@ def test_moments_of_the_factors(m, law, shape):
 
 @pytest.mark.parametrize("m", [2, 5, 30])
 def test_mean_compliance_of_the_printed_law(m):
-    """The mean of 1/zeta is 1 for every m, its variance 1/(m-1), so that long waves are as fast as in order."""
+    """The mean of 1/zeta is 1 for every m, its variance 1/(m-1), so that long waves are as fast as
+    in order.
+    """
     compliance = 1 / factors(m, 10**6, generator(2), "paper")
     assert compliance.mean() == pytest.approx(1, rel=0, abs=5e-3 * np.sqrt(1 / (m - 1)))
     if m > 3:  # below, the variance of the variance is infinite
@@ -149,7 +156,9 @@ def test_a_vacuum_has_constants_but_no_stiffness():
 
 
 def test_contacts_too_soft_for_hertz():
-    """A chain by itself is refused; an average keeps it, or the distribution would be another, and says so."""
+    """A chain by itself is refused; an average keeps it, or the distribution would be another, and
+    says so.
+    """
     scene = column(grains=40)
     with pytest.raises(InputError, match=r"^diameter: contact .* is compressed by"):
         disordered(scene.chain, 0.05, generator())
@@ -217,13 +226,16 @@ def test_first_moments_of_a_motion_just_begun():
     assert error == pytest.approx(np.sqrt(1 / m / count), rel=0.15)
 
 
-# largest mean velocity over 400 chains with kappa_n = n^(1/3) zeta_n of 60 grains at tau = 15, by another code with
+# largest mean velocity over 400 chains with kappa_n = n^(1/3) zeta_n of 60 grains at tau = 15, by
+# another code with
 # other random numbers
 PUBLISHED = {1: 0.0995, 5: 0.234, 100: 0.356}
 
 
 def test_largest_mean_velocity():
-    """The true averages: disorder lowers them, and each is within 3 standard errors of the difference."""
+    """The true averages: disorder lowers them, and each is within 3 standard errors of the
+    difference.
+    """
     scene = column(grains=60, tau=15.0)
     ordered = simulate(scene, "modes").velocity[-1] / 1e-12
     assert ordered.max() == pytest.approx(0.364, abs=5e-4)
@@ -427,7 +439,9 @@ def test_what_is_kept_with_the_averages():
 
 
 def test_materials_of_grains_whose_modulus_is_drawn():
-    """Density and Poisson's ratio stay, Young's modulus has the factors, of a list of materials too."""
+    """Density and Poisson's ratio stay, Young's modulus has the factors, of a list of materials
+    too.
+    """
     chain = Chain(grains=6, diameter=1e-3, material=["steel", "glass", "ptfe"] * 2)
     zeta = factors(9, 6, generator())
     drawn = disordered(chain, 9, generator(), of="modulus")

@@ -1,4 +1,6 @@
-"""Spreading of energy: ordered chains against Bessel functions, averages against all chains at once."""
+"""Spreading of energy: ordered chains against Bessel functions, averages against all chains at
+once.
+"""
 
 import tracemalloc
 from typing import Any
@@ -33,7 +35,9 @@ def scene(
 
 @pytest.mark.parametrize("engine", ["chebyshev", "native"])
 def test_an_ordered_chain_that_is_struck(engine):
-    """Grain n moves with J_2n(2 tau) and contact n + 1/2 holds J_2n+1: m2 = tau^2 / 2 + (1 - J_0(4 tau)) / 8."""
+    """Grain n moves with J_2n(2 tau) and contact n + 1/2 holds J_2n+1: m2 = tau^2 / 2 + (1 - J_0(4
+    tau)) / 8.
+    """
     case = scene()
     found = spreading(case, ORDER, 2, 1, engine, tolerance=1e-10)
     tau = case.time / case.chain.time_scale

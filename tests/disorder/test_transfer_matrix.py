@@ -1,4 +1,6 @@
-"""Lyapunov exponents and densities of states against exact results, of ordered chains and of Dyson's random ones."""
+"""Lyapunov exponents and densities of states against exact results, of ordered chains and of
+Dyson's random ones.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from lmpchain.theory import dyson
 
 
 def test_an_ordered_chain():
-    """In the band nothing grows and the modes are those of sin; above, waves decay as arcosh says."""
+    """In the band nothing grows and the modes are those of sin; above, waves decay as
+    arcosh says.
+    """
     k, m, edge = 2.0, 0.5, 4.0
     below, above = edge * np.array([1e-3, 0.1, 0.5, 0.99]), edge * np.array([1.01, 2.0, 30.0])
     found = density_of_states([*below, *above], k, m, grains=200_000, chains=2)
@@ -37,7 +41,9 @@ def test_transfer_matrices_find_dysons_spectrum(shape):
 
 
 class Given:
-    """A distribution that gives these values, one after the other, and notes with which generators."""
+    """A distribution that gives these values, one after the other, and notes with which
+    generators.
+    """
 
     def __init__(self, values: np.ndarray):
         self.values = values
@@ -70,7 +76,9 @@ def growth_and_nodes(
 @pytest.mark.parametrize("kind", ["masses", "ratios"])
 @pytest.mark.parametrize("piece", [2**16, 37])
 def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatch):
-    """Three chains of given grains: the mean after a tenth, its standard error, the order of the draws."""
+    """Three chains of given grains: the mean after a tenth, its standard error, the order of the
+    draws.
+    """
     monkeypatch.setattr(transfer_matrix, "PIECE", piece)
     rng, chains, grains = np.random.default_rng(4), 3, 150
     w = np.array([0.0, 0.3, 1.1, 2.5, 40.0])
@@ -108,7 +116,9 @@ def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatc
 
 
 def test_a_node_on_a_grain():
-    """At w = 1 of equal grains every third ratio is 0 or infinite: nothing grows, a third of the modes is below."""
+    """At w = 1 of equal grains every third ratio is 0 or infinite: nothing grows, a third of the
+    modes is below.
+    """
     options = {"grains": 6000, "chains": 2}
     assert density_of_states(1.0, **options).integrated == pytest.approx(1 / 3, abs=2e-4)
     assert abs(lyapunov(1.0, **options).exponent[0]) < 0.01

@@ -1,4 +1,6 @@
-"""Breathers of every kind: back after a period by an independent integrator, and where theory has them."""
+"""Breathers of every kind: back after a period by an independent integrator, and where theory has
+them.
+"""
 
 from functools import cache
 
@@ -34,14 +36,18 @@ def surface() -> Orbit:
 
 @cache
 def defect() -> Orbit:
-    """At a light grain among heavier ones, above their band: Theocharis et al., Phys. Rev. E 80, 066601 (2009)."""
+    """At a light grain among heavier ones, above their band: Theocharis et al., Phys.
+
+    Rev. E 80, 066601 (2009).
+    """
     masses = np.where(np.arange(21) == 10, LIGHT / 2, LIGHT)
     return orbits.normal_mode(Chain(grains=21, masses=masses, **LOADED, **WALLS), 21, energy=4e-6)
 
 
 @cache
 def dark(energy: float = 6.7e-4) -> Orbit:
-    """A dip in neighbours that swing against each other: C. Chong et al., Phys. Rev. E 87, 042202 (2013).
+    """A dip in neighbours that swing against each other: C. Chong et al., Phys. Rev. E 87, 042202
+    (2013).
 
     Rigid walls are mirrors, so the chain is the half of a ring.
     """
@@ -89,10 +95,12 @@ def test_a_breather_returns_after_a_period(kind):
 def test_bright_breathers_lie_in_gaps_and_soften(
     kind, low: float, high: float, limit: float, grain: int
 ):
-    """Above one band edge, and below the other or the linear mode at a surface or a defect, for contacts soften.
+    """Above one band edge, and below the other or the linear mode at a surface or a defect, for
+    contacts soften.
 
-    Bands of the dimer end at w^2 = 2K/M and 2K/m; that of the uniform chain at 4K/m. Linear modes at a light end have
-    w^2 = K/m + K/M, at a grain of mass d among others of mass m w^2 = 4 K / (d (2 - d/m)). Units of sqrt(K/m).
+    Bands of the dimer end at w^2 = 2K/M and 2K/m; that of the uniform chain at 4K/m. Linear modes
+    at a light end have w^2 = K/m + K/M, at a grain of mass d among others of mass m w^2 = 4 K / (d
+    (2 - d/m)). Units of sqrt(K/m).
     """
     orbit = kind()
     w = 2 * np.pi / orbit.period / np.sqrt(stiffness(orbit.chain) / LIGHT)
@@ -109,7 +117,9 @@ def test_the_anticontinuous_limit_leads_to_the_same_breather(kind):
 
 
 def test_a_dark_breather_swings_with_its_background():
-    """Far from the dip as a pi-mode of that amplitude, by quadrature; its frequency lies in the band."""
+    """Far from the dip as a pi-mode of that amplitude, by quadrature; its frequency lies in the
+    band.
+    """
     orbit = dark()
     chain, swing = orbit.chain, np.ptp(orbit.motion()[1], axis=0) / 2
     overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)

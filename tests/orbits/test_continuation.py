@@ -51,7 +51,9 @@ def test_a_driven_grain_folds_where_a_multiplier_passes_1():
 
 
 def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
-    """Where the trace of the tangent map of the one grain that moves is -2, by an independent integration."""
+    """Where the trace of the tangent map of the one grain that moves is -2, by an independent
+    integration.
+    """
     k, eps, m, w = CHAIN.contact_constants, CHAIN.length_scale, CHAIN.masses[0], 1.95 * OMEGA
     drive = Drive(amplitude=0.02 * eps, frequency=w / (2 * np.pi))
     family = orbits.follow(orbits.find(CHAIN, drive=drive), "amplitude", 0.4 * eps)
@@ -60,7 +62,9 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
     assert np.abs(event.orbit.multipliers + 1).max() < 1e-2
 
     def returned(amplitude: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state after a period and its derivatives; overlaps, and times in radians of the drive."""
+        """Return the state after a period and its derivatives; overlaps, and times in radians of
+        the drive.
+        """
 
         def rate(t: float, y: np.ndarray) -> np.ndarray:
             above, below = max(1 + amplitude * np.sin(t) - y[0], 0.0), max(1 + y[0], 0.0)
@@ -165,7 +169,9 @@ def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
 
 
 def growth(orbit: orbits.Orbit) -> float:
-    """Return the largest Floquet multiplier, by an independent integration of the chain and its variations."""
+    """Return the largest Floquet multiplier, by an independent integration of the chain and its
+    variations.
+    """
     chain, n = orbit.chain, orbit.chain.grains
     constant, overlap = np.array(chain.contacts.constant), np.array(chain.contacts.overlap)
     unit, clock = chain.length_scale, orbit.period / (2 * np.pi)
@@ -229,7 +235,9 @@ def column() -> tuple[Chain, orbits.Orbit, float]:
 def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(
     monkeypatch: pytest.MonkeyPatch,
 ):
-    """Beyond a point where it meets itself a family is what it was before, begun half a period later."""
+    """Beyond a point where it meets itself a family is what it was before, begun half a period
+    later.
+    """
     chain, first, until = column()
     seen: list = []
 

@@ -38,7 +38,9 @@ def located(
 @pytest.mark.parametrize("meets", [0.0123, 0.4, 0.77, 0.999])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_pairs_that_meet_among_others_are_located(meets: float, sign: int):
-    """c = 0.3 +- (root of a distance), while two others pass one another as near as 1e-6, in few orbits."""
+    """c = 0.3 +- (root of a distance), while two others pass one another as near as 1e-6, in few
+    orbits.
+    """
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(sign * 0.01 * (meets - way) * (1 + way)))
@@ -110,7 +112,9 @@ def test_what_does_not_happen_is_not_located():
 
 
 def test_where_no_orbit_is_found_the_last_one_known_is_given():
-    """Only orbits before 0.9 are found: of them, and the end, the one that is nearest behind the event."""
+    """Only orbits before 0.9 are found: of them, and the end, the one that is nearest behind the
+    event.
+    """
     end = place([1.5, 0.1])
 
     def at(way: float) -> SimpleNamespace | None:
@@ -144,7 +148,9 @@ def test_pairs_that_meet_and_are_alone_are_located():
 
 
 def test_the_discriminant_is_that_of_the_pair_that_meets():
-    """Of three means on a line the two that become complex are the lower ones, though the upper two are nearer."""
+    """Of three means on a line the two that become complex are the lower ones, though the upper two
+    are nearer.
+    """
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(0.04 * (0.62 - way)))

@@ -23,12 +23,17 @@ def family(
     """Return a family of given numbers."""
     orbits = [
         SimpleNamespace(
-            chain=chain, period=1 / (scale * f), energy=e, stable=bool(s), multipliers=np.array([f + 1j, 1 / f]),
+            chain=chain,
+            period=1 / (scale * f),
+            energy=e,
+            stable=bool(s),
+            multipliers=np.array([f + 1j, 1 / f]),
             to_json=lambda f=f: {"frequency": f},
         )
         for f, e, s in zip(FREQUENCY, ENERGY, STABLE, strict=True)
-    ]  # fmt: skip
-    return Family(tuple(orbits), 3 * ENERGY, "energy", events, not ended, ended)  # type: ignore[arg-type]
+    ]
+    sequence: tuple[Any, ...] = tuple(orbits)
+    return Family(sequence, 3 * ENERGY, "energy", events, not ended, ended)
 
 
 def event(kind: str, place: int) -> Event:

@@ -1,4 +1,6 @@
-"""The flow of a chain, its energy and its derivatives, and Newton's equations, against differences and SciPy."""
+"""The flow of a chain, its energy and its derivatives, and Newton's equations, against differences
+and SciPy.
+"""
 
 from functools import cache
 from typing import Any
@@ -243,7 +245,9 @@ def test_singular_equations_are_solved_by_least_squares():
 
 
 def test_the_error_of_steps_is_a_safe_multiple_of_the_change_by_half_the_steps():
-    """An oscillator of few steps: the change of its orbit and period by Newton's method at half of them."""
+    """An oscillator of few steps: the change of its orbit and period by Newton's method at half of
+    them.
+    """
     chain = Chain(grains=2, diameter=1e-3)
     flow = Flow(chain, 1 / chain.time_scale)
     state = flow.canonical(np.array([0.8 * chain.length_scale, 0.0]), np.zeros(2))

@@ -13,7 +13,9 @@ EPS = CHAIN.contacts.overlap
 
 
 def test_the_highest_frequency_bounds_those_of_the_chain_at_its_stiffest():
-    """By Gershgorin's circles: twice the sum of the stiffnesses at a grain over its mass, at the largest overlaps."""
+    """By Gershgorin's circles: twice the sum of the stiffnesses at a grain over its mass, at the
+    largest overlaps.
+    """
     rng = np.random.default_rng(1)
     masses = rng.uniform(1, 3, 5) * 1e-6
     chain = CHAIN.replace(masses=masses)
@@ -89,7 +91,9 @@ def test_a_contact_that_never_closes_does_not_open():
 @pytest.mark.parametrize("turns", [20.0, 200.0])
 @pytest.mark.parametrize("reach", [0.3, 0.18])
 def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, reach: float):
-    """About 0.35 of the time to the nearest opening, which counts mirrored and a period later too."""
+    """About 0.35 of the time to the nearest opening, which counts mirrored and a period
+    later too.
+    """
     rest, times = np.zeros((1, 5)), np.array([0.13, 0.31, 0.62])
     highest = mesh.highest_frequency(FLOW, rest)
     period = turns / highest

@@ -1,4 +1,6 @@
-"""What an orbit says and draws, its multipliers in order, guesses and refusals, and ways between orbits."""
+"""What an orbit says and draws, its multipliers in order, guesses and refusals, and ways between
+orbits.
+"""
 
 from functools import cache
 from itertools import pairwise
@@ -157,26 +159,33 @@ def test_guesses_and_periods_that_are_none_are_refused(monkeypatch: pytest.Monke
     u = 0.1 * CHAIN.length_scale * np.array([1, 0, 0, 0])
     vacuum = loaded.replace(top_load=0.0, top="wall", bottom="wall")
     for message, call in {
-        "energy: is not conserved in a driven": lambda: orbits.find(loaded, energy=1e-9, drive=sine),
+        "energy: is not conserved in a driven":
+            lambda: orbits.find(loaded, energy=1e-9, drive=sine),
         "period: must be a whole number of those of the drive, 5e-05 s":
             lambda: orbits.find(loaded, drive=sine, period=1.2e-4),
         "guess: must be a Profile": lambda: orbits.find(CHAIN, 3.0, 1e-4),
-        "guess: is missing, and a chain that is not compressed": lambda: orbits.find(vacuum, drive=sine),
+        "guess: is missing, and a chain that is not compressed":
+            lambda: orbits.find(vacuum, drive=sine),
         "energy: must be a number above 0": lambda: orbits.find(CHAIN, (u, rest), 1e-4, energy=0.0),
         "period: must be a number above 0 (got inf)": lambda: orbits.find(CHAIN, (u, rest), np.inf),
         "period: must be a number above 0 (got True)": lambda: orbits.find(CHAIN, (u, rest), True),
-        "grain: must be a whole number from 1 to 3 (got 4)": lambda: orbits.breather(loaded, 4, 1e-5),
-        "grain: must be a whole number from 1 to 3 (got 0)": lambda: orbits.breather(loaded, 0, 1e-5),
-        "grain: must be a whole number from 1 to 3 (got True)": lambda: orbits.breather(loaded, True, 1e-5),
+        "grain: must be a whole number from 1 to 3 (got 4)":
+            lambda: orbits.breather(loaded, 4, 1e-5),
+        "grain: must be a whole number from 1 to 3 (got 0)":
+            lambda: orbits.breather(loaded, 0, 1e-5),
+        "grain: must be a whole number from 1 to 3 (got True)":
+            lambda: orbits.breather(loaded, True, 1e-5),
         "grain: 1 has no heavier": lambda: orbits.breather(loaded, 1, 1e-5),
         "chain: must be pressed": lambda: orbits.breather(CHAIN, 1, 1e-5),
         "chain: must be pressed by": lambda: orbits.breather(vacuum, 1, 1e-5),
         "until: must be a number": lambda: orbits.follow(orbit(), "energy", True),
         "until: must be a number (got inf)": lambda: orbits.follow(orbit(), "energy", np.inf),
-        "until: must be above 0 for the period (got 0)": lambda: orbits.follow(orbit(), "period", 0.0),
+        "until: must be above 0 for the period (got 0)":
+            lambda: orbits.follow(orbit(), "period", 0.0),
         "hold: must be": lambda: orbits.follow(orbit(), "gravity", 20.0, hold="mass"),
         "start: is missing": lambda: orbits.follow(orbit(), lambda _: CHAIN, 1.0),
-        "parameter: amplitude is that of a drive": lambda: orbits.follow(orbit(), "amplitude", 1e-9),
+        "parameter: amplitude is that of a drive":
+            lambda: orbits.follow(orbit(), "amplitude", 1e-9),
         "parameter: must be energy, period": lambda: orbits.follow(orbit(), "masses[5]", 1.0),
         "parameter: must be energy": lambda: orbits.follow(orbit(), "masses[0]", 1.0),
         "parameter: must be ener": lambda: orbits.follow(orbit(), "masses", 1.0),
@@ -225,7 +234,9 @@ def test_a_guess_is_taken_in_every_form_and_turns_of_the_drive_are_counted():
 
 
 def test_a_light_grain_alone_has_the_amplitude_of_its_period():
-    """By quadrature of its two contacts, of which one opens, between neighbours that stand still."""
+    """By quadrature of its two contacts, of which one opens, between neighbours that
+    stand still.
+    """
     masses = [3e-3, 1e-3, 3e-3]
     walls = {"top": "wall", "bottom": "wall"}
     chain = Chain(grains=3, diameter=1e-2, gravity=0.0, top_load=20.0, masses=masses, **walls)
@@ -270,7 +281,9 @@ def between_places(here: np.ndarray, there: np.ndarray) -> tuple[Any, Any]:
 
 
 def test_an_orbit_beside_the_way_is_met_again():
-    """Known orbits on, beside and far from the way; the one solved for in the plane across it decides."""
+    """Known orbits on, beside and far from the way; the one solved for in the plane across it
+    decides.
+    """
     flow = Flow(CHAIN, 1e5)
     equations = Equations(lambda _: flow, True, 1.0)
     here, there = between_places(np.array([1.0, 0.0, 0.0, 2.0]), np.array([3.0, 0.0, 0.0, 2.0]))

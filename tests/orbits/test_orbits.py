@@ -117,7 +117,9 @@ def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative
 
 
 def test_a_grain_that_flies_far_between_short_contacts():
-    """By quadrature; in flight for 30 times as long as it touches, it loses digits unless sums are compensated."""
+    """By quadrature; in flight for 30 times as long as it touches, it loses digits unless sums are
+    compensated.
+    """
     chain = Chain(grains=1, diameter=1e-3, bottom="wall")
     m, k, eps, g = (
         chain.masses[0],

@@ -1,4 +1,6 @@
-"""Steps along a family in the linear limit, where it is a straight line, and what changes in a chain."""
+"""Steps along a family in the linear limit, where it is a straight line, and what changes in a
+chain.
+"""
 
 from functools import cache
 from typing import Any

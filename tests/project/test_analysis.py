@@ -1,4 +1,6 @@
-"""The figures of the paper: every script runs, draws its picture, and prints the numbers that are known."""
+"""The figures of the paper: every script runs, draws its picture, and prints the numbers that are
+known.
+"""
 
 import json
 import re
@@ -19,7 +21,8 @@ from lmpchain.theory import bessel
 
 ANALYSIS = Path(__file__).parents[2] / "analysis"
 
-# script: {printed label: (known value, absolute tolerance)}; exact solutions, independent codes, or the paper
+# script: {printed label: (known value, absolute tolerance)}; exact solutions, independent codes, or
+# the paper
 KNOWN = {
     "fig1": {
         "pulse at 88.4 µs": (24.55, 0.01),
@@ -138,7 +141,9 @@ Command = Callable[..., str]
 def command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
-    """Return what runs a script in this process, which has loaded what was compiled, and returns what it prints."""
+    """Return what runs a script in this process, which has loaded what was compiled, and returns
+    what it prints.
+    """
     monkeypatch.chdir(tmp_path)
 
     def run(script: str, *words: object) -> str:
@@ -222,7 +227,9 @@ CAPTIONS = {
         "exponent of the amplitude of the chain": "exponent {:.4f} in",
     },
     "fig9": {
-        "causal Eq. (35), largest relative error behind half the light cone": "agrees with it to {:.0e}",
+        "causal Eq. (35), largest relative error behind half the light cone": (
+            "agrees with it to {:.0e}"
+        ),
         "Eq. (35) as printed, ahead of the light cone": "says {:.2f} ahead",
         "grain at the largest displacement": "is at grain {:.0f} when",
     },
@@ -362,7 +369,10 @@ def test_the_page_names_tests_that_exist():
 
 
 def test_eq_7_does_not_approximate_eq_3():
-    """Relative distance (L2) of Eq. (7) from the exact solution after a displacement of the top grain."""
+    """Relative distance (L2) of Eq.
+
+    (7) from the exact solution after a displacement of the top grain.
+    """
     n, kappa = np.arange(1, 120), np.arange(1, 120) ** (1 / 3)
     for tau, known in {2.0: 0.78, 5.0: 0.58, 10.0: 1.24, 20.0: 1.245}.items():
         exact = bessel.finite(kappa, n, 1, tau)
@@ -371,6 +381,8 @@ def test_eq_7_does_not_approximate_eq_3():
 
 
 def test_the_front_is_not_at_tau_to_the_6_5():
-    """At tau = 150 the largest displacement is at grain 325; (5 tau / 6)^(6/5) = 328, tau^(6/5) = 409."""
+    """At tau = 150 the largest displacement is at grain 325; (5 tau / 6)^(6/5) = 328, tau^(6/5) =
+    409.
+    """
     phi = bessel.finite(np.arange(1, 500) ** (1 / 3), np.arange(1, 500), 1, 150.0)
     assert phi.argmax() + 1 == pytest.approx(325, abs=1)

@@ -1,4 +1,6 @@
-"""Every measured constant is printed by a script in analysis/calibration/ that anyone can run again."""
+"""Every measured constant is printed by a script in analysis/calibration/ that anyone can run
+again.
+"""
 
 import importlib
 import math

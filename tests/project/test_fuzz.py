@@ -1,4 +1,6 @@
-"""Files that are wrong in every way: each is answered in words, and nothing half done is left behind."""
+"""Files that are wrong in every way: each is answered in words, and nothing half done is left
+behind.
+"""
 
 import os
 import random
@@ -205,7 +207,9 @@ def sweeps(draw: st.DrawFn) -> Tables:
 
 @st.composite
 def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
-    """Draw a way to spoil a file: bytes changed or put in, lines lost or doubled, the end cut off."""
+    """Draw a way to spoil a file: bytes changed or put in, lines lost or doubled, the
+    end cut off.
+    """
     turn = random.Random(draw(st.integers(0, 2**32)))
     how = draw(
         st.sampled_from(["flip", "flip", "flip", "insert", "drop", "double", "cut", "zeros"])
@@ -261,7 +265,9 @@ def fuzzed(quick: int, soak: int) -> Any:
 
 
 def call(*words: object) -> tuple[int, str]:
-    """Run a command; return its exit code and what it printed, once it is clear that it said what is wrong, if so."""
+    """Run a command; return its exit code and what it printed, once it is clear that it said what
+    is wrong, if so.
+    """
     out, err = StringIO(), StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = main([str(word) for word in words])
@@ -281,7 +287,9 @@ def files(folder: Path) -> set[str]:
 
 
 class Workplace(tempfile.TemporaryDirectory):
-    """A folder with the CSV files, and a scene or a sweep in them, which is left for the time of a case."""
+    """A folder with the CSV files, and a scene or a sweep in them, which is left for the time of a
+    case.
+    """
 
     def __init__(self, **texts: bytes | str):
         super().__init__()
@@ -432,7 +440,9 @@ def test_spoilt_text_of_sweeps(count: int):
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a scene, its answer in a file, in a run folder, in one that was stopped, and as a dump."""
+    """Return a folder with a scene, its answer in a file, in a run folder, in one that was stopped,
+    and as a dump.
+    """
     folder, tables = tmp_path_factory.mktemp("answers"), deepcopy(SCENE)
     tables["recording"] |= {"duration": 2e-5, "samples": 41}
     (folder / "scene.toml").write_bytes(toml(tables))
@@ -481,7 +491,9 @@ def test_spoilt_dumps(answers: Path, count: int):
 @pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run went so far")
 @fuzzed(30, 500)
 def test_spoilt_run_folders(answers: Path, count: int):
-    """What a resumed run ends with are the right bits, or it or who reads them says that it cannot."""
+    """What a resumed run ends with are the right bits, or it or who reads them says
+    that it cannot.
+    """
     truth = Trajectory.load(answers / "run.nc")
     which = [
         path.relative_to(answers)

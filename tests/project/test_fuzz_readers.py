@@ -1,4 +1,6 @@
-"""Readers of files, fed with a hundred thousand that are wrong: each gives a value or says in words what is wrong."""
+"""Readers of files, fed with a hundred thousand that are wrong: each gives a value or says in words
+what is wrong.
+"""
 
 import hashlib
 import io
@@ -80,7 +82,9 @@ SWEEP: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with an answer in a file, in a run folder, in one that was stopped, and as a dump."""
+    """Return a folder with an answer in a file, in a run folder, in one that was stopped, and as a
+    dump.
+    """
     folder, scene = tmp_path_factory.mktemp("originals"), Scene.from_dict(SCENE)
     simulate(scene, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
@@ -136,7 +140,9 @@ def damaged(content: bytes, turn: random.Random) -> bytes:
 
 
 def examine(case: Callable[[random.Random], object], count: int) -> None:
-    """Try so many cases; each gives a value or an error in words, of one short line a fault, in little memory."""
+    """Try so many cases; each gives a value or an error in words, of one short line a fault, in
+    little memory.
+    """
     before, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, 0
     longest = 0
     for seed in range(count):

@@ -1,4 +1,6 @@
-"""Other codes in `analysis/peers`: those that are always here find the truth, and the table says what was measured."""
+"""Other codes in `analysis/peers`: those that are always here find the truth, and the table says
+what was measured.
+"""
 
 import sys
 from dataclasses import replace

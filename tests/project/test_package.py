@@ -1,4 +1,6 @@
-"""The package as a newcomer meets it: README, wheel, imports, scripts, and the state of the code."""
+"""The package as a newcomer meets it: README, wheel, imports, scripts, and the state of
+the code.
+"""
 
 import doctest
 import os
@@ -94,7 +96,8 @@ for module in pkgutil.walk_packages(lmpchain.__path__, "lmpchain."):
     if not module.name.endswith("__main__"):
         importlib.import_module(module.name)
 chain = lmpchain.Chain(grains=10, material="steel", diameter=1e-3)
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-4), duration=1e-5, samples=3)
+strike = lmpchain.Impulse(velocity=1e-4)
+scene = lmpchain.Scene(chain=chain, excitation=strike, duration=1e-5, samples=3)
 for engine in ("lammps", "native", "modes"):
     lmpchain.simulate(scene, engine, 0.9).save(engine + ".nc")
 print(lmpchain.__file__)

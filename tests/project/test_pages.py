@@ -1,4 +1,6 @@
-"""The pages in `docs/`: links, examples, commands, gallery and build; and that their tables say what was measured."""
+"""The pages in `docs/`: links, examples, commands, gallery and build; and that their tables say
+what was measured.
+"""
 
 import ast
 import doctest
@@ -302,7 +304,9 @@ TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 
 @pytest.mark.parametrize(("number", "scene"), list(enumerate(["fig5_1g", "fig1", "ten_thousand"])))
 def test_times_of_native_on_the_page_on_speed(number: int, scene: str):
-    """Each row is of what its label says: no time of a run to a tolerance stands for a fixed step."""
+    """Each row is of what its label says: no time of a run to a tolerance stands for a
+    fixed step.
+    """
     tables = (DOCS / "speed.md").read_text(encoding="utf-8").split("\n\n|")
     table = [t for t in tables if "| native, the best integrator at a fixed step |" in t][number]
     kept = json.loads((ROOT / "analysis" / "other_codes" / f"{scene}.json").read_text())["rows"]
@@ -400,7 +404,9 @@ def test_functions_document_what_they_raise():
     [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.soak)],
 )
 def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
-    """The tutorial and the gallery are executed by tests above; once more, as pages, in the soak."""
+    """The tutorial and the gallery are executed by tests above; once more, as pages, in
+    the soak.
+    """
     pytest.importorskip("sphinxarg", reason="Sphinx and its extensions come with lmpchain[docs]")
     copy, build = tmp_path / "docs", tmp_path / "built"
     shutil.copytree(DOCS, copy, ignore=shutil.ignore_patterns("build", "api", "measurements"))
@@ -440,8 +446,19 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
         or shutil.which("google-chrome")
     ):
         shown = subprocess.run(
-            [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'browser'}",
-             "--virtual-time-budget=8000", "--dump-dom", f"{(build / 'search.html').as_uri()}?q=dispersion"],
-            capture_output=True, text=True, check=False, timeout=PATIENCE,
-        ).stdout  # fmt: skip
+            [
+                browser,
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                f"--user-data-dir={tmp_path / 'browser'}",
+                "--virtual-time-budget=8000",
+                "--dump-dom",
+                f"{(build / 'search.html').as_uri()}?q=dispersion",
+            ],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
+        ).stdout
         assert "plot_05_spectra.html" in shown

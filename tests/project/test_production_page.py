@@ -1,7 +1,8 @@
 """Every command of the page on production, run as it stands, in its order.
 
-The launchers of a cluster are stood in for by scripts that start real ranks; Dask is real. A command beside which the
-page says "press Ctrl-C" is really stopped, and "exit code N" is what it must end with.
+The launchers of a cluster are stood in for by scripts that start real ranks; Dask is real. A
+command beside which the page says "press Ctrl-C" is really stopped, and "exit code N" is what it
+must end with.
 """
 
 import os
@@ -29,7 +30,8 @@ PROGRAMS = "lmpchain|mpiexec|mpirun|srun|sbatch|dask"
 STRIKE = Impulse(velocity=1e-5)
 STIRRED = Profile(velocity=np.append(1e-5 * np.random.default_rng(1).normal(size=3999), 0.0))
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
-# where the page stops something, it must last: by long steps, for ranks wait for each other at every one
+# where the page stops something, it must last: by long steps, for ranks wait for each other at
+# every one
 MOVING = Scene(
     chain=Chain(grains=4000, diameter=1e-3),
     excitation=STIRRED,

@@ -1,4 +1,6 @@
-"""Every number of a scene file set to what is no number, or none that makes sense: one line, and what to do."""
+"""Every number of a scene file set to what is no number, or none that makes sense: one line, and
+what to do.
+"""
 
 import re
 from collections.abc import Iterator
@@ -45,7 +47,8 @@ DONE = (
     "deck",
 )
 DUMP = "".join(
-    f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n6\nITEM: BOX BOUNDS ff ff ff\n-1 1\n-1 1\n-1 1\n"
+    f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n6\nITEM: BOX BOUNDS ff ff ff\n-1 1\n-1 1\n-1 "
+    "1\n"
     "ITEM: ATOMS id x y z vx vy vz\n"
     + "".join(f"{n} 0 0 {-1e-3 * n:g} 0 0 0\n" for n in range(1, 7))
     for step in (0, 1)

@@ -1,4 +1,6 @@
-"""Forces and prescribed motions, of a grain or of the top wall, against exact solutions and other integrators."""
+"""Forces and prescribed motions, of a grain or of the top wall, against exact solutions and other
+integrators.
+"""
 
 from contextlib import suppress
 from functools import cache
@@ -47,7 +49,9 @@ TIMES *= 8.5 * UNIT / TIMES[-1]
 
 
 def forces(size: float, grain: int = 1, period: float = 2 * np.pi) -> dict[str, Force]:
-    """Return forces of every kind, of this size in top loads and this period in units of sqrt(m_1 / k_1)."""
+    """Return forces of every kind, of this size in top loads and this period in units of sqrt(m_1 /
+    k_1).
+    """
     wave = {"amplitude": size * LOAD, "frequency": 1 / (period * UNIT)}
     return {
         "sine": Force(grain=grain, **wave),
@@ -136,7 +140,9 @@ ON_A_SPRING = {
 @pytest.mark.parametrize("kind", ON_A_SPRING)
 @pytest.mark.parametrize("where", ["grain", "wall"])
 def test_one_grain_on_a_spring(kind: str, where: str):
-    """The driven oscillator, by Duhamel's integral: pushed itself, or by a spring whose other end is moved."""
+    """The driven oscillator, by Duhamel's integral: pushed itself, or by a spring whose other end
+    is moved.
+    """
     given = ON_A_SPRING[kind]
     chain, strength = SPRING, 1 / 2e-6
     if where == "wall":
@@ -207,7 +213,8 @@ def test_forces_in_modes():
 
 # --- integrators
 
-COUNTS = {  # all are 4 beyond a multiple of 8, so that what ends after three eighths ends in the middle of a step
+# all are 4 beyond a multiple of 8, so that a push that ends after three eighths ends within a step
+COUNTS = {
     "verlet": [252, 508, 1020, 2044],
     "gear4": [508, 1020, 1532, 2044, 4092],
     "rkn4": [44, 60, 76, 100, 132],
@@ -231,7 +238,9 @@ def gentle(kind: str) -> tuple[Array, Array, float]:
 @every
 @pytest.mark.parametrize("kind", ACTING)
 def test_order_of_convergence(integrator: str, kind: str):
-    """Half-sines and bursts end within a step: it is made as two, or the order would fall to 2 or 4."""
+    """Half-sines and bursts end within a step: it is made as two, or the order would fall to 2 or
+    4.
+    """
     scene = scene_of(*ACTING[kind])
     u, v, own = gentle(kind)
     errors, counts = [], COUNTS[integrator]
@@ -315,7 +324,9 @@ def test_accuracy_is_as_asked_for_and_known(kind: str):
     "kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"]
 )
 def test_lammps(kind: str, integrator: str):
-    """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its heights."""
+    """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its
+    heights.
+    """
     scene = scene_of(*STRONG[kind], samples=5)
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
@@ -357,7 +368,9 @@ PLACES = [("native", integrator) for integrator in sorted(METHODS)] + [
 @pytest.mark.parametrize(("engine", "integrator"), PLACES)
 @pytest.mark.parametrize("kind", [kind for kind in STRONG if kind.startswith(("force", "wall"))])
 def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pytest.MonkeyPatch):
-    """A run that goes on from a kept state ends with the same bytes: the clock of a force is kept too."""
+    """A run that goes on from a kept state ends with the same bytes: the clock of a force is kept
+    too.
+    """
     scene = scene_of(*STRONG[kind], samples=9)
     options = {"diameter": "gauge"} if engine == "lammps" else {}
     solver = engines.get(engine, integrator=integrator, step=scene.duration / 203, **options)
@@ -396,7 +409,9 @@ def test_adaptive_steps_restart_exactly_too(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("kind", STRONG)
 def test_work_and_impulse_are_accounted_for(kind: str):
-    """Energy is what the force or the driver has put in, momentum what it, the load and the walls have."""
+    """Energy is what the force or the driver has put in, momentum what it, the load and the walls
+    have.
+    """
     scene = scene_of(*STRONG[kind], samples=4001)
     t = simulate(scene, "native", 1e-9)
     ledger = energy.ledger(t)
@@ -514,7 +529,9 @@ def test_a_force_in_a_file(tmp_path: Path):
     "kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"]
 )
 def test_decks(kind: str, tmp_path: Path):
-    """A deck by itself carries forces and a wall that moves: the same steps give the same motion."""
+    """A deck by itself carries forces and a wall that moves: the same steps give the
+    same motion.
+    """
     scene = scene_of(*STRONG[kind], samples=5)
     step = scene.duration / 400
     write_deck(scene, tmp_path, step=step, diameter="gauge")
@@ -557,7 +574,9 @@ def test_random_scenes(seed: int):
 @pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize("integrator", ["dop853", "rkn6", "rkn4", "kahan-li8"])
 def test_knots_that_cut_the_steps_of_all_companions_hide_no_error(integrator: str, uneven: bool):
-    """At 1e-2 steps would be as long as from knot to knot, of the answer and of every companion alike."""
+    """At 1e-2 steps would be as long as from knot to knot, of the answer and of every companion
+    alike.
+    """
     chain = Chain(grains=5, diameter=1e-3, top_load=0.1)
     times = np.linspace(0, 1, 101)
     times += uneven * 0.3 * np.sin(np.arange(101)) * times[1] * (np.arange(101) % 100 > 0)

@@ -1,4 +1,7 @@
-"""A driven grain goes where it must, and the others follow Eq. (1) to the order of the integrator."""
+"""A driven grain goes where it must, and the others follow Eq.
+
+(1) to the order of the integrator.
+"""
 
 from collections.abc import Mapping
 from functools import cache
@@ -88,7 +91,9 @@ def test_grain_1_follows_a_sine(integrator: str):
 
 @every
 def test_grain_1_follows_a_path(integrator: str):
-    """Through points of a cubic it is that cubic; through any others, what SciPy's B-splines make of them."""
+    """Through points of a cubic it is that cubic; through any others, what SciPy's B-splines make
+    of them.
+    """
     chain = loaded()
     drive, coefficients = cubic(chain)
     crooked = path(chain, 0.1)
@@ -159,7 +164,9 @@ def exact(scene: str) -> tuple[Array, Array, float]:
 
 
 def check_order(scene: Scene, integrator: str) -> None:
-    """Hold the order at which the error falls with the number of steps against what is said of the method."""
+    """Hold the order at which the error falls with the number of steps against what is said of the
+    method.
+    """
     u, v, own = exact(scene.to_text())
     errors, counts = [], COUNTS[integrator]
     for count in counts:
@@ -209,7 +216,8 @@ def test_accuracy_is_as_asked_for_and_known(scene: Scene):
 
 
 def by_modes(scene: Scene, mode: Any) -> tuple[Array, Array]:
-    """Solve m x'' = -K x + k_1 x_1(t) for the grains of springs that are free, in 30 digits, (T, M-1) each.
+    """Solve m x'' = -K x + k_1 x_1(t) for the grains of springs that are free, in 30 digits, (T,
+    M-1) each.
 
     `mode` gives q and q' of q'' = -w^2 q + x_1(t) at a time, at rest to begin with.
     """
@@ -258,7 +266,9 @@ def piston_mode(distance: float, time: float) -> Any:
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
 @pytest.mark.parametrize("kind", ["sine", "piston"])
 def test_springs_against_their_modes(kind: str, bottom: str):
-    """A chain of springs is linear as long as no contact opens: each mode is a driven oscillator."""
+    """A chain of springs is linear as long as no contact opens: each mode is a driven
+    oscillator.
+    """
     rng = np.random.default_rng(2)
     chain = Chain(
         grains=10,
@@ -288,7 +298,9 @@ def test_springs_against_their_modes(kind: str, bottom: str):
 
 
 def test_the_chain_holds_what_the_drive_puts_in():
-    """d/dt of the energy, the driven grain's own kinetic one left out, is the force of contact 1 times its speed."""
+    """d/dt of the energy, the driven grain's own kinetic one left out, is the force of contact 1
+    times its speed.
+    """
     chain = Chain(grains=12, diameter=1e-3, bottom="wall")
     scene = scene_of(chain, sine(chain, 2.0, slower=1.5), samples=4001, units=20)
     t = simulate(scene, "native", 1e-9)
@@ -348,7 +360,9 @@ def test_a_driven_chain_is_not_of_a_kind_with_one_that_is_struck():
 @every
 @pytest.mark.parametrize("make", [sine, path])
 def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPatch):
-    """A run that goes on from a kept state ends with the same bytes: the time of the path is kept too."""
+    """A run that goes on from a kept state ends with the same bytes: the time of the path is kept
+    too.
+    """
     chain = Chain(grains=30, diameter=1e-3)
     scenes = [
         Scene(chain=chain, excitation=make(chain, s), duration=3e-5, samples=9) for s in (1e-3, 3.0)
@@ -412,7 +426,9 @@ def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: 
 
 
 def test_knots_and_touching_walls_count_as_not_smooth() -> None:
-    """Knots of a path and a wall that only touches break the order of a method without any contact opening."""
+    """Knots of a path and a wall that only touches break the order of a method without any contact
+    opening.
+    """
     pressed = Chain(grains=12, material="steel", diameter=5e-3, top_load=1.0)
     loose = Chain(grains=12, material="steel", diameter=5e-3, top="wall")
     points = Drive(times=np.linspace(0, 1e-4, 9), displacement=1e-9 * np.sin(np.arange(9.0)) ** 2)

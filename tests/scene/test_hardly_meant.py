@@ -1,4 +1,6 @@
-"""What is allowed but hardly meant gets a warning of one line, once: wrong units, strikes that are too hard."""
+"""What is allowed but hardly meant gets a warning of one line, once: wrong units, strikes that are
+too hard.
+"""
 
 import warnings
 

@@ -98,7 +98,9 @@ def test_random_scenes(seed: int):
 
 
 def farthest(x: float) -> int:
-    """Return two more than the least d >= 8 with (x/2)^2d / (2d)! exp(x^2 / (8d + 4)), a bound of I_2d, below 1e-22."""
+    """Return two more than the least d >= 8 with (x/2)^2d / (2d)! exp(x^2 / (8d + 4)), a bound of
+    I_2d, below 1e-22.
+    """
     d = 8
     while d * np.log(x / 2) * 2 - lgamma(2 * d + 1) + x**2 / (8 * d + 4) > np.log(1e-22):
         d += 1
@@ -107,7 +109,9 @@ def farthest(x: float) -> int:
 
 @pytest.mark.parametrize("x", [1e-3, 0.5, 2.0, 7.0, 30.0, 100.0, 333.0])
 def test_the_cone_is_as_wide_as_the_exact_solution_of_springs_needs(x: float):
-    """Their motion d grains away is at most I_2d(W t), which is beyond 22 digits there, and hardly sooner."""
+    """Their motion d grains away is at most I_2d(W t), which is beyond 22 digits there, and hardly
+    sooner.
+    """
     chain = Chain(
         grains=20_000, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS
     )

@@ -32,7 +32,9 @@ def middle(t, part: slice = slice(None)) -> Array:
 @pytest.mark.parametrize("q", [0.3, 1.0, 2.0])
 @pytest.mark.parametrize("engine", ["modes", "native"])
 def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
-    """On a uniform chain w = 2 sqrt(k/m) sin(q/2): its middle moves at sqrt(k/m) cos(q/2), averaged over the band."""
+    """On a uniform chain w = 2 sqrt(k/m) sin(q/2): its middle moves at sqrt(k/m) cos(q/2), averaged
+    over the band.
+    """
     chain = uniform()
     omega, width = 2 / chain.time_scale * np.sin(q / 2), 20.0
     packet = Packet(
@@ -41,16 +43,19 @@ def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
     speed = np.cos(q / 2) / chain.time_scale
     scene = Scene(chain=chain, excitation=packet, duration=100 / speed, samples=11)
     place = middle(simulate(scene, engine, 1e-9))
-    # energy is spread over wave numbers as exp(-(width dq)^2), whose mean of cos is smaller by exp(-1 / (16 width^2))
+    # energy is spread over wave numbers as exp(-(width dq)^2), whose mean of cos is smaller by
+    # exp(-1 / (16 width^2))
     expected = place[0] + speed * scene.time * np.exp(-1 / (16 * width**2))
     assert place == pytest.approx(expected, rel=0, abs=2e-3)
 
 
 @pytest.mark.parametrize(("q", "width"), [(0.3, 25.0), (1.0, 20.0), (2.0, 8.0), (2.9, 25.0)])
 def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
-    """On a uniform chain v = A w exp(-x^2 / 2 width^2) cos(q x) at grains, 2 A sin(q/2) the same between them.
+    """On a uniform chain v = A w exp(-x^2 / 2 width^2) cos(q x) at grains, 2 A sin(q/2) the same
+    between them.
 
-    The displacement that follows has the spectrum of the strain over 2 sin(k/2): A is the height of its envelope.
+    The displacement that follows has the spectrum of the strain over 2 sin(k/2): A is the height of
+    its envelope.
     """
     chain = uniform(460)
     omega, amplitude = 2 / chain.time_scale * np.sin(q / 2), 1e-6 * chain.length_scale
@@ -78,7 +83,9 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
 
 @pytest.mark.parametrize(("width", "most"), [(4.0, 3e-3), (8.0, 1e-9), (12.0, 1e-14)])
 def test_hardly_anything_goes_up(width: float, most: float):
-    """The part that goes up is that of the Gaussian beyond q = 0 and pi: exp(-(q width)^2 / 2) at q = 1."""
+    """The part that goes up is that of the Gaussian beyond q = 0 and pi: exp(-(q width)^2 / 2) at q
+    = 1.
+    """
     chain = uniform(500)
     omega = 2 / chain.time_scale * np.sin(0.5)
     packet = Packet(
@@ -95,7 +102,9 @@ def test_hardly_anything_goes_up(width: float, most: float):
 
 
 def test_a_packet_under_gravity():
-    """In a column the local wave number makes it: what goes up stays small, and arrival follows the travel time."""
+    """In a column the local wave number makes it: what goes up stays small, and arrival follows the
+    travel time.
+    """
     chain = Chain(grains=900, diameter=1e-3, bottom="wall")
     omega = 0.8 * np.sqrt(chain.linear_stiffness[300] / chain.masses[0])
     packet = Packet(
@@ -115,7 +124,9 @@ def test_a_packet_under_gravity():
     "engine", ["modes", "native", pytest.param("lammps", marks=pytest.mark.slow)]
 )
 def test_reflection_and_transmission(engine: str):
-    """A grain of another mass lets |T|^2 = 1 / (1 + (dm/m)^2 tan^2(q/2)) through, here averaged over the packet."""
+    """A grain of another mass lets |T|^2 = 1 / (1 + (dm/m)^2 tan^2(q/2)) through, here averaged
+    over the packet.
+    """
     q0, width, odd = 1.2, 16.0, 300
     plain = uniform(600)
     chain = uniform(600, impurity=[{"grain": odd, "mass": 1.8 * plain.masses[0]}])
@@ -137,7 +148,9 @@ def test_reflection_and_transmission(engine: str):
 
 
 def test_energy_flows_evenly_through_an_uneven_chain():
-    """Where stiffness and mass change slowly, m v^2 times the group velocity is that of the middle, at its phase."""
+    """Where stiffness and mass change slowly, m v^2 times the group velocity is that of the middle,
+    at its phase.
+    """
     x = np.linspace(-1, 1, 400)
     masses, constants = 1e-6 * np.exp(0.5 * x), 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)
     chain = Chain(
@@ -166,7 +179,9 @@ def test_energy_flows_evenly_through_an_uneven_chain():
 
 
 def test_a_packet_that_does_not_fit_is_refused():
-    """It needs six widths on either side, and waves that travel all along; both sides of each limit."""
+    """It needs six widths on either side, and waves that travel all along; both sides of each
+    limit.
+    """
     chain = uniform(101)
     keys = {"frequency": 3e3, "width": 8.0, "grain": 50, "amplitude": 1e-12}
     limit = np.sqrt(chain.contacts.stiffness[40] / chain.masses[0]) / np.pi

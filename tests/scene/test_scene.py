@@ -46,7 +46,11 @@ FAULTS = {  # what is replaced, what by, and the key that must be named
     "unknown key in the recording": ("samples", "sample", "recording.sample"),
     "unknown section": ("[recording]", "[output]\n[recording]", "output"),
     "missing key": ("diameter = 1.0e-3", "", "chain.diameter"),
-    "missing section": ('[excitation]\nkind = "impulse"\ngrain = 1\nvelocity = 8.57e-4', "", "excitation"),
+    "missing section": (
+        '[excitation]\nkind = "impulse"\ngrain = 1\nvelocity = 8.57e-4',
+        "",
+        "excitation",
+    ),
     "section that is no table": (GOOD[: GOOD.index("[excitation]")], "chain = 3\n", "chain"),
     "kind that is not known": ('"impulse"', '"hammer"', "excitation.kind"),
     "kind that is missing": ('kind = "impulse"', "", "excitation.kind"),
@@ -58,10 +62,18 @@ FAULTS = {  # what is replaced, what by, and the key that must be named
     "list for a duration": ("duration = 10e-6", "duration = [1e-6]", "recording.duration"),
     "negative diameter": ("diameter = 1.0e-3", "diameter = -1.0e-3", "chain.diameter"),
     "no diameter": ("diameter = 1.0e-3", "diameter = 0.0", "chain.diameter"),
-    "one bad diameter of many": ("diameter = 1.0e-3", f"diameter = {[1e-3] * 19 + [-1e-3]}", "chain.diameter"),
+    "one bad diameter of many": (
+        "diameter = 1.0e-3",
+        f"diameter = {[1e-3] * 19 + [-1e-3]}",
+        "chain.diameter",
+    ),
     "too few diameters": ("diameter = 1.0e-3", "diameter = [1e-3, 2e-3]", "chain.diameter"),
     "too few masses": ("gravity", "masses = [1e-6]\ngravity", "chain.masses"),
-    "negative constant": ("gravity", f"contact_constants = {[-1e9] * 19}\ngravity", "chain.contact_constants"),
+    "negative constant": (
+        "gravity",
+        f"contact_constants = {[-1e9] * 19}\ngravity",
+        "chain.contact_constants",
+    ),
     "NaN": ("diameter = 1.0e-3", "diameter = nan", "chain.diameter"),
     "infinity": ("gravity = 9.81", "gravity = inf", "chain.gravity"),
     "infinite velocity": ("velocity = 8.57e-4", "velocity = -inf", "excitation.velocity"),
@@ -91,122 +103,204 @@ FAULTS = {  # what is replaced, what by, and the key that must be named
     "crushed by the strike": ("velocity = 8.57e-4", "velocity = 1e3", "excitation.velocity"),
     "material that is not known": ('"glass"', '"jelly"', "chain.material"),
     "material without a modulus": (
-        '"glass"', "{density = 2000.0, poissons_ratio = 0.2}", "chain.material.youngs_modulus"
+        '"glass"',
+        "{density = 2000.0, poissons_ratio = 0.2}",
+        "chain.material.youngs_modulus",
     ),
     "material that swells": (
-        '"glass"', "{density = 2000.0, youngs_modulus = 1e9, poissons_ratio = 0.6}", "chain.material.poissons_ratio"
+        '"glass"',
+        "{density = 2000.0, youngs_modulus = 1e9, poissons_ratio = 0.6}",
+        "chain.material.poissons_ratio",
     ),
     "profile that is too short": (
-        STRIKE, 'kind = "profile"\nvelocity = [1e-3, 0.0]',
+        STRIKE,
+        'kind = "profile"\nvelocity = [1e-3, 0.0]',
         "excitation.velocity",
     ),
     "profile that moves the held grain": (
-        STRIKE, f'kind = "profile"\ndisplacement = {[1e-10] * 20}',
+        STRIKE,
+        f'kind = "profile"\ndisplacement = {[1e-10] * 20}',
         "excitation.displacement",
     ),
-    "profile with nothing in it": (
-        STRIKE, 'kind = "profile"', "excitation.displacement"
-    ),
+    "profile with nothing in it": (STRIKE, 'kind = "profile"', "excitation.displacement"),
     "profile file that is missing": (
-        STRIKE, 'kind = "profile"\nfile = "none.csv"', "excitation.file"
+        STRIKE,
+        'kind = "profile"\nfile = "none.csv"',
+        "excitation.file",
     ),
     "top that is not known": ("gravity =", 'top = "fixed"\ngravity =', "chain.top"),
     "chain that hangs": ("gravity =", 'top = "wall"\nbottom = "free"\ngravity =', "chain.bottom"),
-    "material of no wall above": ("gravity =", 'top_material = "steel"\ngravity =', "chain.top_material"),
-    "material of no wall below": ("gravity =", 'bottom_material = "steel"\ngravity =', "chain.bottom_material"),
+    "material of no wall above": (
+        "gravity =",
+        'top_material = "steel"\ngravity =',
+        "chain.top_material",
+    ),
+    "material of no wall below": (
+        "gravity =",
+        'bottom_material = "steel"\ngravity =',
+        "chain.bottom_material",
+    ),
     "wall of no known material": (
-        "gravity =", 'bottom = "wall"\nbottom_material = "mud"\ngravity =', "chain.bottom_material"
+        "gravity =",
+        'bottom = "wall"\nbottom_material = "mud"\ngravity =',
+        "chain.bottom_material",
     ),
     "wall without a modulus": (
-        "gravity =", 'top = "wall"\ntop_material = {density = 1.0, poissons_ratio = 0.0}\ngravity =',
+        "gravity =",
+        'top = "wall"\ntop_material = {density = 1.0, poissons_ratio = 0.0}\ngravity =',
         "chain.top_material.youngs_modulus",
     ),
     "crushed by its weight on a wall": (
         "gravity =",
-        'bottom = "wall"\nbottom_material = {density = 1.0, youngs_modulus = 1.0, poissons_ratio = 0.0}\ngravity =',
+        'bottom = "wall"\nbottom_material = '
+        "{density = 1.0, youngs_modulus = 1.0, poissons_ratio = 0.0}\ngravity =",
         "chain.diameter",
     ),
     "impurity that is no grain": (
-        "[excitation]", "[[chain.impurity]]\ngrain = 21\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+        "[excitation]",
+        "[[chain.impurity]]\ngrain = 21\nmass = 1e-6\n[excitation]",
+        "chain.impurity.0.grain",
     ),
     "impurity at grain 0": (
-        "[excitation]", "[[chain.impurity]]\ngrain = 0\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+        "[excitation]",
+        "[[chain.impurity]]\ngrain = 0\nmass = 1e-6\n[excitation]",
+        "chain.impurity.0.grain",
     ),
     "impurity twice": (
-        "[excitation]", "[[chain.impurity]]\ngrain = 3\nmass = 1e-6\n" * 2 + "[excitation]", "chain.impurity.1.grain"
+        "[excitation]",
+        "[[chain.impurity]]\ngrain = 3\nmass = 1e-6\n" * 2 + "[excitation]",
+        "chain.impurity.1.grain",
     ),
     "impurity without a grain": (
-        "[excitation]", "[[chain.impurity]]\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+        "[excitation]",
+        "[[chain.impurity]]\nmass = 1e-6\n[excitation]",
+        "chain.impurity.0.grain",
     ),
     "impurity like the others": (
-        "[excitation]", "[[chain.impurity]]\ngrain = 3\n[excitation]", "chain.impurity.0.diameter"
+        "[excitation]",
+        "[[chain.impurity]]\ngrain = 3\n[excitation]",
+        "chain.impurity.0.diameter",
     ),
     "impurity with an unknown key": (
-        "[excitation]", "[[chain.impurity]]\ngrain = 3\nmas = 1e-6\n[excitation]", "chain.impurity.0.mas"
+        "[excitation]",
+        "[[chain.impurity]]\ngrain = 3\nmas = 1e-6\n[excitation]",
+        "chain.impurity.0.mas",
     ),
     "impurity with a word for a mass": (
-        "[excitation]", '[[chain.impurity]]\ngrain = 3\nmass = "heavy"\n[excitation]', "chain.impurity.0.mass"
+        "[excitation]",
+        '[[chain.impurity]]\ngrain = 3\nmass = "heavy"\n[excitation]',
+        "chain.impurity.0.mass",
     ),
     "impurity of no known material": (
-        "[excitation]", '[[chain.impurity]]\ngrain = 3\nmaterial = "mud"\n[excitation]', "chain.impurity.0.material"
+        "[excitation]",
+        '[[chain.impurity]]\ngrain = 3\nmaterial = "mud"\n[excitation]',
+        "chain.impurity.0.material",
     ),
     "impurity that swells": (
         "[excitation]",
-        "[[chain.impurity]]\ngrain = 3\nmaterial = {density = 1.0, youngs_modulus = 1e9, poissons_ratio = 0.6}\n"
+        "[[chain.impurity]]\ngrain = 3\nmaterial = "
+        "{density = 1.0, youngs_modulus = 1e9, poissons_ratio = 0.6}\n"
         "[excitation]",
         "chain.impurity.0.material.poissons_ratio",
     ),
     "impurity beside given constants": (
         "[excitation]",
-        f"contact_constants = {[1e9] * 19}\n[[chain.impurity]]\ngrain = 3\ndiameter = 1e-3\n[excitation]",
+        f"contact_constants = {[1e9] * 19}\n[[chain.impurity]]\ngrain = 3\ndiameter = "
+        "1e-3\n[excitation]",
         "chain.impurity.0",
     ),
-    "impurity as one table": ("[excitation]", "[chain.impurity]\ngrain = 3\n[excitation]", "chain.impurity"),
-    "chain file that is missing": ('material = "glass"\ndiameter = 1.0e-3', 'file = "none.csv"', "chain.file"),
-    "chain file that is a number": ('material = "glass"\ndiameter = 1.0e-3', "file = 3", "chain.file"),
+    "impurity as one table": (
+        "[excitation]",
+        "[chain.impurity]\ngrain = 3\n[excitation]",
+        "chain.impurity",
+    ),
+    "chain file that is missing": (
+        'material = "glass"\ndiameter = 1.0e-3',
+        'file = "none.csv"',
+        "chain.file",
+    ),
+    "chain file that is a number": (
+        'material = "glass"\ndiameter = 1.0e-3',
+        "file = 3",
+        "chain.file",
+    ),
     "drive with nothing in it": (STRIKE, 'kind = "drive"', "excitation.amplitude"),
     "drive of no frequency": (STRIKE, 'kind = "drive"\namplitude = 1e-9', "excitation.amplitude"),
     "drive of both kinds": (
         STRIKE,
-        'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ntimes = [0.0, 1e-5]\ndisplacement = [0.0, 1e-9]',
+        'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ntimes = [0.0, 1e-5]\ndisplacement = '
+        "[0.0, 1e-9]",
         "excitation.amplitude",
     ),
-    "drive of frequency 0": (STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 0.0', "excitation.frequency"),
-    "drive by NaN": (STRIKE, 'kind = "drive"\namplitude = nan\nfrequency = 1e5', "excitation.amplitude"),
+    "drive of frequency 0": (
+        STRIKE,
+        'kind = "drive"\namplitude = 1e-9\nfrequency = 0.0',
+        "excitation.frequency",
+    ),
+    "drive by NaN": (
+        STRIKE,
+        'kind = "drive"\namplitude = nan\nfrequency = 1e5',
+        "excitation.amplitude",
+    ),
     "drive of another grain": (
-        STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ngrain = 2', "excitation.grain"
+        STRIKE,
+        'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ngrain = 2',
+        "excitation.grain",
     ),
     "drive that ends too early": (
-        STRIKE, 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]', "excitation.times"
+        STRIKE,
+        'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]',
+        "excitation.times",
     ),
     "drive that begins too late": (
-        STRIKE, 'kind = "drive"\ntimes = [1e-6, 2e-5]\ndisplacement = [0.0, 1e-9]', "excitation.times"
+        STRIKE,
+        'kind = "drive"\ntimes = [1e-6, 2e-5]\ndisplacement = [0.0, 1e-9]',
+        "excitation.times",
     ),
     "drive that turns back in time": (
-        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5, 1e-5]\ndisplacement = [0.0, 1e-9, 0.0]', "excitation.times"
+        STRIKE,
+        'kind = "drive"\ntimes = [0.0, 2e-5, 1e-5]\ndisplacement = [0.0, 1e-9, 0.0]',
+        "excitation.times",
     ),
     "drive that begins elsewhere": (
-        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [1e-9, 1e-9]', "excitation.displacement"
+        STRIKE,
+        'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [1e-9, 1e-9]',
+        "excitation.displacement",
     ),
     "drive by unequal columns": (
-        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [0.0, 1e-9, 0.0]', "excitation.displacement"
+        STRIKE,
+        'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [0.0, 1e-9, 0.0]',
+        "excitation.displacement",
     ),
-    "drive by one point": (STRIKE, 'kind = "drive"\ntimes = [0.0]\ndisplacement = [0.0]', "excitation.displacement"),
+    "drive by one point": (
+        STRIKE,
+        'kind = "drive"\ntimes = [0.0]\ndisplacement = [0.0]',
+        "excitation.displacement",
+    ),
     "drive of a wall that is not there": (
-        STRIKE, 'kind = "drive"\ngrain = 0\namplitude = 1e-9\nfrequency = 1e5', "excitation.grain"
+        STRIKE,
+        'kind = "drive"\ngrain = 0\namplitude = 1e-9\nfrequency = 1e5',
+        "excitation.grain",
     ),
     "force of no kind": (STRIKE, 'kind = "force"\namplitude = 1e-3', "excitation.amplitude"),
     "packet of one grain": (
-        STRIKE, 'kind = "packet"\ngrain = 10\nfrequency = 1e4\nwidth = 5.0\namplitude = 1e-12', "excitation.width"
+        STRIKE,
+        'kind = "packet"\ngrain = 10\nfrequency = 1e4\nwidth = 5.0\namplitude = 1e-12',
+        "excitation.width",
     ),
     "drive of one grain above a held one": (
         GOOD[GOOD.index("grains") : GOOD.index("[recording]")],
-        'grains = 2\ndiameter = 1e-3\n[excitation]\nkind = "drive"\namplitude = 1e-9\nfrequency = 1e5\n',
+        'grains = 2\ndiameter = 1e-3\n[excitation]\nkind = "drive"\namplitude = 1e-9\nfrequency = '
+        "1e5\n",
         "excitation.kind",
     ),
-    "crushed by the drive": (STRIKE, 'kind = "drive"\namplitude = 1e-3\nfrequency = 1e6', "excitation.kind"),
+    "crushed by the drive": (
+        STRIKE,
+        'kind = "drive"\namplitude = 1e-3\nfrequency = 1e6',
+        "excitation.kind",
+    ),
     "drive file that is missing": (STRIKE, 'kind = "drive"\nfile = "none.csv"', "excitation.file"),
-}  # fmt: skip
+}
 
 
 def refused(path: Path | str, capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -291,15 +385,25 @@ def test_faults_of_walls_impurities_and_drives_come_at_once(
         .replace("samples = 11", "samples = 1")
     )
     assert sorted(refused(file, capsys)) == [
-        "chain.bottom_material.poissons_ratio", "chain.bottom_material.youngs_modulus",
-        "chain.impurity.0.diameter", "chain.impurity.1.colour", "chain.impurity.1.grain", "chain.impurity.1.mass",
-        "chain.top", "chain.top_material",
-        "excitation.frequency", "excitation.times", "excitation.velocity", "recording.samples",
-    ]  # fmt: skip
+        "chain.bottom_material.poissons_ratio",
+        "chain.bottom_material.youngs_modulus",
+        "chain.impurity.0.diameter",
+        "chain.impurity.1.colour",
+        "chain.impurity.1.grain",
+        "chain.impurity.1.mass",
+        "chain.top",
+        "chain.top_material",
+        "excitation.frequency",
+        "excitation.times",
+        "excitation.velocity",
+        "recording.samples",
+    ]
 
 
 def test_what_does_not_fit_together_comes_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
-    """Each value is right by itself: walls and their materials, impurities, a drive and how long it lasts."""
+    """Each value is right by itself: walls and their materials, impurities, a drive and how long it
+    lasts.
+    """
     impurities = "".join(f"[[chain.impurity]]\ngrain = {n}\nmass = 1e-6\n" for n in (21, 4, 4))
     table = 'bottom_material = "steel"\n' + impurities + "[excitation]"
     drive = 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]\ngrain = 0'
@@ -368,28 +472,47 @@ WATER = Material(density=1000.0, youngs_modulus=2.2e9, poissons_ratio=0.5)
 CHAINS = {
     "plain": Chain(grains=4, diameter=1e-3),
     "every key": Chain(
-        grains=4, material=STEEL, diameter=0.1 + 0.2, gravity=1 / 3, exponent=1.25, top_load=1e-3, top="free",
-        bottom="fixed", masses=[1e-6, 2e-6, 1 / 3e6, 1e-6], contact_constants=[1e9, 2e9, 1e10 / 3],
+        grains=4,
+        material=STEEL,
+        diameter=0.1 + 0.2,
+        gravity=1 / 3,
+        exponent=1.25,
+        top_load=1e-3,
+        top="free",
+        bottom="fixed",
+        masses=[1e-6, 2e-6, 1 / 3e6, 1e-6],
+        contact_constants=[1e9, 2e9, 1e10 / 3],
     ),
     "arrays": Chain(grains=4, diameter=np.array([1e-3, 2e-3, 1e-3, 1e-3 / 3])),
     "materials": Chain(grains=4, material=[GLASS, "steel", WATER, STEEL], diameter=1e-3),
     "own material": Chain(grains=4, material=WATER, diameter=1e-3),
     "a name that another material has": Chain(
-        grains=4, material=Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.0, name="glass"), diameter=1e-3
+        grains=4,
+        material=Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.0, name="glass"),
+        diameter=1e-3,
     ),
     "free": Chain(grains=4, diameter=1e-3, gravity=0.0, bottom="free"),
     "on a wall": Chain(grains=4, diameter=1e-3, bottom="wall", bottom_material=WATER),
     "impurities": Chain(
-        grains=4, diameter=1e-3, top="free", bottom="wall", bottom_material="brass",
+        grains=4,
+        diameter=1e-3,
+        top="free",
+        bottom="wall",
+        bottom_material="brass",
         impurity=[
-            Impurity(grain=4, mass=1e-6 / 3), Impurity(grain=np.int64(1), diameter=np.float64(2e-3), material=WATER),
+            Impurity(grain=4, mass=1e-6 / 3),
+            Impurity(grain=np.int64(1), diameter=np.float64(2e-3), material=WATER),
             {"grain": 2, "material": "ptfe"},
         ],
     ),
     "impurities beside own constants": Chain(
-        grains=4, diameter=1e-3, masses=[1e-6] * 4, contact_constants=[1e9] * 3, impurity=[Impurity(grain=2, mass=2e-6)]
+        grains=4,
+        diameter=1e-3,
+        masses=[1e-6] * 4,
+        contact_constants=[1e9] * 3,
+        impurity=[Impurity(grain=2, mass=2e-6)],
     ),
-}  # fmt: skip
+}
 BETWEEN = {
     "walls": Chain(
         grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=1e-3 / 3, top_material=STEEL
@@ -446,11 +569,17 @@ def test_a_changed_number_makes_another_scene(file: Path):
     file.write_text(GOOD)
     scene = Scene.from_toml(file)
     changes = [
-        ("9.81", "9.80"), ("8.57e-4", "8.58e-4"), ("10e-6", "11e-6"), ("= 11", "= 12"), ('"glass"', '"steel"'),
-        ("samples = 11", "samples = 11\ngrains = [1]"), ("gravity", 'top = "wall"\ngravity'),
-        ("gravity", 'bottom = "wall"\ngravity'), ("gravity", "impurity = [{grain = 3, mass = 1e-6}]\ngravity"),
+        ("9.81", "9.80"),
+        ("8.57e-4", "8.58e-4"),
+        ("10e-6", "11e-6"),
+        ("= 11", "= 12"),
+        ('"glass"', '"steel"'),
+        ("samples = 11", "samples = 11\ngrains = [1]"),
+        ("gravity", 'top = "wall"\ngravity'),
+        ("gravity", 'bottom = "wall"\ngravity'),
+        ("gravity", "impurity = [{grain = 3, mass = 1e-6}]\ngravity"),
         (STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5'),
-    ]  # fmt: skip
+    ]
     for old, new in changes:
         file.write_text(GOOD.replace(old, new))
         assert Scene.from_toml(file) != scene
@@ -486,9 +615,13 @@ def test_a_chain_is_read_from_a_csv_file(file: Path):
     )
     scene = Scene.from_toml(file)
     expected = Chain(
-        grains=4, material=[GLASS, STEEL, PTFE, GLASS], diameter=[1e-3, 2e-3, 1.5e-3, 1e-3], bottom="wall",
-        impurity=[Impurity(grain=2, mass=1e-5)], gravity=9.81,
-    )  # fmt: skip
+        grains=4,
+        material=[GLASS, STEEL, PTFE, GLASS],
+        diameter=[1e-3, 2e-3, 1.5e-3, 1e-3],
+        bottom="wall",
+        impurity=[Impurity(grain=2, mass=1e-5)],
+        gravity=9.81,
+    )
     assert scene.chain == expected
     assert np.array_equal(scene.chain.masses, expected.masses)
     scene.to_toml(file)  # now without the CSV file
@@ -685,7 +818,9 @@ def test_strike_number():
 
 
 def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
-    """An unknown key, a free bottom under gravity, a strike on no grain and a record of no grain: four lines."""
+    """An unknown key, a free bottom under gravity, a strike on no grain and a record of no grain:
+    four lines.
+    """
     path = tmp_path / "scene.toml"
     path.write_text(
         '[chain]\ngrains = 12\ndiameter = 1e-3\ncolour = "red"\nbottom = "free"\n'
@@ -703,7 +838,11 @@ def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
 )
 def test_what_is_no_excitation_is_named(given: object):
     with pytest.raises(InputError, match="must be of the type Excitation") as caught:
-        Scene(chain=Chain(grains=12, diameter=1e-3), excitation=given, duration=1e-5)  # type: ignore[arg-type]
+        Scene(
+            chain=Chain(grains=12, diameter=1e-3),
+            excitation=given,  # type: ignore[arg-type]
+            duration=1e-5,
+        )
     assert [key for key, _ in caught.value.faults] == ["excitation"]
 
 

@@ -157,8 +157,13 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_tables_of_a_scene_hold_plain_values_and_names_of_known_materials() -> None:
     own = Material(density=1000.0, youngs_modulus=1e9, poissons_ratio=0.3)
     glassy = GLASS.replace(density=2500.0)
-    chain = Chain(grains=3, diameter=np.array([1e-3, 2e-3, 1e-3]), material=["glass", own, glassy], bottom="wall",
-                  impurity=[Impurity(grain=2, mass=1e-5)])  # fmt: skip
+    chain = Chain(
+        grains=3,
+        diameter=np.array([1e-3, 2e-3, 1e-3]),
+        material=["glass", own, glassy],
+        bottom="wall",
+        impurity=[Impurity(grain=2, mass=1e-5)],
+    )
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=np.float64(1e-6)), duration=1e-5, grains=[1, 3]
     )

@@ -1,4 +1,6 @@
-"""How hard an excitation squeezes contacts at first, against collisions of two bodies worked out one by one."""
+"""How hard an excitation squeezes contacts at first, against collisions of two bodies worked out
+one by one.
+"""
 
 import re
 from itertools import product
@@ -132,12 +134,17 @@ def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(
 
 @pytest.mark.parametrize("grain", [1, 2, 5, 7, 8])
 def test_too_hard_a_strike_names_the_contact_and_how_deep_two_grains_go(grain: int) -> None:
-    """Half of v^2 times the reduced mass against (2/5) K depth^(5/2); grain 9 is held and does not give way."""
+    """Half of v^2 times the reduced mass against (2/5) K depth^(5/2); grain 9 is held and does not
+    give way.
+    """
     rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
     chain = Chain(grains=9, material=rubber, diameter=1e-3, gravity=0.0)
     inertia = chain.masses[0] * (1 if grain == 8 else 0.5)
     depth = (1.25 * inertia * 3.0**2 / chain.contact_constants[0]) ** 0.4
-    message = f"squeezes contact {grain} to {depth / 1e-3:.2g} of the diameter, more than 0.1: strike more gently"
+    message = (
+        f"squeezes contact {grain} to {depth / 1e-3:.2g} of the diameter, more than 0.1: strike "
+        "more gently"
+    )
     with pytest.raises(InputError, match=re.escape(message)):
         Scene(chain=chain, excitation=Impulse(velocity=3.0, grain=grain), duration=1e-5)
     least = 3.0 * (0.1 / (depth / 1e-3)) ** 1.25
@@ -173,7 +180,9 @@ def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
 
 
 def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
-    """Both sides: a hundredth of the diameter; the speed of sound of the grain itself; not what is so at rest."""
+    """Both sides: a hundredth of the diameter; the speed of sound of the grain itself; not what is
+    so at rest.
+    """
 
     def remarks(chain: Chain, excitation: Any) -> list[str]:
         return list(
@@ -189,8 +198,8 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
     (text,) = remarks(chain, Impulse(velocity=1.1 * limit, grain=4))
     said = f"{0.01 * 1.1**0.8:.2g}"
     assert (
-        text
-        == f"velocity: a contact is squeezed to {said} of the diameter; Hertz's law holds to about 0.01"
+        text == f"velocity: a contact is squeezed to {said} of the diameter; "
+        "Hertz's law holds to about 0.01"
     )
     (text,) = remarks(chain, Force(grain=4, amplitude=300.0, frequency=1.0))
     assert text.startswith("kind: a contact is squeezed to ")
@@ -200,7 +209,10 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
     sound = np.sqrt(62e9 / 2426)
     assert not remarks(soft, Impulse(velocity=0.999 * sound, grain=4))
     (text,) = remarks(soft, Profile(velocity=sound * np.array([0, 0, 1.001, 0, 1.2, 0, 0, 0, 0])))
-    fast = f"grain 5 moves at {1.2 * sound:.3g} m/s, faster than sound in its material, {sound:.3g} m/s"
+    fast = (
+        f"grain 5 moves at {1.2 * sound:.3g} m/s, faster than sound in its material, {sound:.3g} "
+        "m/s"
+    )
     assert text == f"velocity: {fast}"
     pressed = Chain(grains=9, diameter=1e-3, gravity=0.0, top_load=30.0)
     assert pressed.contacts.overlap.max() > 1e-5
@@ -211,8 +223,15 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
 
 def test_materials_differ_from_grain_to_grain() -> None:
     """The sound of the slowest grain is not that of the one that moves."""
-    chain = Chain(grains=4, material=[STEEL, PTFE, STEEL, STEEL], diameter=1e-3, gravity=0.0, exponent=1.0,
-                  top_load=1e-3, masses=[1e-20] * 4)  # fmt: skip
+    chain = Chain(
+        grains=4,
+        material=[STEEL, PTFE, STEEL, STEEL],
+        diameter=1e-3,
+        gravity=0.0,
+        exponent=1.0,
+        top_load=1e-3,
+        masses=[1e-20] * 4,
+    )
     between = 2 * PTFE.sound_speed
     assert PTFE.sound_speed < between < STEEL.sound_speed
     for grain, count in ((1, 0), (2, 1), (3, 0)):

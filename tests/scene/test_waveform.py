@@ -97,7 +97,9 @@ def test_no_value_or_derivative_is_beyond_the_largest(cycles: float | None) -> N
 @pytest.mark.parametrize("cycles", CYCLES)
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.5, 0.75, 1.0, 1.5])
 def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None:
-    """By quadrature of the size of the wave and of its slope, also where the time ends before a burst does."""
+    """By quadrature of the size of the wave and of its slope, also where the time ends before a
+    burst does.
+    """
     wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
     duration = share * (4 / FREQUENCY if cycles is None else wave.end)
     until = min(duration, wave.end) * (1 - 1e-14)

@@ -139,7 +139,9 @@ def test_a_long_duration_is_remarked_on() -> None:
 
 
 def springs_strain(chain: Chain, excitation: Any, duration: float) -> float:
-    """Return the bound on strains, from each spring in series with all others where both ends stand still."""
+    """Return the bound on strains, from each spring in series with all others where both ends stand
+    still.
+    """
     contacts = chain.contacts
     there = contacts.exists
     k = contacts.stiffness[there]
@@ -226,7 +228,9 @@ def test_strains_of_a_driven_linear_chain() -> None:
 
 
 def test_a_short_blow_moves_its_grain_as_a_blow_moves_an_oscillator() -> None:
-    """By its impulse over the mass, and that over the frequency; a slow force by all its work over the way it takes."""
+    """By its impulse over the mass, and that over the frequency; a slow force by all its work over
+    the way it takes.
+    """
     spring = {"grains": 1, "diameter": 1e-3, "exponent": 1.0, "bottom": "wall", "masses": [2e-6]}
     chain = Chain(**spring, wall_constants=[0.0, 50.0])
     blow = Force(shape="half-sine", amplitude=-1e-3, duration=1e-7)
@@ -246,7 +250,9 @@ def test_a_short_blow_moves_its_grain_as_a_blow_moves_an_oscillator() -> None:
 
 
 def test_what_a_push_is_made_of() -> None:
-    """Of a driven grain, a driven wall and a force: what the outside world adds, and how the body moves."""
+    """Of a driven grain, a driven wall and a force: what the outside world adds, and how the body
+    moves.
+    """
     time = np.array([0.0, 1e-5, 3e-5])
     rng = np.random.default_rng(1)
     force, rate = rng.normal(size=(2, 3, 10))
@@ -289,14 +295,16 @@ REFUSED = {
         {"kind": "drive", "amplitude": 1e-12},
         (
             "amplitude",
-            "give amplitude and frequency, with or without cycles, or times and displacement (or a file with both)",
+            "give amplitude and frequency, with or without cycles, or times and displacement (or a "
+            "file with both)",
         ),
     ),
     "no shape": (
         {"kind": "force", "amplitude": 1e-12, "duration": 1e-5},
         (
             "amplitude",
-            "give amplitude and frequency, with or without cycles, or times and force, or shape, amplitude and "
+            "give amplitude and frequency, with or without cycles, or times and force, or shape, "
+            "amplitude and "
             "duration (or a file with both)",
         ),
     ),
@@ -510,7 +518,10 @@ def test_a_notebook_shows_what_a_scene_is() -> None:
     assert rows["excitation"][0].startswith("Impulse(")
     assert rows["chain"][0].startswith("Chain(")
     assert "data:image/png" in html
-    long = Scene(chain=Chain(grains=10**6 + 1, diameter=1e-3, gravity=0.01), excitation=Impulse(velocity=1e-9),
-                 duration=1e-6)  # fmt: skip
+    long = Scene(
+        chain=Chain(grains=10**6 + 1, diameter=1e-3, gravity=0.01),
+        excitation=Impulse(velocity=1e-9),
+        duration=1e-6,
+    )
     assert "data:image/png" not in long._repr_html_()
     assert "strike number" not in long._repr_html_()

@@ -1,4 +1,6 @@
-"""Whatever process of a sweep is killed, at any moment, it goes on and ends with the bits that it would have had."""
+"""Whatever process of a sweep is killed, at any moment, it goes on and ends with the bits that it
+would have had.
+"""
 
 import itertools
 import os
@@ -32,8 +34,8 @@ def values(folder: Path) -> dict[str, bytes]:
 def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, int]:
     """Sweep, and kill a process of it, drawn at random, once so many scenes are done.
 
-    Returns how often something was killed, and how often it was the process that leads. A part below 0 is of the time
-    before the first scene.
+    Returns how often something was killed, and how often it was the process that leads. A part
+    below 0 is of the time before the first scene.
     """
     scratch, mark, out, counts = folder / "scratch", f"MARK={folder}", folder / "out", [0, 0]
     scratch.mkdir(parents=True)
@@ -99,7 +101,8 @@ def test_killed_at_random(piece: int, tmp_path: Path, serial: Path):
         assert contents(tmp_path / str(again) / "out") == contents(serial), parts
         count += kills
         print(
-            f"sweep {piece}: {count} kills, {leaders} of the leader, {[round(part, 2) for part in parts]}",
+            f"sweep {piece}: {count} kills, {leaders} of the leader, "
+            f"{[round(part, 2) for part in parts]}",
             flush=True,
         )
         if count >= 10:

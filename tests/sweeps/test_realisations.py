@@ -83,7 +83,8 @@ def asked(chain: str, excitation: str, disorder: dict[str, Any], **more: Any) ->
 def numbers(scene: Scene) -> dict[str, Any]:
     """Return what a scene and its chain hold and derive, by name.
 
-    All but what chains made together do not say: their material, what they took from it, and impurities.
+    All but what chains made together do not say: their material, what they took from it, and
+    impurities.
     """
     chain = scene.chain
     contacts = chain.contacts

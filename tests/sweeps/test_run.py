@@ -1,4 +1,6 @@
-"""Who does the tasks of a sweep: how many at a time, what is tried again, what is given up, what is told."""
+"""Who does the tasks of a sweep: how many at a time, what is tried again, what is given up, what is
+told.
+"""
 
 import sys
 import warnings
@@ -77,7 +79,10 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
     executor = Faulty(BrokenExecutor("dead"), 3)
     with pytest.warns(UserWarning, match="some scenes could not be done") as warned:
         found = sweep(ASKED, tmp_path / "b", executor=executor)
-    text = "some scenes could not be done this time; of the first: the process that was at it died 3 times"
+    text = (
+        "some scenes could not be done this time; of the first: the process that was at it died 3 "
+        "times"
+    )
     assert [str(each.message) for each in warned] == [text]
     assert executor.tried.count(2) == 3
     assert "gather" not in executor.tried

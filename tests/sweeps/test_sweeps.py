@@ -94,7 +94,9 @@ def test_a_grid_is_every_combination(tmp_path):
 
 
 def test_chains_of_one_grain(tmp_path):
-    """Walls are swept by their constants; small motions between them go with their stiffness at rest."""
+    """Walls are swept by their constants; small motions between them go with their stiffness at
+    rest.
+    """
     chain = {
         "grains": 1,
         "diameter": 1e-3,
@@ -182,7 +184,9 @@ DRAWN: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("keys", [*([key] for key in DRAWN), list(DRAWN)[:2], list(DRAWN)[3:]])
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
 def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
-    """Each scene is that which its scene file would be, to the last bit; what is drawn is a coordinate."""
+    """Each scene is that which its scene file would be, to the last bit; what is drawn is a
+    coordinate.
+    """
     impurity = [{"grain": 4, "mass": 1e-6}]
     scene = SHORT | {"chain": SHORT["chain"] | {"bottom": bottom, "impurity": impurity}}
     table = {"seed": 4, "realisations": 5} | {key: DRAWN[key] for key in keys}
@@ -205,7 +209,9 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
 
 
 def test_a_packet_is_that_of_each_chain():
-    """It follows from masses and stiffnesses, so that its energy is not that of the ordered chain."""
+    """It follows from masses and stiffnesses, so that its energy is not that of the
+    ordered chain.
+    """
     chain = Chain(grains=60, diameter=1e-3, gravity=0, top_load=1, top="wall", bottom="wall")
     packet = Packet(frequency=2e4, width=2, grain=30, amplitude=1e-9)
     scene = Scene(chain=chain, excitation=packet, duration=2e-5)
@@ -227,7 +233,9 @@ def test_laws_that_differ_in_a_late_digit_are_not_the_same(tmp_path):
 
 @pytest.mark.parametrize("log", [False, True])
 def test_drawn_numbers_obey_their_law(tmp_path, log):
-    """Mean and deviation are those of the number itself; a seed stands for the same ones, however many scenes."""
+    """Mean and deviation are those of the number itself; a seed stands for the same ones, however
+    many scenes.
+    """
     law = {"mean": 62e9, "deviation": 2e9, "log": log, "per_grain": True}
     asked = {
         "scene": SHORT,
@@ -290,10 +298,13 @@ def test_what_is_swept_may_be_missing_from_the_scene(tmp_path):
 
 
 def test_files_count_by_what_is_in_them(tmp_path):
-    """A scene file and its CSV file are found beside the sweep file; new contents make a new scene."""
+    """A scene file and its CSV file are found beside the sweep file; new contents make
+    a new scene.
+    """
     (tmp_path / "grains.csv").write_text("diameter\n" + "1e-3\n" * 8)
     (tmp_path / "scene.toml").write_text(
-        '[chain]\nfile = "grains.csv"\n[excitation]\nkind = "impulse"\n[recording]\nduration = 2e-5\nsamples = 3\n'
+        '[chain]\nfile = "grains.csv"\n[excitation]\nkind = "impulse"\n[recording]\nduration = '
+        "2e-5\nsamples = 3\n"
     )
     (tmp_path / "sweep.toml").write_text(
         'scene = "scene.toml"\n[grid]\nexcitation.velocity = [1e-4, 2e-4]\n'
@@ -361,7 +372,9 @@ def test_kept_quantities_are_those_of_measure(tmp_path):
 
 
 def test_what_is_gathered_is_kept(tmp_path):
-    """In a batch and alone: in place of what samples show, and forces of contacts, which no sample is needed for."""
+    """In a batch and alone: in place of what samples show, and forces of contacts, which no sample
+    is needed for.
+    """
     tables = {
         "chain": {"grains": 30, "diameter": 1e-3},
         "excitation": {"kind": "impulse", "velocity": 1e-3},
@@ -399,7 +412,9 @@ def test_what_is_gathered_is_kept(tmp_path):
 
 
 def test_the_example(tmp_path, capsys):
-    """A weak wave in a Hertzian column has one time scale, which goes as gravity to the power -1/6, in any disorder."""
+    """A weak wave in a Hertzian column has one time scale, which goes as gravity to the power -1/6,
+    in any disorder.
+    """
     assert (
         main(["sweep", str(SCENES.parent / "sweep.toml"), "-o", str(tmp_path), "--workers", "1"])
         == 0
@@ -577,7 +592,9 @@ def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd, monkeypatch):
 
 
 def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
-    """A strike that only the hard grains stand; a duration after which round-off alone is too much."""
+    """A strike that only the hard grains stand; a duration after which round-off alone
+    is too much.
+    """
     path = tmp_path / "sweep.toml"
     path.write_text(
         """
@@ -691,7 +708,9 @@ def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
 
 
 def test_a_longer_sweep_takes_over_what_there_is(tmp_path, monkeypatch):
-    """Scenes that an earlier sweep has answered keep their results, whatever would be found for them now."""
+    """Scenes that an earlier sweep has answered keep their results, whatever would be found for
+    them now.
+    """
     short = sweep(chains(6), tmp_path).load()
     longer = sweep(chains(8), tmp_path)
     assert longer.sizes["realisation"] == 8
@@ -705,7 +724,9 @@ def test_a_longer_sweep_takes_over_what_there_is(tmp_path, monkeypatch):
 
 
 def test_the_rest_of_a_batch_gets_the_bits_that_all_of_it_would(tmp_path):
-    """Also the estimate of the error, which depends on the company where steps are barely stable."""
+    """Also the estimate of the error, which depends on the company where steps are
+    barely stable.
+    """
     scene = {
         "chain": {"grains": 60, "diameter": 1e-3},
         "excitation": {"kind": "impulse", "velocity": 0.0857},
@@ -893,9 +914,15 @@ def test_what_a_worker_was_writing_as_it_was_killed_is_removed(tmp_path):
 
 @pytest.mark.slow
 def test_a_full_disk(tmp_path, serial):
-    """No file may grow beyond 16 kB: arrays do not fit. Nothing is half written, and later all is done."""
+    """No file may grow beyond 16 kB: arrays do not fit.
+
+    Nothing is half written, and later all is done.
+    """
     path, expected = serial
-    line = f"ulimit -f 16; exec {sys.executable} -m lmpchain.cli sweep {path} -o {tmp_path} --workers 1"
+    line = (
+        f"ulimit -f 16; exec {sys.executable} -m lmpchain.cli sweep {path} -o {tmp_path} --workers "
+        "1"
+    )
     ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=PATIENCE)
     assert ended.returncode == 1
     assert "could not be done this time" in ended.stderr
@@ -907,7 +934,9 @@ def test_a_full_disk(tmp_path, serial):
 
 @contextmanager
 def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.Process]]]:
-    """Start a Dask scheduler and workers, each a process with a nanny, and yield its address and these."""
+    """Start a Dask scheduler and workers, each a process with a nanny, and yield its address and
+    these.
+    """
     tool = str(Path(sys.executable).with_name("dask"))
     quiet: dict[str, Any] = {
         "stdout": subprocess.DEVNULL,

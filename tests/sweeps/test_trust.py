@@ -1,4 +1,6 @@
-"""Results of sweeps that somebody else has tampered with: nothing is opened, nothing runs, one line says why."""
+"""Results of sweeps that somebody else has tampered with: nothing is opened, nothing runs, one line
+says why.
+"""
 
 import json
 import os
@@ -252,7 +254,10 @@ def test_parts_hold_plain_numbers(tmp_path, whole, how):
     elif how == "compressed":
         np.savez_compressed(part_of(mine, 0), **parts)
     elif how == "too small":
-        header = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }"
+        header = (
+            b"\x93NUMPY\x01\x00v\x00"
+            b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }"
+        )
         with zipfile.ZipFile(part_of(mine, 0), "a") as packed:
             packed.writestr("wall_force.npy", header.ljust(127) + b"\n")
     if how == "whole":
