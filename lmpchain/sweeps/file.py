@@ -27,7 +27,7 @@ from ..util.files import check_readable
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
-from .quantities import QUANTITIES, of_contact, with_forces
+from .quantities import QUANTITIES, of_contact, with_gathered
 
 FORMAT = 2  # version of the files of results
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
@@ -203,9 +203,14 @@ class Sweep:
         if unusable:
             raise InputError(dict.fromkeys(fault for value in unusable for fault in faults[value]))
 
+    @property
+    def moves_grains(self) -> bool:
+        """Whether the engine solves the equation of motion of the grains, Eq. (1) or (3)."""
+        return engines.get(self.engine).equation in (1, 3)
+
     def _trial(self, position: Place) -> Scene:
         """Make a scene that the engine can answer; raises `InputError`."""
-        scene = with_forces(self.scene(position), self.keep)
+        scene = with_gathered(self.scene(position), self.keep, self.moves_grains)
         if reasons := engines.get(self.engine).refuses(scene):
             raise InputError(reasons)
         return scene

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..measure.motion import Motion
+from ..measure.motion import RESOLVED, Motion
 from ..measure.recorded import columns
 from ..scene.recording import contact_of
 from ..scene.scene import Scene
@@ -127,6 +127,9 @@ QUANTITIES = {
 }
 
 
+ALONG_THE_RUN = ("peak_displacement", "peak_velocity", "arrival_time", "wall_force")
+
+
 def of_contact(name: str) -> bool:
     """Say whether a quantity is the largest force of a contact, as "peak_force:40"."""
     return name.partition(":")[0] == PEAK and contact_of(name) is not None
@@ -140,24 +143,71 @@ def quantity(name: str) -> Quantity:
     return Quantity((), units, f"{about} {name.partition(':')[2]}", lambda m, _: ())
 
 
-def with_forces(scene: Scene, keep: Iterable[str]) -> Scene:
-    """Return the scene with the forces of contacts gathered that are kept; raises `InputError`."""
-    forces = tuple(name for name in keep if of_contact(name) and name not in scene.quantities)
-    return scene.replace(quantities=(*scene.quantities, *forces)) if forces else scene
+def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scene:
+    """Return the scene with those quantities gathered along the run that its samples do not show.
+
+    Parameters
+    ----------
+    scene : Scene
+    keep : names of quantities
+    moves_grains : bool
+        Whether the engine solves an equation of motion of the grains, Eq. (1) or (3), so that it
+        can gather.
+
+    Raises
+    ------
+    InputError
+        If there is no such contact.
+    """
+    # between samples closer than this the equation of motion leaves no room for a larger value
+    swift = scene.highest_frequency * scene.duration / (scene.samples - 1) > RESOLVED
+    gathered_names = {
+        _gathered_name(scene, name)
+        for name in keep
+        if of_contact(name) or (swift and moves_grains and name in ALONG_THE_RUN)
+    }
+    missing = sorted(gathered_names - {*scene.quantities, ""})
+    return scene.replace(quantities=(*scene.quantities, *missing)) if missing else scene
+
+
+def _gathered_name(scene: Scene, name: str) -> str:
+    """Return the name under which a run gathers a quantity; empty for a wall that is not there."""
+    if name != "wall_force":
+        return name
+    # below the last grain that moves
+    return "" if scene.chain.bottom == "free" else f"{PEAK}:{scene.chain.movable}"
 
 
 def measured(
-    motion: Motion, keep: Iterable[str], grains: NDArray[np.intp], known: Mapping[str, Array]
+    motion: Motion,
+    keep: Iterable[str],
+    grains: NDArray[np.intp],
+    gathered_arrays: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Return what is kept of a motion, by name, at these of its grains; errors under the name with _error.
+    """Return what is kept of a motion, by name, at these of its grains.
 
-    What was gathered all along the run is `known`.
+    Errors are under the name with _error. `gathered_arrays` are those of the run, by name.
     """
     rows = slice(None) if grains.tobytes() == motion.grains.tobytes() else motion.rows(grains)
-    found: dict[str, Array] = {}
+    arrays: dict[str, Array] = {}
     for name in keep:
-        kept, names = quantity(name), (name, f"{name}_error")
-        values = [known[key] for key in names] if name in known else kept.measure(motion, grains)
-        for key, each in zip(names, values, strict=False):
-            found[gathered.file_name(key)] = each[..., rows] if "grain" in kept.dimensions else each
-    return found
+        of_grains = "grain" in quantity(name).dimensions
+        values = _read(motion, name, grains, gathered_arrays)
+        for key, array in zip((name, f"{name}_error"), values, strict=False):
+            arrays[gathered.file_name(key)] = array[..., rows] if of_grains else array
+    return arrays
+
+
+def _read(
+    motion: Motion, name: str, grains: NDArray[np.intp], gathered_arrays: Mapping[str, Array]
+) -> tuple[Array, ...]:
+    """Return a quantity and its error: as gathered along the run, else from the samples."""
+    along = _gathered_name(motion.scene, name)
+    if along not in gathered_arrays:
+        return quantity(name).measure(motion, grains)
+    value = gathered_arrays[along]
+    if name == "wall_force":
+        # a grain that is held presses with its own weight, too
+        chain = motion.scene.chain
+        value = value + chain.gravity * chain.masses[chain.movable :].sum()
+    return value, gathered_arrays[f"{along}_error"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from .axes import INDEX
 from .file import Sweep
-from .quantities import quantity, with_forces
+from .quantities import quantity, with_gathered
 
 Made = Scene | InputError
 
@@ -49,14 +49,15 @@ def _alike(plan: Sweep) -> bool:
 
 def _alone(plan: Sweep, number: int) -> Made:
     try:
-        return _wider(plan.scene(plan.place(number)), plan.keep)
+        return _wider(plan.scene(plan.place(number)), plan)
     except InputError as error:
         return error
 
 
-def _wider(scene: Scene, keep: Sequence[str]) -> Scene:
+def _wider(scene: Scene, plan: Sweep) -> Scene:
     """Return the scene with those grains and forces recorded, too, that measuring what is kept takes."""
-    scene = with_forces(scene, keep)
+    keep = plan.keep
+    scene = with_gathered(scene, keep, plan.moves_grains)
     if scene.grains == "all" or all(
         quantity(name).whole or name in scene.quantities for name in keep
     ):
@@ -73,7 +74,7 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
     numbers = range(first, first + count)
     places = [plan.place(number) for number in numbers]
     try:
-        common = _wider(plan.regular_scene(places[0]), plan.keep)
+        common = _wider(plan.regular_scene(places[0]), plan)
         disorder = plan.disorder(places[0])
         chain = common.chain
         if not _derivable(common) or (disorder and disorder.of not in OF_CONTACTS):

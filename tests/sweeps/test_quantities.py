@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.taylor_series import reference
 
 from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
-from lmpchain.sweeps.quantities import QUANTITIES, of_contact, quantity, with_forces
+from lmpchain.sweeps.quantities import QUANTITIES, of_contact, quantity, with_gathered
 
 UNITS = {
     "displacement": "m",
@@ -158,11 +159,11 @@ def test_names_of_forces_of_contacts():
     assert quantity("velocity") is QUANTITIES["velocity"]
     assert quantity("peak_force:12").long_name.endswith(" 12")
     gathered = SCENE.replace(quantities=["peak_force:3", "peak_velocity"])
-    wider = with_forces(gathered, ["velocity", "peak_force:3", "peak_force:5"])
+    wider = with_gathered(gathered, ["velocity", "peak_force:3", "peak_force:5"], True)
     assert wider.quantities == ("peak_force:3", "peak_velocity", "peak_force:5")
-    assert with_forces(gathered, ["velocity", "peak_force:3"]) is gathered
+    assert with_gathered(gathered, ["velocity", "peak_force:3"], True) is gathered
     with pytest.raises(InputError, match="numbered 1 to 11"):
-        with_forces(SCENE, ["peak_force:12"])
+        with_gathered(SCENE, ["peak_force:12"], True)
 
 
 def test_laws_and_times_are_labelled(tmp_path: Path):
@@ -178,3 +179,37 @@ def test_laws_and_times_are_labelled(tmp_path: Path):
     assert constants.attrs == {"units": "1", "long_name": "drawn for every contact"}
     assert masses.dims == ("realisation", "chain.masses.entry")
     assert found.realisation.values.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("bottom", ["fixed", "wall"])
+def test_what_happens_between_far_samples_is_kept(bottom: str, tmp_path: Path):
+    """Contacts open, and the wave reaches the bottom between two of six samples."""
+    chain = Chain(grains=20, diameter=1e-3, bottom=bottom)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.5), duration=6e-5, samples=6)
+    names = ["wall_force", "peak_velocity", "peak_displacement", "arrival_time"]
+    asked = {"scene": scene, "keep": names, "grid": {"excitation.velocity": [0.1, 0.5]}}
+    kept = sweep(asked, tmp_path).load()
+    for number, velocity in enumerate((0.1, 0.5)):
+        struck = scene.replace(excitation=Impulse(velocity=velocity), samples=6001)
+        best, doubt = reference(struck, 1e-14)
+        assert doubt < 1e-9
+        last = chain.movable
+        bodies = np.pad(best.displacement.astype(float), ((0, 0), (0, 1)))
+        contact = chain.contacts.of(np.array([last]))
+        closer = bodies[:, last - 1] - (bodies[:, last] if bottom == "wall" else 0.0)
+        force = contact.force_at(contact.overlap + closer).max()
+        force += chain.masses[last:].sum() * chain.gravity
+        row = kept.isel({kept.wall_force.dims[0]: number})
+        truths = {
+            "wall_force": force,
+            "peak_velocity": np.abs(best.velocity).max(0),
+            "peak_displacement": np.abs(best.displacement).max(0),
+        }
+        for name, truth in truths.items():
+            value, error = row[name].values, row[f"{name}_error"].values
+            # the grain that is held has no motion to be accurate about
+            assert np.atleast_1d(error <= 0.1 * np.abs(value))[:last].all()
+            # 1e-5: what the largest of 6001 samples misses
+            assert (np.abs(value - truth) <= error + 1e-5 * truth).all(), name
+        times = row.arrival_time.values
+        assert np.isfinite(times).sum() > 10

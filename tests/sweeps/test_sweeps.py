@@ -398,9 +398,11 @@ def test_what_is_gathered_is_kept(tmp_path):
         error = own["peak_velocity_error"] + most.error[[6, 2]]
         assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
         assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
-        assert (
-            own["peak_displacement_error"] > 1e-2 * own["peak_displacement"]
-        ).all()  # of two samples
+        # two samples show nothing of it, so that it is gathered, too
+        farthest = peaks(one, "displacement")
+        error = own["peak_displacement_error"] + farthest.error[[6, 2]]
+        assert (abs(own["peak_displacement"] - farthest.value[[6, 2]]) <= error).all()
+        assert (own["peak_displacement_error"] < 1e-5 * farthest.value.max()).all()
         force = contacts(one, [5]).force
         assert abs(own["peak_force_5"] - force.max()) <= own["peak_force_5_error"] + 1e-5 * np.ptp(
             force
