@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -23,7 +23,6 @@ MOST_SCENES = 10**6
 Count = Annotated[Whole, Field(ge=1, le=MOST_SCENES)]
 Seed = Annotated[Whole, Field(ge=0)]
 INDEX = "disorder.index"
-T = TypeVar("T")
 Fault = tuple[str, str]  # key and message
 
 
@@ -248,9 +247,9 @@ def _number(axis: Axis) -> Axis:
 
 
 def _check(
-    kind: type[T], table: dict[str, Any], tables: dict[str, Any]
-) -> tuple[T, dict[str, Uniform | Normal]]:
-    """Return options and laws of random numbers; raises `InputError` with every fault."""
+    kind: type[Checked], table: dict[str, Any], tables: dict[str, Any]
+) -> tuple[Any, dict[str, Uniform | Normal]]:
+    """Return options of a kind, and laws of random numbers; raises `InputError` with every fault."""
     faults: list[Fault] = []
     laws: dict[str, Uniform | Normal] = {}
     try:

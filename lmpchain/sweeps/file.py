@@ -97,10 +97,7 @@ class Sweep:
 
     def place(self, number: int) -> Place:
         """Return the place of a scene; the last axis is the fastest."""
-        return tuple(
-            number // math.prod(self.shape[axis + 1 :]) % size
-            for axis, size in enumerate(self.shape)
-        )
+        return tuple(int(index) for index in np.unravel_index(number, self.shape))
 
     def key(self, number: int) -> bytes:
         """Return a hash of all options that shape the answer to one scene and its quantities."""
@@ -216,7 +213,8 @@ class Sweep:
         return scene
 
 
-@lru_cache(maxsize=4)  # realisations of one chain follow one another
+# realisations of one chain follow one another
+@lru_cache(maxsize=4)
 def _make_scene(text: str, folder: Path) -> Scene:
     return Scene.from_dict(json.loads(text)[0], folder)
 
@@ -252,7 +250,6 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
     return _plan(parse(Path(source)), Path(source).parent)
 
 
-@lru_cache(maxsize=2)  # tasks of one sweep follow one another
 def read_text(text: str, folder: Path) -> Sweep:
     """Return the sweep with this `Sweep.text`; its CSV files lie in `folder`."""
     data = json.loads(text)

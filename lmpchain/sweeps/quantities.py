@@ -1,4 +1,4 @@
-"""What a sweep can keep of each scene: its motion, or numbers read off it with their errors."""
+"""Quantities that a sweep keeps of each scene: its motion, or numbers read off it, with errors."""
 
 from __future__ import annotations
 
@@ -19,26 +19,30 @@ from ..util.arrays import Array
 
 
 class Quantity(NamedTuple):
-    """Something read off a motion: its dimensions, unit and name, and how it and its error are found."""
+    """A quantity that is kept of a motion.
+
+    Attributes
+    ----------
+    dimensions : tuple of str
+        Of "time" and "grain".
+    units, long_name : str
+        Metadata of the results.
+    measure : function
+        Returns it, and its error, of a motion; its second argument are the grains that are kept.
+    recorded : bool
+        Whether it is the recorded motion itself, with the error of the trajectory and no other.
+    """
 
     dimensions: tuple[str, ...]
     units: str
     long_name: str
-    measure: Callable[[Motion, NDArray[np.intp]], tuple[Array, ...]]
-    whole: bool = False  # whether it is the recorded motion itself, with the error of the trajectory and no other
+    measure: Callable[[Motion, NDArray[np.intp]], Iterable[Array]]
+    recorded: bool = False
 
 
 def _arrival_time(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
     rows = motion.fronts("velocity", FRACTION, width=False)
     return rows[:, 0], rows[:, 3]
-
-
-def _peak_displacement(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
-    return motion.peaks("displacement")[1:]
-
-
-def _peak_velocity(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
-    return motion.peaks("velocity")[1:]
 
 
 def _wall_force(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -49,15 +53,15 @@ def _wall_force(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
 def _energy(motion: Motion, grains: NDArray[np.intp]) -> tuple[Array, Array]:
     from ..measure.energy import shares
 
-    energy, chain = shares(motion), motion.scene.chain
-    known = columns(chain.grains, chain.movable, grains) != UNKNOWN
-    grain, contact = (
-        np.isin(energy.grain, grains),
-        known[energy.contact] & known[energy.contact + 1],
-    )
-    moving = energy.kinetic[:, grain].sum(1), energy.kinetic_error[:, grain].sum(1)
-    held = energy.elastic[:, contact].sum(1), energy.elastic_error[:, contact].sum(1)
-    return moving[0] + held[0], moving[1] + held[1]
+    energy = shares(motion)
+    chain = motion.scene.chain
+    bodies = columns(chain.grains, chain.movable, grains) != UNKNOWN
+    grain = np.isin(energy.grain, grains)
+    # a contact counts if both of its bodies are kept, or stand still
+    contact = bodies[energy.contact] & bodies[energy.contact + 1]
+    value = energy.kinetic[:, grain].sum(1) + energy.elastic[:, contact].sum(1)
+    error = energy.kinetic_error[:, grain].sum(1) + energy.elastic_error[:, contact].sum(1)
+    return value, error
 
 
 def _grain_energy(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -67,14 +71,15 @@ def _grain_energy(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
     return energy.of_grain, energy.of_grain_error
 
 
-def _contact_energy(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
+def _contact_energy(motion: Motion, _: NDArray[np.intp]) -> Array:
     from ..measure.energy import shares
 
     energy = shares(motion)
+    # of the contact below each grain; that of the last one, or with a wall, may be unknown
     below = np.full((2, *energy.kinetic.shape), np.nan)
-    _, there, places = np.intersect1d(energy.grain, energy.contact, return_indices=True)
-    below[:, :, there] = np.stack([energy.elastic, energy.elastic_error])[:, :, places]
-    return below[0], below[1]
+    _, rows, places = np.intersect1d(energy.grain, energy.contact, return_indices=True)
+    below[:, :, rows] = np.stack([energy.elastic, energy.elastic_error])[:, :, places]
+    return below
 
 
 QUANTITIES = {
@@ -82,24 +87,20 @@ QUANTITIES = {
         ("time", "grain"),
         "m",
         "displacement from equilibrium, positive downward",
-        lambda m, _: (m.displacement,),
+        lambda motion, _: (motion.displacement,),
         True,
     ),
     "velocity": Quantity(
-        ("time", "grain"), "m s-1", "velocity, downward", lambda m, _: (m.velocity,), True
+        ("time", "grain"), "m s-1", "velocity, downward", lambda motion, _: (motion.velocity,), True
     ),
+    # those that a run can gather on its way have its names and units
     "peak_displacement": Quantity(
-        ("grain",), "m", "largest size of the displacement at any time", _peak_displacement
+        *gathered.KINDS["peak_displacement"], lambda motion, _: motion.peaks("displacement")[1:]
     ),
     "peak_velocity": Quantity(
-        ("grain",), "m s-1", "largest size of the velocity at any time", _peak_velocity
+        *gathered.KINDS["peak_velocity"], lambda motion, _: motion.peaks("velocity")[1:]
     ),
-    "arrival_time": Quantity(
-        ("grain",),
-        "s",
-        "when the front passes, by the velocity (measure.front.track)",
-        _arrival_time,
-    ),
+    "arrival_time": Quantity(*gathered.KINDS["arrival_time"], _arrival_time),
     "energy": Quantity(
         ("time",),
         "J",
@@ -127,6 +128,7 @@ QUANTITIES = {
 }
 
 
+# quantities of all times, which a run can gather on its way
 ALONG_THE_RUN = ("peak_displacement", "peak_velocity", "arrival_time", "wall_force")
 
 
@@ -139,8 +141,9 @@ def quantity(name: str) -> Quantity:
     """Return one of the quantities, or the largest force of a contact."""
     if name in QUANTITIES:
         return QUANTITIES[name]
-    _, units, about = gathered.KINDS[PEAK]
-    return Quantity((), units, f"{about} {name.partition(':')[2]}", lambda m, _: ())
+    dimensions, units, title = gathered.KINDS[PEAK]
+    # it is gathered on the way: there is nothing to measure afterwards
+    return Quantity(dimensions, units, f"{title} {contact_of(name)}", lambda motion, _: ())
 
 
 def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scene:
@@ -184,15 +187,16 @@ def measured(
     grains: NDArray[np.intp],
     gathered_arrays: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Return what is kept of a motion, by name, at these of its grains.
+    """Return the quantities of a motion that are kept, at these of its grains.
 
     Errors are under the name with _error. `gathered_arrays` are those of the run, by name.
     """
-    rows = slice(None) if grains.tobytes() == motion.grains.tobytes() else motion.rows(grains)
+    rows = motion.rows(grains)
     arrays: dict[str, Array] = {}
     for name in keep:
         of_grains = "grain" in quantity(name).dimensions
         values = _read(motion, name, grains, gathered_arrays)
+        # the motion itself comes without an error
         for key, array in zip((name, f"{name}_error"), values, strict=False):
             arrays[gathered.file_name(key)] = array[..., rows] if of_grains else array
     return arrays
@@ -200,7 +204,7 @@ def measured(
 
 def _read(
     motion: Motion, name: str, grains: NDArray[np.intp], gathered_arrays: Mapping[str, Array]
-) -> tuple[Array, ...]:
+) -> Iterable[Array]:
     """Return a quantity and its error: as gathered along the run, else from the samples."""
     along = _gathered_name(motion.scene, name)
     if along not in gathered_arrays:

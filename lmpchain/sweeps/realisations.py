@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +17,26 @@ from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .axes import INDEX
-from .file import Sweep
+from .file import Place, Sweep
 from .quantities import quantity, with_gathered
 
-Made = Scene | InputError
+Result = Scene | InputError
 
 
-def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Made]:
+def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Result]:
     """Return so many scenes of a sweep, or why they cannot be made.
 
-    Those that are alike are made `together`, if that is asked for. Every grain is recorded that what is kept takes;
-    such scenes answer, but do not describe themselves in full.
+    Those that are alike are made `together`, if that is asked for. Every grain is recorded that
+    measuring what is kept takes; such scenes answer, but do not describe themselves in full.
     """
-    made: list[Made] = []
+    results: list[Result] = []
     length = len(plan.axes[-1]) if together and _alike(plan) else 1
-    while len(made) < count:
-        number = first + len(made)
-        left = min(length - number % length, count - len(made))
-        made += _together(plan, number, left) if left > 1 else [_alone(plan, number)]
-    return made
+    while len(results) < count:
+        number = first + len(results)
+        # up to the end of the last axis: beyond, scenes differ in more
+        end = min(number + length - number % length, first + count)
+        results += _together(plan, range(number, end))
+    return results
 
 
 def _alike(plan: Sweep) -> bool:
@@ -47,7 +49,20 @@ def _alike(plan: Sweep) -> bool:
     )
 
 
-def _alone(plan: Sweep, number: int) -> Made:
+def _together(plan: Sweep, numbers: range) -> list[Result]:
+    """Return neighbours along the last axis, made with the others or alone."""
+    derived: list[Scene | None] = [None] * len(numbers)
+    if len(numbers) > 1:
+        # a fault of what they share is one of each of them
+        with suppress(InputError):
+            derived = _derive(plan, [plan.place(number) for number in numbers]) or derived
+    return [
+        _alone(plan, number) if scene is None else scene
+        for number, scene in zip(numbers, derived, strict=True)
+    ]
+
+
+def _alone(plan: Sweep, number: int) -> Result:
     try:
         return _wider(plan.scene(plan.place(number)), plan)
     except InputError as error:
@@ -55,53 +70,51 @@ def _alone(plan: Sweep, number: int) -> Made:
 
 
 def _wider(scene: Scene, plan: Sweep) -> Scene:
-    """Return the scene with those grains and forces recorded, too, that measuring what is kept takes."""
+    """Return the scene with all grains and forces recorded that measuring what is kept takes."""
     keep = plan.keep
     scene = with_gathered(scene, keep, plan.moves_grains)
     if scene.grains == "all" or all(
-        quantity(name).whole or name in scene.quantities for name in keep
+        quantity(name).recorded or name in scene.quantities for name in keep
     ):
         return scene
     last = scene.chain.grains
-    more = {n for grain in scene.recorded.tolist() for n in (grain - 1, grain, grain + 1)}
-    more |= {last - 1, last} if "wall_force" in keep else set()
-    grains = tuple(sorted(more - {0, last + 1}))
+    # forces and energies of its contacts take the neighbours of a grain
+    numbers = {n for grain in scene.recorded.tolist() for n in (grain - 1, grain, grain + 1)}
+    numbers |= {last - 1, last} if "wall_force" in keep else set()
+    grains = tuple(sorted(numbers - {0, last + 1}))
     return Scene._unchecked(**scene.given() | {"grains": "all" if len(grains) == last else grains})
 
 
-def _together(plan: Sweep, first: int, count: int) -> list[Made]:
-    """Return neighbours along the last axis, of which the first stands for all that they share."""
-    numbers = range(first, first + count)
-    places = [plan.place(number) for number in numbers]
-    try:
-        common = _wider(plan.regular_scene(places[0]), plan)
-        disorder = plan.disorder(places[0])
-        chain = common.chain
-        if not _derivable(common) or (disorder and disorder.of not in OF_CONTACTS):
-            return [_alone(plan, number) for number in numbers]
-        factors: Array | None = None
-        if disorder:
-            law = {key: value for key, value in disorder.given().items() if key != "index"}
-            factors = drawn_constants(chain, indices=[place[-1] for place in places], **law)
-    except InputError:
-        return [_alone(plan, number) for number in numbers]
+def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
+    """Return scenes of which the first stands for all that they share, their chains derived at once.
+
+    None stands for those that are not sound beyond doubt, or for all if none can be derived so.
+    Raises `InputError` if the first has a fault.
+    """
+    common = _wider(plan.regular_scene(places[0]), plan)
+    disorder = plan.disorder(places[0])
+    if not _derivable(common) or (disorder and disorder.of not in OF_CONTACTS):
+        return None
+    chain = common.chain
     values = [plan.draw_values(place, chain.grains) for place in places]
     drawn = {
         key.removeprefix("chain."): np.array([row[key] for row in values]) for key in values[0]
     }
-    with np.errstate(all="ignore"):  # what is not sound is made alone, which says why
+    # a chain of impossible numbers is made alone, which says why
+    with np.errstate(all="ignore"):
         equilibria = derive_chain(chain.grains_with(drawn))
-        if factors is not None:
+        if disorder:
+            law = {key: value for key, value in disorder.given().items() if key != "index"}
+            factors = drawn_constants(chain, indices=[place[-1] for place in places], **law)
+            # factors of what the contacts are with the grains that were drawn
             constants = equilibria.contacts.constant[..., 1:-1] * factors
-            changed = drawn | {"contact_constants": constants}
-            equilibria = derive_chain(chain.grains_with(changed))
+            equilibria = derive_chain(chain.grains_with(drawn | {"contact_constants": constants}))
         sound = _sound(chain, equilibria, drawn)
         chains = _chains(chain, equilibria, "diameter" in drawn)
-    made: list[Made] = []
-    for number, like, acceptable in zip(numbers, chains, sound, strict=True):
-        scene = _scene(common, like, bool(drawn)) if acceptable else None
-        made.append(_alone(plan, number) if scene is None else scene)
-    return made
+    return [
+        _scene(common, chain, bool(drawn)) if accepted else None
+        for chain, accepted in zip(chains, sound, strict=True)
+    ]
 
 
 def _derivable(scene: Scene) -> bool:
@@ -117,15 +130,16 @@ def _sound(chain: Chain, equilibria: Equilibrium, drawn: Mapping[str, Array]) ->
     sound = equilibria.computable(chain.movable)
     sound &= (equilibria.contacts.constant[:, 1:-1] > 0).all(1)
     for key, values in drawn.items():
-        least, most = (-1.0, 0.5) if key == "material.poissons_ratio" else (0.0, np.inf)
-        sound &= ((values > least) & (values <= most) & np.isfinite(values)).all(1)
-    if drawn:  # random contacts alone may be as soft as they come out
+        low, high = (-1.0, 0.5) if key == "material.poissons_ratio" else (0.0, np.inf)
+        sound &= ((values > low) & (values <= high) & np.isfinite(values)).all(1)
+    # random contacts alone may be as soft as they come out
+    if drawn:
         sound &= (equilibria.compression <= LIMITS.compression).all(1)
     return sound
 
 
 def _chains(chain: Chain, equilibria: Equilibrium, widths: bool) -> list[Chain]:
-    """Return R chains like this with equilibria of their own, and with diameters if these differ."""
+    """Return R chains like this with these equilibria, and with their diameters if these differ."""
     fields = {key: value for key, value in chain.given().items() if key != "impurity"}
     edges = band_edges(*map(np.ascontiguousarray, equilibria.dynamical_matrix(chain.movable)))
     chains = []
@@ -135,16 +149,18 @@ def _chains(chain: Chain, equilibria: Equilibrium, widths: bool) -> list[Chain]:
         fields["contact_constants"] = equilibrium.contacts.constant[1:-1]
         if widths or chain.impurity:
             fields["diameter"] = equilibrium.diameters
-        made = Chain._unchecked(**fields)
-        chains.append(made._with_known(equilibrium=equilibrium, band_edge=edge))
+        # what is derived already is handed on, or each chain would derive it again
+        derived = {"equilibrium": equilibrium, "band_edge": edge}
+        chains.append(Chain._unchecked(**fields)._with_known(**derived))
     return chains
 
 
 def _scene(common: Scene, chain: Chain, checked: bool) -> Scene | None:
-    """Return a scene like another with this chain; None if it is struck too hard for that."""
+    """Return the common scene with another chain; None if it is struck too hard for that."""
     fields = common.given() | {"chain": chain}
     try:
         scene = Scene(**fields) if checked else Scene._unchecked(**fields)
     except InputError:
         return None
-    return scene._with_known(light_cone=None)  # as of the first: all of them fit in one batch
+    # as of the first: all of them fit in one batch
+    return scene._with_known(light_cone=None)

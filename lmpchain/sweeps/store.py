@@ -108,7 +108,7 @@ def make_layout(
         name = file_name(key)
         shape = tuple(lengths[dimension] for dimension in kind.dimensions)
         columns[name] = Column(kind.dimensions, shape, kind.units, kind.long_name)
-        if not kind.whole:
+        if not kind.recorded:
             error = f"how far {name} may be off, by sampling and by the error of the solution"
             columns[f"{name}_error"] = Column(kind.dimensions, shape, kind.units, error)
     for name, cause in SCALARS.items():

@@ -36,9 +36,9 @@ def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None
     if not keys.size:
         return
     # equal keys stand for equal answers, wherever the scenes lie in both sweeps
-    wanted = np.array([plan.key(number) for number in range(plan.count)])
-    spots = np.searchsorted(keys, wanted).clip(max=keys.size - 1)
-    present = keys[spots] == wanted
+    new_keys = np.array([plan.key(number) for number in range(plan.count)])
+    spots = np.searchsorted(keys, new_keys).clip(max=keys.size - 1)
+    present = keys[spots] == new_keys
     for shard in range(layout.shards):
         begin = shard * layout.shard
         numbers = begin + np.flatnonzero(present[begin : begin + layout.shard])
@@ -54,18 +54,18 @@ def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None
             end = min(first + layout.batch, layout.count)
             rows = (numbers >= first) & (numbers < end)
             if rows.any():
-                part = {name: values[rows] for name, values in columns.items()}
-                _write(results, first, end, numbers[rows], part)
+                batch = {name: values[rows] for name, values in columns.items()}
+                _write(results, first, end, numbers[rows], batch)
 
 
 def _shapes(layout: Layout) -> dict[str, tuple[int, ...]]:
     return {name: column.shape for name, column in layout.columns.items()}
 
 
-def _write(results: Path, first: int, end: int, numbers: np.ndarray, part: dict[str, Any]) -> None:
+def _write(results: Path, first: int, end: int, numbers: np.ndarray, batch: dict[str, Any]) -> None:
     """Write a part with the results of some of its scenes, `numbers`."""
     columns = {}
-    for name, values in part.items():
+    for name, values in batch.items():
         text = name == "reason"
         shape = (end - first, *values.shape[1:])
         column: Any = np.full(shape, NOT_DONE if text else np.nan, object if text else float)
@@ -90,6 +90,6 @@ def drop(plan: Sweep, earlier: Path) -> None:
     except InputError:
         return
     keys, _ = _done(old_plan, old_layout, earlier)
-    wanted = [plan.key(number) for number in range(plan.count)]
-    if old_plan.keep == plan.keep and np.isin(keys, wanted).all():
+    new_keys = [plan.key(number) for number in range(plan.count)]
+    if old_plan.keep == plan.keep and np.isin(keys, new_keys).all():
         shutil.rmtree(earlier, ignore_errors=True)

@@ -92,7 +92,7 @@ def answer(task: Task) -> None:
     shard = task.first // task.layout.shard
     if part_of(task.folder, task.first).exists() or complete(task.folder, shard):
         return
-    plan = read_text(_read(task.folder / NAME), task.files)
+    plan = _read_plan(task.folder / NAME, task.files)
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1
     # warnings were given when the sweep began; the error of an answer stands in the result
@@ -120,16 +120,17 @@ def _insert_earlier(columns: dict[str, Any], task: Task) -> dict[str, Any]:
     if not path.exists():
         return columns
     earlier = {name: read_part(path, name, column) for name, column in task.layout.columns.items()}
-    done = earlier["reason"] != NOT_DONE
+    answered = earlier["reason"] != NOT_DONE
+    # scenes are the first dimension, and numpy aligns the last ones
     return {
-        name: np.where(done.reshape(-1, *[1] * (values.ndim - 1)), earlier[name], values)
-        for name, values in columns.items()
+        name: np.where(answered, earlier[name].T, values.T).T for name, values in columns.items()
     }
 
 
+# tasks of one sweep follow one another
 @lru_cache(maxsize=2)
-def _read(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+def _read_plan(path: Path, files: Path) -> Sweep:
+    return read_text(path.read_text(encoding="utf-8"), files)
 
 
 def _make_columns(task: Task) -> dict[str, Any]:
@@ -155,32 +156,21 @@ def _put(
     position = plan.place(task.first + row)
     scene = result.scene
     grains = find_recorded(plan, position, scene.chain.grains)
-    spots = _find_spots(grains.tobytes(), task.grains.tobytes())
+    order = np.argsort(task.grains)
+    places: dict[str, Any] = {
+        "time": slice(scene.samples),
+        "grain": order[np.searchsorted(task.grains, grains, sorter=order)],
+    }
     for name, values in measured(motion_of(result), plan.keep, grains, result.gathered).items():
-        if values.ndim == 2:
-            columns[name][row][: len(values), spots] = values
-        elif task.layout.columns[name].dimensions == ("time",):
-            columns[name][row, : len(values)] = values
-        elif values.ndim:
-            columns[name][row][spots] = values
-        else:
-            columns[name][row] = values
+        index = tuple(places[dimension] for dimension in task.layout.columns[name].dimensions)
+        # a view of the row, also where it is a single number
+        columns[name][row, ...][index] = values
     columns["model_error"][row] = result.error_estimate.model
     columns["solver_error"][row] = result.error_estimate.solver
     if "time" in columns:
         columns["time"][row, : scene.samples] = scene.time
     for key, values in plan.draw_values(position, scene.chain.grains).items():
         columns[key][row, : len(values)] = values
-
-
-@lru_cache(maxsize=64)
-def _find_spots(wanted: bytes, grains: bytes) -> Any:
-    """Return the indices of some grains among those of the arrays."""
-    if wanted == grains:
-        return slice(None)
-    numbers = np.frombuffer(grains, int)
-    order = np.argsort(numbers)
-    return order[np.searchsorted(numbers, np.frombuffer(wanted, int), sorter=order)]
 
 
 def _answer_alone(

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
 
-import numpy as np
 import pytest
 
 from lmpchain import Chain, Impulse, InputError, Scene, sweep
@@ -237,12 +236,6 @@ def test_labels_are_those_of_all_scenes():
     assert not alike.extra
     later = make_labels(read(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
     assert later.extra["time"].shape == (3,)
-
-
-def test_grains_find_their_places():
-    wanted, grains = np.array([7, 2]), np.array([9, 2, 4, 7])
-    assert tasks._find_spots(wanted.tobytes(), grains.tobytes()).tolist() == [3, 1]
-    assert tasks._find_spots(grains.tobytes(), grains.tobytes()) == slice(None)
 
 
 # --- what an earlier sweep has found
