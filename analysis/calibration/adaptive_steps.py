@@ -1,11 +1,13 @@
 """Measure how long steps are near openings: OPENING_STEPS.
 
-Random scenes whose contacts open are run at some longest steps with other values of each field. What counts is the work
-for a given true error (by the Taylor series in extended precision): steps times error^(1 / order), in the geometric
-mean over scenes and steps. OPENING_STEPS.shortened and OPENING_STEPS.crossing are supported where the estimate, which
-trusts the order of the method only if these steps leave little, is at least half of the true error in all but one of
-400 runs, and the work is at most a quarter more than the least of such values. OPENING_STEPS.least_crossing ends what is
-only round-off: supported where the error left is within twice the least and steps are at most half again as many.
+Random scenes whose contacts open are run at some longest steps with other values of each field.
+What counts is the work for a given true error (by the Taylor series in extended precision): steps
+times error^(1 / order), in the geometric mean over scenes and steps. OPENING_STEPS.shortened and
+OPENING_STEPS.crossing are supported where the estimate, which trusts the order of the method only
+if these steps leave little, is at least half of the true error in all but one of 400 runs, and the
+work is at most a quarter more than the least of such values. OPENING_STEPS.least_crossing ends what
+is only round-off: supported where the error left is within twice the least and steps are at most
+half again as many.
 
     python analysis/calibration/adaptive_steps.py           # a minute
     python analysis/calibration/adaptive_steps.py --quick   # seconds
@@ -62,7 +64,10 @@ def looks(cases: list[Case], name: str) -> dict[tuple[int, float], Look]:
 def length(
     field: str, values: tuple[float, ...], cases: list[Case], methods: tuple[str, ...]
 ) -> Row:
-    """Return the row of the length of steps: work with other values of it, over that with its own."""
+    """Return the row of the length of steps.
+
+    Work with other values of it, over that with its own.
+    """
     shipped = getattr(OPENING_STEPS, field)
     usual = {name: looks(cases, name) for name in methods}
     costs, low = {}, {}
@@ -88,7 +93,10 @@ def length(
 
 
 def least(cases: list[Case], factors: tuple[float, ...]) -> Row:
-    """Return the row of the least step that crosses an opening: steps near round-off, and the error left."""
+    """Return the row of the least step that crosses an opening.
+
+    Steps near round-off, and the error left.
+    """
     engine = Native("kahan-li8")
     shipped = OPENING_STEPS.least_crossing
     steps, errors = {}, {}

@@ -1,10 +1,11 @@
-"""Measure how well GROWTH allows for what scenes make of a last digit, and SEED, the digit that stands for rounding.
+"""Measure how well GROWTH allows for amplified last digits, and SEED, the digit of rounding.
 
-Random grains between walls, whose contacts open again and again, are run with rkn6 at omega h = 0.3 in double and in
-extended precision: what these differ by is the rounding of the run with all that the scene makes of it. A field is
-supported where the estimate of round-off is at least a third of that in nine scenes of ten, or in as many as with the
-best value, to one in 50. GROWTH.rate is supported from what 99 in 100 scenes stay below to five times that, beyond
-which runs are made for nothing. SEED: the change at t = 0 that grows to as much, in the middle nine tenths of scenes.
+Random grains between walls, whose contacts open again and again, are run with rkn6 at omega h = 0.3
+in double and in extended precision: what these differ by is the rounding of the run with all that
+the scene makes of it. A field is supported where the estimate of round-off is at least a third of
+that in nine scenes of ten, or in as many as with the best value, to one in 50. GROWTH.rate is
+supported from what 99 in 100 scenes stay below to five times that, beyond which runs are made for
+nothing. SEED: the change at t = 0 that grows to as much, in the middle nine tenths of scenes.
 
     python analysis/calibration/amplified_rounding.py           # two minutes
     python analysis/calibration/amplified_rounding.py --quick   # seconds

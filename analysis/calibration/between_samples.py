@@ -1,10 +1,13 @@
-"""Measure how far off the motion between samples may be: SHAPE.safety, RESOLVED and RESOLVED_BY_DIFFERENCES.
+"""Measure how far off the motion between samples may be.
 
-Random scenes of all kinds are answered to 1e-9 with so many samples that nothing is hidden between them. Of these,
-every k-th is left, omega h being between 0.3 and 12, and what is then read off (the largest displacement and speed of
-every grain, arrival, height and width of the front, the largest force on the bottom) is compared with what the dense
-samples show. The true error over the claimed one must be below 3 always, and below 1 in all but one of a hundred
-scenes; each constant is varied, and the interval is that in which it is so.
+SHAPE.safety, RESOLVED and RESOLVED_BY_DIFFERENCES.
+
+Random scenes of all kinds are answered to 1e-9 with so many samples that nothing is hidden between
+them. Of these, every k-th is left, omega h being between 0.3 and 12, and what is then read off (the
+largest displacement and speed of every grain, arrival, height and width of the front, the largest
+force on the bottom) is compared with what the dense samples show. The true error over the claimed
+one must be below 3 always, and below 1 in all but one of a hundred scenes; each constant is varied,
+and the interval is that in which it is so.
 
     python analysis/calibration/between_samples.py           # ten seconds
     python analysis/calibration/between_samples.py --quick   # a few seconds
@@ -72,7 +75,8 @@ def read_off(t: Trajectory, equation: int = 1) -> dict[str, tuple[np.ndarray, np
         for k, name in enumerate(("arrival", "height", "width"))
     }
     if t.scene.chain.bottom != "free":
-        found["force"] = tuple(np.atleast_1d(value) for value in between.largest_wall_force())  # type: ignore[assignment]
+        forces = (np.atleast_1d(value) for value in between.largest_wall_force())
+        found["force"] = tuple(forces)  # type: ignore[assignment]
     return found
 
 

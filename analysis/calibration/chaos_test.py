@@ -1,10 +1,11 @@
 """Measure when shorter steps are given up: PATIENCE.
 
-Short columns, weakly to strongly struck, for up to hundreds of periods, so that some make more of a last digit than any
-tolerance allows: each is tried at ever shorter steps until round-off is too much. PATIENCE.attempts is supported from
-the most that a scene took that could be answered, PATIENCE.stalls from what 95 in 100 of these took in a row that did
-not help to two more than any took, and PATIENCE.stalled from where 95 in 100 of these are not given up to 1, from where
-on steps made the error larger.
+Short columns, weakly to strongly struck, for up to hundreds of periods, so that some make more of a
+last digit than any tolerance allows: each is tried at ever shorter steps until round-off is too
+much. PATIENCE.attempts is supported from the most that a scene took that could be answered,
+PATIENCE.stalls from what 95 in 100 of these took in a row that did not help to two more than any
+took, and PATIENCE.stalled from where 95 in 100 of these are not given up to 1, from where on steps
+made the error larger.
 
     python analysis/calibration/chaos_test.py           # a minute
     python analysis/calibration/chaos_test.py --quick   # seconds

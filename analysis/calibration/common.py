@@ -29,7 +29,10 @@ NINE_IN_TEN, ALL_BUT_ONE = 0.9, 0.99
 
 
 class Row(NamedTuple):
-    """A constant: its value in the code, the value measured, and the interval that the measurement supports."""
+    """A constant.
+
+    Its value in the code, the value measured, and the interval that the measurement supports.
+    """
 
     name: str
     shipped: float
@@ -45,7 +48,10 @@ class Row(NamedTuple):
 
 
 def table(rows: Iterable[Row]) -> list[str]:
-    """Return aligned lines: constant, shipped and measured value, supported interval and what it means."""
+    """Return aligned lines.
+
+    Constant, shipped and measured value, supported interval and what it means.
+    """
     head = ("constant", "shipped", "measured", "supported", "", "of what")
     lines = [
         (
@@ -62,7 +68,10 @@ def table(rows: Iterable[Row]) -> list[str]:
 
 
 def command(main: Callable[[bool], list[Row]], doc: str | None) -> None:
-    """Run a script from the command line: read --quick, print the table and how long it took, on which processor."""
+    """Run a script from the command line.
+
+    Read --quick, print the table and how long it took, on which processor.
+    """
     parser = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -125,7 +134,7 @@ def answer(engine: Engine, scene: Scene, candidate: Candidate) -> Answer | None:
 
 
 def _companions(run: Run) -> tuple[tuple[float, ...], float]:
-    """Return how far the companions of a run are from it, and how low r / eps fell in any of them."""
+    """Return how far companions are from their run, and the lowest r / eps in any of them."""
     if not isinstance(run, CompanionRun):
         return (), 0.0
     peaks = np.where(run.peaks[0] > 0, run.peaks[0], 1.0)
@@ -134,7 +143,7 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
 
 
 def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
-    """Return the candidate with the longest step up to omega h = reach that divides the sample interval."""
+    """Return the candidate with the longest step up to omega h = reach that divides an interval."""
     interval = scene.duration / (scene.samples - 1)
     return candidate.sampled.with_steps(
         max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12)))
@@ -163,7 +172,10 @@ def proposal(engine: Engine, scene: Scene, tolerance: float) -> Candidate | None
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A scene with its true motion, found once: Taylor series in extended precision, independent of all engines."""
+    """A scene with its true motion, found once.
+
+    Taylor series in extended precision, independent of all engines.
+    """
 
     scene: Scene
 
@@ -181,7 +193,10 @@ class Case:
         )
 
     def error(self, motion: np.ndarray) -> float:
-        """Return the true relative error: the larger of displacement and velocity, over the largest true sample."""
+        """Return the true relative error.
+
+        The larger of displacement and velocity, over the largest true sample.
+        """
         return distance(motion, self.motion)
 
     @property
@@ -194,7 +209,7 @@ class Case:
 
 
 def distance(motion: np.ndarray, true: np.ndarray) -> float:
-    """Return how far two motions (2, T, G) are apart, relative to the largest values of the second."""
+    """Return how far two motions (2, T, G) are apart, over the largest values of the second."""
     size = np.abs(true).max((1, 2))
     return float((np.abs(motion - true).max((1, 2)) / np.where(size > 0, size, 1.0)).max())
 
@@ -216,7 +231,7 @@ def best(work: Callable[[], object], repeats: int) -> float:
 
 
 def near_best(costs: dict[float, float], within: float = 1.1) -> tuple[float, float, float]:
-    """Return the value of least cost, and the smallest and the largest one whose cost is within 10 % of that."""
+    """Return the value of least cost, and the range of values that cost 10 % more at most."""
     best = min(costs, key=lambda value: costs[value])
     good = [value for value, cost in costs.items() if cost <= within * costs[best]]
     return best, min(good), max(good)
@@ -232,7 +247,10 @@ class Job(NamedTuple):
 
     @property
     def work(self) -> float:
-        """Evaluations of the force in all attempts together; infinite if the tolerance is not met."""
+        """Evaluations of the force in all attempts together.
+
+        Infinite if the tolerance is not met.
+        """
         evaluations = []
 
         def collect(run: Run) -> None:
@@ -254,7 +272,10 @@ class Job(NamedTuple):
 def row_of_work(
     record: Any, field: str, values: Sequence[float], jobs: Sequence[Job], what: str
 ) -> Row:
-    """Return the row of a field by which steps are chosen: supported within 10 % of the least work."""
+    """Return the row of a field by which steps are chosen.
+
+    Supported within 10 % of the least work.
+    """
     shipped = getattr(record, field)
     each = {}
     for value in sorted({*values, shipped}):

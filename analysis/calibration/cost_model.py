@@ -1,11 +1,12 @@
 """Measure the timing constants of the cost model: of time stepping and of the linear engines.
 
-Times depend on the machine: shipped numbers are those of one processor, and `lmpchain plan --calibrate` measures a
-machine's own. What must hold is that engines which differ by ten are told apart, so a constant is supported within a
-factor of three. Every run is timed some times and the shortest counts. The coefficients of the linear engines are
-fitted to the logarithms of the times of many scenes. They are not all told apart by times: each is drawn to its
-shipped value as if that were known to a factor of ten, so only what the times demand moves it. On a busy machine run
-it with OPENBLAS_NUM_THREADS=1: threads that wait for each other say nothing about modes.
+Times depend on the machine: shipped numbers are those of one processor, and `lmpchain plan
+--calibrate` measures a machine's own. What must hold is that engines which differ by ten are told
+apart, so a constant is supported within a factor of three. Every run is timed some times and the
+shortest counts. The coefficients of the linear engines are fitted to the logarithms of the times of
+many scenes. They are not all told apart by times: each is drawn to its shipped value as if that
+were known to a factor of ten, so only what the times demand moves it. On a busy machine run it with
+OPENBLAS_NUM_THREADS=1: threads that wait for each other say nothing about modes.
 
     python analysis/calibration/cost_model.py           # a minute
     python analysis/calibration/cost_model.py --quick   # seconds
@@ -70,7 +71,7 @@ def supported(name: str, shipped: float, measured: float, says: str) -> Row:
 def _stepping(
     engine: Engine, sizes: tuple[int, ...], most: float, repeats: int
 ) -> tuple[float, float]:
-    """Return the seconds per grain and force evaluation, companions included, and the overhead in grains."""
+    """Return seconds a grain and force evaluation, with companions, and the overhead in grains."""
     features, times = [], []
     for grains in sizes:
         for periods in (2.0, most / grains + 2.0):
@@ -93,7 +94,7 @@ def _stepping(
 
 
 def _fitted(features: np.ndarray, times: np.ndarray, shipped: np.ndarray) -> np.ndarray:
-    """Return coefficients that give the times within some 30 %, drawn to the shipped ones within a factor of ten."""
+    """Return coefficients that give the times within some 30 %, near the shipped ones."""
 
     def off(logs: np.ndarray) -> np.ndarray:
         told = features @ (shipped * np.exp(logs))
@@ -116,7 +117,7 @@ def _features(name: str, scene: Scene) -> tuple[float, ...]:
 
 
 def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
-    """Return the rows of the literals of `work`, and one of how well times are told with the shipped ones."""
+    """Return the rows of the literals of `work`, and one of how well shipped ones tell times."""
     rng, features, times, told = np.random.default_rng(81), [], [], []
     most = 600 if engine.name == "modes" and not quick else 200 if engine.name == "modes" else 3000
     for _ in range(25 if quick else 120):
@@ -138,7 +139,10 @@ def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
     here = _fitted(table, np.maximum(measured - engine.start_up_s / 2, 1e-5), own)
     ratios = measured / (np.array(told) + engine.start_up_s)
     low, middle, high = (quantile(ratios, part) for part in (0.1, 0.5, 0.9))
-    says = f"time over start_up_s and work of {len(times)} scenes: median; 10 to 90 % {low:.2g} to {high:.2g}"
+    says = (
+        f"time over start_up_s and work of {len(times)} scenes: median; 10 to 90 % {low:.2g} to "
+        f"{high:.2g}"
+    )
     rows = [supported(f"{engine.name}.work", 1.0, middle, says)]
     each = np.array([table[:, k] * own[k] / np.array(told) for k in range(own.size)])
     for k, part in enumerate(PARTS[engine.name]):

@@ -1,11 +1,12 @@
 """Measure the error constant of every integrator: the error at omega h = 1 of the paper's scene.
 
-Each method runs at ever shorter steps of one length; where its error falls with its order, error / (omega h)^order
-times 60 / (omega T) is the constant. The truth is the Taylor series in extended precision. The interval spans the
-paper's scenes whose contacts stay closed: a strike of 1e-6 m/s, and those of Fig. 5 at 10 g and at g. Beside it
-stands what other gentle scenes have (columns and loaded chains, all ends and exponents, strains below 0.3): the
-constant of the paper's scene is small because its wave travels where the column is softest, so that little of it is
-at the highest frequency.
+Each method runs at ever shorter steps of one length; where its error falls with its order, error /
+(omega h)^order times 60 / (omega T) is the constant. The truth is the Taylor series in extended
+precision. The interval spans the paper's scenes whose contacts stay closed: a strike of 1e-6 m/s,
+and those of Fig. 5 at 10 g and at g. Beside it stands what other gentle scenes have (columns and
+loaded chains, all ends and exponents, strains below 0.3): the constant of the paper's scene is
+small because its wave travels where the column is softest, so that little of it is at the highest
+frequency.
 
     python analysis/calibration/error_constants.py           # half a minute
     python analysis/calibration/error_constants.py --quick   # seconds

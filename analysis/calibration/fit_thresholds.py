@@ -35,7 +35,10 @@ DEPTHS = slice(1, 60)
 
 
 def told(trajectory: Trajectory) -> tuple[float, float] | None:
-    """Return the scatter of the height, and how far speed and width are from the exact ones; None if nothing passes."""
+    """Return the scatter of the height, and how far speed and width are from the exact ones.
+
+    None if nothing passes.
+    """
     with mock.patch.object(solitary, "SOLITARY", np.inf):
         try:
             fit = solitary.fit_soliton(trajectory)
@@ -81,7 +84,7 @@ def _unit(chain: Chain) -> float:
 
 
 def other_waves(quick: bool) -> list[float]:
-    """Return by how much, in units of the larger threshold, strikes without a solitary wave are told apart."""
+    """Return by how much, over the larger threshold, strikes without a solitary wave stand out."""
     found = []
     for number in (0.01, 0.3) if quick else (0.01, 0.03, 0.1, 0.3, 1.0):
         for load in (1e-3,) if quick else (1e-3, 1.0):
@@ -112,7 +115,10 @@ def weak(quick: bool) -> Row:
         np.exp(np.interp(np.log(TOO_LITTLE), np.log(each), numbers))
         for each in np.array(list(errors.values())).T
     ]
-    says = f"strike number at which a peak velocity is off by 1 %: median, least and most of {len(places)} depths"
+    says = (
+        "strike number at which a peak velocity is off by 1 %: median, least and most of "
+        f"{len(places)} depths"
+    )
     return Row(
         "WEAK_STRIKE",
         WEAK_STRIKE,
@@ -129,7 +135,10 @@ def main(quick: bool = False) -> list[Row]:
     rows = []
     for name, column in (("SOLITARY (height)", 0), ("SOLITARY (speed, width)", 1)):
         low = max(one[column] for one in waves)
-        says = f"most of {len(waves)} solitary waves; of {len(others)} other waves the larger of the two is more"
+        says = (
+            f"most of {len(waves)} solitary waves; of {len(others)} other waves the larger of the "
+            "two is more"
+        )
         rows.append(Row(name, SOLITARY, low, low, min(others, default=np.inf), says))
     return [*rows, weak(quick)]
 

@@ -1,9 +1,9 @@
 """Measure the factor SAFETY on differences between runs with other steps: gradients and orbits.
 
-Gradients of a last velocity by the masses and the velocities at t = 0, at some lengths of the steps, are held against
-differences of Taylor series in extended precision; orbits with long steps against those of steps as short as round-off
-lets them be. A factor is supported from what 99 in 100 claimed errors need on, up to half again that or ten times what
-half need.
+Gradients of a last velocity by the masses and the velocities at t = 0, at some lengths of the
+steps, are held against differences of Taylor series in extended precision; orbits with long steps
+against those of steps as short as round-off lets them be. A factor is supported from what 99 in 100
+claimed errors need on, up to half again that or ten times what half need.
 
     python analysis/calibration/halved_steps.py           # two minutes
     python analysis/calibration/halved_steps.py --quick   # seconds
@@ -138,7 +138,10 @@ def row(name: str, shipped: float, factors: list[float], what: str) -> Row:
     """Return the row of a factor."""
     middle, low, most = quantile(factors, 0.5), quantile(factors, ALL_BUT_ONE), max(factors)
     enough = 100 * np.mean(np.array(factors) <= shipped)
-    says = f"{enough:.1f} % of {len(factors)} {what} are bounds; half need {middle:.2g}, 99 % {low:.2g}, all {most:.2g}"
+    says = (
+        f"{enough:.1f} % of {len(factors)} {what} are bounds; half need {middle:.2g}, 99 % "
+        f"{low:.2g}, all {most:.2g}"
+    )
     return Row(name, shipped, low, low, max(MARGIN * low, LOOSE * middle), says)
 
 

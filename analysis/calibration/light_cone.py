@@ -1,8 +1,8 @@
 """Measure when a cut at the light cone pays: CUT.share of the cut, and WINDOW_MIN.
 
-CUT.share: the time to answer a scene with the grains that the wave reaches over that with all of them, for cuts that leave
-more and more; the largest part that saves anything is measured. WINDOW_MIN: chains up to which computing all grains is
-no slower than following the wave.
+CUT.share: the time to answer a scene with the grains that the wave reaches over that with all of
+them, for cuts that leave more and more; the largest part that saves anything is measured.
+WINDOW_MIN: chains up to which computing all grains is no slower than following the wave.
 
     python analysis/calibration/light_cone.py           # a minute
     python analysis/calibration/light_cone.py --quick   # seconds
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 from unittest import mock
 
 from common import Row, best, command
@@ -53,7 +54,8 @@ def _cut(engine: Engine, quick: bool) -> Row:
         scene, times = struck(math.ceil(needed / part), periods), []
         for worth in (1.1, 0.0):  # always, and never
             with mock.patch.object(light_cone, "CUT", dataclasses.replace(CUT, share=worth)):
-                times.append(best(lambda scene=scene: fresh(engine, scene), repeats))  # type: ignore[misc]
+                run = partial(fresh, engine, scene)
+                times.append(best(run, repeats))
         ratios[part] = times[0] / times[1]
     saving = [part for part, ratio in ratios.items() if ratio < 0.97]
     harmless = [part for part, ratio in ratios.items() if ratio < 1.05]
@@ -79,7 +81,10 @@ def fresh(engine: Engine, scene: Scene) -> None:
 
 
 def _short(quick: bool) -> Row:
-    """Return the row of WINDOW_MIN: time with the window over that without, by the number of bodies."""
+    """Return the row of WINDOW_MIN.
+
+    Time with the window over that without, by the number of bodies.
+    """
     ratios, repeats = {}, 5 if quick else 25
     for bodies in (4, 8, 11, 14, 20, 30, 60):
         scene = struck(max(2, bodies * PAD - 2 * PAD), 12.0)

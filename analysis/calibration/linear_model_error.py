@@ -1,16 +1,18 @@
 """Measure the constants of the model error of linear theory.
 
-Random compressed chains, weakly to strongly struck, at the top, within, all over or driven, for up to hundreds of
-periods: the linear solution by eigenmodes is held against the nonlinear one by the native engine at a tolerance of
-1e-9, which knows nothing of linear theory. The factor of the estimate (strays) is fitted on every other scene: it is
-the least with which 99 in 100 thirds of the truth hold, the other parts being as they are. It is supported from what
-the other half of the scenes needs in the same way, where it has not been fitted, up to what the fitted half would need
-of it alone, the other parts being nothing: more than that is never needed. A bound has to hold always: doubt is
-supported from the most that any scene needs, of these and of families that ask for more (`columns`: struck columns of
-few grains up to ten passages; `pushed`: drives of many grains), up to half as much again as any needs alone. Large is
-supported up to the least bound that the truth exceeds, were bounds not given as 1 from there on. Steepens is supported
-like doubt, from `trains`: packets and driven waves that travel through long chains, as no other scene asks for it.
-STEEPEST and LINEAR come from struck columns.
+Random compressed chains, weakly to strongly struck, at the top, within, all over or driven, for up
+to hundreds of periods: the linear solution by eigenmodes is held against the nonlinear one by the
+native engine at a tolerance of 1e-9, which knows nothing of linear theory. The factor of the
+estimate (strays) is fitted on every other scene: it is the least with which 99 in 100 thirds of the
+truth hold, the other parts being as they are. It is supported from what the other half of the
+scenes needs in the same way, where it has not been fitted, up to what the fitted half would need of
+it alone, the other parts being nothing: more than that is never needed. A bound has to hold always:
+doubt is supported from the most that any scene needs, of these and of families that ask for more
+(`columns`: struck columns of few grains up to ten passages; `pushed`: drives of many grains), up to
+half as much again as any needs alone. Large is supported up to the least bound that the truth
+exceeds, were bounds not given as 1 from there on. Steepens is supported like doubt, from `trains`:
+packets and driven waves that travel through long chains, as no other scene asks for it. STEEPEST
+and LINEAR come from struck columns.
 
     python analysis/calibration/linear_model_error.py           # half a minute
     python analysis/calibration/linear_model_error.py --quick   # seconds
@@ -132,7 +134,10 @@ def _bounds(found: list[Held], trains: list[Held]) -> list[Row]:
             if unit:
                 parts.append(_part(x.true, unit, instead))
         beside, alone = (max(part[k] for part in parts) for k in (0, 1))
-        says = f"most that any of {len(parts)} scenes needs: beside the others {beside:.3g}, alone {alone:.3g}"
+        says = (
+            f"most that any of {len(parts)} scenes needs: beside the others {beside:.3g}, alone "
+            f"{alone:.3g}"
+        )
         rows.append(
             Row(f"FACTORS.{name}", factor, beside, beside, MARGIN * max(alone, beside), says)
         )
@@ -148,7 +153,7 @@ def _large(found: list[Held]) -> Row:
 
 
 def columns(quick: bool) -> list[Scene]:
-    """Return struck columns of few grains, followed for ten passages, from weak to a strain of 0.99."""
+    """Return struck columns of few grains over ten passages, from weak to a strain of 0.99."""
     scenes = []
     for exponent in (1.5,) if quick else (1.1, 1.3, 1.5, 1.8, 2.2):
         for grains in (2,) if quick else (2, 3, 4, 8):
@@ -200,7 +205,10 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def _evenly(scenes: list[Scene]) -> Row:
-    """Return the row of evenly: the fewest looks with which 19 in 20 bounds are within 30 % of those of many looks."""
+    """Return the row of evenly.
+
+    The fewest looks with which 19 in 20 bounds are within 30 % of those of many looks.
+    """
     bound: dict[int, list[float]] = {}
     sparse = [
         Scene(**scene.given() | {"samples": 6}) for scene in scenes if not Modes().refuses(scene)
@@ -226,7 +234,7 @@ def _evenly(scenes: list[Scene]) -> Row:
 def _errors(
     delta: float, strike_number: float, tau: float, grains: int, gravity: float = 9.81
 ) -> dict[str, float]:
-    """Return the errors of linear theory in its four norms after a strike on the top of a column."""
+    """Return the errors of linear theory in its four norms after a strike on top of a column."""
     chain = Chain(grains=grains, diameter=1e-3, exponent=delta, gravity=gravity)
     unit = chain.length_scale / chain.time_scale
     scene = Scene(
@@ -289,7 +297,8 @@ def _columns(quick: bool) -> list[Row]:
                 quantile(limits, 0.5),
                 min(limits) / 1.5,
                 1.5 * max(limits),
-                f"limit that gives the error near 0.1, {min(limits):.2g} to {max(limits):.2g}, and half as much",
+                f"limit that gives the error near 0.1, {min(limits):.2g} to {max(limits):.2g}, and "
+                "half as much",
             )
         )
     package = LINEAR["package"][0]
@@ -306,7 +315,8 @@ def _columns(quick: bool) -> list[Row]:
             good,
             1.0,
             max(d for d, r in ratios.items() if r < 2),
-            f"error over that of LINEAR, by exponent: {listed}; right to 10 % up to {good:g}, to 2 further",
+            f"error over that of LINEAR, by exponent: {listed}; right to 10 % up to {good:g}, to 2 "
+            "further",
         )
     )
     return rows

@@ -1,10 +1,13 @@
-"""Measure what linear theory says of contacts that may open, and of waves in resonance: opening and FEW.
+"""Measure what linear theory says of contacts that may open, and of waves in resonance.
 
-LOOKS.opening: the lowest strain that a look sees, over that of sixteen times as many evaluations of the same linear
-solution; of a hundred contacts that open 99 must be seen, and few that do not. FEW: long runs, with and without
-resonances in their estimate; it is supported from the most grains in which they bring three quarters of estimates
-closer to the truth, the nonlinear motion by the native engine at a tolerance of 1e-9, up to twice as many: more pairs
-take more time, and say 20 times too much of a driven column of 50 grains.
+Opening and FEW.
+
+LOOKS.opening: the lowest strain that a look sees, over that of sixteen times as many evaluations of
+the same linear solution; of a hundred contacts that open 99 must be seen, and few that do not. FEW:
+long runs, with and without resonances in their estimate; it is supported from the most grains in
+which they bring three quarters of estimates closer to the truth, the nonlinear motion by the native
+engine at a tolerance of 1e-9, up to twice as many: more pairs take more time, and say 20 times too
+much of a driven column of 50 grains.
 
     python analysis/calibration/linear_openings.py           # two minutes
     python analysis/calibration/linear_openings.py --quick   # seconds
@@ -34,7 +37,7 @@ ALL = {"kinds": ("gravity", "load"), "driven": 0.0, "grains": (2, 3, 5, 12)}
 
 
 def lowest(scene: Scene, per_radian: float) -> float:
-    """Return the lowest strain of any contact along the linear solution, with so many evaluations a radian."""
+    """Return the lowest strain along the linear solution, with so many evaluations a radian."""
     times = np.linspace(
         0, scene.duration, math.ceil(per_radian * scene.duration * fastest(scene)) + 1
     )
@@ -46,7 +49,10 @@ def lowest(scene: Scene, per_radian: float) -> float:
 
 
 def seen(scene: Scene) -> float:
-    """Return the lowest strain as a look sees it over the true one: it says that a contact opens from `opening` on."""
+    """Return the lowest strain as a look sees it over the true one.
+
+    It says that a contact opens from `opening` on.
+    """
     deepest, low, high = lowest(scene, FINER * LOOKS.resolved), *AROUND
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
@@ -68,14 +74,20 @@ def _open(scenes: list[Scene]) -> Row:
         except InputError:  # so strong that a law does not hold
             continue
     least, one, half = min(parts), quantile(parts, 0.01), quantile(parts, 0.5)
-    says = f"lowest strain that a look sees over the true one, {len(parts)} scenes: half {half:.4f}, 1 % {one:.4f}"
+    says = (
+        f"lowest strain that a look sees over the true one, {len(parts)} scenes: half {half:.4f}, "
+        f"1 % {one:.4f}"
+    )
     return Row(
         "LOOKS.opening", LOOKS.opening, -one, -one, -one + 0.02, f"{says}, least {least:.4f}"
     )
 
 
 def _few(count: int) -> Row:
-    """Return the row of FEW: up to how many grains resonances bring estimates closer to the truth."""
+    """Return the row of FEW.
+
+    Up to how many grains resonances bring estimates closer to the truth.
+    """
     closer: dict[int, float] = {}
     for grains in (2, 4, 8, 12, 20):
         ranges = {
@@ -93,7 +105,10 @@ def _few(count: int) -> Row:
         closer[grains] = quantile(off[1], 0.75) - quantile(off[0], 0.75)
     last = max((grains for grains, gain in closer.items() if gain > 0.05), default=0)
     listed = ", ".join(f"{grains}: {math.exp(gain):.2f}" for grains, gain in closer.items())
-    says = f"factor by which three quarters of estimates are closer with resonances, by grains: {listed}"
+    says = (
+        "factor by which three quarters of estimates are closer with resonances, by grains: "
+        f"{listed}"
+    )
     return Row("FEW (waves)", FEW, last, last, 2 * FEW, says)
 
 

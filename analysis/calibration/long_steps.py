@@ -1,11 +1,14 @@
-"""Measure when samples between steps are interpolated, and how well: INTERPOLATION and ROUNDING.interpolated.
+"""Measure when samples between steps are interpolated, and how well.
 
-In random scenes some samples lie between steps: how much further off they are than those on which steps end is the
-error of the polynomial where steps are long, and rounding where they are short. INTERPOLATION.error is supported within
-the middle nine tenths, INTERPOLATION.order within the quartiles of the slope between two steps. ROUNDING.interpolated,
-a bound, is supported from where nine in ten runs stay below it to ten times that. In columns an interpolated sample is
-timed against an evaluation of the force, supported within a factor of three, and whole answers against the least number
-of steps between two landings, supported within 10 % of the least time.
+INTERPOLATION and ROUNDING.interpolated.
+
+In random scenes some samples lie between steps: how much further off they are than those on which
+steps end is the error of the polynomial where steps are long, and rounding where they are short.
+INTERPOLATION.error is supported within the middle nine tenths, INTERPOLATION.order within the
+quartiles of the slope between two steps. ROUNDING.interpolated, a bound, is supported from where
+nine in ten runs stay below it to ten times that. In columns an interpolated sample is timed against
+an evaluation of the force, supported within a factor of three, and whole answers against the least
+number of steps between two landings, supported within 10 % of the least time.
 
     python analysis/calibration/long_steps.py           # a minute
     python analysis/calibration/long_steps.py --quick   # seconds

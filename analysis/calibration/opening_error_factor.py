@@ -1,10 +1,11 @@
 """Measure where the first step comes from: FIRST_STEP, and OPENING_STEPS.coarse.
 
-Random scenes are answered at several tolerances with other values of each field. The work is that of all attempts
-together, in evaluations of the force, in the geometric mean over the scenes. A value is supported where that is within
-10 % of the least. FIRST_STEP.coarse_error and OPENING_STEPS.coarse are varied in scenes with 101 samples, which hold
-steps short. FIRST_STEP.safe_strain is supported up to the bound on the strain of the first scene in ten of those in
-which a contact comes near to opening.
+Random scenes are answered at several tolerances with other values of each field. The work is that
+of all attempts together, in evaluations of the force, in the geometric mean over the scenes. A
+value is supported where that is within 10 % of the least. FIRST_STEP.coarse_error and
+OPENING_STEPS.coarse are varied in scenes with 101 samples, which hold steps short.
+FIRST_STEP.safe_strain is supported up to the bound on the strain of the first scene in ten of those
+in which a contact comes near to opening.
 
     python analysis/calibration/opening_error_factor.py           # a minute
     python analysis/calibration/opening_error_factor.py --quick   # seconds
@@ -83,7 +84,10 @@ def _safe_strain(quick: bool) -> Row:
         if run and run.lowest <= OPENINGS.near:
             strains.append(scene.largest_strain)
     low, tenth = min(strains, default=math.nan), quantile(strains, 0.1)
-    says = f"bounds on the strain of {len(strains)} scenes that come near: least, one in ten {tenth:.2g}"
+    says = (
+        f"bounds on the strain of {len(strains)} scenes that come near: least, one in ten "
+        f"{tenth:.2g}"
+    )
     return Row(label(FIRST_STEP, "safe_strain"), FIRST_STEP.safe_strain, low, 0.0, tenth, says)
 
 

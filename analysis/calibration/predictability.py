@@ -1,10 +1,11 @@
 """Measure how fast a small change grows in struck columns, and the solitary wave's constants.
 
-The growth: two native runs that begin 1e-13 apart, in columns of 6 to 40 grains, strike numbers from MEASURED.opening to
-MEASURED.flying N and 0.1 to 100 g; decades gained while a pulse runs down and up are fitted by a (1 - exp(-N / b)). Beyond
-each of the four ends of that domain the law should fail: stated is where measured and predicted growth part by more
-than a factor of two. The solitary wave: a grain at rest and free at both ends is struck in an unloaded chain; peaks
-pass far down the chain.
+The growth: two native runs that begin 1e-13 apart, in columns of 6 to 40 grains, strike numbers
+from MEASURED.opening to MEASURED.flying N and 0.1 to 100 g; decades gained while a pulse runs down
+and up are fitted by a (1 - exp(-N / b)). Beyond each of the four ends of that domain the law should
+fail: stated is where measured and predicted growth part by more than a factor of two. The solitary
+wave: a grain at rest and free at both ends is struck in an unloaded chain; peaks pass far down the
+chain.
 
     python analysis/calibration/predictability.py           # a minute
     python analysis/calibration/predictability.py --quick   # seconds
@@ -146,7 +147,10 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def _end(name: str, shipped: float, values: tuple[float, ...], scenes: object, upper: bool) -> Row:
-    """Return the row of an end of the domain: values for which the law holds within a factor of two."""
+    """Return the row of an end of the domain.
+
+    Values for which the law holds within a factor of two.
+    """
     ratios = {}
     for value in values:
         made: Iterable[Scene] = scenes(value)  # type: ignore[operator]

@@ -1,8 +1,8 @@
 """Measure how long the independent reference takes: the constants of `expected_seconds`.
 
-Steps of the Taylor series are counted and timed in random scenes with and without openings. The first two are times
-between steps in units of the fastest contact; the others are the time of a step and of a grain in it, on the machine
-at hand.
+Steps of the Taylor series are counted and timed in random scenes with and without openings. The
+first two are times between steps in units of the fastest contact; the others are the time of a step
+and of a grain in it, on the machine at hand.
 
     python analysis/calibration/reference_cost.py           # a minute
     python analysis/calibration/reference_cost.py --quick   # seconds
@@ -25,7 +25,7 @@ FACTOR = 3.0  # within which a time is supported: machines differ
 
 
 def solved(scene: Scene) -> tuple[int, float, float, float]:
-    """Return the steps of the reference, their mean length, the grains in a step, and the time of all, s."""
+    """Return the steps of the reference, their mean length, the grains in one, and the time, s."""
     motion, seen = _Motion(scene), []
     own = _Motion._step
 
@@ -72,7 +72,8 @@ def main(quick: bool = False) -> list[Row]:
                 middle,
                 low,
                 high,
-                f"mean step, in units of the fastest contact, of {len(lengths)} scenes: median, 10 to 90 %",
+                f"mean step, in units of the fastest contact, of {len(lengths)} scenes: median, 10 "
+                "to 90 %",
             )
         )
     scaled = np.array(features, dtype=float) / np.array(times)[:, None]

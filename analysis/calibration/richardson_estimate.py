@@ -1,10 +1,11 @@
 """Measure the constants of the error estimate: TRUST, OPENINGS, FEWEST_STEPS and MANY_STEPS.
 
-Random scenes of every kind are run at some steps with other values of each constant, and the estimate is held against
-the true error, which comes from the Taylor series in extended precision. A value is supported where 99 in 100 estimates
-are no smaller than the true error, or as many as with the best value, to one in 200, and where the median one is at
-most three times that of the tightest of such values. OPENINGS.near and OPENINGS.returning say where the full order, or two
-companions alone, may be trusted: they are supported as far as 99 in 100 of these estimates are bounds.
+Random scenes of every kind are run at some steps with other values of each constant, and the
+estimate is held against the true error, which comes from the Taylor series in extended precision. A
+value is supported where 99 in 100 estimates are no smaller than the true error, or as many as with
+the best value, to one in 200, and where the median one is at most three times that of the tightest
+of such values. OPENINGS.near and OPENINGS.returning say where the full order, or two companions
+alone, may be trusted: they are supported as far as 99 in 100 of these estimates are bounds.
 
     python analysis/calibration/richardson_estimate.py           # three minutes
     python analysis/calibration/richardson_estimate.py --quick   # seconds
@@ -62,7 +63,10 @@ class Look(NamedTuple):
 
 
 def look(engine: Native, case: Case, candidate: Candidate, opens: bool | None) -> Look | None:
-    """Hold a run against the truth; None where its error is round-off, beyond all order, or contacts do not fit."""
+    """Hold a run against the truth.
+
+    None where its error is round-off, beyond all order, or contacts do not fit.
+    """
     run = answer(engine, case.scene, candidate)
     if run is None or opens not in (None, run.lowest <= OPENINGS.near):
         return None
@@ -102,7 +106,10 @@ def judge(
     found: Sequence[Look],
     what: str,
 ) -> Row:
-    """Return the row of a constant that `change` sets: which estimates are bounds, and how large they are."""
+    """Return the row of a constant that `change` sets.
+
+    Which estimates are bounds, and how large they are.
+    """
     parts: dict[float, float] = {}
     middles: dict[float, float] = {}
     for value in sorted({*values, shipped}):
@@ -134,7 +141,7 @@ def field(record: Any, name: str, values: Iterable[float], found: Sequence[Look]
 
 def edge(name: str, shipped: float, steps: Sequence[float], where: Callable[[Look], float],
          found: Sequence[Look]) -> Row:  # fmt: skip
-    """Return the row of how far the first of these steps estimates are bounds, by where they are."""
+    """Return the row of how far the first of these steps estimates are bounds, by place."""
     places = np.array([where(each) for each in found])
     bounds = np.array([each.ratio >= 1 for each in found])
     parts = {}

@@ -1,8 +1,9 @@
 """Measure round-off: of the native engine, of LAMMPS, which keeps heights, and of linear engines.
 
-Runs at steps of rkn6 with omega h = 0.3 against the same steps in extended precision, so that only rounding is left;
-of linear engines, chains of springs against the Taylor series in extended precision. A bound is supported from where
-nine in ten runs stay below it up to ten times that; a typical value where it is within the middle half.
+Runs at steps of rkn6 with omega h = 0.3 against the same steps in extended precision, so that only
+rounding is left; of linear engines, chains of springs against the Taylor series in extended
+precision. A bound is supported from where nine in ten runs stay below it up to ten times that; a
+typical value where it is within the middle half.
 
     python analysis/calibration/roundoff.py           # two minutes
     python analysis/calibration/roundoff.py --quick   # seconds
@@ -59,7 +60,10 @@ def radians(scene: Scene) -> float:
 def bound(
     name: str, shipped: float, values: list[float], what: str, wide: float = 10.0, part: float = 0.9
 ) -> Row:
-    """Return the row of a bound: supported from where so many runs stay below it to so many times that."""
+    """Return the row of a bound.
+
+    Supported from where so many runs stay below it to so many times that.
+    """
     middle, low, most = (quantile(values, share) for share in (0.5, part, 1.0))
     says = (
         f"{what}, {len(values)} runs: half {middle:.2g}, {100 * part:g} % {low:.2g}, all {most:.2g}"
@@ -72,7 +76,10 @@ def typical(
 ) -> Row:
     """Return the row of a typical value: supported from a quarter of the runs on."""
     low, middle, most = (quantile(values, share) for share in (0.25, 0.5, high))
-    says = f"{what}, {len(values)} runs: quarter {low:.2g}, half {middle:.2g}, {100 * high:g} % {most:.2g}"
+    says = (
+        f"{what}, {len(values)} runs: quarter {low:.2g}, half {middle:.2g}, {100 * high:g} % "
+        f"{most:.2g}"
+    )
     return Row(name, shipped, middle, low, wide * most, says)
 
 
@@ -118,7 +125,10 @@ def _flight(count: int) -> Row:
 
 
 def _spread(count: int) -> list[Row]:
-    """Return the rows of `spread` of every method: what its steps lose by the plain form, less by the exact one."""
+    """Return the rows of `spread` of every method.
+
+    What its steps lose by the plain form, less by the exact one.
+    """
     lost: dict[str, list[float]] = {name: [] for name in METHODS}
     for scene in gentle(
         count, 59, strength=(-4.0, -2.0), kinds=("gravity", "load"), exponents=(1.5,)
@@ -141,7 +151,10 @@ def _spread(count: int) -> list[Row]:
 
 
 def _bursts(count: int) -> Row:
-    """Return the row of CANCELS: what rounding makes of tone bursts in eigenmodes, less the rest."""
+    """Return the row of CANCELS.
+
+    What rounding makes of tone bursts in eigenmodes, less the rest.
+    """
     rng, losses = np.random.default_rng(60), []
     while len(losses) < count:
         chain = Chain(
@@ -211,7 +224,10 @@ def _lammps(count: int) -> list[Row]:
 
 
 def _headroom(count: int) -> Row:
-    """Return the row of HEIGHTS.headroom: overlaps of two neighbouring contacts over the bound on one."""
+    """Return the row of HEIGHTS.headroom.
+
+    Overlaps of two neighbouring contacts over the bound on one.
+    """
     needed = []
     for scene in gentle(count, 55, strength=(-2.0, 3.0), kinds=("gravity", "load", "vacuum")):
         part, engine = Scene(**scene.given() | {"samples": 201}), Native()

@@ -56,7 +56,7 @@ def drawn(
 
 
 def trains(count: int, seed: int) -> list[Scene]:
-    """Return long uniform chains in which a packet or a driven wave travels for at most two passages."""
+    """Return long uniform chains in which a packet or a driven wave makes two passages at most."""
     rng, found = np.random.default_rng(seed), list[Scene]()
     while len(found) < count:
         try:
@@ -101,7 +101,10 @@ def _chain(rng: np.random.Generator, exponent: float, kind: str, grains: int) ->
 
 
 def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, float]:
-    """Return a length and a frequency: of the contact at this grain, or in the vacuum of a strike of random speed."""
+    """Return a length and a frequency.
+
+    Of the contact at this grain, or in the vacuum of a strike of random speed.
+    """
     if chain.compressed:
         contact = min(grain, chain.grains - 1) - 1
         stiffness, mass = chain.linear_stiffness[contact], chain.masses[contact]

@@ -1,8 +1,8 @@
 """Measure how a step is shortened after a run that missed: STEP_CONTROL.
 
-Random scenes are answered from a first step that is a few or many times too long, with other values of each field. The
-work is that of all attempts together, in evaluations of the force, in the geometric mean over the scenes. A value is
-supported where that is within 10 % of the least.
+Random scenes are answered from a first step that is a few or many times too long, with other values
+of each field. The work is that of all attempts together, in evaluations of the force, in the
+geometric mean over the scenes. A value is supported where that is within 10 % of the least.
 
     python analysis/calibration/step_refinement.py           # a minute
     python analysis/calibration/step_refinement.py --quick   # seconds

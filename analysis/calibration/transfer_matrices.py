@@ -1,9 +1,9 @@
 """Measure WARM_UP, the share of every random chain that transfer matrices pass before they count.
 
-The share of modes below some frequencies of Dyson's solvable chains, found in many short ones, is held against his
-exact result; the Lyapunov exponent against that of chains a hundred times as long. A share is supported if what the top
-of the chains adds is below half of what their scatter makes of sixteen (the default), in the root mean square, and that
-scatter within a tenth of the least.
+The share of modes below some frequencies of Dyson's solvable chains, found in many short ones, is
+held against his exact result; the Lyapunov exponent against that of chains a hundred times as long.
+A share is supported if what the top of the chains adds is below half of what their scatter makes of
+sixteen (the default), in the root mean square, and that scatter within a tenth of the least.
 
     python analysis/calibration/transfer_matrices.py           # a minute
     python analysis/calibration/transfer_matrices.py --quick   # seconds

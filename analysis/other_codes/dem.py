@@ -72,7 +72,7 @@ def run(command: list[str], deck: str, scene: Scene) -> tuple[Array, Array, floa
 
 
 def solve(command: list[str], deck: str, problem: Problem, step: float) -> Answer:
-    """Run a deck with the fields steps, step, gravity and mobile, of velocity Verlet from start to end."""
+    """Run a deck of velocity Verlet, with the fields steps, step, gravity and mobile."""
     chain, steps = problem.scene.chain, round(problem.scene.duration / step)
     text = deck.format(steps=steps, step=step, gravity=chain.gravity, mobile=chain.movable)
     z, v, seconds = run(command, text, problem.scene)

@@ -1,7 +1,8 @@
 """A scene as an ODE problem for general solvers, and the answer that every code returns.
 
-Displacements and velocities in units of the largest excursion and of the time scale of the chain, so that a weak
-wave keeps all its digits and tolerances mean the same in every scene. Only the state at the end is asked for.
+Displacements and velocities in units of the largest excursion and of the time scale of the chain,
+so that a weak wave keeps all its digits and tolerances mean the same in every scene. Only the state
+at the end is asked for.
 """
 
 from __future__ import annotations
@@ -73,8 +74,9 @@ class Problem:
     scene : Scene
         With two samples, at the start and at the end.
     closer, strength : (M,) arrays
-        Of contact n: ``x_n - x_(n+1)`` times closer is the change of its overlap over that at rest, s, and
-        ``(1 + s)^(3/2) - 1`` times strength is the change of its force over the mass of a grain.
+        Of contact n: ``x_n - x_(n+1)`` times closer is the change of its overlap over that at rest,
+        s, and ``(1 + s)^(3/2) - 1`` times strength is the change of its force over the mass of a
+        grain.
     start : (2M,) array
         Displacements, then velocities.
     duration : float
@@ -105,8 +107,11 @@ class Problem:
             )
         if not chain.gravity or chain.top_load or scene.drive:
             raise InputError([("scene", "must have gravity, no top load and no drive here")])
-        object.__setattr__(self, "scene", Scene(chain=chain, excitation=scene.excitation, duration=scene.duration,
-                                                samples=2))  # fmt: skip
+        object.__setattr__(
+            self,
+            "scene",
+            Scene(chain=chain, excitation=scene.excitation, duration=scene.duration, samples=2),
+        )
 
     @cached_property
     def time(self) -> float:
@@ -148,7 +153,10 @@ class Problem:
         return Answer(u * self.length, v * (self.length / self.time), seconds, force_evaluations)
 
     def table(self) -> Array:
-        """Return the arguments of `fill_rate`: M, its call count, closer, strength, room for forces."""
+        """Return the arguments of `fill_rate`.
+
+        M, its call count, closer, strength, room for forces.
+        """
         moving = self.scene.chain.movable
         return np.concatenate(([moving, 0.0], self.closer, self.strength, np.zeros(moving)))
 
@@ -158,7 +166,9 @@ class Problem:
 
 
 def error(answer: Answer, solution: Reference) -> float:
-    """Return the error as lmpchain defines it, over the two samples: larger of displacement and velocity.
+    """Return the error as lmpchain defines it, over the two samples.
+
+    Larger of displacement and velocity.
 
     Grains below those of a chain that was cut count as at rest.
     """
@@ -172,11 +182,15 @@ def error(answer: Answer, solution: Reference) -> float:
 
 @numba.njit(error_model="numpy", fastmath=FASTMATH)
 def fill_rate(y, rate, table):
-    """Fill the rate (2M,) of a state y (2M,); forces as differences from rest that do not cancel."""
+    """Fill the rate (2M,) of a state y (2M,).
+
+    Forces as differences from rest that do not cancel.
+    """
     moving = int(table[0])
     table[1] += 1.0
     closer, strength, force = (
-        table[2 : 2 + moving], table[2 + moving : 2 + 2 * moving], table[2 + 2 * moving : 2 + 3 * moving]
+        table[2 : 2 + moving], table[2 + moving : 2 + 2 * moving],
+        table[2 + 2 * moving : 2 + 3 * moving]
     )  # fmt: skip
     x, gain = y[:moving], rate[moving:]
     last = moving - 1

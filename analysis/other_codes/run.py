@@ -1,8 +1,9 @@
 """Time against true error of other codes and the native engine, on one scene and machine.
 
-Every code gets the whole chain and is asked for the state at the end; compiling and setting up are left out, and
-each time is the smallest of several. Where the chain is much longer than the wave gets, the solvers of differential
-equations are run a second time on a chain that was cut by hand, which those codes do not do, and enters no ratio.
+Every code gets the whole chain and is asked for the state at the end; compiling and setting up are
+left out, and each time is the smallest of several. Where the chain is much longer than the wave
+gets, the solvers of differential equations are run a second time on a chain that was cut by hand,
+which those codes do not do, and enters no ratio.
 """
 
 from __future__ import annotations
@@ -70,8 +71,10 @@ def scan(code: Code, problem: Problem, solution: Reference) -> list[dict[str, An
         ) as reason:  # a step beyond stability, a tolerance out of reach
             gaps.append(str(reason).strip().splitlines()[-1])
             continue
-        row = {"code": code.name, "parameter": parameter, "error": error(answer, solution), "seconds": answer.seconds,
-               "force_evaluations": answer.force_evaluations, "whole_s": answer.whole_s}  # fmt: skip
+        row = {"code": code.name, "parameter": parameter, "error": error(answer, solution),
+               "seconds": answer.seconds,
+               "force_evaluations": answer.force_evaluations,
+               "whole_s": answer.whole_s}  # fmt: skip
         if row["error"] < 1:
             rows.append(row)
         if answer.seconds > LAST_S:
@@ -121,7 +124,7 @@ def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the time to each error, and the ratio of the fastest other code to the native engine."""
+    """Return the time to each error, and the fastest other code over the native engine."""
     points = _by_code(result["rows"])
     whole = [{**row, "seconds": row["whole_s"]} for row in points.get(TO_TOLERANCE, [])]
     chosen = points.get(TO_TOLERANCE, [])

@@ -1,7 +1,7 @@
 """Grain-steps a second of velocity Verlet in native, LAMMPS (several settings) and LIGGGHTS.
 
-All contacts stay shut. The first line is how many square roots a second this machine takes, which bounds the native
-engine with the plain force: one root a grain and step.
+All contacts stay shut. The first line is how many square roots a second this machine takes, which
+bounds the native engine with the plain force: one root a grain and step.
 """
 
 from __future__ import annotations
@@ -131,14 +131,14 @@ def main() -> None:
     limit = roots_per_second()
     print(f"{machine()}: {limit:.3g} square roots a second\n")
     print(
-        "| grains | code | grain-steps a second | native, plain / it | same bytes as users' LAMMPS |\n"
-        + "|---" * 5
-        + "|"
+        "| grains | code | grain-steps a second | native, plain / it | same bytes as users' LAMMPS "
+        "|\n" + "|---" * 5 + "|"
     )
     for grains in given.grains:
         plain, form = native(grains, "plain", SPEED)
         print(
-            f"| {grains} | native, {form} ({plain / limit:.0%} of the square roots) | {plain:.3g} | 1 | |"
+            f"| {grains} | native, {form} ({plain / limit:.0%} of the square roots) | {plain:.3g} "
+            "| 1 | |"
         )
         for force, speed in (("exact", SPEED), ("auto", FAINT)):
             rate, form = native(grains, force, speed)

@@ -1,8 +1,9 @@
 """heyoka: Taylor series of high order, compiled for one scene and tolerance.
 
-Its step control does not see a contact that is about to close, and steps over it. So each of the top contacts can
-be guarded: events switch its force off when it opens and on again when it closes. The force is not analytic
-there, so the switch is put at a force of 1e-7^1.5 of that at rest, where it changes nothing that doubles can hold.
+Its step control does not see a contact that is about to close, and steps over it. So each of the
+top contacts can be guarded: events switch its force off when it opens and on again when it closes.
+The force is not analytic there, so the switch is put at a force of 1e-7^1.5 of that at rest, where
+it changes nothing that doubles can hold.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ GUARDED, SWITCH = (
 )
 ORDERS = 3, 4, 5, 6, 8, 10, 12, 14, 16, 18
 INLINED_GRAINS = 200  # longer chains would take too long to compile to straight-line code
-WEAK = 0.1  # strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances
+# strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances
+WEAK = 0.1
 
 
 def _tolerance(order: int) -> float:
@@ -58,7 +60,8 @@ def _integrator(problem: Problem, tolerance: float, guarded: int, inlined: bool)
     gains = [above - below for above, below in pairwise(force)]
     system = [*zip(x[:-1], v, strict=True), *zip(v, gains, strict=True)]
     events = [hy.t_event(1.0 + s[n] - SWITCH, callback=_switch(n)) for n in range(guarded)]
-    return hy.taylor_adaptive(system, problem.start, tol=tolerance, compact_mode=not inlined, fast_math=True,
+    return hy.taylor_adaptive(system, problem.start, tol=tolerance, compact_mode=not inlined,
+                              fast_math=True,
                               pars=[1.0] * guarded, t_events=events)  # fmt: skip
 
 
@@ -92,5 +95,12 @@ def codes(problem: Problem) -> list[Code]:
     """
     inlined = problem.scene.chain.grains <= INLINED_GRAINS
     tolerances = [_tolerance(order) for order in ORDERS]
-    return [Code("heyoka" + ", events" * bool(guarded), hy.__version__, tolerances, partial(_solve, guarded, inlined))
-            for guarded in (0, min(GUARDED, problem.scene.chain.movable))]  # fmt: skip
+    return [
+        Code(
+            "heyoka" + ", events" * bool(guarded),
+            hy.__version__,
+            tolerances,
+            partial(_solve, guarded, inlined),
+        )
+        for guarded in (0, min(GUARDED, problem.scene.chain.movable))
+    ]

@@ -34,7 +34,10 @@ def granular(problem: Problem) -> str:
     """Return the commands for Hertz contacts of one material, without damping and friction."""
     glass = problem.scene.chain.material
     contact = f"hertz/material {glass.youngs_modulus!r} 0.0 {glass.poissons_ratio!r}"
-    return f"pair_style granular\npair_coeff * * {contact} tangential linear_nohistory 0.0 0.0 damping velocity"
+    return (
+        f"pair_style granular\npair_coeff * * {contact} tangential linear_nohistory 0.0 0.0 "
+        "damping velocity"
+    )
 
 
 def deck(pair: str, settings: str = "", newton: str = "off", motion: str = "nve/sphere") -> str:

@@ -56,8 +56,8 @@ def _solve(run, problem: Problem, tolerance: float) -> Answer:
 def codes(problem: Problem) -> list[Code]:
     """Return both integrators.
 
-    `numbalsoda.solve_ivp` runs the same DOP853 but keeps every step: it was slower than `dop853` in short chains and
-    than SciPy's `ode` in long ones.
+    `numbalsoda.solve_ivp` runs the same DOP853 but keeps every step: it was slower than `dop853` in
+    short chains and than SciPy's `ode` in long ones.
     """
     codes = [Code("numbalsoda DOP853", version("numbalsoda"), TOLERANCES, partial(_solve, _dop853))]
     if problem.scene.chain.grains <= LSODA_GRAINS:

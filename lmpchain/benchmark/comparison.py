@@ -61,7 +61,7 @@ def error(trajectory: Trajectory, reference: Reference) -> float:
     float
         Relative to the largest value.
     """
-    # unlike max(), this keeps a NaN
+    # unlike that of Python, this maximum keeps a NaN
     return float(np.max(errors(trajectory, reference)))
 
 
@@ -219,7 +219,7 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
                 engine=answer.engine,
                 equation=answer.equation,
                 integrator=answer.cost.integrator,
-                error=error(answer, reference),
+                error=float(np.maximum(displacement, velocity)),
                 error_displacement=displacement,
                 error_velocity=velocity,
                 expected_error=answer.error_estimate.total,

@@ -70,8 +70,14 @@ class Candidate(NamedTuple):
 
     def schedule(self) -> StepSchedule:
         """Return where its steps land; samples between are interpolated."""
-        steps, stride, dense = self.steps_per_landing, self.stride, int(self.stride > 1)
-        return StepSchedule(steps, stride, self.step, self.adaptive, 1, self.coarse_openings, dense)
+        return StepSchedule(
+            self.steps_per_landing,
+            self.stride,
+            self.step,
+            self.adaptive,
+            coarse_openings=self.coarse_openings,
+            dense=int(self.stride > 1),
+        )
 
     def steps(self, samples: int) -> int:
         """Return the number of steps from the first of so many samples to the last.
@@ -173,9 +179,9 @@ class Run(ABC):
     def state(self) -> Mapping[str, Array]:
         """Return the arrays from which `Engine.start` goes on, bit by bit, after the last block."""
 
-    @abstractmethod
     def close(self) -> None:
-        """Release everything."""
+        """Release everything; by default there is nothing to release."""
+        return
 
 
 class Engine(ABC):
@@ -250,12 +256,12 @@ class Engine(ABC):
     ) -> Run:
         """Start one scene, or a batch of scenes that differ in numbers only."""
 
-    @abstractmethod
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Describe, for the record, what shapes the answer besides the choices of a candidate.
 
-        Versions of compilers and libraries, for example.
+        Versions of compilers and libraries, for example; nothing by default.
         """
+        return {}
 
     def options(self) -> dict[str, Any]:
         """Return the constructor arguments that make an equal engine in another process.

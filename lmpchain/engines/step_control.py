@@ -125,11 +125,8 @@ def first_attempt(
     """
     began = clock()
     compiled = compiled_s()
-    refusal = ""
-    if best_effort:
-        candidate, tolerance, refusal = loosen(partial(engine.candidate, scene), tolerance)
-    else:
-        candidate = engine.candidate(scene, tolerance)
+    propose = partial(engine.candidate, scene)
+    candidate, tolerance, refusal = loosen(propose, tolerance, best_effort)
     planned_s = clock() - began
     compiled = compiled_s() - compiled
     return Attempt(
@@ -235,8 +232,10 @@ def next_attempt(
     return attempt._replace(candidate=better), ""
 
 
-def loosen(propose: Callable[[float], Proposed], tolerance: float) -> tuple[Proposed, float, str]:
-    """Return the proposal for a tolerance, or for a looser one while `ToleranceNotMet` is raised.
+def loosen(
+    propose: Callable[[float], Proposed], tolerance: float, best_effort: bool = True
+) -> tuple[Proposed, float, str]:
+    """Return the proposal for a tolerance; by `best_effort`, for a looser one that can be met.
 
     Returns
     -------
@@ -246,14 +245,14 @@ def loosen(propose: Callable[[float], Proposed], tolerance: float) -> tuple[Prop
     Raises
     ------
     ToleranceNotMet
-        If nothing tighter than 0.1 can be met.
+        If nothing tighter than 0.1 can be met, or not even this tolerance without `best_effort`.
     """
     reason = ""
     while True:
         try:
             return propose(tolerance), tolerance, reason
         except ToleranceNotMet as refusal:
-            if tolerance > 0.1:
+            if tolerance > 0.1 or not best_effort:
                 raise
             reason = reason or refusal.reason
             tolerance *= 4

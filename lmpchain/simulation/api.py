@@ -217,7 +217,7 @@ def _solve(
             return output.collect(run, _expand(blocks, cone))
 
     outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, task.best_effort)
-    return outcome, gathering.found([outcome.error.total])[0] if gathering else {}
+    return outcome, gathering.results([outcome.error.total])[0] if gathering else {}
 
 
 def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:

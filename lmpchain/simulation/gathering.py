@@ -39,25 +39,28 @@ class GatheringRun(Run):
         parts: Sequence[Scene],
         state: Mapping[str, Array],
     ):
-        self._run, scene, part = run, scenes[0], parts[0]
+        self._run = run
+        scene = scenes[0]
+        part = parts[0]
         # a batch computes the whole
         cone = scene.fine.light_cone if part is not scene.fine else None
         columns = cone.columns if cone else slice(0, None)
         first = columns.start if isinstance(columns, slice) else int(columns[0])
-        kept: list[dict[str, Array]] = [{} for _ in scenes]
+        states: list[dict[str, Array]] = [{} for _ in scenes]
         for key, values in state.items():
             if key.startswith(STATE):
                 _, real, name = key.split(".")
-                kept[int(real)][name] = values
+                states[int(real)][name] = values
         linear = engine.equation == 3
         self.gatherers = [
-            Gatherer(asked, part, first, linear, old)
-            for asked, part, old in zip(scenes, parts, kept, strict=True)
+            Gatherer(asked, computed, first, linear, before)
+            for asked, computed, before in zip(scenes, parts, states, strict=True)
         ]
         inside = np.flatnonzero(
             (scene.recorded > first) & (scene.recorded <= first + part.chain.grains)
         )
-        self._rows, self._columns = as_slice(scene.recorded[inside] - 1 - first), as_slice(inside)
+        self._rows = as_slice(scene.recorded[inside] - 1 - first)
+        self._columns = as_slice(inside)
         self._every = scene.finer
 
     def blocks(self) -> Iterator[Block]:
@@ -67,13 +70,20 @@ class GatheringRun(Run):
                 self.gatherers, block.displacement, block.velocity, strict=True
             ):
                 gatherer.take(block.samples.start, u, v)
-            first, stop = (
-                -(-sample // self._every) for sample in (block.samples.start, block.samples.stop)
+            begin = block.samples.start
+            end = block.samples.stop
+            # samples of the answer are every so many of the fine ones
+            first = -(-begin // self._every)
+            stop = -(-end // self._every)
+            recorded = slice(first * self._every - begin, None, self._every)
+            yield Block(
+                slice(first, stop),
+                block.displacement[:, recorded, self._rows],
+                block.velocity[:, recorded, self._rows],
+                self._columns,
+                # a block may hold fine samples alone, and a checkpoint keeps them
+                resumable=end > begin,
             )
-            kept = slice(first * self._every - block.samples.start, None, self._every)
-            u, v = (field[:, kept, self._rows] for field in (block.displacement, block.velocity))
-            resumable = block.samples.stop > block.samples.start
-            yield Block(slice(first, stop), u, v, self._columns, resumable)
 
     @property
     def progress(self) -> float:
@@ -90,15 +100,15 @@ class GatheringRun(Run):
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
-        kept = dict(self._run.state())
+        state = dict(self._run.state())
         for real, gatherer in enumerate(self.gatherers):
-            kept |= {f"{STATE}{real}.{name}": values for name, values in gatherer.state().items()}
-        return kept
+            state |= {f"{STATE}{real}.{name}": values for name, values in gatherer.state().items()}
+        return state
 
-    def found(self, errors: Sequence[float]) -> list[dict[str, Array]]:
+    def results(self, errors: Sequence[float]) -> list[dict[str, Array]]:
         """Return the quantities of every realisation with their errors, given those of answers."""
         return [
-            gatherer.found(error) for gatherer, error in zip(self.gatherers, errors, strict=True)
+            gatherer.results(error) for gatherer, error in zip(self.gatherers, errors, strict=True)
         ]
 
     def close(self) -> None:

@@ -169,7 +169,7 @@ def _solve(
     u = _join([block.displacement for block in blocks])
     v = _join([block.velocity for block in blocks])
     totals = [error.total for error in errors]
-    gathered = gathering.found(totals) if gathering else [{} for _ in scenes]
+    gathered = gathering.results(totals) if gathering else [{} for _ in scenes]
     cost = _share(cost, attempts)
     provenance = record(engine, scenes[0], candidate, tolerance)
     results = []

@@ -109,11 +109,7 @@ class Auto:
         began = clock()
         compiled = compiled_s()
         choose = partial(_cheapest, scene)
-        refusal = ""
-        if best_effort:
-            attempt, _, refusal = loosen(choose, tolerance)
-        else:
-            attempt = choose(tolerance)
+        attempt, _, refusal = loosen(choose, tolerance, best_effort)
         return attempt._replace(
             refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled
         )

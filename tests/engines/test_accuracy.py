@@ -111,7 +111,10 @@ def test_relative_accuracy_at_any_amplitude(velocity):
 
 
 def test_gauge_diameter_on_the_weak_scene():
-    """To 400 us: 1e-7 with the gauge diameter; the physical one is refused beforehand, and rightly."""
+    """To 400 us: 1e-7 with the gauge diameter.
+
+    The physical one is refused beforehand, and rightly.
+    """
     scene, reference = SCENES[LONG_AND_WEAK], stored_reference(LONG_AND_WEAK)
     check(scene, reference, "lammps", 1e-7)
     with pytest.raises(ToleranceNotMet, match="heights in double precision") as refusal:
@@ -131,7 +134,10 @@ def test_random_scenes(seed):
 
 
 def test_springs_whose_contacts_open():
-    """A kink leaves an error that depends on where in a step it falls: runs at h, 2h and 4h may agree by chance."""
+    """A kink leaves an error that depends on where in a step it falls.
+
+    Runs at h, 2h and 4h may agree by chance.
+    """
     chain = Chain(
         grains=6,
         material="brass",
@@ -197,7 +203,10 @@ def test_estimate_at_a_given_step(divisor):
 
 @pytest.mark.parametrize(("integrator", "speed"), [("verlet", 0.7), ("gear4", 1e-3), ("rkn4", 0.1)])
 def test_free_flight_at_a_million_equal_steps(integrator, speed):
-    """Two equal grains fly apart: their displacements add up to speed times t, and all steps round to the same side."""
+    """Two equal grains fly apart.
+
+    Their displacements add up to speed times t, and all steps round to the same side.
+    """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free")
     duration = 40 / speed / (chain.contact_constants[0] / (chain.masses[0] * speed**2)) ** 0.4
     scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2)
@@ -209,7 +218,10 @@ def test_free_flight_at_a_million_equal_steps(integrator, speed):
 
 @pytest.mark.slow
 def test_chaos_is_refused_with_its_predictability_time():
-    """Reflections through opening contacts amplify round-off: beyond some time there is no answer."""
+    """Reflections through opening contacts amplify round-off.
+
+    Beyond some time there is no answer.
+    """
     chain = Chain(grains=12, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
     with pytest.raises(

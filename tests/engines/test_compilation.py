@@ -1,4 +1,4 @@
-"""What is compiled, or loaded from what was compiled before, is no part of what an integration costs."""
+"""Compiling, or loading what was compiled before, is no part of the cost of an integration."""
 
 import json
 import os
@@ -14,13 +14,15 @@ from lmpchain import simulate
 from lmpchain.trajectory.record import Cost
 from lmpchain.util.compilation import clock, compiled_s
 
-# Time is counted, not measured: a look at the clock takes a microsecond, a compilation or a load 1000 s.
+# Time is counted, not measured: a look at the clock takes a microsecond, a compilation or a load
+# 1000 s.
 COUNTED = """
 import itertools, json, sys, time, warnings
 from numba.core.event import Listener, register
 now, looks, events = [0.0], itertools.count(), {"numba:compiler_lock": 0, "numba:compile": 0}
 time.perf_counter = lambda: now[0] + 1e-6 * next(looks)
-from lmpchain import Chain, Impulse, Scene, simulate  # with a listener that starts before the next one
+# with a listener that starts before the next one
+from lmpchain import Chain, Impulse, Scene, simulate
 class Slow(Listener):
     depth = 0
     def on_start(self, event):
@@ -40,13 +42,14 @@ rows = []
 for _ in range(2):
     began, before = now[0], dict(events)
     cost = simulate(scene, sys.argv[1], 0.5).cost
-    rows.append(cost._asdict() | {"spent": now[0] - began} | {kind: events[kind] - before[kind] for kind in events})
+    counts = {kind: events[kind] - before[kind] for kind in events}
+    rows.append(cost._asdict() | {"spent": now[0] - began} | counts)
 print(json.dumps(rows))
 """
 
 
 def test_the_clock_stands_still_while_something_is_compiled(monkeypatch):
-    """A compilation that takes 1000 s, by the clock that this test sets, is no time by that of the package."""
+    """A compilation that takes 1000 s by the clock of this test is no time by the package's."""
     now = [0.0]
     monkeypatch.setattr("time.perf_counter", lambda: now[0])
 
@@ -85,7 +88,10 @@ QUICK, LONG = ("modes",), ("auto", "native", "chebyshev", "bessel", "continuum")
     ],
 )
 def test_no_compilation_is_counted_as_cost_on_a_new_machine(engine, tmp_path):
-    """Nor what the next process loads that the first has kept; a second run in one process compiles nothing."""
+    """Nor what the next process loads that the first has kept.
+
+    A second run in one process compiles nothing.
+    """
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", COUNTED, engine]
     for compiles in (True, False):
@@ -123,7 +129,10 @@ def by_two(n):
 
 @pytest.mark.slow
 def test_what_two_processes_have_compiled_is_told_apart_by_a_third(tmp_path):
-    """Functions that are made in one place have one name: numba tells them apart by a number that starts anew."""
+    """Functions that are made in one place have one name.
+
+    Numba tells them apart by a number that starts anew.
+    """
     (tmp_path / "twins.py").write_text(TWINS)
     said = [
         subprocess.run(

@@ -1,4 +1,7 @@
-"""The laws of an error: what differences of runs say of it, what rounding makes of it, and how steps follow it."""
+"""The laws of an error.
+
+What differences of runs say of it, what rounding makes of it, and how steps follow it.
+"""
 
 import math
 
@@ -30,13 +33,14 @@ from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util.arrays import EPSILON
 
 CANDIDATE = Candidate(
-    step=2e-7, active_grains=9, model_error=0.0, solver_error=1e-6, cost_s=1e-3, steps_per_landing=7,
+    step=2e-7, active_grains=9, model_error=0.0, solver_error=1e-6, cost_s=1e-3,
+    steps_per_landing=7,
     stride=3, adaptive=True, coarse_openings=True, integrator="rkn6",
 )  # fmt: skip
 
 
 def differences(order: float, error: float, ratios: tuple[float, float]) -> tuple[float, float]:
-    """Return how far runs at steps h and r1 h, and at r1 h and r2 h, are apart for an error that goes like h^order."""
+    """Return how far runs at steps h, r1 h and r2 h are apart if errors go like h^order."""
     first, second = (error * ratio**order for ratio in ratios)
     return second - first, first - error
 
@@ -51,7 +55,10 @@ def estimate(
 @pytest.mark.parametrize("order", [2, 4, 6, 8])
 @pytest.mark.parametrize("ratios", [(2.0, 4.0), (1.9, 3.7), (3.0, 6.0)])
 def test_three_runs_give_twice_the_error_where_the_order_holds(order, ratios):
-    """Exactly for steps that double; else the gain follows from a rate that is not quite the order."""
+    """Exactly for steps that double.
+
+    Else the gain follows from a rate that is not quite the order.
+    """
     coarse, fine = differences(order, 1e-7, ratios)
     within = 1e-9 if ratios == (2.0, 4.0) else {2: 0.4, 4: 0.1, 6: 0.05, 8: 0.05}[order]
     assert estimate(order, coarse, fine, ratios) == pytest.approx(2e-7, rel=within)
@@ -65,7 +72,10 @@ def test_three_runs_give_twice_the_error_of_the_order_that_they_show(seen):
 
 
 def test_the_rate_that_three_runs_show_is_trusted_within_limits():
-    """No more than the order, for they may agree by chance; never less than one and a half times a doubling."""
+    """No more than the order, for they may agree by chance.
+
+    Never less than one and a half times a doubling.
+    """
     coarse, fine = differences(4, 1e-7, (2.0, 4.0))
     assert estimate(4, 1.001 * coarse, fine) == pytest.approx(2e-7, rel=1e-9)
     # the coarse difference alone
@@ -87,7 +97,10 @@ def test_one_more_run_nearby_confirms_a_rate_or_bounds_the_error():
 
 
 def test_of_two_runs_the_distance_counts_unless_the_order_is_sure():
-    """Where the force is smooth and they are near; a companion at half the step shows an order to nobody."""
+    """Where the force is smooth and they are near.
+
+    A companion at half the step shows an order to nobody.
+    """
     small = TRUST.settled
     for ratio in (1.9, 2.0):
         assert estimate(6, None, small, (ratio,), settled=True) == pytest.approx(
@@ -130,7 +143,10 @@ def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
 
 
 def test_thousands_of_periods_shift_the_phase_by_rounding():
-    """A last digit of mass, stiffness or step shifts it by that part of itself: more than a walk of roundings makes."""
+    """A last digit of mass, stiffness or step shifts it by that part of itself.
+
+    More than a walk of roundings makes.
+    """
     rng = np.random.default_rng(4)
     for _ in range(2):
         stiffness, mass = (float(10 ** rng.uniform(low, high)) for low, high in ((6, 8), (-7, -4)))
@@ -158,7 +174,10 @@ def test_rounding_of_no_step_is_a_few_last_digits_and_grows_with_steps_and_phase
 
 
 def test_what_the_plain_force_loses_is_in_the_estimate():
-    """A weak wave under a heavy load: the last digit of the load at every step walks into the velocity."""
+    """A weak wave under a heavy load.
+
+    The last digit of the load at every step walks into the velocity.
+    """
     ratios = []
     for grains in range(3, 9):
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1.0)
@@ -181,7 +200,10 @@ def test_what_the_plain_force_loses_is_in_the_estimate():
 
 
 def test_rounding_presses_the_contacts_of_a_column_by_its_height():
-    """Of heights: half the stiffness times the squared last digit of ten grains, walked; and of springs, exactly."""
+    """Of heights: half the stiffness times the squared last digit of ten grains, walked.
+
+    And of springs, exactly.
+    """
     chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     scene = Scene(chain=chain, excitation=Displacement(displacement=2e-5), duration=1e-5)
     digit = EPSILON * math.sqrt(1e4) * (10e-3 + 2e-5)
@@ -227,7 +249,7 @@ def test_a_nearby_scene_differs_by_a_fraction_of_the_largest_motion(kind):
 
 
 def test_the_divergence_of_two_runs_is_that_of_two_answers():
-    """At all samples, of grains that are not recorded too, over the largest motion between samples."""
+    """At all samples, of grains not recorded, too, over the largest motion between samples."""
     scene = smooth(samples=6).replace(grains=[2])
     candidate = Native("rkn6").candidate(scene.replace(grains="all"), 1e-10)
     apart = divergence(scene, candidate, 1e-4)
@@ -244,7 +266,10 @@ def test_the_divergence_of_two_runs_is_that_of_two_answers():
 
 
 def test_what_becomes_of_a_last_digit_is_what_becomes_of_a_small_change():
-    """In a chain whose contacts open again and again; of a change that is a million times as large, a millionth."""
+    """In a chain whose contacts open again and again.
+
+    Of a change that is a million times as large, a millionth.
+    """
     chain = Chain(
         grains=6, diameter=1e-3 * np.random.default_rng(2).uniform(0.7, 1.3, 6), top="wall"
     )

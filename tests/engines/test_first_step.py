@@ -1,4 +1,4 @@
-"""The first step of an answer, its companions, and what they say of scenes that amplify rounding."""
+"""The first step of an answer, its companions, and scenes that amplify rounding."""
 
 import math
 from itertools import pairwise
@@ -16,7 +16,8 @@ from lmpchain.engines.native.step_choice import FIRST_STEP, choose_step, expecte
 from lmpchain.integrators.methods import METHODS
 
 VACUUM = Scene(
-    chain=Chain(grains=20, diameter=1e-3, gravity=0.0, bottom="wall"), excitation=Impulse(velocity=0.1),
+    chain=Chain(grains=20, diameter=1e-3, gravity=0.0, bottom="wall"),
+    excitation=Impulse(velocity=0.1),
     duration=1e-4, samples=6,
 )  # fmt: skip
 RKN6 = METHODS["rkn6"]
@@ -31,7 +32,10 @@ def column(velocity: float, **changes) -> Scene:
 
 @pytest.mark.parametrize("name", ["rkn4", "rkn6", "kahan-li8"])
 def test_the_step_follows_from_error_constant_order_and_tolerance(name):
-    """C (omega h)^p for 60 radians, half of the tolerance; for ten times the time it is ten times as large."""
+    """C (omega h)^p for 60 radians, half of the tolerance.
+
+    For ten times the time it is ten times as large.
+    """
     method = METHODS[name]
     weak = paper("weak", samples=3)
     radians = weak.highest_frequency * weak.duration
@@ -60,7 +64,10 @@ def test_errors_are_larger_where_contacts_open_and_steps_are_shorter():
 
 
 def test_cost_never_falls_as_the_tolerance_falls():
-    """In weak, strong and unbounded scenes, with few samples and many: the work of the first attempt."""
+    """In weak, strong and unbounded scenes, with few samples and many.
+
+    The work of the first attempt.
+    """
     for scene in (
         paper("weak"),
         paper("fig1"),
@@ -78,7 +85,10 @@ def test_cost_never_falls_as_the_tolerance_falls():
 
 
 def test_of_scenes_that_nothing_bounds_the_first_attempt_shows_the_step(tmp_path):
-    """Tolerances below 1e-6 begin with its step; the answer is the same however it was asked for."""
+    """Tolerances below 1e-6 begin with its step.
+
+    The answer is the same however it was asked for.
+    """
     engine = Native("rkn6")
     first = engine.candidate(VACUUM, 1e-6)
     assert engine.candidate(VACUUM, 1e-9).step == first.step
@@ -122,7 +132,10 @@ def test_companions_have_steps_twice_and_four_times_as_long():
 
 
 def test_the_order_that_is_trusted():
-    """That of the method where nothing opens; six, four if coarse, three at kinks, and two at equal steps."""
+    """That of the method where nothing opens.
+
+    Six, four if coarse, three at kinks, and two at equal steps.
+    """
     strong = column(1e-2)
     candidate = Native("kahan-li8").candidate(strong, 1e-10)
     method = METHODS["kahan-li8"]

@@ -27,7 +27,10 @@ def oscillator(excitation, periods: float, samples: int) -> Scene:
 @pytest.mark.parametrize("engine", ["native", "lammps"])
 @pytest.mark.parametrize(("samples", "periods"), [(3, 2), (5, 2), (2, 7)])
 def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
-    """They show no displacement after a strike, and no velocity after a release; both are known exactly."""
+    """They show no displacement after a strike, and no velocity after a release.
+
+    Both are known exactly.
+    """
     for excitation in (Impulse(velocity=SPEED), Displacement(displacement=LENGTH)):
         scene = oscillator(excitation, periods, samples)
         phase, struck = OMEGA * scene.time, excitation.kind == "impulse"
@@ -73,7 +76,10 @@ def largest(scene: str) -> np.ndarray:
 @pytest.mark.parametrize("integrator", METHODS)
 @pytest.mark.parametrize("scene", MOTIONS)
 def test_the_largest_motion_is_found(integrator, scene):
-    """Though no sample shows it: looked for after steps, 5 % or what these pass over are missed; known to 1e-3."""
+    """Though no sample shows it: looked for after steps, 5 % or what these pass over are missed.
+
+    Known to 1e-3.
+    """
     chosen = MOTIONS[scene]
     engine = Native(integrator, adaptive=integrator != "rkn6")
     tolerance = 1e-4 if METHODS[integrator].order <= 4 else 1e-8

@@ -1,4 +1,7 @@
-"""The exact linear engines: against each other, against extended precision, and against what linearising leaves out."""
+"""The exact linear engines.
+
+Against each other, against extended precision, and against what linearising leaves out.
+"""
 
 import mpmath
 import numpy as np
@@ -44,7 +47,7 @@ def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
 
 
 def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear solution at the end by the eigenvectors of a matrix of 40 digits, (N,) each."""
+    """Return the linear solution at the end by eigenvectors of a matrix of 40 digits, (N,) each."""
     chain = scene.chain
     first, last = (1 if scene.drive else 0), chain.movable
     size = last - first
@@ -137,7 +140,10 @@ def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
 @both
 @pytest.mark.parametrize("gravity", [0.981, 9.81, 98.1])
 def test_model_error_over_the_map_of_strikes(engine, gravity):
-    """The paper's chain struck at the top: the estimate is within a factor of 3 wherever the error is below 0.3."""
+    """The paper's chain struck at the top.
+
+    The estimate is within a factor of 3 wherever the error is below 0.3.
+    """
     chain = Chain(grains=120, diameter=1e-3, gravity=gravity)
     seen = 0
     for speed in 10.0 ** np.arange(-7, 0.5):
@@ -186,9 +192,10 @@ OTHERS = {
 def test_model_error_of_other_scenes(name, samples):
     """However few samples are recorded, for the solution is looked at in between.
 
-    It is an estimate of the largest error at any time, not of what is left of it at two moments: with 3 samples the
-    wave that is reflected within is seen where it has made up for two thirds of it (1.05e-4; 3.1e-4 at any time; the
-    estimate is 1.6e-3). Nine in ten estimates are below 7 times the truth in random scenes (test_linear_trials.py).
+    It is an estimate of the largest error at any time, not of what is left of it at two moments:
+    with 3 samples the wave that is reflected within is seen where it has made up for two thirds of
+    it (1.05e-4; 3.1e-4 at any time; the estimate is 1.6e-3). Nine in ten estimates are below 7
+    times the truth in random scenes (test_linear_trials.py).
     """
     chain, excitation, duration = OTHERS[name]
     fine = Scene(chain=chain, excitation=excitation, duration=duration, samples=1001)
@@ -229,7 +236,7 @@ def test_a_warning_where_the_chain_is_not_linear(engine):
 
 @both
 def test_batches_and_restarts(engine, monkeypatch):
-    """Realisations come out as if alone, and a run that goes on from a kept state ends with the same bytes."""
+    """Realisations come out as if alone, and a run from a kept state ends with the same bytes."""
     drawn = [scene for scene in (random_linear(seed, 25) for seed in range(12)) if not scene.drive][
         :3
     ]
@@ -309,7 +316,10 @@ def test_what_cannot_be_linearised_is_refused():
 @pytest.mark.parametrize("engine", ["bessel", "continuum"])
 @pytest.mark.parametrize("duration", [2e-6, 1e-5, 1e-4])
 def test_closed_forms_know_how_wrong_they_are(engine, duration):
-    """As rows to compare with: the model error they state is the true one, or its two parts partly cancel in truth."""
+    """As rows to compare with.
+
+    The model error they state is the true one, or its two parts partly cancel in truth.
+    """
     chain = Chain(grains=60, diameter=1e-3)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11, grains="1:50"

@@ -1,4 +1,7 @@
-"""Parts of the linear engines: forced motion, waves in resonance, bounds before a run, costs, what closed forms say."""
+"""Parts of the linear engines.
+
+Forced motion, waves in resonance, bounds before a run, costs, what closed forms say.
+"""
 
 from itertools import pairwise
 
@@ -27,7 +30,7 @@ HZ = EDGE / (2 * np.pi)
 
 
 def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity (T, N) of the linear chain by a general integrator, right to some 1e-11."""
+    """Return displacement and velocity (T, N) by a general integrator, to 1e-11."""
     chain, wave = scene.chain, scene.excitation.waveform
     grains, stiffness = chain.grains, chain.contacts.stiffness
     driven, wall = scene.excitation.driven, scene.excitation.wall is not None
@@ -79,15 +82,21 @@ def scene_size(scene: Scene) -> float:
 FORCED = {
     "sine on a grain within": (LOADED, Force(grain=3, amplitude=1e-8, frequency=0.31 * HZ)),
     "sine at a frequency of the chain": (
-        LOADED, Force(grain=2, amplitude=-1e-8, frequency=float(eigenmodes(LOADED).frequency[3]) / (2 * np.pi)),
+        LOADED,
+        Force(
+            grain=2, amplitude=-1e-8, frequency=float(eigenmodes(LOADED).frequency[3]) / (2 * np.pi)
+        ),
     ),
-    "burst on the first grain": (LOADED, Force(grain=1, amplitude=1e-8, frequency=0.4 * HZ, cycles=2.6)),
+    "burst on the first grain": (
+        LOADED,
+        Force(grain=1, amplitude=1e-8, frequency=0.4 * HZ, cycles=2.6),
+    ),
     "half-sine": (LOADED, Force(grain=4, shape="half-sine", amplitude=1e-8, duration=11.3 / EDGE)),
     "moved grain": (LOADED, Drive(amplitude=1e-12, frequency=0.2 * HZ)),
     "moved grain, a burst": (LOADED, Drive(amplitude=1e-12, frequency=0.2 * HZ, cycles=1.7)),
     "moved wall": (WALLED, Drive(amplitude=1e-12, frequency=0.15 * WALLED.band_edge / 6, grain=0)),
     "moved wall, a burst": (WALLED, Drive(amplitude=1e-12, frequency=1e4, cycles=3, grain=0)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", FORCED)
@@ -148,7 +157,10 @@ def test_a_batch_needs_scenes_that_are_recorded_alike(made):
 
 
 def test_rounding_of_linear_answers():
-    """Of frequencies, times the phase; of eigenvectors, by their number; of a burst that hardly began, far more."""
+    """Of frequencies, times the phase; of eigenvectors, by their number.
+
+    Of a burst that hardly began, far more.
+    """
     scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e4 / EDGE, samples=2)
     series, modes = Chebyshev().round_off(scene), Modes().round_off(scene)
     assert 1e4 * EPSILON < series < 1.1e4 * EPSILON
@@ -166,7 +178,10 @@ def test_rounding_of_linear_answers():
 
 
 def test_costs_of_linear_answers_grow_with_their_work():
-    """Modes: with the cube of many grains, and with samples; the series: with the time, and the grains it reaches."""
+    """Modes: with the cube of many grains, and with samples; the series.
+
+    With the time, and the grains it reaches.
+    """
 
     def seconds(engine, grains, samples=11, duration=1e-4):
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
@@ -193,7 +208,8 @@ def test_costs_of_linear_answers_grow_with_their_work():
 def resonance(scene: Scene, time: float) -> np.ndarray:
     """Return what pairs of waves drive in every mode, by loops over pairs, modes and contacts.
 
-    A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much closer it is.
+    A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much
+    closer it is.
     """
     chain, first = scene.chain, scene.excitation.driven
     modes = eigenmodes(chain)
@@ -237,7 +253,8 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
                 for beat in (omega[p] + omega[q], abs(omega[p] - omega[q])):
                     off = abs(beat - omega[m])
                     lasts = min(time, 2 / off) if off > 0 else time
-                    # the product of two cosines is half of each of these; (p, q) and (q, p) are one pair
+                    # the product of two cosines is half of each of these; (p, q) and (q, p) are one
+                    # pair
                     grown = abs(force) / 2 * lasts / (2 * omega[m]) * np.sqrt(2)
                     squares[0] += (shape[:, m] * grown) ** 2
                     squares[1] += (shape[:, m] * grown * omega[m]) ** 2
@@ -249,7 +266,8 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
 @pytest.mark.parametrize("top", ["free", "wall"])
 def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
     chain = Chain(
-        grains=4, diameter=1e-3, gravity=5.0, top_load=1e-3, exponent=exponent, top=top, bottom="wall",
+        grains=4, diameter=1e-3, gravity=5.0, top_load=1e-3, exponent=exponent, top=top,
+        bottom="wall",
         masses=np.array([1.0, 2.0, 1.5, 3.0]) * 1e-6,
     )  # fmt: skip
     rng = np.random.default_rng(1)
@@ -272,7 +290,10 @@ def test_waves_in_resonance_are_those_of_few_grains_whose_force_is_curved():
 
 
 def test_a_drive_is_one_of_the_waves_in_resonance():
-    """The steady motion that a slow drive makes beats with the free waves: four times as much for twice the drive."""
+    """The steady motion that a slow drive makes beats with the free waves.
+
+    Four times as much for twice the drive.
+    """
     chain = LOADED.replace(grains=5, masses=LOADED.masses[:5])
     scenes = [
         Scene(chain=chain, excitation=Drive(amplitude=a, frequency=0.123 * HZ), duration=1e-3)
@@ -326,7 +347,10 @@ def test_how_much_grains_differ():
 
 
 def test_how_far_a_train_of_waves_travels_at_its_largest_strain():
-    """In a uniform chain all the way to the farther end; in a column as far as its strain, less and less, counts."""
+    """In a uniform chain all the way to the farther end.
+
+    In a column as far as its strain, less and less, counts.
+    """
     chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=1e-2)
     hop = float(np.sqrt(chain.masses[0] / chain.linear_stiffness[0]))
     for grain, hops in ((1, 29), (10, 20), (25, 24)):
@@ -356,7 +380,10 @@ def test_the_fastest_of_chain_and_excitation():
 
 
 def test_where_a_solution_is_looked_at_between_its_samples():
-    """All over the run but never evenly, and from half a radian on; every half radian where contacts may open."""
+    """All over the run but never evenly, and from half a radian on.
+
+    Every half radian where contacts may open.
+    """
     calm = struck(1e-8, gravity=0.0, top_load=1e-2).replace(
         duration=1e3 / struck(gravity=0.0, top_load=1e-2).chain.band_edge
     )
@@ -380,7 +407,10 @@ def test_where_a_solution_is_looked_at_between_its_samples():
 
 
 def test_samples_may_be_close_enough_to_need_no_other_look():
-    """One a radian where nothing can open; two where something may, and then every opening is seen."""
+    """One a radian where nothing can open.
+
+    Two where something may, and then every opening is seen.
+    """
     scene = struck(1e-8, gravity=0.0, top_load=1e-2)
     scene = scene.replace(duration=200.5 / scene.chain.band_edge)
     wild = scene.replace(excitation=Impulse(velocity=1e-8 / scene.linear_strain * 1.5))
@@ -470,7 +500,10 @@ def test_what_linear_theory_leaves_out_of_a_motion_that_is_forced(kind: str):
 
 
 def test_what_linear_theory_leaves_out_of_a_train_of_waves():
-    """Its crests gain on its troughs, by (delta - 1) s omega t / 4 of it; the estimate covers that, and is no bound."""
+    """Its crests gain on its troughs, by (delta - 1) s omega t / 4 of it.
+
+    The estimate covers that, and is no bound.
+    """
     chain = Chain(
         grains=300, material="steel", diameter=5e-3, gravity=0, top_load=5.0, bottom="wall"
     )

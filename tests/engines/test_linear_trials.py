@@ -1,4 +1,7 @@
-"""Random trials of the linear engines: what they say that linearising leaves out, against the nonlinear motion."""
+"""Random trials of the linear engines.
+
+What they say that linearising leaves out, against the nonlinear motion.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ MOST_POINTS = 40_000  # of time, at which the largest motion is looked for
 
 
 def drawn(seed: int) -> Scene:
-    """Return a compressed chain of any exponent and ends, moved in any way, seldom or often recorded."""
+    """Return a compressed chain of any exponent and ends, moved in any way, recorded at will."""
     rng = np.random.default_rng(seed)
     while True:
         try:
@@ -181,7 +184,7 @@ def trials(seed: int) -> list[Trial]:
 
 
 def springs() -> Scene:
-    """Return springs between a wall and a grain that is held, of which one opens between two of few samples."""
+    """Return springs between a wall and a held grain, of which one opens between two samples."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
     unit = float(
         chain.equilibrium_overlap[2] * np.sqrt(chain.linear_stiffness[2] / chain.masses[2])
@@ -208,7 +211,10 @@ def test_springs_that_open_between_samples_are_left_to_eq_1():
 
 
 def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
-    """A run of 10^6 periods is not looked at: it may be right, and is not said to be, unless the energy says so."""
+    """A run of 10^6 periods is not looked at.
+
+    It may be right, and is not said to be, unless the energy says so.
+    """
     chain = Chain(grains=40, diameter=1e-3, gravity=0.0, top_load=3.3e-3, exponent=1.0)
     strike = Impulse(velocity=1.005 * chain.length_scale / chain.time_scale)
     scene = Scene(chain=chain, excitation=strike, duration=1e7 / chain.band_edge, samples=5)
@@ -224,7 +230,7 @@ def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
-    """The bound on the strain is that of the quadratic form, by inverting it, and the linear motion keeps to it."""
+    """The bound on the strain is that of the quadratic form, and the linear motion keeps to it."""
     scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
     chain, contacts = scene.chain, scene.chain.contacts
     part = slice(0, chain.movable)
@@ -249,7 +255,10 @@ def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
 @pytest.mark.parametrize("samples", [2, 3, 5])
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, samples):
-    """An oscillation that is sampled where it is at rest: what is off there is no large part of nothing."""
+    """An oscillation that is sampled where it is at rest.
+
+    What is off there is no large part of nothing.
+    """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
     unit = chain.length_scale / chain.time_scale
     periods = 64 * (samples - 1) * np.pi / chain.band_edge
@@ -281,7 +290,11 @@ def test_the_scale_of_errors_is_the_largest_motion_of_the_run(seed):
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 @pytest.mark.parametrize("length", [0.2, 1.0, 4.0])
 def test_waves_in_resonance_add_up(engine, length):
-    """In four grains below a driven one, the third mode and the drive force the fourth, at 1.005 of its frequency."""
+    """In four grains below a driven one, the third mode and the drive are near to force the fourth.
+
+    In four grains below a driven one, the third mode and the drive force the fourth, at 1.005 of
+    its frequency.
+    """
     chain = Chain(
         grains=5,
         diameter=3.551440346790556e-4,
@@ -304,7 +317,7 @@ def test_waves_in_resonance_add_up(engine, length):
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize("kind", ["packet", "drive"])
 def test_waves_that_travel_far_grow_steeper(kind):
-    """A crest is faster than a trough all the way, which signs that change at each grain do not tell."""
+    """A crest is faster than a trough all the way, unlike signs that change at each grain."""
     grains = 1500
     chain = Chain(grains=grains, diameter=1e-3, gravity=0, top_load=1.0, exponent=2.0)
     hop, amplitude = (
@@ -337,7 +350,9 @@ def _linear(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     [(1.5e-9, 3e3), (1e-9, 1e4), (3e-10, 1e4), (1e-10, 3e4), (3e-10, 3e4)],
 )
 def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency):
-    """A look, the run and stability say the same: at least a third of the truth, at most five times.
+    """A look, the run and stability say the same.
+
+    At least a third of the truth, at most five times.
 
     Estimates are 0.21, 0.57, 0.11, 0.15 and 0.68, the truth 0.10, 0.23, 0.073, 0.070 and 0.22.
     """
@@ -365,9 +380,10 @@ def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency)
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
 def test_what_linear_engines_say_of_random_scenes():
-    """None of the answers of "auto" is above its tolerance, and in a thousand estimates one is below a third.
+    """No answer of "auto" is above its tolerance; in a thousand estimates one is below a third.
 
-    Nine in ten are below seven times the truth: where waves cancel in few samples, estimates do not know.
+    Nine in ten are below seven times the truth: where waves cancel in few samples, estimates do not
+    know.
     """
     rows = [row for seed in range(3000) for row in trials(seed)]
     auto = [row for row in rows if row.engine.startswith("auto")]

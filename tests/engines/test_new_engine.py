@@ -1,4 +1,7 @@
-"""A new engine is a module of its own and a line in the registry: nothing else knows one engine from another."""
+"""A new engine is a module of its own and a line in the registry.
+
+Nothing else knows one engine from another.
+"""
 
 import json
 import sys

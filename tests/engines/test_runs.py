@@ -1,4 +1,7 @@
-"""Runs of the engines: what they have cost, how far they are, where they go on, how they end, and in which company."""
+"""Runs of the engines.
+
+What they have cost, how far they are, where they go on, how they end, and in which company.
+"""
 
 from itertools import pairwise
 
@@ -30,9 +33,13 @@ def test_what_engines_are():
         for engine in (Native(), Lammps(), Modes(), Chebyshev(), Bessel(), Continuum())
     }
     assert engines == {
-        "native": (1, True, False, False), "lammps": (1, False, False, True), "modes": (3, True, False, False),
-        "chebyshev": (3, True, False, False), "bessel": (4, False, True, False), "continuum": (27, False, True, False),
-    }  # fmt: skip
+        "native": (1, True, False, False),
+        "lammps": (1, False, False, True),
+        "modes": (3, True, False, False),
+        "chebyshev": (3, True, False, False),
+        "bessel": (4, False, True, False),
+        "continuum": (27, False, True, False),
+    }
     assert Modes().methods == ()
     assert [method.name for method in Native().methods] == ["rkn4", "rkn6"]
     assert [method.name for method in Native("verlet").methods] == ["verlet"]
@@ -40,7 +47,7 @@ def test_what_engines_are():
 
 @pytest.mark.parametrize("integrator", METHODS)
 def test_what_a_run_has_cost(integrator):
-    """Steps that divide the time between samples, and the evaluations of the force that the method makes in each."""
+    """Steps divide the time between samples; each has the evaluations of its method."""
     interval = SCENE.duration / 20
     t = simulate(SCENE, Native(integrator, step=interval / 7.5))
     cost = t.cost
@@ -102,7 +109,7 @@ def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
 
 
 def test_distances_of_runs_are_those_of_answers_at_their_steps():
-    """Of the answer from the one at twice the step, of that from the one at four times, sample by sample."""
+    """The answer from that at twice the step, and that from the one at four times."""
     step = SCENE.duration / 160
     engine = Native("verlet", step=step)
     run = engine.start([SCENE], engine.candidate(SCENE, 1e-6))
@@ -174,15 +181,20 @@ def test_scenes_of_a_batch_are_of_one_kind():
     engine = Native()
     candidate = engine.candidate(SCENE, 1e-6)
     alike_ones = (
-        SCENE.replace(excitation=Impulse(velocity=2e-3)), SCENE.replace(excitation=Impulse(velocity=1e-3, grain=4)),
-        SCENE.replace(chain=CHAIN.replace(gravity=5.0)), SCENE.replace(excitation=Displacement(displacement=1e-9)),
+        SCENE.replace(excitation=Impulse(velocity=2e-3)),
+        SCENE.replace(excitation=Impulse(velocity=1e-3, grain=4)),
+        SCENE.replace(chain=CHAIN.replace(gravity=5.0)),
+        SCENE.replace(excitation=Displacement(displacement=1e-9)),
     )  # fmt: skip
     for other in alike_ones:
         assert kind(other) == kind(SCENE)
     unlike_ones = (
-        SCENE.replace(chain=CHAIN.replace(grains=11)), SCENE.replace(chain=CHAIN.replace(exponent=2.0)),
-        SCENE.replace(chain=CHAIN.replace(bottom="wall")), SCENE.replace(chain=CHAIN.replace(top="wall")),
-        SCENE.replace(chain=CHAIN.replace(gravity=0.0)), SCENE.replace(samples=22), SCENE.replace(duration=4.1e-5),
+        SCENE.replace(chain=CHAIN.replace(grains=11)),
+        SCENE.replace(chain=CHAIN.replace(exponent=2.0)),
+        SCENE.replace(chain=CHAIN.replace(bottom="wall")),
+        SCENE.replace(chain=CHAIN.replace(top="wall")),
+        SCENE.replace(chain=CHAIN.replace(gravity=0.0)), SCENE.replace(samples=22),
+        SCENE.replace(duration=4.1e-5),
         SCENE.replace(grains=[1]), SCENE.replace(excitation=Drive(amplitude=1e-9, frequency=1e4)),
     )  # fmt: skip
     for other in unlike_ones:
@@ -192,9 +204,14 @@ def test_scenes_of_a_batch_are_of_one_kind():
         ):
             engine.start([SCENE, other], candidate)
     for changed in (
-        {"steps_per_landing": 3}, {"stride": 2}, {"step": 1e-8}, {"adaptive": not candidate.adaptive},
-        {"coarse_openings": not candidate.coarse_openings}, {"integrator": "verlet"}, {"choices": {"force": "plain"}},
-    ):  # fmt: skip
+        {"steps_per_landing": 3},
+        {"stride": 2},
+        {"step": 1e-8},
+        {"adaptive": not candidate.adaptive},
+        {"coarse_openings": not candidate.coarse_openings},
+        {"integrator": "verlet"},
+        {"choices": {"force": "plain"}},
+    ):
         assert alike(SCENE, candidate._replace(**changed)) != alike(SCENE, candidate)
 
 

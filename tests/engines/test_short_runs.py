@@ -17,7 +17,7 @@ from lmpchain.integrators.methods import METHODS
 
 
 def short_scene(rng: np.random.Generator) -> Scene:
-    """Return a few grains for a few tenths to a few radians of their fastest motion, seen a few times."""
+    """Return a few grains for at most a few radians of their fastest motion, in few samples."""
     grains = int(rng.integers(2, 8))
     chain = Chain(
         grains=grains,
@@ -47,7 +47,7 @@ def short_scene(rng: np.random.Generator) -> Scene:
 
 
 def check(seed: int) -> None:
-    """Hold an answer to a tolerance, or at a step of the user's, and its estimate against the truth."""
+    """Hold an answer to a tolerance, or at a step of the user's, against the truth."""
     rng = np.random.default_rng([2026, seed])
     scene, integrator = short_scene(rng), str(rng.choice(list(METHODS)))
     tolerance, steps = float(10 ** rng.uniform(-9, -1.5)), int(rng.integers(1, 12))
@@ -118,7 +118,7 @@ def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
 
 
 def test_adaptive_steps_end_where_a_run_breaks_down():
-    """Grains that are thrown at each other ever faster would be followed with ever shorter steps, for ever.
+    """Grains that are thrown at each other ever faster would ask for ever shorter steps.
 
     A run that does not break down says how far off it is.
     """
@@ -128,7 +128,8 @@ def test_adaptive_steps_end_where_a_run_breaks_down():
         0.00389580675678367, 0.004839438043639775, 0.0051150367614991, 0.0037009743144796664,
     ]  # fmt: skip
     chain = Chain(
-        grains=12, diameter=diameters, gravity=26.13332937185664, exponent=2.5, top_load=0.0927680953941959,
+        grains=12, diameter=diameters, gravity=26.13332937185664, exponent=2.5,
+        top_load=0.0927680953941959,
         top="wall", bottom="wall",
     )  # fmt: skip
     scene = Scene(

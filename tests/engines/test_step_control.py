@@ -1,4 +1,7 @@
-"""From attempt to attempt: when the next one is made, with which step, what all have cost, and why there is none."""
+"""From attempt to attempt.
+
+When the next one is made, with which step, what all have cost, and why there is none.
+"""
 
 import math
 import re
@@ -32,7 +35,10 @@ def budget(truncation: float, roundoff: float = 1e-15) -> ErrorBudget:
 
 
 class Scripted(Engine):
-    """An engine whose runs take 1.75 s and have the errors of a script: None for one that breaks down."""
+    """An engine whose runs take 1.75 s and have the errors of a script.
+
+    None for one that breaks down.
+    """
 
     name = "native"
     equation = 1
@@ -113,7 +119,10 @@ def solve(engine: Scripted, tolerance: float = 1e-6, scenes=(SCENE,), **options)
 
 
 def test_steps_shorten_until_the_tolerance_is_met(now):
-    """The costs of all attempts come together: earlier ones count to the estimate, what is around them to the setup."""
+    """The costs of all attempts come together.
+
+    Earlier ones count to the estimate, what is around them to the setup.
+    """
     engine = Scripted([budget(1e-3), budget(1e-5), budget(1e-6 - 2e-15)], now)
     outcome = solve(engine)
     assert engine.steps == pytest.approx([STEP, STEP / 2, STEP / 4], rel=1e-12)
@@ -161,7 +170,8 @@ def test_where_rounding_is_the_limit_it_says_so_and_since_when(now):
     engine = Scripted([budget(2e-9, 3.3e-6)], now)
     engine.last = True
     reason = (
-        "the error is estimated at 3.3e-06, above the tolerance of 1e-06, and steps shorter than 1e-07 s do not help, "
+        "the error is estimated at 3.3e-06, above the tolerance of 1e-06, and steps shorter than "
+        "1e-07 s do not help, "
         "for round-off alone makes 3.3e-06: "
     )
     time = f"{SCENE.time[2]:.4g}"
@@ -179,7 +189,8 @@ def test_three_more_attempts_that_do_not_help_end_it(now):
     outcome = solve(engine)
     assert len(engine.steps) == 4
     assert outcome.missed == (
-        "the error is estimated at 0.0064, above the tolerance of 1e-06, and steps shorter than 1.2e-08 s do not help: "
+        "the error is estimated at 0.0064, above the tolerance of 1e-06, and steps shorter than "
+        "1.2e-08 s do not help: "
         "ask for less"
     )
 
@@ -238,7 +249,10 @@ def test_a_tolerance_is_loosen_fourfold_until_it_can_be_met():
 
 
 def test_a_refusal_of_the_engine_stays_with_the_attempt():
-    """Beyond the last digits nothing is promised; with best effort the tolerance is what can be had."""
+    """Beyond the last digits nothing is promised.
+
+    With best effort the tolerance is what can be had.
+    """
     with pytest.raises(ToleranceNotMet, match="round-off alone makes an error of about"):
         first_attempt(Native(), SCENE, 1e-16)
     attempt = first_attempt(Native(), SCENE, 1e-16, best_effort=True)

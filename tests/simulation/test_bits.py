@@ -1,7 +1,9 @@
-"""Answers keep their last bit: 200 random scenes by "auto", after a stop and in batches against a stored table.
+"""Answers keep their last bit.
 
-Where the table was made with other versions or on another kind of processor, engines, steps and error estimates are
-compared. `tests/data/make_bits.py` made it.
+200 random scenes by "auto", after a stop and in batches against a stored table.
+
+Where the table was made with other versions or on another kind of processor, engines, steps and
+error estimates are compared. `tests/data/make_bits.py` made it.
 """
 
 import json
@@ -15,7 +17,7 @@ from lmpchain.engines import cost_model
 
 @pytest.fixture(autouse=True)
 def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Have "auto" choose by the speeds that come with the package, whatever was measured on this machine."""
+    """Have "auto" choose by the speeds that come with the package, not by those of this machine."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     cost_model.measured.cache_clear()
     yield

@@ -1,4 +1,7 @@
-"""Which engine is chosen, at what price and why: verdicts, words and numbers of a plan, the picture, calibration."""
+"""Which engine is chosen, at what price and why.
+
+Verdicts, words and numbers of a plan, the picture, calibration.
+"""
 
 import json
 import math
@@ -60,9 +63,17 @@ def test_equation_and_solver_together_must_keep_to_the_tolerance():
 
 @pytest.mark.parametrize(
     ("error", "words"),
-    [(9.9e-5, "0.0001 of the answer"), (3e-7, "3e-07 of the answer"), (1e-4, "0.01 %"), (0.0123, "1.2 %"),
-     (0.099, "9.9 %"), (0.1, "10 %"), (0.234, "23 %"), (1.0, "100 %")],
-)  # fmt: skip
+    [
+        (9.9e-5, "0.0001 of the answer"),
+        (3e-7, "3e-07 of the answer"),
+        (1e-4, "0.01 %"),
+        (0.0123, "1.2 %"),
+        (0.099, "9.9 %"),
+        (0.1, "10 %"),
+        (0.234, "23 %"),
+        (1.0, "100 %"),
+    ],
+)
 def test_errors_are_said_in_per_cent(error, words):
     assert percent(error) == words
 
@@ -81,7 +92,8 @@ def test_numbers_of_a_proposal():
     row = proposal.to_json()
     assert row == {
         "engine": "native", "equation": 1, "integrator": "rkn6", "model_error": 1e-3,
-        "solver_error": 1e-9, "active_grains": 10, "step": 1e-7, "cost_s": 2.5, "kept": True, "why": "",
+        "solver_error": 1e-9, "active_grains": 10, "step": 1e-7, "cost_s": 2.5, "kept": True,
+        "why": "",
     }  # fmt: skip
 
 
@@ -167,9 +179,13 @@ def test_a_plan_as_a_table():
     native = next(each for each in plan.candidates if each.engine == "native")
     assert plan.integrator == native.integrator
     for word in (
-        f"native {native.integrator}", "(1)", f"{native.solver_error:.1g}", str(native.active_grains),
-        f"{1e3 * native.cost_s:.3g}", "kept: within the tolerance",
-    ):  # fmt: skip
+        f"native {native.integrator}",
+        "(1)",
+        f"{native.solver_error:.1g}",
+        str(native.active_grains),
+        f"{1e3 * native.cost_s:.3g}",
+        "kept: within the tolerance",
+    ):
         assert word in lines[1]
     assert lines[1].startswith("*")
     assert not any(line.startswith("*") for line in lines[2:])
@@ -184,7 +200,10 @@ def test_a_plan_as_a_table():
 
 
 def test_the_picture_of_a_plan():
-    """Expected error over cost, on scales of powers of ten; the tolerance is a line, the choice has a ring."""
+    """Expected error over cost, on scales of powers of ten.
+
+    The tolerance is a line, the choice has a ring.
+    """
     plan = lmpchain.plan(paper("weak", 6), 1e-2)
     ax = plan.plot()
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
@@ -275,7 +294,10 @@ def test_best_effort_loosens_what_no_engine_can():
 
 
 class Answers:
-    """Answers that take so long: a start, and a slowness times their work on the reference machine."""
+    """Answers that take so long.
+
+    A start, and a slowness times their work on the reference machine.
+    """
 
     def __init__(self, monkeypatch, start: float, slowness: float):
         self.now, self.start, self.slowness, self.count = 0.0, start, slowness, 0
@@ -292,7 +314,10 @@ class Answers:
 
 
 def test_a_calibration_finds_start_and_slowness_of_every_engine(monkeypatch):
-    """From the shortest times of a small and a large answer; it is written with the name of the machine."""
+    """From the shortest times of a small and a large answer.
+
+    It is written with the name of the machine.
+    """
     Answers(monkeypatch, 3e-3, 2.5)
     path, took = calibration.calibrate()
     assert took > 0

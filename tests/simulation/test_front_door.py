@@ -1,4 +1,7 @@
-"""What `simulate`, `resume` and `simulate_many` say and keep: warnings, files of a folder, costs of a batch."""
+"""What `simulate`, `resume` and `simulate_many` say and keep.
+
+Warnings, files of a folder, costs of a batch.
+"""
 
 import json
 import signal
@@ -164,7 +167,8 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
     done = kept["samples_done"]
     assert 0 < done < 61
     assert words == (
-        f"stopped at the end of its time after {done} of 61 samples; lmpchain resume {folder} goes on"
+        f"stopped at the end of its time after {done} of 61 samples; lmpchain resume {folder} goes "
+        "on"
     )
     assert kept["reason"] == words
     assert (kept["state"], kept["samples"], kept["attempt"], kept["tolerance"]) == (
@@ -190,7 +194,10 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
 
 
 def test_both_checkpoints_of_a_new_attempt_are_of_it(tmp_path, small_blocks):
-    """None tells of the attempt before, whose samples are gone: after a second fault the right one goes on."""
+    """None tells of the attempt before, whose samples are gone.
+
+    After a second fault the right one goes on.
+    """
     folder, engine = tmp_path / "run", Native(adaptive=False)
     scene = SCENE.replace(excitation=Impulse(velocity=8.57e-3), samples=21)
     stopped(folder, scene, engine, 1e-5)
@@ -224,7 +231,10 @@ def test_checkpoints_come_and_go(tmp_path):
 
 
 def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
-    """At most one a second, and so that they take a hundredth of the time: by a clock that this test sets."""
+    """At most one a second, and so that they take a hundredth of the time.
+
+    By a clock that this test sets.
+    """
     now, saved = [0.0], []
     honest = checkpoints.save
 
@@ -306,7 +316,8 @@ def test_a_failure_is_noted_with_its_reason(tmp_path, monkeypatch, small_blocks)
         simulate(SCENE, "native", 1e-6, folder=tmp_path / "run")
     done = puts[1].stop
     assert str(failed.value) == (
-        f"{tmp_path}/run/x: cannot be written: No space left on device; {done} of 61 samples were done and most are "
+        f"{tmp_path}/run/x: cannot be written: No space left on device; {done} of 61 samples were "
+        "done and most are "
         f"kept; when that is put right, lmpchain resume {tmp_path}/run goes on"
     )
     assert status(tmp_path / "run")["state"] == "failed"
@@ -380,8 +391,11 @@ def test_a_task_that_was_changed_is_noticed(tmp_path, small_blocks):
     assert (asked["engine"], asked["tolerance"], asked["best_effort"]) == ("native", 1e-6, False)
     assert len(asked["sessions"]) == 1
     for changed in (
-        {"tolerance": 1e-5}, {"engine": "modes"}, {"best_effort": True}, {"options": asked["options"] | {"threads": 2}},
-    ):  # fmt: skip
+        {"tolerance": 1e-5},
+        {"engine": "modes"},
+        {"best_effort": True},
+        {"options": asked["options"] | {"threads": 2}},
+    ):
         file.write_text(json.dumps(asked | changed))
         with pytest.raises(InputError, match="they are not those that the run began with"):
             resume(folder)
@@ -432,7 +446,10 @@ def test_a_signal_is_noted_and_passed_on():
 
 
 def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
-    """Times of the runs of a batch by its size, with those of attempts before; counts are of the batch."""
+    """Times of the runs of a batch by its size, with those of attempts before.
+
+    Counts are of the batch.
+    """
     scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in (1.0e-4, 1.1e-4, 1.2e-4)]
     engine = Native()
     attempts = [
@@ -479,7 +496,7 @@ def test_batches_are_no_larger_than_a_cache():
 
 
 def test_scenes_that_are_cut_to_the_light_cone_go_alone():
-    """Where fewer than half of the grains are reached, a batch would compute more than each alone."""
+    """Where fewer than half of the grains are reached, a batch would compute more."""
     long = SCENE.replace(chain=CHAIN.replace(grains=400), duration=1e-5)
     reached = long.reached.chain.grains
     assert 2 * reached < 400

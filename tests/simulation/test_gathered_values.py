@@ -1,4 +1,4 @@
-"""Gathered peaks, arrivals and forces of chains of springs, whose motion is known, and their errors."""
+"""Gathered peaks, arrivals and forces of chains of springs, whose motion is exact."""
 
 import numpy as np
 import pytest
@@ -22,10 +22,11 @@ pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
 
 
 def springs(seed: int, samples: int = 3) -> Scene:
-    """Return three unlike grains on springs between two walls, moved in any way, that never let go."""
+    """Return three unlike grains on springs between walls, moved in any way, that never let go."""
     rng = np.random.default_rng(seed)
     chain = Chain(
-        grains=3, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall",
+        grains=3, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall",
+        bottom="wall",
         masses=rng.uniform(1, 3, 3) * 1e-6, contact_constants=rng.uniform(1, 3, 2) * 1e7,
         wall_constants=rng.uniform(1, 3, 2) * 1e7,
     )  # fmt: skip
@@ -43,7 +44,7 @@ def motion(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
-    """Return when the displacement (0) or velocity (1) of a grain is largest in size for a while, and how large."""
+    """Return when the displacement (0) or velocity (1) of a grain is largest, and how large."""
 
     def values(t):
         return np.abs(motion(scene, np.atleast_1d(t))[kind][:, grain])
@@ -53,7 +54,8 @@ def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
     found = []
     for i in np.flatnonzero((sizes[1:-1] > sizes[:-2]) & (sizes[1:-1] >= sizes[2:])) + 1:
         best = minimize_scalar(
-            lambda t: -float(values(t)[0]), bounds=(grid[i] - step, grid[i] + step), method="bounded",
+            lambda t: -float(values(t)[0]), bounds=(grid[i] - step, grid[i] + step),
+            method="bounded",
             options={"xatol": 1e-6 * step},
         )  # fmt: skip
         found.append((float(best.x), -float(best.fun)))
@@ -108,7 +110,10 @@ def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
 
 @pytest.mark.parametrize("steps", [24, 40])
 def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
-    """Of an answer at long steps: of each motion its own, of a force that of the two grains whose distance makes it."""
+    """Of an answer at long steps.
+
+    Of each motion its own, of a force that of the two grains whose distance makes it.
+    """
     scene = springs(3, samples=2)
     t = simulate(scene, Native("verlet", step=2 * np.pi / scene.chain.band_edge / steps))
     error, gathered = t.error_estimate.total, t.gathered
@@ -150,7 +155,10 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
 
 
 def test_a_front_that_may_be_another_one_says_so():
-    """Two maxima, the first all but half of the second: its time is off by their distance, if values are off."""
+    """Two maxima, the first all but half of the second.
+
+    Its time is off by their distance, if values are off.
+    """
     chain = Chain(
         grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall"
     )
@@ -182,7 +190,8 @@ def test_a_front_that_may_be_another_one_says_so():
         np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
     )
     scene = Scene(
-        chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge, samples=2,
+        chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge,
+        samples=2,
         quantities=["arrival_time"],
     )  # fmt: skip
     t = simulate(scene, Native("verlet", step=2 * np.pi / chain.band_edge / 40))
@@ -215,7 +224,10 @@ def test_only_what_is_asked_for_is_gathered():
 
 
 def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
-    """Linear engines gather the linear force, the native one Hertz's; they agree where the wave is weak."""
+    """Linear engines gather the linear force, the native one Hertz's.
+
+    They agree where the wave is weak.
+    """
     chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-2)
     strike = Impulse(velocity=1e-5 * chain.length_scale / chain.time_scale)
     scene = Scene(
@@ -260,7 +272,7 @@ def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
     again = GatheringRun(
         engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], state
     )
-    one, other = run.found([1e-9])[0], again.found([1e-9])[0]
+    one, other = run.results([1e-9])[0], again.results([1e-9])[0]
     assert one.keys() == other.keys()
     for name, values in one.items():
         assert np.array_equal(values, other[name], equal_nan=True)
@@ -274,10 +286,14 @@ def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
 
 
 def test_a_released_grain_is_nearest_at_the_start():
-    """The largest force may be that at t = 0: of a grain that is pushed into its contact and let go."""
+    """The largest force may be that at t = 0.
+
+    Of a grain that is pushed into its contact and let go.
+    """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
     scene = Scene(
-        chain=chain, excitation=Displacement(displacement=1e-2 * chain.length_scale), duration=1 / chain.band_edge,
+        chain=chain, excitation=Displacement(displacement=1e-2 * chain.length_scale),
+        duration=1 / chain.band_edge,
         samples=2, quantities=["peak_force:1", "peak_displacement"],
     )  # fmt: skip
     gathered = simulate(scene, "native", 1e-9).gathered

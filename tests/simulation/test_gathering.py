@@ -1,4 +1,7 @@
-"""Quantities gathered all along a run: two samples are enough for peaks, arrivals and forces at full resolution."""
+"""Quantities gathered all along a run.
+
+Two samples are enough for peaks, arrivals and forces at full resolution.
+"""
 
 import tracemalloc
 from pathlib import Path
@@ -56,7 +59,8 @@ def test_an_oscillator_whose_samples_are_nodes(engine: str):
     """All is known exactly, and no sample shows it."""
     length = 1e-9
     scene = Scene(
-        chain=PAIR, excitation=Displacement(displacement=length), duration=7.25 * 2 * np.pi / OMEGA, samples=2,
+        chain=PAIR, excitation=Displacement(displacement=length), duration=7.25 * 2 * np.pi / OMEGA,
+        samples=2,
         quantities=[*OF_GRAINS, "peak_force:1", "force:1"],
     )  # fmt: skip
     found = simulate(scene, engine, 1e-6).gathered
@@ -76,7 +80,10 @@ def test_an_oscillator_whose_samples_are_nodes(engine: str):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
 def test_a_grain_that_bounces_off_a_wall(exponent: float):
-    """All of its energy is in the contact once: F = K x^delta, K x^(delta + 1) / (delta + 1) = m v^2 / 2."""
+    """All of its energy is in the contact once.
+
+    F = K x^delta, K x^(delta + 1) / (delta + 1) = m v^2 / 2.
+    """
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall", exponent=exponent)
     mass, constant, speed = chain.masses[0], chain.wall_constants[1], 0.1
     deepest = ((exponent + 1) * mass * speed**2 / 2 / constant) ** (1 / (exponent + 1))
@@ -92,10 +99,14 @@ def test_a_grain_that_bounces_off_a_wall(exponent: float):
 
 @pytest.mark.parametrize("engine", ["native", "modes"])
 def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
-    """v = F/2m t sin(omega t): the first maximum that is half of the largest is one of some hundred."""
+    """v = F/2m t sin(omega t).
+
+    The first maximum that is half of the largest is one of some hundred.
+    """
     force, end = 1e-6, 100.3 * np.pi
     scene = Scene(
-        chain=PAIR, excitation=Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)), duration=end / OMEGA,
+        chain=PAIR, excitation=Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)),
+        duration=end / OMEGA,
         samples=2, quantities=["peak_velocity", "arrival_time"],
     )  # fmt: skip
     tops = np.array(
@@ -182,7 +193,10 @@ ACTING = {
     ],
 )
 def test_what_acts_on_a_chain_has_its_part(what: str):
-    """Grain 1 or a wall that is moved, a grain that is pushed: their contacts and neighbours, too."""
+    """Grain 1 or a wall that is moved, a grain that is pushed.
+
+    Their contacts and neighbours, too.
+    """
     chain = Chain(grains=6, diameter=1e-3)
     chain = chain.replace(top="wall", top_load=0.01) if what == "wall" else chain
     near = 0 if what == "wall" else 1

@@ -1,4 +1,4 @@
-"""Whatever part of a run is killed, at any moment, it goes on and ends with the bits that it would have had."""
+"""Whatever part of a run is killed, at any moment, it goes on and ends with the same bits."""
 
 import itertools
 import json
@@ -59,7 +59,7 @@ def native(_: pytest.MonkeyPatch):
 
 
 def lammps(monkeypatch: pytest.MonkeyPatch):
-    """An attempt with the physical diameter, for a law of round-off that hopes for too much, and one with the gauge."""
+    """An attempt with the physical diameter, by too hopeful a law, and one with the gauge."""
     heights = lammps_engine.HEIGHTS._replace(rounding=1e-6)
     monkeypatch.setattr(lammps_engine, "HEIGHTS", heights)
     return paper("weak", 13), engines.Lammps(), 1e-6
@@ -153,7 +153,7 @@ def names(folder: Path) -> list[str]:
 def test_a_killed_rank_is_no_step_that_is_too_long(
     victim: int | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Whichever process of the ranks goes, in an attempt whose step is not given, the same attempt goes on."""
+    """Whichever process of the ranks goes, an attempt at a step that was chosen goes on."""
     scene, engine = SMALL, engines.Lammps("kahan-li6", ranks=2)
     right, rng = simulate(scene, engines.Lammps("kahan-li6"), 1e-4), random.Random(str(victim))
     honest, left = SubprocessRanks.ask, [0]
@@ -193,7 +193,10 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.slow
 def test_ranks_hold_no_name_of_shared_memory_and_end_with_their_launcher(tmp_path: Path):
-    """What no kill leaves behind: a name in /dev/shm, or a rank whose launcher was killed with all that watches it."""
+    """What no kill leaves behind.
+
+    A name in /dev/shm, or a rank whose launcher was killed with all that watches it.
+    """
     scene = Scene(chain=CHAIN, excitation=STRIKE, duration=1.0, samples=20001)
     mark = {"MARK": str(tmp_path), "TMPDIR": str(tmp_path / "scratch")}
     (tmp_path / "scratch").mkdir()
@@ -228,7 +231,10 @@ def test_ranks_hold_no_name_of_shared_memory_and_end_with_their_launcher(tmp_pat
 
 
 def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Those of ranks which were killed as they started, and of launchers; not what is in use, new, or of others."""
+    """Those of ranks which were killed as they started, and of launchers.
+
+    Not what is in use, new, or of others.
+    """
     monkeypatch.setattr(leftovers, "SHARED", tmp_path)
     monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path)
     begins = ("hydra_hwloc_xmlfile_", "mpich_shm_", "other_", "ucx_shm_posix_")
@@ -257,7 +263,8 @@ VERLET = ["--engine", "lammps", "--integrator", "verlet"]
 FIXED = [*VERLET, "--step", "1e-7", "--diameter", "physical"]
 FREE = [*VERLET, "--tolerance", "3e-3"]
 TWO = ["--ranks", "2"]
-# scene, words for `run`, and the processes that mpirun starts for the first command and those after it, in turn
+# scene, words for `run`, and the processes that mpirun starts for the first command and those after
+# it, in turn
 CASES = {
     "native": (LONGER, ["--engine", "native", "--step", "1e-9"], [1]),
     "native to a tolerance": (LONGER, ["--engine", "native", "--tolerance", "1e-9"], [1]),
@@ -295,7 +302,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajector
 
 
 def reached(folder: Path) -> float:
-    """Return how many attempts a run folder says are done, with the part done of the one under way."""
+    """Return how many attempts a run folder says are done, with the share of the one under way."""
     if not (folder / "scene.toml").exists():
         return -1.0
     said = status(folder)
@@ -303,7 +310,10 @@ def reached(folder: Path) -> float:
 
 
 class Command:
-    """A command of lmpchain that is to be killed: hurried, in a fork of this process or under mpirun."""
+    """A command of lmpchain that is to be killed.
+
+    Hurried, in a fork of this process or under mpirun.
+    """
 
     def __init__(self, words: tuple[object, ...], ranks: int, folder: Path):
         self._mark = f"MARK={folder}"
@@ -325,7 +335,10 @@ class Command:
         return [*processes(self._mark), *([self.pid] if self.at_work() else [])]
 
     def ended(self) -> tuple[int | None, str]:
-        """Wait until it and all that it has started has ended; return its exit code and what it said."""
+        """Wait until it and all that it has started has ended.
+
+        Return its exit code and what it said.
+        """
         code, said = (
             self._process.ended() if isinstance(self._process, Fork) else ended(self._process)
         )
@@ -338,7 +351,8 @@ def killed(
 ) -> tuple[Trajectory, int]:
     """Run a case; kill a part of it, drawn at random, once so many of its attempts are done.
 
-    Returns the answer, and how often something was killed. A part below 0 is of the time before the first sample.
+    Returns the answer, and how often something was killed. A part below 0 is of the time before the
+    first sample.
     """
     scene, words, ranks = CASES[case]
     scratch = folder / "scratch"

@@ -25,7 +25,10 @@ def struck(velocity: float, grains: int = 12, **more) -> Scene:
 
 
 def test_answers_come_in_order_with_the_bits_of_each_alone():
-    """Scenes of several shapes and strengths, shuffled: those that are alike go together, and each is itself."""
+    """Scenes of several shapes and strengths, shuffled.
+
+    Those that are alike go together, and each is itself.
+    """
     scenes = [struck(v, n) for v in (1e-6, 1e-4, 1e-2) for n in (12, 9, 12)] + [
         struck(1e-4, gravity=1.62)
     ]
@@ -43,7 +46,10 @@ def test_answers_come_in_order_with_the_bits_of_each_alone():
 
 
 def test_a_sine_beside_points_is_as_it_is_alone():
-    """DOP853 lengthens its steps where no knots cut them: those of a scene, not those of another in its batch."""
+    """DOP853 lengthens its steps where no knots cut them.
+
+    Those of a scene, not those of another in its batch.
+    """
     chain = Chain(grains=6, diameter=1e-3, top_load=0.1)
     duration, height = 30 / chain.band_edge, 0.1 * chain.length_scale
     times = np.linspace(0, 1.01 * duration, 5)
@@ -60,7 +66,10 @@ def test_a_sine_beside_points_is_as_it_is_alone():
 
 
 def test_the_error_covers_the_truth():
-    """Against SciPy's DOP853 of another equation of motion; chains that open contacts and chains that do not."""
+    """Against SciPy's DOP853 of another equation of motion.
+
+    Chains that open contacts and chains that do not.
+    """
     scenes = [
         smooth(grains=6, samples=6).replace(excitation=Impulse(velocity=v))
         for v in (1e-6, 1e-3, 1e-2)

@@ -1,4 +1,7 @@
-"""Which engine: plans are kept to, against the truth; hopes that fail are noticed; costs are those of the machine."""
+"""Which engine: plans are kept to, against the truth; hopes that fail are noticed.
+
+Costs are those of the machine.
+"""
 
 import json
 import platform
@@ -61,7 +64,7 @@ def periodic(
 
 
 def struck(seed: int) -> Scene:
-    """Draw a scene from the weakest strikes that linear theory is made for to strong ones, of every kind."""
+    """Draw a scene of any kind, from strikes that linear theory is made for to strong ones."""
     rng = np.random.default_rng(seed)
     while seed % 2:  # half of them gentle
         scene = random_scene(rng)
@@ -87,9 +90,10 @@ def struck(seed: int) -> Scene:
 
 
 def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity of every grain by Taylor series, held against extrapolation around the strike.
+    """Return displacement and velocity of every grain by Taylor series, checked by extrapolation.
 
-    The second one knows only grains as near as the wave can have come; the first must all but leave others at rest.
+    The second one knows only grains as near as the wave can have come; the first must all but leave
+    others at rest.
     """
     spare, (first, last) = 120, scene.excitation.reach(scene.chain)
     first, last = max(1, first - spare), min(scene.chain.grains, last + spare)
@@ -164,7 +168,7 @@ def cpu_time(scene: Scene, engine: str, tolerance: float) -> tuple[float, Trajec
 
 
 def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float:
-    """Return how many times longer the choice of a plan takes than the fastest that would have done, all measured.
+    """Return the time of the choice of a plan over the fastest that would do, all measured.
 
     What is expected to take 20 times as long is not tried. NaN if the choice takes less than 1 ms.
     """
@@ -223,7 +227,10 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
 
 
 def test_plans_of_the_paper_scenes():
-    """A strike number of 8.5 leaves no room for linear theory; a weak strike is left to the cheapest."""
+    """A strike number of 8.5 leaves no room for linear theory.
+
+    A weak strike is left to the cheapest.
+    """
     strong = lmpchain.plan(paper("fig5 g"))
     assert strong.engine == "native"
     why = {proposal.engine: proposal.why for proposal in strong.candidates}
@@ -266,7 +273,7 @@ def test_linear_theory_where_it_is_cheaper():
 
 
 def hopeful(monkeypatch: pytest.MonkeyPatch) -> Scene:
-    """Let linear engines think that they leave out nothing, and return a scene where they leave out much."""
+    """Let linear engines think that they leave nothing out; return a scene where they do."""
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)

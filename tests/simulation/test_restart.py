@@ -81,7 +81,10 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch):
     [pytest.param(name, marks=pytest.mark.slow if name in LONGEST else ()) for name in STOPPED],
 )
 def test_stopped_after_every_block(case: str, tmp_path: Path):
-    """Every engine's own state: at the end of its time already, a run stops as soon as it has a sample."""
+    """Every engine's own state.
+
+    At the end of its time already, a run stops as soon as it has a sample.
+    """
     scene, engine, tolerance = STOPPED[case]
     rng, stops, seen = random.Random(case), 0, set()
     for attempt in itertools.count():
@@ -109,7 +112,10 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
-    """A later attempt, at a shorter step, is the one that is gone on with; the time is that of all sessions."""
+    """A later attempt, at a shorter step, is the one that is gone on with.
+
+    The time is that of all sessions.
+    """
     at, engine, scene, said = (
         tmp_path / "run",
         engines.Native(adaptive=False),
@@ -139,7 +145,7 @@ def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
 
 @pytest.fixture
 def stopped(tmp_path: Path) -> Path:
-    """Return the folder of a run that was stopped twice, so that it has two checkpoints of different samples."""
+    """Return the folder of a run stopped twice, which has two checkpoints of other samples."""
     with pytest.raises(Stopped):
         simulate(SHORT, "native", 1e-2, folder=tmp_path / "run", max_wall=1e-9)
     with pytest.raises(Stopped):

@@ -188,7 +188,8 @@ def test_arrays_stay_on_the_disk(finished: Path):
     assert not isinstance(lazy.velocity, np.ndarray)
     v, w = lazy.velocity, plain.velocity
     keys = [
-        3, -1, slice(5, 9), slice(None, None, -7), (slice(None), 1), (4, 2), (..., 0), [3, 1, 2], (slice(3), [2, 0]),
+        3, -1, slice(5, 9), slice(None, None, -7), (slice(None), 1), (4, 2), (..., 0), [3, 1, 2],
+        (slice(3), [2, 0]),
         ([1, 2], [0, 1]), (None, 3), np.arange(301) % 50 == 0, w[:] > 0,
     ]  # fmt: skip
     for key in keys:
@@ -357,7 +358,7 @@ def test_one_process_at_a_time(tmp_path: Path):
 
 @pytest.mark.parametrize("said", ["Infinity", "NaN", "-1e999"])
 def test_a_time_that_there_is_not(said: str, tmp_path: Path):
-    """What a status says has been spent, if it is no time, is not counted, and does not end the run."""
+    """A time spent that is none is not counted, and does not end the run."""
     with pytest.raises(Stopped):
         simulate(SCENE, "native", folder=tmp_path, max_wall=1e-9)
     path = tmp_path / "status.json"
@@ -384,7 +385,10 @@ def test_in_another_thread(tmp_path: Path):
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [2_000, 150_000])
 def test_a_full_disk(limit: int, tmp_path: Path):
-    """No file may grow beyond the limit: one line, what is done is kept, and it goes on where there is room."""
+    """No file may grow beyond the limit.
+
+    One line, what is done is kept, and it goes on where there is room.
+    """
     chain = Chain(grains=100, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-3), duration=2e-3, samples=2001)
     words = [
@@ -434,7 +438,8 @@ samples = int(sys.argv[1])
 chain = lmpchain.Chain(grains=100_000, diameter=1e-3)
 speeds = numpy.append(numpy.random.default_rng(1).normal(0, 1e-3, 99_999), 0.0)
 start = lmpchain.Profile(velocity=speeds)
-scene = lmpchain.Scene(chain=chain, excitation=start, duration=2e-7 * (samples - 1), samples=samples)
+duration = 2e-7 * (samples - 1)
+scene = lmpchain.Scene(chain=chain, excitation=start, duration=duration, samples=samples)
 lmpchain.simulate(scene, "native", 0.01, folder=sys.argv[2])
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
@@ -451,7 +456,10 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 def test_a_stopped_run_loads_with_its_estimate_so_far(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """The estimate is of the samples that are there, and covers their true error; later samples make it unknown."""
+    """The estimate is of the samples that are there, and covers their true error.
+
+    Later samples make it unknown.
+    """
     monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
     scene = Scene(
         chain=Chain(grains=12, diameter=1e-3),

@@ -122,7 +122,8 @@ def test_a_signal_in_python_is_passed_on(tmp_path: Path):
     script = (
         "import lmpchain, sys\n"
         "try:\n"
-        "    lmpchain.simulate(lmpchain.Scene.from_toml(sys.argv[1]), 'native', folder=sys.argv[2], step=1e-6)\n"
+        "    lmpchain.simulate(lmpchain.Scene.from_toml(sys.argv[1]), 'native', "
+        "folder=sys.argv[2], step=1e-6)\n"
         "except KeyboardInterrupt:\n"
         "    print(lmpchain.simulation.run_folder.status(sys.argv[2])['state'])\n"
     ).replace("lmpchain, sys", "lmpchain, lmpchain.simulation.run_folder, sys")
@@ -147,7 +148,8 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     said = capsys.readouterr()
     assert said.out == ""
     assert re.fullmatch(
-        rf"stopped at the end of its time after \d+ of 20001 samples; lmpchain resume {folder}/? goes on\n",
+        rf"stopped at the end of its time after \d+ of 20001 samples; lmpchain resume {folder}/? "
+        rf"goes on\n",
         said.err,
     )
     assert status(folder)["state"] == "stopped"

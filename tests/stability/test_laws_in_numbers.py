@@ -1,4 +1,7 @@
-"""The laws of stability in numbers: trends, predictability, overlaps, warnings, and the boundaries that are shown."""
+"""The laws of stability in numbers.
+
+Trends, predictability, overlaps, warnings, and the boundaries that are shown.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,10 @@ def trend(error: Any, duration: float = 2.0) -> tuple[float, float]:
 
 
 def test_the_interval_of_a_trend_holds_it_in_99_of_100_draws() -> None:
-    """Of white noise, whose slope has the standard deviation sqrt(12 / n) / T; t of 48 degrees is 2.68 at 99 %."""
+    """Of white noise, whose slope has the standard deviation sqrt(12 / n) / T.
+
+    T of 48 degrees is 2.68 at 99 %.
+    """
     rng, size = np.random.default_rng(4), 250
     draws = np.array(
         [trend(0.3 * np.linspace(0, 2, size) + rng.normal(size=size)) for _ in range(300)]
@@ -121,7 +127,7 @@ def test_the_most_suspect_step_is_that_of_the_fastest_growth() -> None:
 
 
 def test_energies_are_followed_for_so_many_periods_of_the_band_edge() -> None:
-    """With steps of Verlet, whose error of the energy is below (w h)^2 / 4 of the energy, and from 0 at the start."""
+    """With Verlet, whose energy is off by less than (w h)^2 / 4, and not at all at the start."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-2)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-7), duration=1.0, samples=3, grains=[2]
@@ -310,7 +316,8 @@ def test_warnings_say_their_numbers() -> None:
     assert not list(pre_run_warnings(STRUCK, Native("verlet", 0.999 * longest), 0.5))
     (text,) = pre_run_warnings(STRUCK, Native("verlet", 1.01 * longest), 0.5)
     assert text == (
-        f"step: {1.01 * longest:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
+        f"step: {1.01 * longest:.3g} s is stable at rest, but while the strike squeezes the "
+        "contacts only steps "
         f"below {longest:.3g} s are known to be"
     )
     refused = Native("verlet", 2.01 / STEEL.band_edge)
@@ -320,7 +327,8 @@ def test_warnings_say_their_numbers() -> None:
     end = predicted_time(bouncing, 1e-6)
     (text,) = pre_run_warnings(bouncing, None, 1e-6)
     assert text == (
-        f"duration: contacts that open amplify round-off beyond 1e-06 at about {end:.2g} s; what comes later cannot "
+        f"duration: contacts that open amplify round-off beyond 1e-06 at about {end:.2g} s; what "
+        "comes later cannot "
         "be computed"
     )
     assert not list(pre_run_warnings(bouncing.replace(duration=0.99 * end), None, 1e-6))
@@ -337,7 +345,8 @@ def test_deep_overlaps_are_warned_of_with_how_far_hertz_is_off() -> None:
     assert not texts[0.1]
     excess = 100 * float(hertz_excess(min(deep, 0.5)))
     assert texts[3.0] == [
-        f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: Hertz's law is {excess:.2g} % off there by "
+        f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: Hertz's law is "
+        f"{excess:.2g} % off there by "
         "the shape of spheres alone"
     ]
 
@@ -432,8 +441,12 @@ def test_the_four_panels_hold_the_numbers() -> None:
     assert list(strength.get_lines()[-1].get_xdata()) == [1.0, 1.0]
     assert strength.get_xlabel() == "strength of the strike, over that of the scene"
     assert strength.get_ylabel() == "relative error"
-    for axes, scales in ((steps, ("log", "linear")), (energy, ("log", "log")), (growth, ("linear", "log")),
-                         (strength, ("log", "log"))):  # fmt: skip
+    for axes, scales in (
+        (steps, ("log", "linear")),
+        (energy, ("log", "log")),
+        (growth, ("linear", "log")),
+        (strength, ("log", "log")),
+    ):
         assert (axes.get_xscale(), axes.get_yscale()) == scales
         assert axes.get_legend() is not None
     alone = Figure().subplots()

@@ -1,4 +1,7 @@
-"""Where scenes, theories and engines end: the laws of `stability.limits` against what is measured, and closed forms."""
+"""Where scenes, theories and engines end.
+
+The laws of `stability.limits` against what is measured, and closed forms.
+"""
 
 from pathlib import Path
 
@@ -71,7 +74,10 @@ def test_two_and_three_grains_swing_as_their_energy_says(grains: int, number: fl
 
 
 def test_periods_in_closed_form():
-    """A gentle oscillator; a bead that bounces, which flies for 2 v/g and touches for 2.87 (m / (k v^(1/2)))^(2/5)."""
+    """A gentle oscillator.
+
+    A bead that bounces, which flies for 2 v/g and touches for 2.87 (m / (k v^(1/2)))^(2/5).
+    """
     gentle = limits.swinging(2, 1e-5)
     assert gentle.duration == pytest.approx(2 * np.pi / gentle.chain.band_edge, rel=1e-10, abs=0)
     hard = limits.swinging(2, 1e4)
@@ -81,7 +87,10 @@ def test_periods_in_closed_form():
 
 
 def test_three_free_grains_part_in_closed_form():
-    """The outer two hit the middle one from both sides: each is as on a wall of its own, and goes back as it came."""
+    """The outer two hit the middle one from both sides.
+
+    Each is as on a wall of its own, and goes back as it came.
+    """
     chain, v = Chain(grains=3, diameter=1e-3, gravity=0.0, bottom="free"), 1e-2
     touch = 3.218065 * (chain.masses[0] ** 2 / (chain.contact_constants[0] ** 2 * v)) ** 0.2
     for part, still in ((0.9999, False), (1.0001, True)):
@@ -143,7 +152,10 @@ def test_bends_grow_in_lammps_as_the_column_is_unstable():
 
 @pytest.mark.parametrize("diameter", ["physical", "gauge"])
 def test_the_engine_keeps_to_the_axis_and_notices_the_least_bend(diameter: str, tmp_path: Path):
-    """Nothing pushes sideways, so a straight column stays straight to the last bit; a bend of 1e-18 m is an error."""
+    """Nothing pushes sideways, so a straight column stays straight to the last bit.
+
+    A bend of 1e-18 m is an error.
+    """
     chain = Chain(grains=20, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-4, samples=5)
     options = {"integrator": "verlet", "step": 1e-7, "diameter": diameter}

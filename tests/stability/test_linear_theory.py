@@ -1,4 +1,7 @@
-"""Where the theories fail: every law against what is measured, and its constants against other arithmetic."""
+"""Where the theories fail.
+
+Every law against what is measured, and its constants against other arithmetic.
+"""
 
 import numpy as np
 import pytest
@@ -79,7 +82,10 @@ def test_constants_of_linear_theory_are_those_of_perturbation_theory(delta):
 @pytest.mark.parametrize("norm", linear_theory.LINEAR)
 @pytest.mark.parametrize("error", [0.01, 0.1])
 def test_linear_theory_fails_where_it_is_foretold(norm, error):
-    """At g after 100 us, where grain 19 is the last one passed; 1/6 and 6 times the gravity change nothing."""
+    """At g after 100 us, where grain 19 is the last one passed.
+
+    1/6 and 6 times the gravity change nothing.
+    """
     strike = linear_theory.strike_number_at(error, norm, grain=19)
     assert linear_theory.linear_law(strike, norm, grain=19) == pytest.approx(
         error, rel=1e-12, abs=0
@@ -92,7 +98,7 @@ def test_linear_theory_fails_where_it_is_foretold(norm, error):
 
 
 def test_strike_numbers_at_one_percent():
-    """0.04 in velocities at 100 us, 0.1 in displacements, 0.3 in the peak velocity, as DESIGN has it."""
+    """In velocities 0.04 at 100 us, in displacements 0.1, in the peak velocity 0.3."""
     found = {
         norm: linear_theory.strike_number_at(0.01, norm, grain=19) for norm in linear_theory.LINEAR
     }
@@ -102,7 +108,10 @@ def test_strike_numbers_at_one_percent():
 
 
 def test_error_of_linear_theory_without_any_engine():
-    """The exact series of Eq. (3) and DOP853 for Eq. (1), at the strike where the package's error is 1 %."""
+    """The exact series of Eq. (3) and DOP853 for Eq.
+
+    (1), at the strike where the package's error is 1 %.
+    """
     scene = column(linear_theory.strike_number_at(0.01, "package"), 6.0, 25)
     n, chain = np.arange(1, 25), scene.chain
     u, v, _ = scipy_reference(scene)
@@ -110,8 +119,10 @@ def test_error_of_linear_theory_without_any_engine():
     tau = scene.time[:, None] / chain.time_scale
     kappa = n ** (1 / 3)
     phi = speed * chain.time_scale * bessel.finite_impulse(kappa, n, 1, tau)
-    error = max(np.abs(phi - u[:, :-1]).max() / np.abs(u).max(),
-                np.abs(speed * bessel.finite(kappa, n, 1, tau) - v[:, :-1]).max() / np.abs(v).max())  # fmt: skip
+    error = max(
+        np.abs(phi - u[:, :-1]).max() / np.abs(u).max(),
+        np.abs(speed * bessel.finite(kappa, n, 1, tau) - v[:, :-1]).max() / np.abs(v).max(),
+    )
     assert error == pytest.approx(0.01, rel=0.06, abs=0)
     assert linear_error(scene)["package"] == pytest.approx(error, rel=1e-4, abs=0)
 
@@ -124,7 +135,7 @@ def test_error_of_linear_theory_grows_with_the_strike():
 
 
 def test_error_of_linear_theory_while_the_wave_goes_to_and_fro():
-    """From tau = 6 to the bottom the law holds to 10 %, and to a factor of 2.1 until ten passages."""
+    """From tau = 6 to the bottom the law holds to 10 %, for ten passages to a factor of 2.1."""
     for tau in (6, 10, 20, 40):
         assert linear_error(column(1e-3, tau, 80))["velocity"] == pytest.approx(
             2.7e-4, rel=0.1, abs=0
@@ -258,7 +269,10 @@ def test_bessel_at_early_times():
 
 
 def test_eqs_7_and_8():
-    """Eq. (7) is off by a third of the wave or more at any time; Eq. (8) tends to it as n^2 / tau."""
+    """Eq. (7) is off by a third of the wave or more at any time; Eq.
+
+    (8) tends to it as n^2 / tau.
+    """
     assert min(local_error(tau) for tau in (1.0, 4.0, 10.0, 30.0)) > 0.33
     for grain in (1, 3, 10):
         late = 16 * grain**2 / (16 * grain ** (1 / 6) * 0.01)

@@ -64,7 +64,10 @@ def slope(x, y):
 
 @pytest.mark.parametrize("options", HEIGHTS)
 def test_the_measured_floor_is_the_error_of_the_answer(options):
-    """So weak a strike that the floor exceeds what the steps leave: then it is all the error there is."""
+    """So weak a strike that the floor exceeds what the steps leave.
+
+    Then it is all the error there is.
+    """
     scene = column(8, 1e-4, 6)
     steps = 10 * math.ceil(scene.duration / 10 * scene.highest_frequency / 0.3)
     t = simulate(
@@ -236,7 +239,7 @@ def test_the_predicted_predictability_time():
 
 @pytest.mark.soak
 def test_no_double_precision_run_holds_beyond_the_predictability_time():
-    """The error of two accurate runs passes a tolerance where the growth of a change says, to half a millisecond."""
+    """The error of accurate runs passes a tolerance when a change has grown so, to 0.5 ms."""
     scene = agitated(10, 99.0, 32, samples=201)
     true = reference(scene)
     said = {tolerance: predictability_time(scene, tolerance) for tolerance in (1e-9, 1e-6)}
@@ -286,7 +289,10 @@ def test_lammps_refuses_chaos_before_it_runs():
 
 
 def answerable(scene, tolerance, patient):
-    """Return whether the native engine meets the tolerance, refusing early or going on; None where it breaks down."""
+    """Return whether the native engine meets the tolerance, refusing early or going on.
+
+    None where it breaks down.
+    """
     native = Native()
     attempt = first_attempt(native, scene, tolerance)
     try:

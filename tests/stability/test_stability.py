@@ -123,7 +123,7 @@ def test_a_scene_that_outlasts_its_predictability_time():
 
 
 def test_deep_overlaps():
-    """A strike that `Scene` accepts, for it squeezes contact 1 by less than a tenth, but not a contact further down."""
+    """Contact 1 is squeezed by less than a tenth, as `Scene` asks, but one further down by more."""
     sizes = 5e-3 * 0.7 ** np.arange(8)
     chain = Chain(grains=8, material="ptfe", diameter=sizes, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3.0), duration=1e-4, samples=11)

@@ -72,7 +72,7 @@ def test_the_first_unstable_band_is_narrow(integrator: str) -> None:
 
 
 def stiffest(scene: Scene) -> float:
-    """Return the highest eigenfrequency that the chain has at any moment of the exact motion, rad/s."""
+    """Return the highest eigenfrequency of the chain at any moment of the exact motion, rad/s."""
     chain, contacts = scene.chain, scene.chain.contacts
     u, _, _ = extended_reference(scene, 1e-10)
     mass, moving = chain.masses[: chain.movable], chain.movable
@@ -121,7 +121,10 @@ def test_the_frequency_that_a_strike_brings_about(case: tuple[Chain, float, floa
 
 
 def test_the_frequency_of_two_grains_pressed_together() -> None:
-    """A closed form: all the energy is in one contact, delta K o^(delta-1) (1/m + 1/m) with K o^(5/2) / (5/2) = E."""
+    """A closed form.
+
+    All the energy is in one contact, delta K o^(delta-1) (1/m + 1/m) with K o^(5/2) / (5/2) = E.
+    """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(chain=chain, excitation=Displacement(displacement=1e-8), duration=1e-5)
     stiffness = 1.5 * chain.contact_constants[0] * np.sqrt(1e-8)
@@ -184,9 +187,10 @@ def test_in_the_vacuum_the_step_goes_as_a_power_of_the_energy(exponent: float) -
 
 
 def hot(number: float, grains: int = 4) -> Scene:
-    """Return a loaded chain of which all grains that move, three unless told, are given random speeds.
+    """Return a loaded chain of three moving grains by default, with random speeds.
 
-    More of them may keep their energy in one place for 1e5 steps and then let go: a trend in a million that is none.
+    More of them may keep their energy in one place for 1e5 steps and then let go: a trend in a
+    million that is none.
     """
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
     speeds = (
@@ -303,7 +307,7 @@ def test_adaptive_steps_keep_the_order(integrator: str) -> None:
 
 @pytest.mark.parametrize("integrator", ["rkn6", "kahan-li8", "dop853"])
 def test_adaptive_steps_are_of_order_6_or_better(integrator: str) -> None:
-    """What openings leave dominates here, and falls with the seventh power or so until round-off is reached."""
+    """What openings leave dominates here: it falls with the seventh power or so."""
     scene, truth, own = opening(1.5)
     counts = np.array([50, 70, 100, 140] if integrator == "dop853" else [70, 100, 140, 200])
     errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=20)

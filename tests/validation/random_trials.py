@@ -4,9 +4,9 @@
     PYTHONPATH=tests python -m validation.random_trials native 17
     PYTHONPATH=tests python -m validation.random_trials --table native.jsonl auto.jsonl
 
-Every trial says how far the answer is from the truth, relative to the largest motion at any time of the run, what the
-engine estimated, and whether that is right. A range may be cut in pieces that run side by side; seeds that the output
-holds already are left out.
+Every trial says how far the answer is from the truth, relative to the largest motion at any time of
+the run, what the engine estimated, and whether that is right. A range may be cut in pieces that run
+side by side; seeds that the output holds already are left out.
 """
 
 from __future__ import annotations
@@ -46,12 +46,15 @@ ENDINGS = ("right", "above", "missed", "refused", "failed", "slow", "unresolved"
 
 
 class TooLong(BaseException):
-    """A minute is over, which nothing that catches exceptions of LAMMPS, say, may take for a failure of a run."""
+    """A minute is over: no exception that a handler may take for a failure of a run."""
 
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `TooLong` after so much time of this process, whatever else the machine does; 0 is no limit."""
+    """Raise `TooLong` after so much time of this process, whatever else the machine does.
+
+    0 is no limit.
+    """
 
     def stop(*_: object) -> None:
         raise TooLong
@@ -123,12 +126,16 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
 
 
 def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
-    """Return what came of a trial, as a row of the table; it is given up after `longest` s of this process."""
+    """Return what came of a trial, as a row of the table.
+
+    It is given up after `longest` s of this process.
+    """
     scene, engine, tolerance, options = draw(family, seed)
     chain = scene.chain
     row: dict[str, Any] = {
         "family": family, "seed": seed, "engine": engine, "tolerance": tolerance, **options,
-        "grains": chain.grains, "exponent": chain.exponent, "top": chain.top, "bottom": chain.bottom,
+        "grains": chain.grains, "exponent": chain.exponent, "top": chain.top,
+        "bottom": chain.bottom,
         "pressed": chain.compressed, "kind": scene.excitation.kind, "samples": scene.samples,
         "number": scene.strike_number, "angle": scene.highest_frequency * scene.duration,
     }  # fmt: skip
@@ -165,11 +172,15 @@ def judge(
     missed: bool = False,
     fixed: bool = False,
 ) -> dict[str, Any]:
-    """Hold an answer to references of rising accuracy until the verdict is clear; one against it takes two of them."""
+    """Hold an answer to references of rising accuracy until the verdict is clear.
+
+    One against it takes two of them.
+    """
     row: dict[str, Any] = {"ending": "missed" if missed else "unresolved"}
     if answer is not None:
         estimate = answer.error_estimate.total
-        row |= {"estimate": estimate, "solver": answer.error_estimate.solver, "method": answer.cost.integrator,
+        row |= {"estimate": estimate, "solver": answer.error_estimate.solver,
+                "method": answer.cost.integrator,
                 "answered": answer.engine, "steps": answer.cost.steps}  # fmt: skip
     finest = FINEST["long double"]
     tried, against = max(finest, 1e-4 * tolerance), False
@@ -182,7 +193,8 @@ def judge(
         clear = missed and doubt < tolerance / 30
         if answer is not None:
             off = true.error(answer.displacement, answer.velocity)
-            row |= {"true": off, "ratio": estimate / off if off else np.inf, "above": off - doubt > tolerance,
+            row |= {"true": off, "ratio": estimate / off if off else np.inf,
+                    "above": off - doubt > tolerance,
                     "low": off - doubt - ROUND > LOW * estimate}  # fmt: skip
             sure = [
                 abs(off - tolerance) > SAFE * doubt,
@@ -201,7 +213,9 @@ def judge(
 
 
 def possible(scene: Scene, true: Reference, tolerance: float, engine: str) -> bool:
-    """Whether a third of the tolerance can be met: by the independent integrator in plain double precision.
+    """Whether a third of the tolerance can be met.
+
+    By the independent integrator in plain double precision.
 
     LAMMPS, which holds heights, is held to what it does itself if it is told to go on.
     """
@@ -257,7 +271,10 @@ def summary(row: dict[str, Any], faults: Iterable[str] = ()) -> str:
         f"steps={row.get('steps', '?')} events={row.get('events', '?')}"
     )
     ending = "+".join(faults) or row["ending"]
-    return f"{row['family']} {row['seed']}: {ending}; {numbers}; {what}; {row['seconds']:.1f} s {row['reason'][:90]}"
+    return (
+        f"{row['family']} {row['seed']}: {ending}; {numbers}; {what}; {row['seconds']:.1f} s "
+        f"{row['reason'][:90]}"
+    )
 
 
 def main() -> None:

@@ -17,7 +17,10 @@ from lmpchain.theory.dimer_soliton import antiresonances, solve
     ],
 )
 def test_antiresonances(near: float, ratio: float, published: float | None):
-    """Source: Jayaprakash, Starosvetsky and Vakakis, Phys. Rev. E 83, 036606 (2011); ten digits by another solver."""
+    """Source: Jayaprakash, Starosvetsky and Vakakis, Phys. Rev.
+
+    E 83, 036606 (2011); ten digits by another solver.
+    """
     found = solve(near).mass_ratio
     assert found == pytest.approx(ratio, abs=1e-10 if near > 0.1 else 5e-5)
     if published:
@@ -29,7 +32,7 @@ def test_antiresonances(near: float, ratio: float, published: float | None):
     [pytest.param(0.085, 3, marks=pytest.mark.slow), pytest.param(0.06, 4, marks=pytest.mark.soak)],
 )
 def test_a_scan_finds_the_published_mass_ratios_by_itself(least: float, count: int):
-    """Those of Jayaprakash et al. from 1 down to 0.06, in order and none besides, from no guess of theirs."""
+    """Those of Jayaprakash et al. from 1 down to 0.06, in order, without any guess."""
     assert antiresonances(least) == pytest.approx(
         (0.3428, 0.1548, 0.0901, 0.0615)[:count], abs=5.1e-5
     )

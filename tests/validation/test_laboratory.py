@@ -1,7 +1,8 @@
 """Numbers that others published, or that are exact, for the chains of the laboratory.
 
-Walls, pistons and shakers, precompressed chains, tapers and dimers. Unless said otherwise chains have unit masses and
-unit contact constants, so they are in the units of the literature; the diameter only keeps overlaps small beside it.
+Walls, pistons and shakers, precompressed chains, tapers and dimers. Unless said otherwise chains
+have unit masses and unit contact constants, so they are in the units of the literature; the
+diameter only keeps overlaps small beside it.
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ long_in_lammps = pytest.mark.parametrize(
     "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow)]
 )
 
-# speed of the soliton of a sonic vacuum, V = C v_m^((delta-1)/(delta+1)), from the exact lattice soliton
+# speed of the soliton of a sonic vacuum, V = C v_m^((delta-1)/(delta+1)), from the exact lattice
+# soliton
 SOLITON_SPEED = {1.5: 0.9074700784, 2.0: 0.855251932, 3.0: 0.804760116}
 
 
 def _chain(grains: int, **keys: Any) -> lmpchain.Chain:
-    """Return a chain without gravity, of contacts with K = 1 and, unless they are given, masses of 1."""
+    """Return a chain without gravity, of contacts with K = 1 and, by default, masses of 1."""
     plain = {"diameter": 1e5, "gravity": 0.0, "bottom": "free", "masses": np.ones(grains)}
     return lmpchain.Chain(grains=grains, contact_constants=np.ones(grains - 1), **plain | keys)
 
@@ -51,7 +53,7 @@ def _run(
 
 
 def _steel_beads() -> lmpchain.Chain:
-    """Return the 100 beads of R = 6 mm between walls that come with TaperChain, which has K at pi/2 times Hertz's."""
+    """Return the 100 beads of TaperChain, R = 6 mm between walls, with K at pi/2 times Hertz's."""
     steel = lmpchain.Material(density=7800.0, youngs_modulus=200e9, poissons_ratio=0.28)
     beads = {
         "grains": 100,
@@ -70,8 +72,9 @@ def _steel_beads() -> lmpchain.Chain:
 def test_trajectory_of_another_code(engine: str) -> None:
     """Velocities in a chain between walls 1 and 2 ms after its first bead was struck.
 
-    Source: the output of TaperChain (A. Sokolow) that comes with it: velocity Verlet at steps of 1e-11 s, six digits.
-    Tolerance 6e-6 of the strike, which is what its own step and digits leave (m and K rounded to six digits: 2.2e-5).
+    Source: the output of TaperChain (A. Sokolow) that comes with it: velocity Verlet at steps of
+    1e-11 s, six digits. Tolerance 6e-6 of the strike, which is what its own step and digits leave
+    (m and K rounded to six digits: 2.2e-5).
     """
     chain, strike = _steel_beads(), 0.099188
     assert chain.masses == pytest.approx(0.00705727, rel=1e-6)
@@ -94,7 +97,7 @@ def test_trajectory_of_another_code(engine: str) -> None:
 
 @pytest.mark.soak
 def test_engines_agree_on_the_steel_beads_after_they_were_reflected() -> None:
-    """Both engines to 4 ms, when the pulse has come back from the wall, within 2e-5 of the strike."""
+    """Both engines to 4 ms, when the pulse is back from the wall, within 2e-5 of the strike."""
     one, other = (
         _run(_steel_beads(), lmpchain.Impulse(velocity=0.099188), 4e-3, 81, 1e-5, name)
         for name in ("native", "lammps")
@@ -107,8 +110,9 @@ def test_engines_agree_on_the_steel_beads_after_they_were_reflected() -> None:
 def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
     """Peak force on the wall that ends a chain, over that within the chain.
 
-    Source: 1.94 for a wall of the same material (Job, Melo, Sokolow and Sen, Phys. Rev. Lett. 94, 178002, 2005); the
-    digits, and those of a wall that does not yield, from direct integration. Tolerance 1e-5.
+    Source: 1.94 for a wall of the same material (Job, Melo, Sokolow and Sen, Phys. Rev. Lett. 94,
+    178002, 2005); the digits, and those of a wall that does not yield, from direct integration.
+    Tolerance 1e-5.
     """
     hard = lmpchain.Material(density=1.0, youngs_modulus=1e30, poissons_ratio=0.0)
     chain = _chain(40, bottom="wall", **({"bottom_material": hard} if wall == "rigid" else {}))
@@ -125,7 +129,7 @@ def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
 def _release(
     exponent: float, grains: int, tolerance: float, engine: str = "native"
 ) -> lmpchain.Trajectory:
-    """Let go a chain all of whose contacts are compressed by 1, until the wave nearly reaches its far end."""
+    """Let go a chain whose contacts are compressed by 1, until the wave nearly reaches its end."""
     compressed = lmpchain.Profile(displacement=np.arange(grains - 1, -1, -1.0))
     end = 0.95 * grains / np.sqrt(exponent)
     return _run(
@@ -143,9 +147,10 @@ def _release(
     ],
 )
 def test_speed_of_the_end_of_a_released_chain(exponent: float, speed: float, engine: str) -> None:
-    """Speed at which the end grain of a precompressed chain leaves it, in units of c0 r0 / sqrt(delta).
+    """Speed at which the end grain leaves a precompressed chain, over c0 r0 / sqrt(delta).
 
-    Source: direct integration; a continuum would leave at 2 sqrt(delta) / (delta + 1). Tolerance 2e-6.
+    Source: direct integration; a continuum would leave at 2 sqrt(delta) / (delta + 1). Tolerance
+    2e-6.
     """
     t = _release(exponent, 60, 1e-7, engine)
     assert t.velocity[-1, 0] == pytest.approx(-speed, rel=2e-6)
@@ -153,10 +158,14 @@ def test_speed_of_the_end_of_a_released_chain(exponent: float, speed: float, eng
 
 @pytest.mark.parametrize(("exponent", "grains"), [(1.5, 4000), (2.0, 1000), (3.0, 1000)])
 def test_rarefaction(exponent: float, grains: int) -> None:
-    """r / r0 = z^(2/(delta-1)) and v = -(2 sqrt(delta) / (delta+1)) (1 - z^((delta+1)/(delta-1))), z = x / (c0 t).
+    """Compression and speed of a rarefaction wave, self-similar in z = x / (c0 t).
 
-    Source: the centred wave of the continuum, as in Yasuda, Chong, Yang and Kevrekidis, Phys. Rev. E 95, 062216 (2017).
-    Tolerance 1e-3 behind the front, which a lattice rounds; r(0.5) = 0.06251 for Hertz within half its last digit.
+    r / r0 = z^(2/(delta-1)) and v = -(2 sqrt(delta) / (delta+1)) (1 - z^((delta+1)/(delta-1))), z =
+    x / (c0 t).
+
+    Source: the centred wave of the continuum, as in Yasuda, Chong, Yang and Kevrekidis, Phys. Rev.
+    E 95, 062216 (2017). Tolerance 1e-3 behind the front, which a lattice rounds; r(0.5) = 0.06251
+    for Hertz within half its last digit.
     """
     t = _release(exponent, grains, 1e-4)
     reach = np.sqrt(exponent) * t.time[-1]
@@ -180,10 +189,10 @@ def test_rarefaction(exponent: float, grains: int) -> None:
     ("exponent", "grain", "ratio"), [(1.5, 600, 2.0095), (2.0, 500, 2.0011), (3.0, 400, 1.9878)]
 )
 def test_shock_before_a_piston(exponent: float, grain: int, ratio: float) -> None:
-    """Leading peak of the velocity over that of the piston, and the speed of the front, in a sonic vacuum.
+    """Leading peak of the velocity over the piston's, and the speed of the front, in a vacuum.
 
-    Source: direct integration; the front is a soliton of its height (Molinari and Daraio, Phys. Rev. E 80, 056602,
-    2009, on shocks in granular chains). Tolerances 1e-4 and 2e-5.
+    Source: direct integration; the front is a soliton of its height (Molinari and Daraio, Phys.
+    Rev. E 80, 056602, 2009, on shocks in granular chains). Tolerances 1e-4 and 2e-5.
     """
     end = (grain + 8) / SOLITON_SPEED[exponent] / ratio ** ((exponent - 1) / (exponent + 1))
     piston = lmpchain.Drive(times=[0, end], displacement=[0, end])
@@ -201,10 +210,13 @@ def test_shock_before_a_piston(exponent: float, grain: int, ratio: float) -> Non
 
 @pytest.mark.parametrize(("engine", "tolerance"), [("native", 1e-10), ("lammps", 1e-7)])
 def test_piston_at_springs(engine: str, tolerance: float) -> None:
-    """v_n = J_2j(2t) + 2 [J_(2j+2)(2t) + J_(2j+4)(2t) + ...], j = n - 1, behind a piston of speed 1, for delta = 1.
+    """Velocities behind a piston of speed 1, for delta = 1, as sums of Bessel functions.
 
-    Source: the semi-infinite chain of springs with a driven end, exact until the far end is felt. Tolerance 1e-9 for
-    the native engine and 1e-7 for LAMMPS.
+    v_n = J_2j(2t) + 2 [J_(2j+2)(2t) + J_(2j+4)(2t) + ...], j = n - 1, behind a piston of speed 1,
+    for delta = 1.
+
+    Source: the semi-infinite chain of springs with a driven end, exact until the far end is felt.
+    Tolerance 1e-9 for the native engine and 1e-7 for LAMMPS.
     """
     piston = lmpchain.Drive(times=[0.0, 25.0], displacement=[0.0, 25.0])
     t = _run(_chain(60, exponent=1.0), piston, 25.0, 51, tolerance, engine)
@@ -215,9 +227,12 @@ def test_piston_at_springs(engine: str, tolerance: float) -> None:
 
 
 def test_overshoot_before_a_piston_at_springs() -> None:
-    """Peak velocity over that of the piston: 1.2714 at grain 600, 1.2744 at infinity, for delta = 1.
+    """Peak velocity over that of the piston.
 
-    Source: another integration; at infinity the integral of Ai from its first zero on, approached as n^(-2/3).
+    1.2714 at grain 600, 1.2744 at infinity, for delta = 1.
+
+    Source: another integration; at infinity the integral of Ai from its first zero on, approached
+    as n^(-2/3).
     """
     piston = lmpchain.Drive(times=[0.0, 620.0], displacement=[0.0, 620.0])
     t = _run(_chain(660, exponent=1.0), piston, 620.0, 6201, 1e-7, grains=[300, 600])
@@ -240,9 +255,10 @@ def test_overshoot_before_a_piston_at_springs() -> None:
 def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> None:
     """Growth of the peak velocity from grain to grain where each is smaller by the same share.
 
-    Source: direct integration (DOP853 at 1e-11): the mean from grain 11 to 31, tolerance 1e-4, and the limit of a pulse
-    that only changes its scale, tolerance 1e-6. The binary collision approximation of Harbola, Rosas, Esposito and
-    Lindenberg, arXiv:0905.4512, 2 / (1 + (1 - taper)^3), is off by less than 2 taper^2 up to a taper of 0.05.
+    Source: direct integration (DOP853 at 1e-11): the mean from grain 11 to 31, tolerance 1e-4, and
+    the limit of a pulse that only changes its scale, tolerance 1e-6. The binary collision
+    approximation of Harbola, Rosas, Esposito and Lindenberg, arXiv:0905.4512, 2 / (1 + (1 -
+    taper)^3), is off by less than 2 taper^2 up to a taper of 0.05.
     """
     chain = tapered(36, 1e-2, taper, material="steel", gravity=0.0, bottom="free")
     local = (chain.masses[:-1] ** 2 / chain.contact_constants**2 / mean ** np.arange(35)) ** 0.2
@@ -259,7 +275,7 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
 
 
 def _loss(light: float) -> float:
-    """Return how much of the contact force a pulse loses in a cell of a dimer, masses 1 and `light`, K = 1."""
+    """Return the loss of force of a pulse in a cell of a dimer, masses 1 and `light`."""
     cells, first, second = 60, 42, 52
     masses = np.ones(2 * cells)
     masses[1::2] = light
@@ -287,10 +303,10 @@ def _loss(light: float) -> float:
 def test_dimers_that_do_not_radiate(light: float, published: float, lossy: float) -> None:
     """Mass ratios at which a pulse in a dimer chain without precompression leaves nothing behind.
 
-    Source: Jayaprakash, Starosvetsky and Vakakis, Phys. Rev. E 83, 036606 (2011), with four digits; ten by
-    Newton's method in another code. Less than 1e-8 of the force lost a cell there and at least 5e-5 between; the
-    minimum of a parabola through three runs lies within 2.5e-5 of the ratio, so within that and the rounding of the
-    published one.
+    Source: Jayaprakash, Starosvetsky and Vakakis, Phys. Rev. E 83, 036606 (2011), with four digits;
+    ten by Newton's method in another code. Less than 1e-8 of the force lost a cell there and at
+    least 5e-5 between; the minimum of a parabola through three runs lies within 2.5e-5 of the
+    ratio, so within that and the rounding of the published one.
     """
     assert abs(_loss(light)) < 1e-8
     assert _loss(lossy) > 5e-5
@@ -303,7 +319,7 @@ def test_dimers_that_do_not_radiate(light: float, published: float, lossy: float
 
 
 def _dimer(masses: Array, **keys: Any) -> tuple[lmpchain.Chain, float]:
-    """Return a precompressed chain whose contacts all have the stiffness 1.5, and that stiffness."""
+    """Return a precompressed chain whose contacts have the stiffness 1.5, and that stiffness."""
     return _chain(masses.size, bottom="fixed", top_load=1.0, masses=masses, **keys), 1.5
 
 
@@ -315,11 +331,15 @@ def _frequencies(chain: lmpchain.Chain) -> Array:
 
 @pytest.mark.parametrize("heavy_first", [True, False])
 def test_bands_of_a_precompressed_dimer(heavy_first: bool) -> None:
-    """w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(q/2) / (m M)]^(1/2), with edges 2K/M, 2K/m, 2K (1/m + 1/M).
+    """Bands of a diatomic chain, with edges 2K/M, 2K/m and 2K (1/m + 1/M) of w^2.
 
-    Source: classical; Boechler, Theocharis et al., Phys. Rev. Lett. 104, 244302 (2010) for granular chains. Tolerance
-    1e-9, between ends that stand still: a held grain, and a wall soft enough for K_wall = K. There q = pi j / cells,
-    and the edge of the kind of grain that is next to both ends is itself a frequency.
+    w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(q/2) / (m M)]^(1/2), with edges 2K/M, 2K/m, 2K
+    (1/m + 1/M).
+
+    Source: classical; Boechler, Theocharis et al., Phys. Rev. Lett. 104, 244302 (2010) for granular
+    chains. Tolerance 1e-9, between ends that stand still: a held grain, and a wall soft enough for
+    K_wall = K. There q = pi j / cells, and the edge of the kind of grain that is next to both ends
+    is itself a frequency.
     """
     m, big, cells = 1.0, 3.0, 40
     masses = np.resize([big, m] if heavy_first else [m, big], 2 * cells)
@@ -342,8 +362,8 @@ def test_bands_of_a_precompressed_dimer(heavy_first: bool) -> None:
 def test_surface_mode_of_a_dimer() -> None:
     """w^2 = K (1/m + 1/M), in the gap, if the free end is a light grain; none if it is a heavy one.
 
-    Source: Theocharis, Boechler et al., Phys. Rev. E 82, 056604 (2010). Tolerance 1e-9; the mode decays by m / M = 1/3
-    a cell.
+    Source: Theocharis, Boechler et al., Phys. Rev. E 82, 056604 (2010). Tolerance 1e-9; the mode
+    decays by m / M = 1/3 a cell.
     """
     m, big = 1.0, 3.0
     for light_first in (True, False):
@@ -358,8 +378,9 @@ def test_surface_mode_of_a_dimer() -> None:
 def test_shaking_a_dimer(engine: str, place: str) -> None:
     """A weak drive in a band passes undiminished; one in the gap loses a factor e^kappa a cell.
 
-    Source: the dispersion relation above, sin^2(q/2) = m M w^2 [2K (1/m + 1/M) - w^2] / (4 K^2), with q = pi + i kappa
-    in the gap. Tolerance 1e-4 in the first two cells; 20 cells on there is next to nothing, or nearly all of it.
+    Source: the dispersion relation above, sin^2(q/2) = m M w^2 [2K (1/m + 1/M) - w^2] / (4 K^2),
+    with q = pi + i kappa in the gap. Tolerance 1e-4 in the first two cells; 20 cells on there is
+    next to nothing, or nearly all of it.
     """
     m, big = 1.0, 3.0
     chain, k = _dimer(np.resize([big, m], 160))
@@ -383,10 +404,11 @@ def test_shaking_a_dimer(engine: str, place: str) -> None:
 
 
 def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
-    """Return displacement and velocity (N,) of the grains of a loaded Hertzian chain that holds one soliton.
+    """Return displacement and velocity (N,) of a loaded Hertzian chain that holds one soliton.
 
-    Its contacts are compressed by w beyond rest: ``c^2 w'' = F(x-1) - 2 F(x) + F(x+1)``, F = (1 + w)^1.5 - 1, in units
-    of r0 and F0, by Petviashvili's iteration in Fourier space. It moves at `speed` times sound; its crest is at N/2.
+    Its contacts are compressed by w beyond rest: ``c^2 w'' = F(x-1) - 2 F(x) + F(x+1)``, F = (1 +
+    w)^1.5 - 1, in units of r0 and F0, by Petviashvili's iteration in Fourier space. It moves at
+    `speed` times sound; its crest is at N/2.
     """
     fine = 16
     x = np.arange(-grains // 2, grains // 2, 1 / fine)
@@ -421,11 +443,12 @@ def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
 def test_soliton_of_a_precompressed_chain(
     speed: float, force: float | None, compression: float, engine: str
 ) -> None:
-    """Largest force over F0 and compression beyond r0, over r0, of the pulse that moves at `speed` times sound.
+    """Largest force over F0 and compression beyond r0, over r0, of a pulse at `speed` times sound.
 
     Source: the exact soliton of the lattice, tolerance 1e-6. The long-wave formula of Coste, Falcon
-    and Fauve, Phys. Rev. E 56, 6104 (1997), is slower, by 0.003, 0.051 and 0.15 % at 1.01, 1.05 and 1.1; that of
-    Korteweg and de Vries for weak pulses, c/c0 - 1 = w / 12, is off by less than 2 (c/c0 - 1)^2.
+    and Fauve, Phys. Rev. E 56, 6104 (1997), is slower, by 0.003, 0.051 and 0.15 % at 1.01, 1.05 and
+    1.1; that of Korteweg and de Vries for weak pulses, c/c0 - 1 = w / 12, is off by less than 2
+    (c/c0 - 1)^2.
     """
     grains = {1.001: 480, 1.01: 240}.get(speed, 120)
     u, v = _soliton(speed, grains)

@@ -1,7 +1,7 @@
 """Numbers that others published or that follow from exact solutions, by the native engine.
 
-Vacuum chains have unit masses and unit contact constants, so they are in the units of the literature; a diameter of
-100 only keeps overlaps small beside it.
+Vacuum chains have unit masses and unit contact constants, so they are in the units of the
+literature; a diameter of 100 only keeps overlaps small beside it.
 """
 
 from __future__ import annotations
@@ -64,9 +64,10 @@ def _run(
 def test_peak_velocity_in_a_column(
     strike_number: float, grain: int, ratio: float, arrival: float | None
 ) -> None:
-    """Peak velocity over the strike, and its time in units of tau, for a Hertzian column struck at the top.
+    """Peak velocity over the strike, and its time over tau, for a Hertzian column struck on top.
 
-    Source: two independent integrations (DOP853 at 1e-12) of the paper's Eq. (1), N >= 160. Tolerance 1e-6.
+    Source: two independent integrations (DOP853 at 1e-12) of the paper's Eq. (1), N >= 160.
+    Tolerance 1e-6.
     """
     chain = lmpchain.Chain(grains=160, material=lmpchain.GLASS, diameter=1e-3)
     strike = strike_number * chain.length_scale / chain.time_scale
@@ -100,9 +101,9 @@ def test_speed_of_a_soliton(
 ) -> None:
     """V = C v_m^((delta-1)/(delta+1)) for the pulse that a strike sends through a sonic vacuum.
 
-    Source: C of the exact lattice soliton (fixed-point iteration as in Ahnert and Pikovsky 2009, English and Pego
-    2005), in m = K = D = 1. V from the peak times of two grains, v_m their peak velocity. Tolerance 1e-6,
-    in LAMMPS 1e-4.
+    Source: C of the exact lattice soliton (fixed-point iteration as in Ahnert and Pikovsky 2009,
+    English and Pego 2005), in m = K = D = 1. V from the peak times of two grains, v_m their peak
+    velocity. Tolerance 1e-6, in LAMMPS 1e-4.
     """
     first, second = 60, 80
     t = _run(_vacuum(90, exponent), 1.0, 110.0, 2751, tolerance, [first, second], engine)
@@ -131,9 +132,9 @@ def test_what_a_strike_gives_to_its_first_soliton(
 ) -> None:
     """Peak velocity, energy and momentum of the leading pulse over those of the striking grain.
 
-    Source: 0.68 in the literature on Hertzian chains; the digits from the exact lattice soliton and direct impact
-    runs. The fractions depend on the exponent alone (Deng et al., arXiv:2002.08499). Tolerance 1e-6, in LAMMPS
-    1e-4.
+    Source: 0.68 in the literature on Hertzian chains; the digits from the exact lattice soliton and
+    direct impact runs. The fractions depend on the exponent alone (Deng et al., arXiv:2002.08499).
+    Tolerance 1e-6, in LAMMPS 1e-4.
     """
     t = _run(_vacuum(110, exponent), 1.0, 110.0, 2751, tolerance, engine=engine)
     when = int(t.velocity[:, 79].argmax())
@@ -163,9 +164,8 @@ def test_newtons_cradle(
 ) -> None:
     """Final velocities of touching balls, the first of which strikes the others with velocity 1.
 
-    Source: the problem of Hinch and Saint-Jean, Proc. R. Soc. A 455, 3201 (1999); digits by DOP853 at 1e-12.
-    Tolerance 1e-7,
-    in LAMMPS 1e-5.
+    Source: the problem of Hinch and Saint-Jean, Proc. R. Soc. A 455, 3201 (1999); digits by DOP853
+    at 1e-12. Tolerance 1e-7, in LAMMPS 1e-5.
     """
     t = _run(_vacuum(len(velocities), exponent), 1.0, 30.0, 31, tolerance, engine=engine)
     assert (np.diff(t.displacement[-1]) > 0).all(), "the balls must have parted"
@@ -176,7 +176,8 @@ def test_newtons_cradle(
 def test_column_of_linear_springs() -> None:
     """phi_n' = v0 (2n-1) J_(2n-1)(2 tau) / tau, and the displacement its integral, for delta = 1.
 
-    Source: Eq. (13) of the paper, exact until the floor is felt and while no contact opens. Tolerance 1e-9.
+    Source: Eq. (13) of the paper, exact until the floor is felt and while no contact opens.
+    Tolerance 1e-9.
     """
     chain = lmpchain.Chain(grains=60, material=lmpchain.GLASS, diameter=1e-3, exponent=1.0)
     strike = 0.1 * chain.length_scale / chain.time_scale
@@ -203,10 +204,13 @@ def test_column_of_linear_springs() -> None:
     ],
 )
 def test_two_balls_touch_for(exponent: float, contact_time: float) -> None:
-    """t_c v / x_max = 2 sqrt(pi) Gamma(1+q) / Gamma(1/2+q), q = 1/(delta+1), for two balls that collide.
+    """Time of contact of two balls that collide, t_c v / x_max, for any exponent.
 
-    Source: classical; pi for springs, 2.9432751843 for Hertz. Tolerance 1e-8. Once parted the balls fly freely, so
-    the moment at which the overlap was zero follows from any later sample.
+    t_c v / x_max = 2 sqrt(pi) Gamma(1+q) / Gamma(1/2+q), q = 1/(delta+1), for two balls that
+    collide.
+
+    Source: classical; pi for springs, 2.9432751843 for Hertz. Tolerance 1e-8. Once parted the balls
+    fly freely, so the moment at which the overlap was zero follows from any later sample.
     """
     strike, pair_mass = 1.0, 0.5
     deepest = ((exponent + 1) / 2 * pair_mass * strike**2) ** (1 / (exponent + 1))
@@ -221,9 +225,13 @@ def test_two_balls_touch_for(exponent: float, contact_time: float) -> None:
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0, 3.0])
 def test_a_sonic_vacuum_has_no_scale_of_its_own(exponent: float) -> None:
-    """v -> s v, t -> s^(-(d-1)/(d+1)) t and x -> s^(2/(d+1)) x turn one motion of a vacuum chain into another.
+    """One motion of a vacuum chain turns into another by v -> s v, with powers of s for t and x.
 
-    Source: exact similarity of Eq. (1) without gravity and load. Tolerance 1e-10, at steps that scale alike.
+    v -> s v, t -> s^(-(d-1)/(d+1)) t and x -> s^(2/(d+1)) x turn one motion of a vacuum chain into
+    another.
+
+    Source: exact similarity of Eq. (1) without gravity and load. Tolerance 1e-10, at steps that
+    scale alike.
     """
     scale, chain = 1e-3, _vacuum(20, exponent)
     clock, length = scale ** (-(exponent - 1) / (exponent + 1)), scale ** (2 / (exponent + 1))

@@ -1,4 +1,7 @@
-"""Random chains: Dyson's exact spectrum, weak localisation, and how the energy of a strike spreads."""
+"""Random chains.
+
+Dyson's exact spectrum, weak localisation, and how the energy of a strike spreads.
+"""
 
 from functools import cache
 
@@ -12,9 +15,10 @@ from lmpchain.theory import dyson
 
 
 def test_published_values_of_dysons_chain():
-    """Dyson's integrated spectrum for exponential ratios of rate 1, at these squares of frequencies.
+    """Dyson's integrated spectrum for exponential ratios of rate 1, at squares of frequencies.
 
-    Source: F. J. Dyson, Phys. Rev. 92, 1331 (1953), by Tricomi's function in another code. All digits.
+    Source: F. J. Dyson, Phys. Rev. 92, 1331 (1953), by Tricomi's function in another code. All
+    digits.
     """
     square = np.array([0.01, 0.1, 0.5, 1, 2, 4, 6])
     share = [
@@ -45,7 +49,9 @@ def test_dysons_spectrum_to_three_in_ten_thousand():
     ],
 )
 def test_weak_localisation_by_random_springs(m, omega, chains):
-    """gamma = omega^2 Var(1/k) / (8 <1/k>), here with <1/k> = 1 and Var(1/k) = 1/(m-1): Eq. (23) as printed.
+    """gamma = omega^2 Var(1/k) / (8 <1/k>), here with <1/k> = 1 and Var(1/k) = 1/(m-1): Eq.
+
+    (23) as printed.
 
     So many chains that the standard error is a third of what the law is held to, 2 %.
     """
@@ -68,7 +74,7 @@ def test_weak_localisation_by_random_masses():
 
 @cache
 def spread(of: str, m: float, moved: bool, grains: int, realisations: int) -> Spreading:
-    """Return how a strike on, or a displacement of, the grain in the middle spreads in random chains of springs."""
+    """Return how a strike on the middle grain, or its displacement, spreads in random springs."""
     chain = lmpchain.Chain(
         grains=grains,
         diameter=1e-3,
@@ -96,7 +102,8 @@ def spread(of: str, m: float, moved: bool, grains: int, realisations: int) -> Sp
 def test_energy_of_a_strike_spreads_superdiffusively(of, grains, realisations):
     """m2 ~ t^(3/2) over the last octave, within 0.03.
 
-    Source: exact exponents of S. Lepri, R. Schilling and S. Aubry, Phys. Rev. E 82, 056602 (2010), arXiv:1010.4234.
+    Source: exact exponents of S. Lepri, R. Schilling and S. Aubry, Phys. Rev. E 82, 056602 (2010),
+    arXiv:1010.4234.
     """
     found = spread(of, 3, False, grains, realisations)
     power, error = found.growth(found.time[30])
@@ -107,7 +114,7 @@ def test_energy_of_a_strike_spreads_superdiffusively(of, grains, realisations):
 
 @pytest.mark.slow
 def test_energy_of_a_displacement_spreads_subdiffusively():
-    """m2 ~ t^(1/2) over the last octave where localisation is strong, within 0.03 (Lepri et al.)."""
+    """In the last octave m2 ~ t^(1/2) within 0.03 where localisation is strong (Lepri et al.)."""
     found = spread("diameter", 14, True, 900, 400)
     power, error = found.growth(found.time[30])
     assert power == pytest.approx(0.5, abs=0.03)
@@ -116,7 +123,10 @@ def test_energy_of_a_displacement_spreads_subdiffusively():
 
 @pytest.mark.slow
 def test_where_localisation_is_weak_a_constant_remains():
-    """m2 = A t^(1/2) - B: the second half of the time follows from the first, within 3 % (t^0.7 would be 6 % off)."""
+    """m2 = A t^(1/2) - B.
+
+    The second half of the time follows from the first, within 3 % (t^0.7 would be 6 % off).
+    """
     found = spread("stiffness", 3, True, 900, 200)
     root, moment = np.sqrt(found.time), found.second_moment
     scale, constant = np.polyfit(root[8:30], moment[8:30], 1)
@@ -138,9 +148,12 @@ def test_participation_stays_while_the_moment_grows(moved):
 @pytest.mark.slow
 @pytest.mark.parametrize(("moved", "power"), [(False, -1.5), (True, -2.5)])
 def test_energy_that_stays_falls_off_as_a_power_of_the_distance(moved, power):
-    """Mean profile from 30 to 100 grains away, within 0.05: |n|^(-3/2) of a strike, |n|^(-5/2) of a displacement.
+    """Mean profile from 30 to 100 grains away, within 0.05.
 
-    Source: exact exponents of Lepri et al. Nearer it is flatter, and farther off 200 chains are too few.
+    |n|^(-3/2) of a strike, |n|^(-5/2) of a displacement.
+
+    Source: exact exponents of Lepri et al. Nearer it is flatter, and farther off 200 chains are too
+    few.
     """
     found = spread("stiffness", 3, moved, 900, 200)
     share, middle, n = found.profile[30:].mean(0), 900 // 2 - 1, np.arange(30, 101)

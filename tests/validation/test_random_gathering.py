@@ -1,4 +1,7 @@
-"""What is gathered along a run, or read between samples, on random scenes: against Taylor series at close times."""
+"""What is gathered along a run, or read between samples, on random scenes.
+
+Against Taylor series at close times.
+"""
 
 import warnings
 from typing import Any
@@ -16,9 +19,10 @@ LEAST = 3  # times its estimate is what the error of a trajectory may be
 NEAR_HALF = 2e-3  # maxima so near half of the largest may be the front, or not
 SPARSE = 4.5  # fine times in the longest interval between samples: omega h is 2 there
 SAME = 1e-10  # of the largest value: by which the reference scatters in free flight
-# arrivals of grains in free flight, or nearly so, that were off by more than their error; 1080 to 2691 while that was
-# mended; 2691 to 9572 fronts between samples, beside an opening or hardly turning; 11183 a frequency that was missed;
-# 5214 a grain that slows down by less than the error of the trajectory, flies on, and is pushed again: the front is later
+# arrivals of grains in free flight, or nearly so, that were off by more than their error; 1080 to
+# 2691 while that was mended; 2691 to 9572 fronts between samples, beside an opening or hardly
+# turning; 11183 a frequency that was missed; 5214 a grain that slows down by less than the error of
+# the trajectory, flies on, and is pushed again: the front is later
 FOUND = [211, 343, 444, 566, 961, 1811, 1080, 30, 2691, 7395, 9572, 11183, 5214]
 
 
@@ -54,7 +58,10 @@ def fall_after(level: np.ndarray, top: int) -> float:
 def maxima(
     y: np.ndarray, time: np.ndarray, fall: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return begin, end and size of the first maximum at least half as large as the largest, and of near ones.
+    """Return begin, end and size of the first maximum at least half as large as the largest.
+
+    Return begin, end and size of the first maximum at least half as large as the largest, and of
+    near ones.
 
     The size falls by more than `fall` after it.
     """
@@ -72,10 +79,13 @@ def maxima(
 def wrong_fronts(
     name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarray, doubt: float, known: float
 ) -> list[Any]:
-    """Return which fronts (G, 6) are not those of sizes (T, G): their times, and heights and widths where given.
+    """Return which fronts (G, 6) are not those of sizes (T, G).
 
-    A front is a maximum after which the size falls by more than the `known` error of the trajectory; the reference,
-    which is without that error, may also count one after which it falls at all.
+    Their times, and heights and widths where given.
+
+    A front is a maximum after which the size falls by more than the `known` error of the
+    trajectory; the reference, which is without that error, may also count one after which it falls
+    at all.
     """
     bad: list[Any] = []
     for grain in np.flatnonzero(np.isfinite(rows[:, 0])):
@@ -106,7 +116,10 @@ def wrong_fronts(
 
 
 def faults(seed: int) -> list[Any] | None:
-    """Return in what more than the claimed error is missing; None where there is nothing to compare."""
+    """Return in what more than the claimed error is missing.
+
+    None where there is nothing to compare.
+    """
     scene, contact, tolerance, engine = draw(seed)
     if scene.chain.grains > 150:
         return None
@@ -130,7 +143,7 @@ def faults(seed: int) -> list[Any] | None:
     def check(
         name: str, found: np.ndarray, error: np.ndarray, values: np.ndarray, doubt: float
     ) -> None:
-        """Compare a largest value with that of samples (T, ...), which may miss what a bend between them makes."""
+        """Compare a largest value with that of samples (T, ...), which may miss a bend between."""
         top, place = values.max(0), np.clip(values.argmax(0), 1, len(values) - 2)
         before, here, after = (
             np.take_along_axis(values, place[None] + k, 0)[0] for k in (-1, 0, 1)

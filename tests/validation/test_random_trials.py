@@ -1,6 +1,7 @@
-"""Thousands of random scenes against an independent integrator, and that integrator against exact solutions.
+"""Thousands of random scenes against an independent integrator, and it against exact ones.
 
-Counts of a range of seeds, the trials that failed, and any one of them: `python -m validation.random_trials`.
+Counts of a range of seeds, the trials that failed, and any one of them: `python -m
+validation.random_trials`.
 """
 
 from math import gamma, pi, sqrt
@@ -62,7 +63,10 @@ def test_the_reference_finds_a_collision(delta):
 
 @slow
 def test_the_reference_finds_a_push_by_a_wall():
-    """A wall that moves as A sin(W t) throws a grain that touches it, for good: springs, so the motion is known."""
+    """A wall that moves as A sin(W t) throws a grain that touches it, for good.
+
+    Springs, so the motion is known.
+    """
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, exponent=1.0, top="wall", bottom="free")
     own = sqrt(chain.wall_constants[0] / chain.masses[0])
     size, rate = 1e-8, own / 2

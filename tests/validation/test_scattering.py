@@ -1,4 +1,7 @@
-"""Impurities and Ramsauer-Townsend resonances in chains of spheres: closed forms, and packets in both engines."""
+"""Impurities and Ramsauer-Townsend resonances in chains of spheres.
+
+Closed forms, and packets in both engines.
+"""
 
 import numpy as np
 import pytest
@@ -21,9 +24,10 @@ def _with(diameter: float, grains: list[int], total: int = 15) -> lmpchain.Chain
 
 
 def _closed(k: np.ndarray, mass: float, beside: float, between: float | None) -> np.ndarray:
-    """Return T of one impurity, or of two if there is a contact between them, all relative to the host.
+    """Return T of one impurity, or of two with the contact between them, relative to the host.
 
-    Source: Martinez, Yasuda, Kim, Kevrekidis, Porter and Yang, Phys. Rev. E 93, 052224 (2016), derived again.
+    Source: Martinez, Yasuda, Kim, Kevrekidis, Porter and Yang, Phys. Rev. E 93, 052224 (2016),
+    derived again.
     """
     y = 4 * mass * np.sin(k / 2) ** 2
     if between is None:
@@ -93,7 +97,7 @@ def test_a_defect_of_one_spring():
     ],
 )
 def test_ramsauer_townsend_pairs(alpha: float, k: float, share: float):
-    """A pair of spheres that differ is transparent at one frequency, and the frequency gives the pair."""
+    """A pair of unequal spheres is transparent at one frequency, which gives the pair."""
     chain = _with(alpha, [7, 8])
     found = transmission(chain, _edge(chain) * share)
     assert found.reflected < 1e-18
@@ -126,7 +130,7 @@ def _shares(
     tolerance: float,
     size: int = 1,
 ) -> tuple[float, float, float, float]:
-    """Return what passes and what returns of the energy of a packet, and the means of T and R over its spectrum."""
+    """Return passed and returned energy of a packet, and the means of T and R over its spectrum."""
     total, start, width, first = 600 * size, 150 * size, 16.0 * size, grains[0]
     chain = _with(alpha, grains, total)
     w = _edge(chain)
@@ -180,7 +184,7 @@ def test_packets(
     tolerance: float,
     off: float,
 ) -> None:
-    """Energy that passes is the mean of T over the spectrum of the packet, and what returns that of R."""
+    """Energy that passes is the mean of T over the spectrum, what returns that of R."""
     passed, back, transmitted, reflected = _shares(engine, alpha, grains, k, strain, tolerance)
     assert passed == pytest.approx(transmitted, rel=0, abs=off)
     assert back == pytest.approx(reflected, rel=0, abs=off)
@@ -188,7 +192,10 @@ def test_packets(
 
 @pytest.mark.slow
 def test_strong_packets_pass_otherwise():
-    """Some 5e-4 at 0.05 of the overlap, and a quarter of it at half of that: the first order has no part in it."""
+    """Some 5e-4 at 0.05 of the overlap, and a quarter of it at half of that.
+
+    The first order has no part in it.
+    """
     off = []
     for strain in (0.05, 0.025):
         passed, _, transmitted, _ = _shares("native", 0.5, [900], 2.0, strain, 1e-8, size=3)

@@ -14,8 +14,8 @@ from lmpchain.theory.soliton import Soliton, solve
 def test_speed_in_the_sonic_vacuum(delta: float, speed: float):
     """V = C v^((delta-1)/(delta+1)).
 
-    Source: an independent Petviashvili iteration on Fourier series, and direct impacts. The long wave of Nesterenko is
-    0.78 % faster for Hertz.
+    Source: an independent Petviashvili iteration on Fourier series, and direct impacts. The long
+    wave of Nesterenko is 0.78 % faster for Hertz.
     """
     for v in (1.0, 0.01):
         wave = solve(delta=delta, velocity=v)
@@ -31,7 +31,8 @@ def test_speed_in_the_sonic_vacuum(delta: float, speed: float):
 def test_width_and_shape_in_the_sonic_vacuum():
     """FWHM 1.57914 grains, 1 % width 3.9459; Sen's fit of the displacement holds within 1e-3.
 
-    Source: 3.96 and 13 % below cos^4 in the documentation of MOOSE; the digits by direct integration.
+    Source: 3.96 and 13 % below cos^4 in the documentation of MOOSE; the digits by direct
+    integration.
     """
     wave = solve(velocity=1.0)
     assert wave.width == pytest.approx(1.57914, abs=5e-6)
@@ -45,7 +46,10 @@ def test_width_and_shape_in_the_sonic_vacuum():
 
 @pytest.mark.parametrize("delta", [1.5, 2.0, 3.0])
 def test_virial_share_of_kinetic_energy(delta: float):
-    """The time mean of K / E is (delta + 1) / (delta + 3), 5/9 for Hertz. Source: Slepyan, arXiv:1410.8301."""
+    """The time mean of K / E is (delta + 1) / (delta + 3), 5/9 for Hertz.
+
+    Source: Slepyan, arXiv:1410.8301.
+    """
     wave = solve(delta=delta, velocity=1.0)
     x = np.linspace(-10, 10, 1281)[1:]
     assert (wave.velocity(x) ** 2 / 2).mean() * 20 / wave.energy == pytest.approx(
@@ -54,7 +58,10 @@ def test_virial_share_of_kinetic_energy(delta: float):
 
 
 def test_effective_mass():
-    """P^2 / 2E = 1.304005 m for the lattice. Source: direct integration; 1.4 m in the literature is the continuum's."""
+    """P^2 / 2E = 1.304005 m for the lattice.
+
+    Source: direct integration; 1.4 m in the literature is the continuum's.
+    """
     wave = solve(velocity=3.0)
     assert wave.momentum**2 / (2 * wave.energy) == pytest.approx(1.304005, abs=5e-7)
 
@@ -71,8 +78,8 @@ def test_effective_mass():
 def test_under_a_load(speed: float, force: float, overlap: float, coste: float | None):
     """Largest force and overlap over those at rest. Source: an independent solver, residual 1e-14.
 
-    The lattice is faster than Coste, Falcon and Fauve, Phys. Rev. E 56, 6104 (1997), by the share `coste`, a
-    quoted number of thousandths of a percent.
+    The lattice is faster than Coste, Falcon and Fauve, Phys. Rev. E 56, 6104 (1997), by the share
+    `coste`, a quoted number of thousandths of a percent.
     """
     wave = solve(speed=speed)
     found = float(wave.overlap(0.0))
@@ -83,11 +90,14 @@ def test_under_a_load(speed: float, force: float, overlap: float, coste: float |
 
 
 def test_long_waves_and_their_lattice():
-    """V = [2/(delta+1)]^(1/(delta+1)) v^((delta-1)/(delta+1)) and [2/(delta+1)]^(1/2) F^((delta-1)/(2 delta)); cos^4.
+    """Speed of the solitary wave from its velocity and its force, for any exponent.
 
-    Source: Nesterenko as in Job et al. (2008), and Daraio et al., Phys. Rev. E 73, 026610 (2006), whose prefactors are
-    the same number. FWHM 1.8084 and support 4.967 grains; the effective mass of the long wave is 1.419, the lattice's
-    1.304.
+    V = [2/(delta+1)]^(1/(delta+1)) v^((delta-1)/(delta+1)) and [2/(delta+1)]^(1/2) F^((delta-1)/(2
+    delta)); cos^4.
+
+    Source: Nesterenko as in Job et al. (2008), and Daraio et al., Phys. Rev. E 73, 026610 (2006),
+    whose prefactors are the same number. FWHM 1.8084 and support 4.967 grains; the effective mass
+    of the long wave is 1.419, the lattice's 1.304.
     """
     for delta in (1.5, 2.0, 3.0):
         prefactor = (2 / (delta + 1)) ** (1 / (delta + 1))
@@ -116,16 +126,21 @@ def test_long_waves_and_their_lattice():
 def test_coste_formula_is_slower_than_the_lattice(speed: float, off: float, digit: float):
     """By these shares, to half of their last digit.
 
-    The last is that of the strongest waves, from the speed V = 0.9055157764 F^(1/6) in the sonic vacuum by an
-    independent solver, where Coste's is sqrt(4/5) F^(1/6). That solver quoted 0.81 % at 1.5; 0.80 % is right: a wave
-    of this speed of ours travels a hundred grains in the native engine unchanged to 1e-10 (below).
+    The last is that of the strongest waves, from the speed V = 0.9055157764 F^(1/6) in the sonic
+    vacuum by an independent solver, where Coste's is sqrt(4/5) F^(1/6). That solver quoted 0.81 %
+    at 1.5; 0.80 % is right: a wave of this speed of ours travels a hundred grains in the native
+    engine unchanged to 1e-10 (below).
     """
     force = float(1 + solve(speed=speed).overlap(0.0)) ** 1.5
     assert speed / soliton.coste_speed(force) - 1 == pytest.approx(off, abs=digit)
 
 
 def test_limit_of_korteweg_and_de_vries():
-    """c/c0 - 1 = (delta - 1) w / (6 r0) to 2e-6 at 1.001 (1.001002 in an independent solver), second order in w."""
+    """To second order in w, c/c0 - 1 = (delta - 1) w / (6 r0); 1.001002 by another solver.
+
+    c/c0 - 1 = (delta - 1) w / (6 r0) to 2e-6 at 1.001 (1.001002 in an independent solver), second
+    order in w.
+    """
     off = [
         speed - 1 - 0.5 * float(solve(speed=speed).overlap(0.0)) / 6 for speed in (1.001, 1.0005)
     ]
@@ -134,7 +149,7 @@ def test_limit_of_korteweg_and_de_vries():
 
 
 def changed(wave: Soliton, engine: str, tolerance: float) -> float:
-    """Return how much a wave is changed a hundred grains further, over its largest velocity and displacement."""
+    """Return by how much a wave changes over a hundred grains, over its largest values."""
     far = int(wave.reach) + 2
     load = 1.0 if wave.loaded else 0.0
     steel = {"diameter": 1e-3, "material": "steel", "gravity": 0.0, "exponent": wave.delta}
@@ -173,6 +188,9 @@ def test_travels_unchanged_for_other_exponents(delta: float):
 
 @pytest.mark.slow
 def test_travels_in_lammps():
-    """Heights, in which LAMMPS integrates, leave 1e-11: with grains drawn no larger than overlaps need."""
+    """Heights, in which LAMMPS integrates, leave 1e-11.
+
+    With grains drawn no larger than overlaps need.
+    """
     for wave in (solve(speed=1.05), solve(speed=1.2), solve(velocity=0.1)):
         assert changed(wave, "lammps", 1e-9) < 3e-10

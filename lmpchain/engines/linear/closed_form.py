@@ -195,6 +195,3 @@ class ClosedFormRun(Run):
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""
         return {**self._exact.state(), "apart": self._apart.copy()}
-
-    def close(self) -> None:
-        """There is nothing to release."""

@@ -110,10 +110,6 @@ class LinearEngine(Engine):
         """Nothing can be better than round-off."""
         return None
 
-    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """There is nothing to choose."""
-        return {}
-
 
 class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
@@ -319,14 +315,10 @@ class LinearRun(Run):
 
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""
-        kept = {"sample": np.array(self._sample)}
+        state = {"sample": np.array(self._sample)}
         for i, (solution, error) in enumerate(
             zip(self._solutions, self._phase_errors, strict=True)
         ):
-            kept |= {f"{i}.phase_error": error.state} | {
-                f"{i}.{key}": value for key, value in solution.state().items()
-            }
-        return kept
-
-    def close(self) -> None:
-        """There is nothing to release."""
+            state[f"{i}.phase_error"] = error.state
+            state |= {f"{i}.{key}": value for key, value in solution.state().items()}
+        return state

@@ -1,4 +1,7 @@
-"""What LAMMPS is told: heights, walls, constants, formulas of what acts; and what the engine chooses and refuses."""
+"""What LAMMPS is told: heights, walls, constants, formulas of what acts.
+
+And what the engine chooses and refuses.
+"""
 
 import math
 from types import SimpleNamespace
@@ -49,7 +52,10 @@ def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain
 
 
 def test_grains_stand_on_each_other():
-    """From the centre of grain 1 downward: radii less overlaps; with every grain its mass, however it is drawn."""
+    """From the centre of grain 1 downward: radii less overlaps.
+
+    With every grain its mass, however it is drawn.
+    """
     for gauge in (0.0, 1e-5):
         made = column(gauge=gauge)
         d = np.full(5, gauge) if gauge else UNLIKE.diameters
@@ -67,7 +73,10 @@ def test_grains_stand_on_each_other():
 
 
 def test_planes_of_the_walls_press_the_outer_grains_as_at_rest():
-    """A wall of constant K presses with K overlap^1.5: LAMMPS multiplies by the root of the radius itself."""
+    """A wall of constant K presses with K overlap^1.5.
+
+    LAMMPS multiplies by the root of the radius itself.
+    """
     made = column()
     top, bottom = made.walls
     overlaps, radii = UNLIKE.contacts.overlap[[0, -1]], UNLIKE.diameters[[0, -1]] / 2
@@ -211,7 +220,8 @@ def test_only_pieces_that_begin_in_the_run_are_told():
 
 def plan(wave, **more) -> StepPlan:
     given = {
-        "grains": 5, "first": 0, "last": 5, "splitting": SPLITTINGS["kahan-li6"], "step": 1e-6, "done": 0, "pieces": (),
+        "grains": 5, "first": 0, "last": 5, "splitting": SPLITTINGS["kahan-li6"], "step": 1e-6,
+        "done": 0, "pieces": (),
         "rest": 0.0, "wave": wave, "driven": False, "pushed": None,
     }  # fmt: skip
     return StepPlan(**given | more)
@@ -352,7 +362,8 @@ def test_remarks_at_the_head_of_a_deck():
     engine, scene = Lammps("verlet", step=1e-7, diameter="physical"), paper("weak", 3)
     made = engine.column(scene, engine.candidate(scene, 1e-6), "one more")
     assert made.remarks == (
-        "physical diameter: as asked", "verlet, expected error not estimated beforehand", "one more",
+        "physical diameter: as asked", "verlet, expected error not estimated beforehand",
+        "one more",
     )  # fmt: skip
     estimated = Lammps().candidate(scene, 1e-6)
     assert (
@@ -377,7 +388,8 @@ def test_options_that_are_refused():
     assert not Lammps().whole
     assert Lammps(include=__file__).integrator == "verlet"
     assert Lammps(step=1e-7).options() == {
-        "integrator": "rkn6", "step": 1e-7, "diameter": "auto", "pair_style": "granular", "ranks": None,
+        "integrator": "rkn6", "step": 1e-7, "diameter": "auto", "pair_style": "granular",
+        "ranks": None,
     }  # fmt: skip
 
 

@@ -157,7 +157,7 @@ def test_pair_styles_agree():
 
 
 def test_only_the_diameter_asked_for_must_be_expressible():
-    """Grains of one material but unequal sizes have one constant with their own radii, and many with the gauge's."""
+    """Unequal grains of one material have one constant with their own radii, many with gauges."""
     scene = small(diameter=np.linspace(1e-3, 2e-3, 25))
     options = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
     fast, slow = (
@@ -236,7 +236,10 @@ def test_blow_up_is_noticed():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_what_rounding_presses_in_a_vacuum_is_no_breakdown(exponent):
-    """A grain is pulled away: there is no energy and nothing moves but the rest, by the last digits of heights."""
+    """A grain is pulled away.
+
+    There is no energy and nothing moves but the rest, by the last digits of heights.
+    """
     chain = Chain(
         grains=9, diameter=np.linspace(1e-3, 2e-3, 9), exponent=exponent, gravity=0.0, bottom="free"
     )
@@ -277,7 +280,7 @@ def test_grains_lost_while_reading_are_noticed(monkeypatch):
 
 @pytest.mark.parametrize("kind", [TimeoutError, RuntimeError, Exception])
 def test_a_deadline_of_the_user_ends_a_run(kind, monkeypatch):
-    """What the handler of a signal raises is no failure of LAMMPS, after which shorter steps are tried."""
+    """What the handler of a signal raises is no failure of LAMMPS that shorter steps would mend."""
     tries = []
 
     def late(*_):

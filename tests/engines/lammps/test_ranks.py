@@ -194,7 +194,7 @@ def test_ranks_on_the_command_line(tmp_path):
 
 @pytest.mark.slow
 def test_scripts_under_mpirun_run_alone(tmp_path):
-    """A script that every rank runs for itself, as for a sweep, gets a LAMMPS of its own on every rank."""
+    """A script that every rank runs for itself, as for a sweep, gets a LAMMPS a rank."""
     script = tmp_path / "script.py"
     script.write_text(
         "import lmpchain, sys\n"
@@ -239,7 +239,10 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
 def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
     """It waits in MPI's start, where no Python runs; the line to the launcher stays open here."""
     ours, theirs = socket.socketpair()
-    launcher = f"import subprocess; subprocess.run({[sys.executable, *words]}, pass_fds=[{theirs.fileno()}])"
+    launcher = (
+        f"import subprocess; subprocess.run({[sys.executable, *words]}, "
+        f"pass_fds=[{theirs.fileno()}])"
+    )
     mark = f"MARK={os.getpid()}-{tmp_path.name}"
     of_mpi = {"PMI_SIZE": "2", "PMI_RANK": "0", "PMI_FD": str(theirs.fileno())}
     environment = os.environ | of_mpi | dict([mark.split("=")])

@@ -65,7 +65,7 @@ def test_an_include_works_in_the_library(ranks: int):
 
 @pytest.mark.parametrize("integrator", ["verlet", "kahan-li6"])
 def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
-    """A force of the user's own that depends on the time is the same, whichever chunks the run is made in."""
+    """A force of the user's own that depends on time is the same in chunks of any size."""
     Path("clock.include").write_text("print           $(time:%.17g) append clock.txt screen no\n")
     engine = Lammps(integrator=integrator, step=1e-7, include="clock.include")
     candidate = engine.candidate(small(), 1.0)
@@ -130,7 +130,10 @@ def test_one_template_for_a_deck_and_the_library():
 
 def test_a_deck_may_run_as_it_likes_and_the_library_may_not():
     own = "run             {{ every * samples }}\n"
-    dump = "dump            out all custom {{ every }} own.dump id x y z vz\ndump_modify out format float %.17g\n"
+    dump = (
+        "dump            out all custom {{ every }} own.dump id x y z vz\ndump_modify out format "
+        "float %.17g\n"
+    )
     Path("my.template").write_text(TEMPLATE + dump + own)
     write_deck(small(), "deck", step=1e-7, template="my.template")
     lmp(Path("deck"))
@@ -248,8 +251,10 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str]):
 # --- nothing in a scene becomes a command
 
 HOSTILE = [
-    '"; shell touch spoilt; "', "x\nshell touch spoilt\n", "$(touch spoilt)", "`touch spoilt`", "${HOME}", "a & b",
-    "'; touch spoilt; '", "{{ 7 * 7 }}", "# > spoilt", "../../spoilt", "\x1b[2J", "\u202e\u00e9", "a\tb", "%s%n", "*",
+    '"; shell touch spoilt; "', "x\nshell touch spoilt\n", "$(touch spoilt)", "`touch spoilt`",
+    "${HOME}", "a & b",
+    "'; touch spoilt; '", "{{ 7 * 7 }}", "# > spoilt", "../../spoilt", "\x1b[2J", "\u202e\u00e9",
+    "a\tb", "%s%n", "*",
 ]  # fmt: skip
 NAMED = (
     "{{density = 2426.0, youngs_modulus = 62e9, poissons_ratio = 0.2, name = {0}, source = {0}}}"
@@ -259,11 +264,13 @@ FIELDS = {
     "chain.material.name": f"grains = 20\nmaterial = {NAMED}\ndiameter = 1e-3",
     "chain.top": "grains = 20\ntop = {0}\ndiameter = 1e-3",
     "chain.bottom": "grains = 20\nbottom = {0}\ndiameter = 1e-3",
-    "chain.bottom_material": f'grains = 20\nbottom = "wall"\nbottom_material = {NAMED}\ndiameter = 1e-3',
+    "chain.bottom_material": 'grains = 20\nbottom = "wall"\n'
+    f"bottom_material = {NAMED}\ndiameter = 1e-3",
     "chain.file": "file = {0}",
     "chain.grains": "grains = {0}\ndiameter = 1e-3",
     "chain.impurity": "grains = 20\ndiameter = 1e-3\nimpurity = [{{grain = 3, material = {0}}}]",
-    "chain.impurity.name": f"grains = 20\ndiameter = 1e-3\nimpurity = [{{{{grain = 3, material = {NAMED}}}}}]",
+    "chain.impurity.name": "grains = 20\ndiameter = 1e-3\n"
+    f"impurity = [{{{{grain = 3, material = {NAMED}}}}}]",
     "chain.key": "grains = 20\ndiameter = 1e-3\n{0} = 1",
 }
 OTHERS = {
@@ -350,7 +357,7 @@ def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.Captur
 
 @pytest.fixture
 def cluster(here: Path) -> dict[str, str]:
-    """Return an environment as of a SLURM job, with an `srun` that writes down what it is to start."""
+    """Return an environment as of a SLURM job, with an `srun` that writes its orders down."""
     (here / "bin").mkdir()
     srun = here / "bin" / "srun"
     srun.write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> "$0.log"\n')
