@@ -117,6 +117,7 @@ class Bench:
             except (ToleranceNotMet, RunFailed):
                 return
             yield from (point for point in points if point.steps != steps)
+            # the first point pays for compilation, which counts for none
             if not steps:
                 self._begun = time.perf_counter()
             elif self._late(before):

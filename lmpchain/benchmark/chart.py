@@ -39,6 +39,7 @@ def draw(
     times = {name: time_to(TARGET, _pairs(points, "seconds")) for name, points in curves.items()}
     stepped = [curve for curve in result.curves if len(curve.points) > 1 or curve.to_tolerance]
 
+    # a curve to a tolerance is what users get, and is always in colour
     def rank(curve: Any) -> tuple[bool, float]:
         seconds = times[curve.name]
         return not curve.to_tolerance, math.inf if math.isnan(seconds) else seconds
@@ -74,11 +75,12 @@ def _draw_errors(
     ax.grid(color="0.94", lw=0.6)
     ax.set_axisbelow(True)
     lines = {name: _pairs(points, cost) for name, points in curves.items()}
-    every = list(chain.from_iterable(lines.values()))
-    if every:
-        best = zip(*(every[index] for index in front(every)), strict=True)
+    pairs = list(chain.from_iterable(lines.values()))
+    if pairs:
+        best = zip(*(pairs[index] for index in front(pairs)), strict=True)
         band: dict[str, Any] = {"lw": 9, "alpha": 0.5, "zorder": 0.5, "solid_capstyle": "round"}
         ax.plot(*best, color=FRONT, label="Pareto front", **band)
+    # one entry in the legend for all grey curves: names with _ have none
     unnamed = "others"
     alone = []
     for name, points in lines.items():
@@ -96,6 +98,7 @@ def _draw_errors(
         longest = _pairs((vars(point) for point in curve.points if point.longest), cost)
         if longest and curve.name in styles:
             ax.plot(*longest[0], "o", ms=14, mfc="none", mec=styles[curve.name]["color"], mew=1.2)
+    # errors below the floor are those of the reference as much as of the engine
     ax.set_ylim(floor / 4, min(ax.get_ylim()[1], 5))
     ax.axhline(floor, color="0.6", lw=0.8, ls=(0, (1, 3)))
     ax.annotate(

@@ -195,7 +195,16 @@ class Comparison(Shown):
         ax : axes, or three of them, optional
             In one the trajectories alone are drawn; by default all three in their own figure.
         """
-        return draw_comparison(self, ax)
+        if ax is None:
+            picture = window(8.0, 7.0)
+            ax = list(picture.subplot_mosaic([["wave", "wave"], ["error", "cost"]]).values())
+        wave, *others = panels(ax)
+        _draw_wave(self, wave)
+        # the only legend: colours and markers are the same below
+        legend(wave)
+        for draw, axes in zip((_draw_errors, _draw_cost), others, strict=False):
+            draw(self, axes)
+        return wave
 
 
 def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Comparison:
@@ -235,31 +244,6 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
 WIDEST = 60  # grains of the wave that are shown
 
 
-def draw_comparison(comparison: Comparison, ax: Axes | Sequence[Axes] | None = None) -> Axes:
-    """Draw the trajectories, their errors over time and their cost.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    ax : Axes, or a sequence of three, optional
-        For the motion alone, or for motion, errors and cost.
-
-    Returns
-    -------
-    Axes
-        Those of the motion.
-    """
-    if ax is None:
-        ax = list(window(8.0, 7.0).subplot_mosaic([["wave", "wave"], ["error", "cost"]]).values())
-    wave, *others = panels(ax)
-    _draw_wave(comparison, wave)
-    # the only legend: colours and markers are the same below
-    legend(wave)
-    for draw, axes in zip((_draw_errors, _draw_cost), others, strict=False):
-        draw(comparison, axes)
-    return wave
-
-
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     """Draw velocity against grain number at the end, reference as a line, engines as markers."""
     reference = comparison.reference
@@ -274,12 +258,13 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     first, end = _window(reference.velocity[-1])
     count = len(comparison.trajectories)
     for index, answer in enumerate(comparison.trajectories):
-        shown = (answer.grains >= first) & (answer.grains <= end)
+        visible = (answer.grains >= first) & (answer.grains <= end)
         axes.plot(
-            answer.grains[shown],
-            answer.velocity[-1, shown] / unit,
+            answer.grains[visible],
+            answer.velocity[-1, visible] / unit,
             linestyle="none",
             marker=MARKERS.get(answer.engine, "x"),
+            # smaller and smaller, so that none hides the one below
             markersize=7.5 - 3.5 * index / max(1, count - 1),
             markerfacecolor="none",
             markeredgewidth=1.3,

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+def machine() -> str:
+    """Return the name of the processor and the number of cores that this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{processor()}, {cores} core{'s' if cores != 1 else ''}"
+
+
 @dataclass(frozen=True)
 class Point(Row):
     """Error and cost of one engine at one step or tolerance, the least time of several runs.
@@ -111,7 +117,7 @@ class WorkPrecision(Shown):
     dropped: int
     left_out: tuple[str, ...]
     versions: dict[str, str]
-    machine: str = field(default_factory=lambda: machine())
+    machine: str = field(default_factory=machine)
 
     @property
     def points(self) -> list[Point]:
@@ -137,6 +143,7 @@ class WorkPrecision(Shown):
         """
         curves: dict[str, Iterable[tuple[float, float]]] = {}
         for curve in self.curves:
+            # two codes are compared by what both do: integrate
             curves[curve.name] = [(point.seconds, point.error) for point in curve.points]
             if curve.to_tolerance:
                 curves[WITHOUT.format(curve.name)] = [
@@ -162,9 +169,3 @@ class WorkPrecision(Shown):
             Points of other codes: code, error, seconds, force_evaluations (or None).
         """
         return draw(self, ax, others)
-
-
-def machine() -> str:
-    """Return the name of the processor and the number of cores that this process may use."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{processor()}, {cores} core{'s' if cores != 1 else ''}"

@@ -253,14 +253,14 @@ class _Motion:
         first, last = (moving[0], moving[-1]) if moving.size else (0, 0)
         return slice(max(0, first - order // 2), min(state.shape[1], last + 1 + order // 2))
 
-    def _shut(self, overlap: Longs, here: slice, tolerance: float) -> NDArray[np.bool_]:
+    def _shut(self, overlap: Longs, grains: slice, tolerance: float) -> NDArray[np.bool_]:
         """Return which contacts push noticeably; others may be neglected for one unit of time."""
-        return self.push[_contacts(here)] * np.maximum(overlap, 0) ** self.delta > tolerance
+        return self.push[_contacts(grains)] * np.maximum(overlap, 0) ** self.delta > tolerance
 
-    def _series(self, t: Long, state: Longs, here: slice, series: Series) -> tuple[Longs, Longs]:
+    def _series(self, t: Long, state: Longs, grains: slice, series: Series) -> tuple[Longs, Longs]:
         """Return the coefficients of displacements (order + 1, n) and overlaps (..., n + 1)."""
         order = series.order
-        contacts = _contacts(here)
+        contacts = _contacts(grains)
         closer = self.closer[contacts]
         at_rest = self.at_rest[contacts]
         strength = self.strength[contacts]
@@ -270,13 +270,13 @@ class _Motion:
         x[:2] = state
         wall = np.zeros(order + 1, dtype=Long)
         outside = np.zeros_like(x)
-        driven = self.driven and here.start == 0
+        driven = self.driven and grains.start == 0
         if driven:
             x[:, 0] = self._imposed(t, order) / self.length
-        elif self.walled and here.start == 0:
+        elif self.walled and grains.start == 0:
             wall = self._imposed(t, order) / self.length
         elif self.pushed is not None:
-            outside[:, self.pushed - here.start] = self._imposed(t, order)
+            outside[:, self.pushed - grains.start] = self._imposed(t, order)
         k = np.arange(order + 1, dtype=Long)
         for i in range(order + 1):
             y[i] = -np.diff(x[i], prepend=wall[i], append=Long(0)) * closer
@@ -285,7 +285,7 @@ class _Motion:
             if i == 0:
                 strain = y[0].copy()
                 y[0] = at_rest + y[0]
-                shut = self._shut(y[0], here, series.tolerance)
+                shut = self._shut(y[0], grains, series.tolerance)
                 pressed = shut & (at_rest > 0)
                 overlap = np.where(shut, y[0], 1)
                 power[0] = shut * overlap**self.delta
@@ -297,7 +297,7 @@ class _Motion:
                 total = np.einsum("j,jn,jn->n", weight, y[1 : i + 1], power[i - 1 :: -1])
                 change = power[i] = shut * total / (i * overlap)
             force = strength * change
-            pull = (force[:-1] - force[1:] + outside[i]) * self.mobility[here]
+            pull = (force[:-1] - force[1:] + outside[i]) * self.mobility[grains]
             x[i + 2, driven:] = (pull / ((i + 1) * (i + 2)))[driven:]
         return x, y
 
@@ -323,9 +323,9 @@ class _Motion:
         ]
         return series
 
-    def _step(self, x: Longs, y: Longs, here: slice, most: Long, tolerance: float) -> Long:
+    def _step(self, x: Longs, y: Longs, grains: slice, longest: Long, tolerance: float) -> Long:
         """Return how long the series converge to this error, until a contact opens or closes."""
-        step = most
+        step = longest
         order = len(x) - 1
         for k in (order - 1, order):
             last = np.abs(x[k]).max()
@@ -334,8 +334,8 @@ class _Motion:
                 displacement = (tolerance / last) ** (1 / Long(k))
                 velocity = (tolerance / (k * last)) ** (1 / Long(k - 1))
                 step = min(step, displacement, velocity)
-        push = self.push[_contacts(here)]
-        shut = self._shut(y[0], here, tolerance)
+        push = self.push[_contacts(grains)]
+        shut = self._shut(y[0], grains, tolerance)
         change = _at(np.abs(y), step) - np.abs(y[0])
         felt = push * (np.abs(y[0]) + change) ** self.delta * step > tolerance
         for contact in np.flatnonzero(felt & (np.where(shut, y[0], -y[0]) <= change)):
@@ -346,11 +346,13 @@ class _Motion:
                 step = root + self._unfelt(overlap, root, step - root, push[contact], tolerance)
         return step
 
-    def _unfelt(self, overlap: Longs, root: Long, most: Long, push: Long, tolerance: float) -> Long:
-        """Return how long, at most `most`, a contact that closes at `root` may be ignored."""
+    def _unfelt(
+        self, overlap: Longs, root: Long, longest: Long, push: Long, tolerance: float
+    ) -> Long:
+        """Return how long, up to `longest`, a contact that closes at `root` may be ignored."""
         depth = np.maximum(_at(overlap, root), 0)
         rate = np.maximum(_at(_slope(overlap), root), 0)
-        after = most
+        after = longest
         while True:
             deepest = depth + after * (rate + after * _bend(overlap, root + after) / 2)
             if push * deepest**self.delta * after <= tolerance:
@@ -372,9 +374,9 @@ def _exact_sines(excitation: Any) -> list[tuple[Long, Long]]:
     ]
 
 
-def _contacts(here: slice) -> slice:
+def _contacts(grains: slice) -> slice:
     """Return the contacts of these grains, on both sides of each."""
-    return slice(here.start, here.stop + 1)
+    return slice(grains.start, grains.stop + 1)
 
 
 def _first_root(gap: Longs, end: Long) -> Long:

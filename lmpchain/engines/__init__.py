@@ -70,15 +70,16 @@ def get(engine: str | Engine, **options: Any) -> Engine:
         return engine
     if engine not in REGISTRY:
         raise InputError.at("engine", not_among(engine, REGISTRY))
-    made = _load(*REGISTRY[engine])
-    known = list(signature(made).parameters) if options else []
-    if unknown := [key for key in options if key not in known]:
-        listed = ", ".join(known)
+    engine_class = _load(*REGISTRY[engine])
+    # the constructor would name the first wrong option only
+    parameters = list(signature(engine_class).parameters) if options else []
+    if unknown := [key for key in options if key not in parameters]:
+        listed = ", ".join(parameters)
         no = f"the engine {engine} has no such option"
         raise InputError(
-            [(key, f"{no}{did_you_mean(key, known)}; it has {listed}") for key in unknown]
+            [(key, f"{no}{did_you_mean(key, parameters)}; it has {listed}") for key in unknown]
         )
-    return made(**options)
+    return engine_class(**options)
 
 
 @cache

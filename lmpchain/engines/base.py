@@ -26,7 +26,7 @@ from ..util.arrays import Array
 
 
 class Candidate(NamedTuple):
-    """What an engine proposes for a scene.
+    """Proposal of an engine for a scene: steps, cost and expected errors.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Candidate(NamedTuple):
     choices: Mapping[str, str] = {}
 
     def schedule(self) -> StepSchedule:
-        """Return where its steps land; samples between are interpolated."""
+        """Return where steps land on samples; those between are interpolated."""
         return StepSchedule(
             self.steps_per_landing,
             self.stride,
@@ -84,6 +84,7 @@ class Candidate(NamedTuple):
 
         That is the number of equal ones; adaptive steps may be more.
         """
+        # rounded up, in integers: a run is never a step short
         return -(-self.steps_per_landing * (samples - 1) // self.stride)
 
     def with_steps(self, steps_per_landing: int) -> Candidate:
@@ -143,7 +144,7 @@ class ErrorBudget(NamedTuple):
 
     @property
     def estimate(self) -> ErrorEstimate:
-        """What a trajectory says of it."""
+        """Estimate that goes with a trajectory."""
         return ErrorEstimate(self.model, self.solver)
 
     def last_known(self, tolerance: float, time: Array) -> float:
@@ -173,7 +174,7 @@ class Run(ABC):
 
     @abstractmethod
     def cost(self) -> Cost:
-        """Return what it has cost so far."""
+        """Return the cost so far."""
 
     @abstractmethod
     def state(self) -> Mapping[str, Array]:
@@ -284,12 +285,13 @@ class Engine(ABC):
         return
 
     def part(self, scene: Scene) -> Scene:
-        """Return what it computes of a scene: the light cone, or the whole."""
+        """Return the part of a scene that is computed: the light cone, or all grains."""
         return scene.fine if self.whole else scene.fine.reached
 
     def obstacles(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why it cannot answer a scene, or gather what is asked of it, as (key, reason)."""
+        """Return why a scene cannot be answered or its quantities not gathered: (key, reason)."""
         reasons = self.refuses(self.part(scene))
+        # quantities are gathered from accelerations, which the two chain equations give
         if scene.quantities and self.equation not in (1, 3):
             why = f"{self.name} solves no equation of motion of the grains, which gathering needs"
             reasons = [*reasons, ("quantities", f"{why}; use native, lammps, modes or chebyshev")]

@@ -11,7 +11,6 @@ serve: engines differ by factors of ten where the choice matters, machines by tw
 from __future__ import annotations
 
 import json
-import math
 import platform
 from collections.abc import Mapping
 from functools import cache
@@ -28,36 +27,31 @@ def seconds(engine: str, start_up_s: float, work_s: float) -> float:
 
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:
     """Return start-up time, s, and slowness over the reference machine, measured or as shipped."""
-    shipped = start_up_s, 1.0
-    kept = measured().get(engine)
-    return kept if kept and all(map(_plausible, kept, shipped)) else shipped
-
-
-def _plausible(value: float, shipped: float) -> bool:
-    return math.isfinite(value) and shipped / PLAUSIBLE < value < shipped * PLAUSIBLE
+    # a file that was edited or half written must not make an engine the cheapest for ever
+    start, slowness = measured().get(engine, (start_up_s, 1.0))
+    plausible = (
+        start_up_s / PLAUSIBLE < start < start_up_s * PLAUSIBLE
+        and 1 / PLAUSIBLE < slowness < PLAUSIBLE
+    )
+    return (start, slowness) if plausible else (start_up_s, 1.0)
 
 
 @cache
 def measured() -> Mapping[str, tuple[float, float]]:
     """Return start-up time, s, and slowness of engines as measured on this machine, by name."""
     try:
-        kept = json.loads(cache_file().read_text(encoding="utf-8"))
+        table = json.loads(cache_file().read_text(encoding="utf-8"))
         pairs = {
             name: (float(start), float(slowness))
-            for name, (start, slowness) in kept["engines"].items()
+            for name, (start, slowness) in table["engines"].items()
         }
-        here = kept["host"] == platform.node()  # a home folder may be that of many machines
-    except (
-        OSError,
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-    ):
+        # a home folder may be that of many machines
+        if table["host"] != platform.node():
+            return {}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         # none, damaged, out of reach
         return {}
-    return pairs if here else {}
+    return pairs
 
 
 def cache_file() -> Path:

@@ -181,11 +181,13 @@ def solve_to_tolerance(
             collected = collect(run)
             errors = run.errors()
         except RunFailed:
+            # a given step is not shortened
             if attempt.candidate.fixed or attempt.breakdowns == PATIENCE.breakdowns:
                 raise
         finally:
             cost = run.cost()
             run.close()
+        # a batch has one step, so its worst scene decides
         error = max(errors, key=lambda budget: budget.solver) if errors else None
         following, missed = next_attempt(engine, scenes[0], attempt, error, patient)
         if not following:
@@ -255,6 +257,7 @@ def loosen(
             if tolerance > 0.1 or not best_effort:
                 raise
             reason = reason or refusal.reason
+            # a refusal names no tolerance that would do
             tolerance *= 4
 
 
@@ -263,6 +266,7 @@ def _stalls(attempt: Attempt) -> bool:
     truncations = attempt.truncations
     if len(truncations) <= PATIENCE.stalls:
         return False
+    # of several attempts, for one alone may be erratic
     stalls = truncations[-1] > PATIENCE.stalled * truncations[-1 - PATIENCE.stalls]
     return stalls or len(truncations) == PATIENCE.attempts
 

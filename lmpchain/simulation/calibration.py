@@ -54,14 +54,15 @@ def calibrate() -> tuple[Path, float]:
             slowness,
         )
     took = time.perf_counter() - began
-    known = dict(measured()) | speeds
+    # engines that were not timed keep what an earlier measurement says of them
+    speeds = dict(measured()) | speeds
     path = cache_file()
     measured.cache_clear()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as aside:
             aside.write_text(
-                json.dumps({"host": platform.node(), "engines": known}, indent=2) + "\n",
+                json.dumps({"host": platform.node(), "engines": speeds}, indent=2) + "\n",
                 encoding="utf-8",
             )
     finally:

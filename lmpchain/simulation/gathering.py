@@ -95,11 +95,11 @@ class GatheringRun(Run):
         return self._run.errors()
 
     def cost(self) -> Cost:
-        """Return what it has cost so far."""
+        """Return the cost so far."""
         return self._run.cost()
 
     def state(self) -> dict[str, Array]:
-        """Return what is needed to go on with the same bits."""
+        """Return the state of the run and of every gatherer."""
         state = dict(self._run.state())
         for real, gatherer in enumerate(self.gatherers):
             state |= {f"{STATE}{real}.{name}": values for name, values in gatherer.state().items()}
@@ -117,5 +117,5 @@ class GatheringRun(Run):
 
 
 def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:
-    """Return what of a kept state belongs to the run of the engine."""
+    """Return the arrays of a state that belong to the run of the engine."""
     return state and {key: values for key, values in state.items() if not key.startswith(STATE)}

@@ -83,11 +83,11 @@ class Plan(Shown):
             if np.isfinite([error, proposal.cost_s]).all():
                 colour = COLOURS.get(proposal.engine, "k")
                 marker = MARKERS.get(proposal.engine, "x")
-                inside, said = (colour, "") if proposal.kept else ("none", ", dropped")
-                label = f"{proposal.engine}{said}"
-                ax.plot(
-                    proposal.cost_s, error, marker, color=colour, mfc=inside, ls="none", label=label
-                )
+                # hollow: expected to miss the tolerance
+                filling = colour if proposal.kept else "none"
+                label = proposal.engine if proposal.kept else f"{proposal.engine}, dropped"
+                style: dict[str, Any] = {"color": colour, "mfc": filling, "ls": "none"}
+                ax.plot(proposal.cost_s, error, marker, label=label, **style)
         ax.plot(
             self.expected_cost_s,
             max(self.expected_error, LEAST_ERROR),
@@ -106,8 +106,10 @@ class Plan(Shown):
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan in plain numbers; what is not known is null."""
-        own = {key: value for key, value in self.__dict__.items() if key != "candidates"}
-        return own | {"candidates": [proposal.to_json() for proposal in self.candidates]}
+        fields = dict(self.__dict__)
+        # last, as they are longest
+        proposals = fields.pop("candidates")
+        return fields | {"candidates": [proposal.to_json() for proposal in proposals]}
 
 
 def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:

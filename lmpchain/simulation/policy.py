@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from .. import engines
 from ..engines.base import Candidate, Engine, ErrorBudget
@@ -19,39 +19,6 @@ from .selection import Proposal, cheapest, propose, reason
 AUTO = "auto"
 
 
-class Policy(Protocol):
-    """The engine that answers a scene, and one for Eq. (1) where that leaves out too much."""
-
-    @property
-    def name(self) -> str:
-        """How it is asked for."""
-
-    @property
-    def chosen(self) -> Engine | None:
-        """The engine that was named, if one was."""
-
-    def options(self) -> dict[str, Any]:
-        """Return what `policy_for` needs besides the name to make it again."""
-
-    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why no engine can do this scene, as (key, reason); empty if one can."""
-
-    def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
-        """Return the first attempt; raises `ToleranceNotMet` if none will meet the tolerance."""
-
-    def engine(self, attempt: Attempt) -> Engine:
-        """Return the engine of an attempt."""
-
-    def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
-        """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
-
-        Raises
-        ------
-        ToleranceNotMet
-            If there is none.
-        """
-
-
 @dataclass(frozen=True)
 class Named:
     """The engine that was asked for."""
@@ -64,7 +31,7 @@ class Named:
         return self.chosen.name
 
     def options(self) -> dict[str, Any]:
-        """Return the constructor arguments of the engine."""
+        """Return the options with which `policy_for` makes an equal policy from the name."""
         return self.chosen.options()
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -95,8 +62,9 @@ class Auto:
         return {}
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why no engine can do this scene."""
+        """Return why no engine can do this scene, as (key, reason); empty if one can."""
         faults = []
+        # one engine that can is enough; its faults are told only if none can
         for engine in map(engines.plain, (*engines.automatic(), *engines.ON_REQUEST)):
             reasons = engine.obstacles(scene)
             if not reasons:
@@ -105,7 +73,13 @@ class Auto:
         return faults
 
     def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
-        """Return the first attempt of the cheapest engine; `best_effort` loosens the tolerance."""
+        """Return the first attempt of the cheapest engine; `best_effort` loosens the tolerance.
+
+        Raises
+        ------
+        ToleranceNotMet
+            If none will meet it.
+        """
         began = clock()
         compiled = compiled_s()
         choose = partial(_cheapest, scene)
@@ -119,15 +93,23 @@ class Auto:
         return engines.plain(attempt.engine)
 
     def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
-        """Return an attempt with Eq. (1) if the equation of this one is too far off."""
+        """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
+
+        Raises
+        ------
+        ToleranceNotMet
+            If there is none.
+        """
         before = self.engine(attempt)
         tolerance = attempt.tolerance
         if before.equation == 1 or (error.bound <= tolerance and not error.remark):
             return None
         began = clock()
-        most = max(error.model, error.model_bound)
-        left_out = f"Eq. ({before.equation}) leaves out up to {most:.1g} of the answer"
-        left_out = f"{left_out}, {error.remark}" if error.remark else left_out
+        bound = max(error.model, error.model_bound)
+        left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the answer"
+        if error.remark:
+            left_out += f", {error.remark}"
+        # engines that were not asked are listed with their reason, too
         exact = [
             proposal for proposal in propose(scene, tolerance) if proposal.equation in (1, None)
         ]
@@ -144,6 +126,9 @@ class Auto:
         )
         attempt = _attempt(best, tolerance, plan=f"{best.engine}: {redone}", redone=redone)
         return attempt._replace(planned_s=clock() - began)
+
+
+Policy = Named | Auto
 
 
 def _cheapest(scene: Scene, tolerance: float) -> Attempt:
@@ -177,7 +162,7 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
 
 
 def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
-    """Return what shaped an answer, for the record: versions, choices, and what the engine says."""
+    """Return the record of an answer: versions, choices, and the remarks of the engine."""
     asked = "none, for a step was given" if engine.step else f"{tolerance:g}"
     return {
         **versions(),

@@ -41,6 +41,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.files import make_folder, replacing
 from ..util.provenance import checksums, now
+from ..util.tables import finite
 from . import checkpoints
 from . import task as tasks
 from .policy import record
@@ -338,10 +339,6 @@ class RunFolder:
 
     def _write_status(self, state: str, reason: str = "") -> None:
         attempt = self.attempt
-        estimate = self._estimate
-        if estimate is not None and not math.isfinite(estimate):
-            # JSON knows no infinity
-            estimate = None
         report = {
             "state": state,
             "reason": reason,
@@ -351,14 +348,16 @@ class RunFolder:
             "step_s": attempt.candidate.step if attempt else None,
             "tolerance": self.task.tolerance,
             "best_effort": self.task.best_effort,
-            "error_estimate": estimate,
+            "error_estimate": self._estimate,
             "wall_s": self._before["wall_s"] + time.monotonic() - self._began,
             "updated": now(),
             "host": platform.node(),
             "pid": os.getpid(),
         }
         with replacing(self.path / STATUS) as aside:
-            aside.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            # JSON knows no infinity
+            text = json.dumps(finite(report), indent=2, allow_nan=False)
+            aside.write_text(text + "\n", encoding="utf-8")
 
 
 def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:

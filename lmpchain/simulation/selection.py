@@ -82,12 +82,12 @@ class Proposal(NamedTuple):
         return self.cost_s if self.kept else math.inf
 
     def to_json(self) -> dict[str, Any]:
-        """Return what goes into a JSON file; numbers that are not known are null."""
+        """Return the fields for a JSON file; numbers that are not known are null."""
         return finite({name: getattr(self, name) for name in COLUMNS})
 
 
 def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposal]:
-    """Return what engines propose, with the verdicts.
+    """Return the proposals of the engines, with the verdicts.
 
     Engines for Eq. (1) are asked first. Most scenes they answer before another engine would have
     begun, which is then not asked.
@@ -104,6 +104,7 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
     proposals = [_ask(engine, scene, tolerance) for engine in exact]
     cheapest_s = min(proposal.price_s for proposal in proposals)
     for engine in automatic:
+        # no proposal costs less than its start
         begins_s, _ = speed(engine.name, engine.start_up_s)
         if engine.equation != 1 and (every or begins_s < cheapest_s):
             proposals.append(_ask(engine, scene, tolerance))
@@ -119,7 +120,7 @@ def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) 
 
 
 def _ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
-    """Return what an engine proposes, with the verdict on it."""
+    """Return the proposal of an engine, with the verdict on it."""
     name = engine.name
     equation = engine.equation
     if reasons := engine.obstacles(scene):
@@ -167,6 +168,7 @@ def cheapest(proposals: Sequence[Proposal]) -> Proposal:
     """
     best = min(proposals, key=lambda proposal: proposal.price_s)
     if not best.kept:
+        # an engine that cannot do the scene at all says nothing of the tolerance
         asked = [proposal for proposal in proposals if proposal.candidate or proposal.equation == 1]
         raise ToleranceNotMet("; ".join(f"{proposal.engine}: {proposal.why}" for proposal in asked))
     return best

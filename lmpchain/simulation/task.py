@@ -99,7 +99,7 @@ def remove(folder: Path) -> None:
 
 
 def write(folder: Path, task: Task) -> None:
-    """Write a new task and this session; the scene, which makes a run folder of it, comes last."""
+    """Write a new task and this session; the scene comes last, which makes a run folder of it."""
     order: dict[str, Any] = {
         "engine": task.policy.name,
         "options": task.policy.options(),

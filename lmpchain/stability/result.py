@@ -102,7 +102,7 @@ class Stability(Shown):
             yield "!" if row.beyond else "", row.what, row.method, *numbers
 
     def to_json(self) -> dict[str, Any]:
-        """Return what goes into a JSON file; numbers that are not finite become None."""
+        """Return rows and curves for a JSON file; numbers that are not finite become None."""
         rows = [finite(vars(boundary)) for boundary in self.boundaries]
         curves = [
             vars(curve) | {key: _list(getattr(curve, key)) for key in "xy"} for curve in self.curves
@@ -122,7 +122,11 @@ class Stability(Shown):
         Axes
             Those of the longest steps.
         """
-        return draw(self, ax)
+        steps, *others = panels(window(15.0, 8.5).subplots(2, 2).ravel() if ax is None else ax)
+        _draw_steps(steps, self)
+        for draw, panel in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
+            draw(panel, self)
+        return steps
 
 
 def _list(values: Array) -> list[float | None]:
@@ -134,15 +138,6 @@ STRENGTHS = {
     "Eq. (3), at most": "0.6",
     "native, round-off": COLOURS["native"],
 }
-
-
-def draw(result: Stability, ax: Axes | Sequence[Axes] | None) -> Axes:
-    """Draw the four panels; see `Stability.plot`."""
-    steps, *others = panels(window(15.0, 8.5).subplots(2, 2).ravel() if ax is None else ax)
-    _draw_steps(steps, result)
-    for draw, panel in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
-        draw(panel, result)
-    return steps
 
 
 def _draw_steps(axes: Axes, result: Stability) -> None:

@@ -9,7 +9,7 @@ import pytest
 from helpers.example_scenes import smooth
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
-from lmpchain.benchmark.comparison import compare, draw_comparison, error, error_over_time, errors
+from lmpchain.benchmark.comparison import compare, error, error_over_time, errors
 from lmpchain.benchmark.reference import Reference, expected_seconds, reference
 from lmpchain.util.plotting import figure, save
 
@@ -181,7 +181,7 @@ def test_a_picture_in_axes_of_ones_own():
     answer, truth = made_up()
     mine = figure()
     axes = mine.subplots(1, 3)
-    assert draw_comparison(compare([answer], truth), axes) is axes[0]
+    assert compare([answer], truth).plot(axes) is axes[0]
     assert all(ax.lines for ax in axes)
 
 

@@ -10,7 +10,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from ...errors import EngineUnavailable, LmpchainError, RunFailed
 from ...util import mpi
@@ -20,18 +20,6 @@ from .worker import Worker
 POLLING_S = 2e-3
 PAUSE_S = 5e-4
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
-
-
-class Communicator(Protocol):
-    """Ranks of a LAMMPS run, which all obey the same calls."""
-
-    ranks: int
-
-    def ask(self, name: str, *values: Any) -> list[Any]:
-        """Call a method of the `Worker` of every rank; return their answers."""
-
-    def close(self) -> None:
-        """End the LAMMPS instances."""
 
 
 class Serial:

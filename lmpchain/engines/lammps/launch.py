@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from ...errors import InputError
 from ...util import mpi
-from .communicators import Communicator, MpiRanks, Serial
+from .communicators import MpiRanks, Serial
 from .subprocess_ranks import SubprocessRanks
+
+Communicator = Serial | MpiRanks | SubprocessRanks
 
 
 def gather(ranks: int | None, log: str) -> Communicator:

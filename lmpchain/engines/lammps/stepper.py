@@ -12,7 +12,7 @@ from ...integrators.splittings import Splitting
 from ...util.arrays import Array
 from . import deck, drive
 from .column import Column
-from .communicators import Communicator
+from .launch import Communicator
 from .worker import LocalState, StepPlan
 
 
@@ -130,7 +130,7 @@ class LammpsStepper:
         return self._communicator.ranks
 
     def state(self) -> dict[str, Array]:
-        """Return what is needed to go on with the same bits: heights as LAMMPS holds them."""
+        """Return heights as LAMMPS holds them, velocities and steps, from which a run goes on."""
         return {"z": self._z.copy(), "vz": self._vz.copy(), "done": np.array(self._done)}
 
     def close(self) -> None:

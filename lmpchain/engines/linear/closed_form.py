@@ -37,25 +37,19 @@ class ClosedForm(LinearEngine):
         """Return why the formula does not hold for this scene."""
         reached = scene.reached
         chain = reached.chain
-        reasons = super().refuses(reached)
-        for key, difference in unlike(chain).items():
-            if difference > UNIFORM:
-                reasons.append(
-                    (
-                        key,
-                        f"{self.name} knows grains that are all alike only; use modes or chebyshev",
-                    )
-                )
+        cases = [
+            (key, "grains that are all alike")
+            for key, difference in unlike(chain).items()
+            if difference > UNIFORM
+        ]
         if not scene.excitation.strikes_top:
-            reasons.append(
-                (
-                    "excitation",
-                    f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev",
-                )
-            )
+            cases.append(("excitation", "an impulse on grain 1"))
         if chain.top != "free":
-            reasons.append(("top", f'{self.name} knows top = "free" only; use modes or chebyshev'))
-        return reasons
+            cases.append(("top", 'top = "free"'))
+        reasons = [
+            (key, f"{self.name} knows {case} only; use modes or chebyshev") for key, case in cases
+        ]
+        return super().refuses(reached) + reasons
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the formula, whose error is known before the run only where it is exact."""
@@ -173,17 +167,15 @@ class ClosedFormRun(Run):
         return self._exact.progress
 
     def errors(self) -> list[ErrorBudget]:
-        """Return what the formula leaves out besides what linearising does."""
-        left_out = (self._apart / self._exact.scale).max(0)
+        """Return the error of the formula against Eq. (3), and that of Eq. (3) itself."""
+        distances = (self._apart / self._exact.scale).max(0)
         return [
-            error._replace(
-                model=error.model + float(more), model_bound=error.model_bound + float(more)
-            )
-            for error, more in zip(self._exact.errors(), left_out, strict=True)
+            error._replace(model=error.model + distance, model_bound=error.model_bound + distance)
+            for error, distance in zip(self._exact.errors(), distances.tolist(), strict=True)
         ]
 
     def cost(self) -> Cost:
-        """Return what it has cost so far; the exact solution is the estimate of the error."""
+        """Return the cost so far; the exact solution is the estimate of the error."""
         cost = self._exact.cost()
         return cost._replace(
             integration_s=self._formula_s,
@@ -193,5 +185,5 @@ class ClosedFormRun(Run):
         )
 
     def state(self) -> dict[str, Array]:
-        """Return what `start` needs to go on from the last sample with the same bits."""
+        """Return the state of the exact solution, and the largest differences so far."""
         return {**self._exact.state(), "apart": self._apart.copy()}

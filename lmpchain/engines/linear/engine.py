@@ -78,9 +78,10 @@ class LinearEngine(Engine):
         """Follow the linear solution and what it leaves out; end where a contact opens."""
         times = np.append(evaluation_times(scene), scene.duration)
         error = PhaseError(scene)
-        every = np.ones(times.size, bool)
+        recorded = np.ones(times.size, bool)
         size = max(1, BLOCK_VALUES // scene.chain.grains)
-        for _ in _follow(self.solve(scene, {}), error, times, every, size):
+        for _ in _follow(self.solve(scene, {}), error, times, recorded, size):
+            # a contact that opens ends linear theory, whatever comes later
             if error.remark:
                 break
         return error
@@ -118,12 +119,13 @@ class Chebyshev(LinearEngine):
     start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why there is no linear theory of this scene, or no such series of it."""
+        """Return why linear theory, or the series of one propagator, does not hold here."""
         reasons = super().refuses(scene)
-        given = scene.excitation
+        excitation = scene.excitation
+        # the propagator of a chain with a sine as one more body is a constant matrix
         if (
-            given.linear
-            and given.does_work
+            excitation.linear
+            and excitation.does_work
             and not (scene.drive and np.isinf(scene.drive.waveform.end))
         ):
             reasons.append(
@@ -202,12 +204,12 @@ def _evaluations(scene: Scene) -> int:
 def _follow(
     solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], size: int
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Evaluate a solution, add to its model error, and yield it, so many times at a time."""
+    """Yield a solution, evaluated `size` times at once, and accumulate its model error."""
     for begin in range(0, times.size, size):
-        part = slice(begin, begin + size)
-        u, v, reach = solution.at(times[part])
-        error.add(Evaluations(times[part], recorded[part], u, v, reach))
-        yield part, u, v
+        burst = slice(begin, begin + size)
+        u, v, reach = solution.at(times[burst])
+        error.add(Evaluations(times[burst], recorded[burst], u, v, reach))
+        yield burst, u, v
 
 
 class LinearRun(Run):
@@ -256,6 +258,7 @@ class LinearRun(Run):
             evaluated = sum(self._fill(block, real) for real in range(realisations))
             self._sample = samples.stop
             took = clock() - began
+            # evaluations between the samples serve the model error alone
             integration_s = took * count * realisations / evaluated
             self._integration_s += integration_s
             self._estimate_s += took - integration_s
@@ -271,10 +274,10 @@ class LinearRun(Run):
         recorded = np.isin(moments, times[block.samples], assume_unique=True)
         size = max(1, BLOCK_VALUES // self._scene.chain.grains)
         filled = 0
-        for part, u, v in _follow(
+        for burst, u, v in _follow(
             self._solutions[real], self._phase_errors[real], moments, recorded, size
         ):
-            rows = np.ix_(recorded[part], self._rows)
+            rows = np.ix_(recorded[burst], self._rows)
             into = slice(filled, filled + rows[0].size)
             block.displacement[real, into] = u[rows]
             block.velocity[real, into] = v[rows]
@@ -295,7 +298,7 @@ class LinearRun(Run):
         ]
 
     def cost(self) -> Cost:
-        """Return what it has cost so far."""
+        """Return the cost so far."""
         return Cost(
             integration_s=self._integration_s,
             estimate_s=self._estimate_s,
@@ -314,7 +317,7 @@ class LinearRun(Run):
         return np.stack([error.scale for error in self._phase_errors], axis=1)
 
     def state(self) -> dict[str, Array]:
-        """Return what `start` needs to go on from the last sample with the same bits."""
+        """Return the state of every solution and of its model error at the last sample."""
         state = {"sample": np.array(self._sample)}
         for i, (solution, error) in enumerate(
             zip(self._solutions, self._phase_errors, strict=True)

@@ -111,6 +111,7 @@ class PhaseError:
         chain = scene.chain
         contacts = chain.contacts
         inverse_mass = 1 / chain.masses
+        # what is held or driven answers no force
         inverse_mass[chain.movable :] = 0.0
         inverse_mass[: scene.excitation.driven] = 0.0
         overlap = np.where(contacts.pressed, contacts.overlap, np.inf)
@@ -146,7 +147,7 @@ class PhaseError:
 
     @property
     def state(self) -> Array:
-        """What it needs to go on, a copy."""
+        """Copy of the sums, from which another one goes on."""
         return self._state.view(np.float64).copy()
 
     @property
@@ -183,6 +184,7 @@ class PhaseError:
         It saturates: waves that have nothing in common differ by about their size.
         """
         error = max(self.shifted, self.resonant, self.strayed)
+        # small errors as they are, large ones below 1
         return error / (1 + error)
 
     @property
@@ -208,7 +210,7 @@ class PhaseError:
 
     @property
     def steepens(self) -> float:
-        """What a train of waves gains where it is compressed, and loses where it is stretched.
+        """Steepening of a train of waves, which gains where compressed and loses where stretched.
 
         It does so as long as it travels, a packet until it is apart from its second harmonic and
         its mean strain.
@@ -244,7 +246,7 @@ class PhaseError:
 
     @property
     def sums(self) -> Sums:
-        """What has been added up."""
+        """Sums along the solution so far."""
         return Sums(*self._state[0].item())
 
     @property
@@ -264,7 +266,7 @@ def _over(error: float, size: float) -> float:
 
 
 def expected_error(scene: Scene) -> float:
-    """Return what the bound on the model error of Eq. (3) should come to, from the energy put in.
+    """Predict the bound on the model error of Eq. (3) from the energy put in.
 
     The energy bounds the strain. It adds up as a random walk, or in phase where something acts all
     the time or a packet runs. 1 where contacts may open. The run itself gives the bound.
@@ -272,6 +274,7 @@ def expected_error(scene: Scene) -> float:
     if may_open(scene):
         return 1.0
     radians = fastest(scene) * scene.duration
+    # strains that keep step add up to omega t of them, others to its root
     walk = 1 + (radians if in_phase(scene) else math.sqrt(radians))
     excess = scene.chain.exponent - 1
     return min(1.0, FACTORS.doubt * FACTORS.strays * excess * scene.linear_strain * walk)
@@ -336,6 +339,7 @@ def evaluation_times(scene: Scene) -> Array:
     first = LOOKS.earliest / fastest(scene)
     early = first * LOOKS.growth ** np.arange(_early(scene))
     spread = _spread(scene)
+    # a fixed seed: a run that goes on must look at the same times
     offsets = np.random.default_rng(0).random(spread)
     offsets[0] = 0.0
     return np.union1d(early, (np.arange(spread) + offsets) * (scene.duration / spread))

@@ -76,8 +76,9 @@ class Resonance:
             omega = 2 * np.pi * drive.frequency
             pull = contacts.stiffness[first] * drive.amplitude * modes.shape[0]
             apart = modes.frequency**2 - omega**2
-            least = modes.frequency / self._scene.duration
-            steady = pull / np.copysign(np.maximum(np.abs(apart), least), apart)
+            # at resonance an answer grows for no longer than the run lasts
+            narrowest = modes.frequency / self._scene.duration
+            steady = pull / np.copysign(np.maximum(np.abs(apart), narrowest), apart)
             top = drive.amplitude * (np.arange(len(squeezed)) == 0)
             amplitudes = np.append(amplitudes + 1j * steady * omega / modes.frequency, 1.0)
             waves = np.column_stack((waves, squeezed @ steady + top))

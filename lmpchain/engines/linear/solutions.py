@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,25 +13,8 @@ from ...scene.scene import Scene
 from ...util.arrays import Array
 
 
-class Solution(Protocol):
-    """The solution of one linear chain."""
-
-    @property
-    def work(self) -> int:
-        """Applications of the matrix of the chain so far, or the number of modes."""
-
-    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement and velocity at these times, later and later ones, (T, N) m and m/s.
-
-        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
-        """
-
-    def state(self) -> dict[str, Array]:
-        """Return what is needed to go on with the same bits."""
-
-
 class ChebyshevSolution:
-    """The propagator, from one time to the next."""
+    """The propagator, from one time to the next, each later than the last."""
 
     def __init__(self, scene: Scene, state: Mapping[str, Array]):
         chain = scene.chain
@@ -54,11 +36,14 @@ class ChebyshevSolution:
 
     @property
     def work(self) -> int:
-        """Polynomials so far."""
+        """Polynomials so far: applications of the matrix of the chain."""
         return self._chain.terms
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return the solution at these times."""
+        """Return displacement and velocity at these times, (T, N) m and m/s.
+
+        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
+        """
         before = self._time
         self._time = float(times[-1])
         u, v, reach = self._chain.advance(times - before)
@@ -76,18 +61,20 @@ class ModalSolution:
         from ...theory.modes import between
 
         chain = scene.chain
-        given = scene.excitation
-        first = given.driven
+        excitation = scene.excitation
+        first = excitation.driven
         last = chain.movable
         stiffness = chain.contacts.stiffness
         self._modes = between(stiffness[first : last + 1], chain.masses[first:last])
         u, v = scene.initial()
         self._initial = u[first:last], v[first:last]
-        self._wave = given.waveform
+        self._wave = excitation.waveform
         self._drive = scene.drive if first else None
-        moved = bool(scene.drive)  # or pushed
-        place = 0 if moved else given.reach(chain)[0] - 1
-        self._pull = (stiffness[first] if moved else 1.0) * self._modes.shape[place]
+        if scene.drive:
+            # a motion acts through the contact below it, a force at once
+            self._pull = stiffness[first] * self._modes.shape[0]
+        else:
+            self._pull = self._modes.shape[excitation.reach(chain)[0] - 1]
         self._held = chain.grains - last
 
     @property
@@ -96,7 +83,7 @@ class ModalSolution:
         return self._modes.frequency.size
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return the solution at these times, found for all of them at once."""
+        """Return displacement and velocity as `ChebyshevSolution.at` does, at any times."""
         u, v = self._modes.response(times, *self._initial)
         top = np.empty((2, times.size, 0))
         if self._wave:
@@ -120,6 +107,7 @@ class ModalSolution:
         )
         if np.isinf(end):
             return q, p
+        # after its end the modes swing on freely
         free = np.maximum(t - end, 0.0) * w
         return q * np.cos(free) + p / w * np.sin(free), p * np.cos(free) - q * w * np.sin(free)
 
@@ -137,3 +125,6 @@ class ModalSolution:
     def state(self) -> dict[str, Array]:
         """Any time follows from the modes."""
         return {}
+
+
+Solution = ChebyshevSolution | ModalSolution

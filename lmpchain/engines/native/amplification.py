@@ -138,7 +138,7 @@ def could_grow(scene: Scene, evaluations: float) -> float:
 
 
 def amplify_rounding(scene: Scene, evaluations: float) -> Array:
-    """Return what becomes of the rounding of so many evaluations of the force at each sample, (T,).
+    """Return the amplified rounding of so many evaluations of the force at each sample, (T,).
 
     Relative to the largest motion. The runs that show it take a fraction of the time of an answer.
     """
@@ -147,6 +147,7 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
     schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
     changes = GROWTH.digit * np.array(GROWTH.changes)
     distances = separate(scene, changes.tolist(), METHODS["verlet"], schedule)
+    # a run that broke down says nothing of the growth in the others
     followed = distances.max(1) <= GROWTH.broken
     return _digits(evaluations) * distances.max(0, where=followed[:, None], initial=0.0)
 

@@ -128,8 +128,8 @@ class CompanionRun(Run):
         self._steppers: tuple[Stepper, ...]
         if self._twin:
             chains = ChainBatch(self._scenes)
-            kept = restrict("native", state)
-            self.native = NativeStepper(chains, self.method, answer, kept, companions=beside)
+            start = restrict("native", state)
+            self.native = NativeStepper(chains, self.method, answer, start, companions=beside)
             self._answer = make((answer,), restrict("answer", state))
             self._steppers = self._answer, self.native
             evaluations = self.candidate.steps(self.scene.samples) * self.method.evaluations
@@ -198,7 +198,7 @@ class CompanionRun(Run):
         return sum(self._seconds) + self._compared_s
 
     def _fills(self, answer: tuple[Array, Array], first: int) -> list[Callable[[int, int], int]]:
-        """Return what moves each stepper on and fills its fields."""
+        """Return the functions that move each stepper on and fill its fields."""
         if not self._twin:
             return [partial(self.native.fill, *answer, first, beside=self._fields)]
         displacement, velocity = self._fields
@@ -210,6 +210,7 @@ class CompanionRun(Run):
 
     def _move(self, stepper: int, fill: Callable[[int, int], int], until: int) -> bool:
         """Move one stepper on for as long as nothing may interrupt; say whether it is there."""
+        # as many as take a tenth of a second, at the rate of the piece before
         max_steps = max(1, int(self._rate[stepper] * PIECE_S))
         began = clock()
         steps = fill(until, max_steps)
@@ -226,6 +227,7 @@ class CompanionRun(Run):
         broken = ~(self.native.closest() <= self._closest_allowed)
         if not broken.any():
             return
+        # row 0 is the answer, unless it is not native
         if not self._twin and broken[0].any():
             raise RunFailed(self._describe_breakdown(first, TOO_CLOSE))
         self.native.leave(broken, until)
@@ -356,6 +358,7 @@ class CompanionRun(Run):
         Steps and evaluations are those of the realisation that took most.
         """
         steps = int(max(self._answer.steps.tolist()))
+        # answer and companions are moved in one compiled call, which tells their shares
         share = 1.0 if self._twin else self.native.own_part
         integration_s = share * self._seconds[0]
         return Cost(
@@ -371,7 +374,7 @@ class CompanionRun(Run):
         )
 
     def state(self) -> dict[str, Array]:
-        """Return what `start` needs to go on from the last sample with the same bits."""
+        """Return the state of all runs and of their comparison at the last sample."""
         state = {
             "sample": np.array(self._sample),
             "differences": self._differences,
@@ -394,7 +397,7 @@ def fit_block(fit: int, samples: int, together: int) -> int:
 
 
 def restrict(stepper: str, state: Mapping[str, Array] | None) -> dict[str, Array]:
-    """Return what is kept of a stepper, under the names that it knows."""
+    """Return the state of one stepper, under the names that it knows."""
     prefix = f"{stepper}."
-    kept = (state or {}).items()
-    return {key.removeprefix(prefix): array for key, array in kept if key.startswith(prefix)}
+    arrays = (state or {}).items()
+    return {key.removeprefix(prefix): array for key, array in arrays if key.startswith(prefix)}

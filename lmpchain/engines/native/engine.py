@@ -81,6 +81,7 @@ class Native(TimeSteppingEngine):
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Propose the steps of a choice, unless round-off alone exceeds the tolerance."""
         candidate = super().propose(scene, tolerance, choice)
+        # a given step is taken, whatever it leaves
         if not candidate.fixed:
             evaluations = candidate.steps(scene.samples) * choice.method.evaluations
             floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
@@ -110,6 +111,7 @@ class Native(TimeSteppingEngine):
     def computed(self, scene: Scene) -> float:
         """Return the grains that a step computes, on average: those that waves have reached."""
         first, last = scene.excitation.reach(scene.chain)
+        # a front runs at half the highest frequency, so on average the cone has half its width
         reached = last - first + 1 + 2 * PAD + scene.highest_frequency * scene.duration / 4
         return min(scene.chain.grains, reached)
 

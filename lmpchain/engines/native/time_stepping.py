@@ -98,6 +98,7 @@ class TimeSteppingEngine(Engine):
             choices=self.choices(scene),
         )
         cost = self.cost(scene, choice.method, candidate.steps(scene.samples))
+        # years of work are a slip in a unit, as seconds for microseconds
         if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
             cure = "shorten it, or ask for less accuracy"
@@ -105,7 +106,7 @@ class TimeSteppingEngine(Engine):
         return candidate._replace(cost_s=cost)
 
     def choices(self, scene: Scene) -> Mapping[str, str]:
-        """Return what it chooses on behalf of the user."""
+        """Return the choices made on behalf of the user."""
         return {}
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
@@ -154,6 +155,7 @@ class TimeSteppingEngine(Engine):
         try:
             return CompanionRun(make, method, scenes, candidate, state, self.twin)
         except (LookupError, TypeError, ValueError) as error:
+            # without a state it is a fault of this package, not of a file
             if state is None or isinstance(error, InputError):
                 raise
             why = "does not fit its run, or was changed: run the scene anew"
@@ -161,7 +163,7 @@ class TimeSteppingEngine(Engine):
 
 
 def kind(scene: Scene) -> tuple:
-    """Return what the scenes of a batch have in common: the kind of chain, and what is recorded."""
+    """Return a key of scenes that fit into one batch: kind of chain, ends, and recording."""
     chain = scene.chain
     excitation = scene.excitation
     built = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed
