@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from .util.lazy import attributes, listed
 
+# type checkers and editors read these lines, which never run
 if TYPE_CHECKING:
     from . import design as design
     from . import disorder as disorder
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
     from .sweeps.run import sweep as sweep
     from .trajectory.trajectory import Trajectory as Trajectory
 
+# imported at the first use of a name: all of them together would take a second, and a command needs
+# few
 _MODULES = {
     "chain.chain": "Chain",
     "chain.impurities": "Impurity",

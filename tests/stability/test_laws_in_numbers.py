@@ -18,7 +18,7 @@ from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, sim
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.integrators.methods import METHODS
-from lmpchain.stability import find, predictability, step_limit
+from lmpchain.stability import find
 from lmpchain.stability.linear_theory import linear_law, strike_number_at, strike_number_where
 from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.stability.pre_run import pre_run_warnings
@@ -535,7 +535,7 @@ def test_a_scene_lies_beyond_the_predictability_time_if_its_runs_part(
 ) -> None:
     times = np.linspace(0, WEAK.duration, 11)
     apart = np.where(times < 0.45e-3, 1e-12, level)
-    monkeypatch.setattr(predictability, "growth", lambda scene: (times, apart))
+    monkeypatch.setattr(find, "growth", lambda scene: (times, apart))
     boundary = next(item for item in find._predictability(WEAK) if isinstance(item, Boundary))
     assert boundary.beyond == beyond
     assert boundary.here == WEAK.duration
@@ -549,7 +549,7 @@ def test_a_scene_lies_beyond_the_predictability_time_if_its_runs_part(
 def test_the_longest_step_is_measured_where_that_takes_seconds(
     duration: float, measured: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(step_limit, "blow_up", lambda *_: 2e-6)
+    monkeypatch.setattr(find, "blow_up", lambda *_: 2e-6)
     scene = WEAK.replace(duration=duration)
     (boundary,) = find._step(scene, "native", "verlet")
     assert boundary.measured == pytest.approx(measured, nan_ok=True)

@@ -40,6 +40,7 @@ WRONG = {
 }
 
 MakeStepper = Callable[[Sequence[StepSchedule], Mapping[str, Array]], Stepper]
+Fill = Callable[[int, int], int]  # to a sample, by no more than so many steps; returns the steps
 
 
 class Motion(NamedTuple):
@@ -59,6 +60,33 @@ class Motion(NamedTuple):
     velocity: float
     lowest: float
     evaluations: float
+
+
+class Mover:
+    """A stepper that moves in short calls, so that a run can be stopped between them.
+
+    Attributes
+    ----------
+    stepper : Stepper
+    seconds : float
+        Time spent in it, s.
+    """
+
+    def __init__(self, stepper: Stepper, rate: float):
+        self.stepper = stepper
+        self.seconds = 0.0
+        self._rate = rate
+
+    def move(self, fill: Fill, until: int) -> bool:
+        """Move on by as many steps as take a tenth of a second; say whether it has arrived."""
+        # at the rate of the call before
+        max_steps = max(1, int(self._rate * PIECE_S))
+        began = clock()
+        steps = fill(until, max_steps)
+        spent_s = clock() - began
+        self._rate = steps / max(spent_s, 1e-9)
+        self.seconds += spent_s
+        return steps < max_steps or self.stepper.sample >= until
 
 
 class CompanionRun(Run):
@@ -96,9 +124,9 @@ class CompanionRun(Run):
         self._scenes = scenes
         self._twin = twin
         self._companions = Companions(method, scenes, candidate, twin)
+        self.realisations = len(scenes)
         self._make_steppers(make, state)
         self._chains: ChainBatch = self.native.chains
-        self.realisations = len(scenes)
         self._closest_allowed = self._bound_approach()
         self._lost: NDArray[np.bool_] | None = None  # realisations that companions have lost
         runs = len(self._companions.against)
@@ -106,18 +134,16 @@ class CompanionRun(Run):
         grains = self.scene.chain.grains
         self._together = math.lcm(self._companions.together, self._answer.stride)
         bytes_a_sample = 16 * (runs + 1) * self.realisations * grains
-        self._most = fit_block(BLOCK_BYTES // bytes_a_sample, samples, self._together)
-        self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
+        self._longest_block = fit_block(BLOCK_BYTES // bytes_a_sample, samples, self._together)
+        # a guess to begin with
+        self._sample_s = candidate.cost_s * self.realisations / samples
         # the fields of the companions, with sample 0 in the first block
-        self._fields = room_for(runs, self.realisations, self._most + 1, grains)
+        self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
         self._peaks = np.zeros((self.realisations, 2))
         self._sample = -1
         if state is not None:
             self._restore(state)
-        rate = GUESSED_RATE / (self.realisations * grains * method.evaluations)
-        self._rate = [rate] * len(self._steppers)
-        self._seconds = [0.0] * len(self._steppers)
         self._compared_s = 0.0
         self._setup_s = clock() - began
 
@@ -125,20 +151,21 @@ class CompanionRun(Run):
         """Make the stepper of the answer, and of the native runs beside it."""
         answer = self._companions.answer
         beside = self._companions.schedules
-        self._steppers: tuple[Stepper, ...]
         if self._twin:
             chains = ChainBatch(self._scenes)
             start = restrict("native", state)
             self.native = NativeStepper(chains, self.method, answer, start, companions=beside)
             self._answer = make((answer,), restrict("answer", state))
-            self._steppers = self._answer, self.native
+            steppers = [self._answer, self.native]
             evaluations = self.candidate.steps(self.scene.samples) * self.method.evaluations
             self._allowed = chains.allowed + 3 * rounded_energy(self.scene, evaluations)
         else:
             self._answer = make((answer, *beside), restrict("native", state))
             self.native = cast(NativeStepper, self._answer)
-            self._steppers = (self._answer,)
+            steppers = [self._answer]
             self._allowed = self.native.chains.allowed
+        work = self.realisations * self.scene.chain.grains * self.method.evaluations
+        self._movers = [Mover(stepper, GUESSED_RATE / work) for stepper in steppers]
 
     def _bound_approach(self) -> Array:
         """Return how much closer than at rest grains can come, (R,) m, unless a run is unstable."""
@@ -154,7 +181,8 @@ class CompanionRun(Run):
         differences = state["differences"].copy()
         peaks = state["peaks"].copy()
         self._sample = int(state["sample"])
-        apart = any(stepper.sample != max(self._sample, 0) for stepper in self._steppers)
+        begin = max(self._sample, 0)
+        apart = any(mover.stepper.sample != begin for mover in self._movers)
         fits = differences.shape == self._differences.shape and peaks.shape == self._peaks.shape
         if apart or not fits:
             raise ValueError("the state that was kept does not fit")
@@ -171,8 +199,8 @@ class CompanionRun(Run):
             answer = room_for(self.realisations, until + 1 - first, self.scene.chain.grains)
             if first == 0:
                 answer[0][:, 0], answer[1][:, 0] = self._chains.initial
-            for stepper, fill in enumerate(self._fills(answer, first)):
-                while not self._move(stepper, fill, until):
+            for mover, fill in zip(self._movers, self._fills(answer, first), strict=True):
+                while not mover.move(fill, until):
                     # adaptive steps of broken runs would be ever shorter
                     self._leave_broken(first, until)
                     nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
@@ -187,17 +215,16 @@ class CompanionRun(Run):
         Blocks end where all runs land on a sample together.
         """
         begin = max(self._sample, 0)
-        fit = min(self._most, int(BLOCK_S / self._sample_s))
+        fit = min(self._longest_block, int(BLOCK_S / self._sample_s))
         if begin + fit >= final:
             return final
-        count = max(1, fit // self._together) * self._together
-        return min(begin + count, final)
+        return min(begin + fit_block(fit, self.scene.samples, self._together), final)
 
     @property
     def _spent_s(self) -> float:
-        return sum(self._seconds) + self._compared_s
+        return sum(mover.seconds for mover in self._movers) + self._compared_s
 
-    def _fills(self, answer: tuple[Array, Array], first: int) -> list[Callable[[int, int], int]]:
+    def _fills(self, answer: tuple[Array, Array], first: int) -> list[Fill]:
         """Return the functions that move each stepper on and fill its fields."""
         if not self._twin:
             return [partial(self.native.fill, *answer, first, beside=self._fields)]
@@ -207,17 +234,6 @@ class CompanionRun(Run):
             partial(self._answer.fill, *answer, first),
             partial(self.native.fill, displacement[0], velocity[0], first, beside=beside),
         ]
-
-    def _move(self, stepper: int, fill: Callable[[int, int], int], until: int) -> bool:
-        """Move one stepper on for as long as nothing may interrupt; say whether it is there."""
-        # as many as take a tenth of a second, at the rate of the piece before
-        max_steps = max(1, int(self._rate[stepper] * PIECE_S))
-        began = clock()
-        steps = fill(until, max_steps)
-        spent_s = clock() - began
-        self._rate[stepper] = steps / max(spent_s, 1e-9)
-        self._seconds[stepper] += spent_s
-        return steps < max_steps or self._steppers[stepper].sample >= until
 
     def _leave_broken(self, first: int, until: int) -> None:
         """Leave native chains whose grains are too close; their error is infinite.
@@ -360,7 +376,7 @@ class CompanionRun(Run):
         steps = int(max(self._answer.steps.tolist()))
         # answer and companions are moved in one compiled call, which tells their shares
         share = 1.0 if self._twin else self.native.own_part
-        integration_s = share * self._seconds[0]
+        integration_s = share * self._movers[0].seconds
         return Cost(
             integration_s=integration_s,
             estimate_s=self._spent_s - integration_s,
@@ -380,15 +396,15 @@ class CompanionRun(Run):
             "differences": self._differences,
             "peaks": self.peaks,
         }
-        for stepper in self._steppers:
-            name = "native" if stepper is self.native else "answer"
-            state |= {f"{name}.{key}": array for key, array in stepper.state().items()}
+        for mover in self._movers:
+            name = "native" if mover.stepper is self.native else "answer"
+            state |= {f"{name}.{key}": array for key, array in mover.stepper.state().items()}
         return state
 
     def close(self) -> None:
         """Release every stepper."""
-        for stepper in self._steppers:
-            stepper.close()
+        for mover in self._movers:
+            mover.stepper.close()
 
 
 def fit_block(fit: int, samples: int, together: int) -> int:
