@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +13,8 @@ from ..engines.base import Engine
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
-from ..util.notebook import Shown
 from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
-from .streaming import Average, Draw, take_average
+from .streaming import Average, Averages, Draw, draw_mean, take_average
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,8 +23,8 @@ __all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "reali
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ensemble(Shown):
-    """Averages over disordered chains of the same scene.
+class Ensemble(Averages):
+    """Mean motion of disordered chains of one scene, with standard errors.
 
     Attributes
     ----------
@@ -55,23 +54,11 @@ class Ensemble(Shown):
         Chains with a contact that is compressed by more than a tenth of the diameter at rest.
     """
 
-    scene: Scene
-    m: float
-    seed: int
-    law: Law
-    of: Of
-    engine: str
-    equation: int
-    realisations: int
-    time: Array
     grains: np.ndarray
     displacement: Array
     velocity: Array
     displacement_error: Array
     velocity_error: Array
-    model_error: float
-    solver_error: float
-    squeezed: int
 
     def plot(self, ax: Axes | None = None, sample: int = -1) -> Axes:
         """Draw the mean velocity against grain number at one sample, and return the axes.
@@ -81,13 +68,9 @@ class Ensemble(Shown):
         from ..util.plotting import axes_in_units, legend, set_title
 
         ax = axes_in_units(ax, "", "m/s")
-        mean = self.velocity[sample]
-        band = 2 * self.velocity_error[sample]
         label = f"m = {self.m:g}: mean of {self.realisations} chains"
-        (line,) = ax.plot(self.grains, mean, label=label)
-        if self.realisations > 1:
-            shade: dict[str, Any] = {"color": line.get_color(), "alpha": 0.25, "lw": 0}
-            ax.fill_between(self.grains, mean - band, mean + band, label="± 2 st. errors", **shade)
+        mean = self.velocity[sample]
+        draw_mean(ax, self.grains, mean, self.velocity_error[sample], label, "± 2 st. errors")
         ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
         set_title(ax, f"t = {self.time[sample]:.4g} s")
         legend(ax)
@@ -160,28 +143,16 @@ def ensemble(
     ((2, 30), True)
     """
     first = Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
-    solver, average = take_average(
-        Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress
-    )
+    draw = Draw(scene, m, seed, law, of)
+    average, options = take_average(draw, realisations, engine, tolerance, first, progress)
     errors = average.errors
     return Ensemble(
-        scene=scene,
-        m=m,
-        seed=seed,
-        law=law,
-        of=of,
-        engine=solver.name,
-        equation=solver.equation,
-        realisations=realisations,
-        time=scene.time,
+        **options,
         grains=scene.recorded,
         displacement=average.mean[0],
         velocity=average.mean[1],
         displacement_error=errors[0],
         velocity_error=errors[1],
-        model_error=average.model,
-        solver_error=average.solver,
-        squeezed=average.squeezed,
     )
 
 

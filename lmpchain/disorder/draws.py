@@ -175,6 +175,7 @@ def _check_draw(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of)
 
 def _draw(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> Array:
     """Return the random factors of a realisation, one a contact or one a grain."""
+    # a stream of its own for each index: it does not matter which others are drawn
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     return _zeta(m, _count(chain, of), rng, law)
 
@@ -185,6 +186,7 @@ def _count(chain: Chain, of: Of) -> int:
 
 def _change(chain: Chain, zeta: Array, of: Of) -> Array:
     """Return the factors on contact constants for random factors zeta."""
+    # at a given force k goes as K^(1/delta)
     return chain.contacts.constant_for_stiffness(zeta) if of == "stiffness" else zeta
 
 
@@ -194,6 +196,7 @@ def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
     if of in OF_CONTACTS:
         fields["contact_constants"] = chain.contact_constants * _change(chain, zeta, of)
     elif of != "modulus":
+        # a grain of another diameter keeps its density
         fields["masses"] = chain.masses * (zeta**3 if of == "diameter" else zeta)
     # impurities do not go with given constants: their grains are given one by one
     impure = fields.pop("impurity", ())
@@ -228,19 +231,19 @@ def check(*faults: Fault) -> None:
 
 def _check_law(m: object, law: str) -> None:
     """Raise `InputError` unless m is a number above 0 and the law one of the two."""
-    right = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
-    wrong = None if right else ("m", f"must be a number above 0 (got {shown(m)})")
-    check(wrong, _fault_of_choice("law", law, ("dyson", "paper")))
+    valid = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
+    fault = None if valid else ("m", f"must be a number above 0 (got {shown(m)})")
+    check(fault, _fault_of_choice("law", law, ("dyson", "paper")))
 
 
-def fault_of_whole(key: str, value: object, least: int) -> Fault:
-    """Return what is wrong unless the value is a whole number from `least`."""
-    right = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least
-    return None if right else (key, f"must be a whole number from {least} (got {shown(value)})")
+def fault_of_whole(key: str, value: object, low: int) -> Fault:
+    """Return the fault of a value that is no whole number from `low` on, if it has one."""
+    valid = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= low
+    return None if valid else (key, f"must be a whole number from {low} (got {shown(value)})")
 
 
-def _fault_of_choice(key: str, value: object, known: Sequence[str]) -> Fault:
-    return None if value in known else (key, not_among(value, known))
+def _fault_of_choice(key: str, value: object, options: Sequence[str]) -> Fault:
+    return None if value in options else (key, not_among(value, options))
 
 
 def _check_of(chain: Chain, of: Of) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,17 +12,16 @@ from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.notebook import Shown
 from .draws import Law, Of, check, fault_of_whole
-from .streaming import Average, Draw, take_average
+from .streaming import Average, Averages, Draw, draw_mean, take_average
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Spreading(Shown):
-    """Spreading of energy in disordered chains of the same scene: means and their standard errors.
+class Spreading(Averages):
+    """Spreading of energy in disordered chains of one scene: means and their standard errors.
 
     The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and
     that of its contact with a wall.
@@ -45,25 +44,14 @@ class Spreading(Shown):
         As for `Ensemble`.
     """
 
-    scene: Scene
-    m: float
-    seed: int
-    law: Law
-    of: Of
-    engine: str
-    equation: int
-    realisations: int
-    time: Array
     second_moment: Array
     second_moment_error: Array
     participation: Array
     participation_error: Array
     transmitted: Array
     transmitted_error: Array
-    model_error: float
-    solver_error: float
-    squeezed: int
-    groups: Array = field(repr=False)  # sums of the second moments of every so many chains
+    # sums of the second moments of every sixteenth chain
+    groups: Array = field(repr=False)
 
     @property
     def profile(self) -> Array:
@@ -86,6 +74,7 @@ class Spreading(Shown):
             message = f"must leave three samples or more up to the end (got {shown(start)})"
             raise InputError.at("start", message)
         logarithm = np.log(self.time[within])
+        # samples are evenly spaced in time, and crowd in the last octave
         weight = np.sqrt(np.gradient(logarithm))
 
         def slope(moment: Array) -> float:
@@ -107,12 +96,9 @@ class Spreading(Shown):
             ("second_moment", "second moment, grains²"),
             ("participation", "participation, grains"),
         ):
-            mean = getattr(self, name)[1:]
-            band = 2 * getattr(self, f"{name}_error")[1:]
-            (line,) = ax.plot(self.time[1:], mean, label=label)
-            if self.realisations > 1:
-                shade: dict[str, Any] = {"color": line.get_color(), "alpha": 0.25, "lw": 0}
-                ax.fill_between(self.time[1:], mean - band, mean + band, **shade)
+            # the first sample is at t = 0, which a logarithm cannot show
+            error = getattr(self, f"{name}_error")[1:]
+            draw_mean(ax, self.time[1:], getattr(self, name)[1:], error, label)
         ax.set(xscale="log", yscale="log", xlabel="time, s")
         ax.set_ylabel(f"mean of {self.realisations} chains, m = {self.m:g}")
         legend(ax)
@@ -179,31 +165,17 @@ def spreading(
         groups=groups,
         linear=engines.get(engine).equation != 1,
     )
-    solver, average = take_average(
-        Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress
-    )
-    moment, participation = average.mean[:2]
-    transmitted = average.mean[2:].T
+    draw = Draw(scene, m, seed, law, of)
+    average, options = take_average(draw, realisations, engine, tolerance, first, progress)
     errors = average.errors
     return Spreading(
-        scene=scene,
-        m=m,
-        seed=seed,
-        law=law,
-        of=of,
-        engine=solver.name,
-        equation=solver.equation,
-        realisations=realisations,
-        time=scene.time,
-        second_moment=moment,
+        **options,
+        second_moment=average.mean[0],
         second_moment_error=errors[0],
-        participation=participation,
+        participation=average.mean[1],
         participation_error=errors[1],
-        transmitted=transmitted,
+        transmitted=average.mean[2:].T,
         transmitted_error=errors[2:].T,
-        model_error=average.model,
-        solver_error=average.solver,
-        squeezed=average.squeezed,
         groups=average.groups,
     )
 
@@ -216,31 +188,25 @@ class _Spread(Average):
     linear: bool = field(kw_only=True)
 
     def measure(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
-        (start,) = self._energy(scene, *(x[None] for x in scene.initial()))
+        start = self._energy(scene, *scene.initial())
         number = np.arange(1, start.size + 1)
         energy = self._energy(scene, displacement, velocity)
         # shares of the energy at every sample, whatever round-off makes of its sum
         share = energy / energy.sum(1)[:, None]
+        # distances are those from the centre of the energy that the excitation gives
         moment = share @ (number - start @ number / start.sum()) ** 2
+        # summed from the bottom: small shares far below keep their digits
         below = np.cumsum(share[:, :0:-1], axis=1)[:, ::-1]
         return np.concatenate(([moment, 1 / (share**2).sum(1)], below.T, np.zeros((1, len(share)))))
 
     def keep(self, number: int, samples: slice, value: Array) -> None:
         self.groups[number % len(self.groups), samples] += value[0]
 
-    def copy(self) -> _Spread:
-        return replace(
-            self, mean=self.mean.copy(), square=self.square.copy(), groups=self.groups.copy()
-        )
-
     def _energy(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
-        """Return the energy of every grain, (t, N) J."""
-        chain = scene.chain
-        closer = chain.contacts.closer(displacement)
-        of_contact = (
-            chain.contacts.stiffness / 2 * closer**2
-            if self.linear
-            else chain.contacts.energy(closer)
-        )
-        of_contact[:, 1:-1] /= 2
-        return chain.masses / 2 * velocity**2 + of_contact[:, :-1] + of_contact[:, 1:]
+        """Return the energy of every grain, (..., N) J."""
+        contacts = scene.chain.contacts
+        closer = contacts.closer(displacement)
+        elastic = contacts.stiffness / 2 * closer**2 if self.linear else contacts.energy(closer)
+        # two grains share their contact; a wall has no energy
+        elastic[..., 1:-1] /= 2
+        return scene.chain.masses / 2 * velocity**2 + elastic[..., :-1] + elastic[..., 1:]

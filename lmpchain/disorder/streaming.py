@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,14 +17,18 @@ from ..engines.step_control import Attempt, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.notebook import Shown
 from ..util.progress import ProgressBar
 from .draws import Law, Of, check, fault_of_whole, realisation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 BATCH = 16  # chains at a time
 
 
 class Draw(NamedTuple):
-    """The random chains of a scene, as `realisation` numbers them."""
+    """Random chains of a scene, numbered as by `realisation`."""
 
     scene: Scene
     m: float
@@ -74,10 +79,6 @@ class Average:
             bar.reach(self.count + len(scenes) * run.progress)
         self.count += len(scenes)
 
-    def copy(self) -> Average:
-        """Return one to go on with while this one is kept."""
-        return replace(self, mean=self.mean.copy(), square=self.square.copy())
-
     @property
     def errors(self) -> Array:
         """Standard errors of the means, (Q, T, ...); NaN for a single chain."""
@@ -86,25 +87,60 @@ class Average:
         return np.sqrt(self.square / (self.count - 1) / self.count)
 
 
-A = TypeVar("A", bound=Average)
+@dataclass(frozen=True, eq=False, repr=False)
+class Averages(Shown):
+    """Options and errors of averages over disordered chains; `Ensemble` explains them."""
+
+    scene: Scene
+    m: float
+    seed: int
+    law: Law
+    of: Of
+    engine: str
+    equation: int
+    realisations: int
+    time: Array
+    model_error: float
+    solver_error: float
+    squeezed: int
+
+
+def draw_mean(
+    ax: Axes, x: Array, mean: Array, error: Array, label: str, band_label: str | None = None
+) -> None:
+    """Draw a mean over chains in a band of two standard errors, unless there are none."""
+    (line,) = ax.plot(x, mean, label=label)
+    if not np.isnan(error).all():
+        shade: dict[str, Any] = {"color": line.get_color(), "alpha": 0.25, "lw": 0}
+        ax.fill_between(x, mean - 2 * error, mean + 2 * error, label=band_label, **shade)
 
 
 def take_average(
-    draw: Draw, realisations: int, engine: str | Engine, tolerance: float, first: A, progress: bool
-) -> tuple[Engine, A]:
-    """Return the engine, and the average over a number of chains; raises as `ensemble`.
+    draw: Draw,
+    realisations: int,
+    engine: str | Engine,
+    tolerance: float,
+    first: Average,
+    progress: bool,
+) -> tuple[Any, dict[str, Any]]:
+    """Return the average over a number of chains, and its fields of `Averages`.
 
     Parameters
     ----------
     first : Average
         Of no chain, to begin with.
+
+    Raises
+    ------
+    InputError, ToleranceNotMet, RunFailed
+        As `ensemble`.
     """
     check_tolerance(tolerance)
     check(fault_of_whole("realisations", realisations, 1))
     solver = engines.get(engine)
     if not solver.batches:
-        able = ", ".join(name for name in engines.names() if engines.get(name).batches)
-        message = f"random chains are for {able} (got {shown(solver.name)})"
+        names = ", ".join(name for name in engines.names() if engines.get(name).batches)
+        message = f"random chains are for {names} (got {shown(solver.name)})"
         raise InputError.at("engine", message)
     if reasons := solver.refuses(draw.number(0)):
         raise InputError(reasons)
@@ -113,31 +149,41 @@ def take_average(
     batch = max(1, min(BATCH, 2**24 // (16 * draw.scene.chain.grains)))
     with ProgressBar(realisations, f"m = {draw.m:g}", " chains", shown=progress) as bar:
         while average.count < realisations:
-            wanted = min(batch, realisations - average.count)
+            count = min(batch, realisations - average.count)
             # one step per full batch, so that results do not depend on the size of the ensemble
-            size = batch if solver.equation == 1 else wanted
+            size = batch if solver.equation == 1 else count
             scenes = [draw.number(index) for index in range(average.count, average.count + size)]
-            average = _add_batch(solver, scenes, wanted, tolerance, average, bar)
-    return solver, average
+            average = _add_batch(solver, scenes, count, tolerance, average, bar)
+    return average, {
+        **draw._asdict(),
+        "engine": solver.name,
+        "equation": solver.equation,
+        "realisations": realisations,
+        "time": draw.scene.time,
+        "model_error": average.model,
+        "solver_error": average.solver,
+        "squeezed": average.squeezed,
+    }
 
 
 def _add_batch(
     engine: Engine,
     scenes: Sequence[Scene],
-    wanted: int,
+    count: int,
     tolerance: float,
-    before: A,
+    before: Average,
     bar: ProgressBar,
-) -> A:
-    """Return the average with `wanted` scenes of a batch, at steps short enough for all."""
+) -> Average:
+    """Return the average with the first scenes of a batch, at steps short enough for all of it."""
     candidates = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
     hardest = max(candidates, key=lambda candidate: candidate.cost_s)
     candidate = hardest._replace(adaptive=any(other.adaptive for other in candidates))
 
-    def collect(run: Run) -> A:
-        average = before.copy()
-        average.add(run, scenes[:wanted], bar)
-        return average  # type: ignore[return-value]
+    def collect(run: Run) -> Average:
+        # steps that turn out too long are taken again, from what there was before
+        average = deepcopy(before)
+        average.add(run, scenes[:count], bar)
+        return average
 
     attempt = Attempt(engine.name, candidate, tolerance)
     outcome = solve_to_tolerance(engine, scenes, attempt, collect)
@@ -146,10 +192,10 @@ def _add_batch(
             f"in chains {before.count + 1} to {before.count + len(scenes)} {outcome.missed}"
         )
     average = outcome.collected
-    errors = outcome.errors[:wanted]
+    errors = outcome.errors[:count]
     average.model = max(average.model, *(error.model for error in errors))
     average.solver = max(average.solver, *(error.solver for error in errors))
-    average.squeezed += sum(_squeezes(scene.chain) for scene in scenes[:wanted])
+    average.squeezed += sum(_squeezes(scene.chain) for scene in scenes[:count])
     return average
 
 

@@ -148,9 +148,9 @@ def lyapunov(
     <1/k> = 1:
 
     >>> from scipy.stats import gamma
-    >>> found = lyapunov([0.1], gamma(6, scale=1 / 5), chains=100, seed=1)
+    >>> waves = lyapunov([0.1], gamma(6, scale=1 / 5), chains=100, seed=1)
     >>> law = 0.1**2 * (1 / 4) / 8
-    >>> bool(abs(found.exponent[0] - law) < 3 * found.error[0] < 0.2 * law)
+    >>> bool(abs(waves.exponent[0] - law) < 3 * waves.error[0] < 0.2 * law)
     True
     """
     omega, growth, _ = _transfer(
@@ -198,8 +198,8 @@ def density_of_states(
 
     >>> from scipy.stats import expon
     >>> from lmpchain.theory import dyson
-    >>> found = density_of_states([1.0, 2.0], ratios=expon(), grains=20_000, seed=1)
-    >>> bool((abs(found.integrated - dyson.integrated([1.0, 2.0], 1)) < 4 * found.error).all())
+    >>> states = density_of_states([1.0, 2.0], ratios=expon(), grains=20_000, seed=1)
+    >>> bool((abs(states.integrated - dyson.integrated([1.0, 2.0], 1)) < 4 * states.error).all())
     True
     """
     omega, _, nodes = _transfer(
@@ -227,20 +227,22 @@ def _transfer(
         fault_of_whole("chains", chains, 2),
         fault_of_whole("seed", seed, 0),
     )
-    passed = int(WARM_UP * grains)
+    warm_up = int(WARM_UP * grains)
     growth, nodes = np.zeros((2, chains, omega.size))
     with ProgressBar(chains * grains, "transfer matrices", " grains", shown=progress) as bar:
         for chain in range(chains):
+            # nothing is above the first grain: the force below is all that accelerates it
             z = omega**2
-            done = 0
+            position = 0
             rng = np.random.default_rng([seed, chain])
             for a, b in _pieces(stiffness, masses, ratios, grains, rng):
-                skip = min(max(passed - done, 0), a.size)
+                # grains of the warm-up move z on, and their growth is thrown away
+                skip = min(max(warm_up - position, 0), a.size)
                 _pass(a[:skip], b[:skip], omega**2, z, np.empty(omega.size), np.empty(omega.size))
                 _pass(a[skip:], b[skip:], omega**2, z, growth[chain], nodes[chain])
-                done += a.size
-                bar.reach(chain * grains + done)
-    return omega, growth / (grains - passed), nodes / (grains - passed)
+                position += a.size
+                bar.reach(chain * grains + position)
+    return omega, growth / (grains - warm_up), nodes / (grains - warm_up)
 
 
 def _pieces(
@@ -251,6 +253,7 @@ def _pieces(
     rng: np.random.Generator,
 ) -> Iterator[tuple[Array, Array]]:
     """Yield k_n / m_n and k_n / m_(n+1) of a chain, piece by piece."""
+    # the last grain of a piece is the first of the next
     mass = _draw("masses", masses, 1, rng)
     for first in range(0, grains, PIECE):
         size = min(PIECE, grains - first)
