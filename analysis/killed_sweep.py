@@ -1,10 +1,9 @@
 """A large sweep, killed again and again, ends with the bytes of one that was left alone.
 
 Arrival times and largest velocities of random columns like the paper's are kept, as in
-`sweep_speed.py`. The process that leads is killed when as many shards are written as chance says; the
-memory of every process is watched.
-Each folder is hashed and removed; 10^6 scenes take some 4 GB meanwhile, so name a folder with room
-for them.
+`sweep_speed.py`. The process that leads is killed when as many shards are written as chance says;
+the memory of every process is watched. Each folder is hashed and removed; 10^6 scenes take some
+4 GB meanwhile, so name a folder with room for them.
 """
 
 import argparse

@@ -45,6 +45,7 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
         number = float(value[0]) if name in NUMBERS else value
         match name:
             case "displacement" | "velocity":
+                # the other of the two stays as the excitation gives it
                 start = dict(zip(("displacement", "velocity"), scene.initial(), strict=True))
                 scene = scene.replace(excitation=Profile(**start | {name: value}))
             case "drive" | "force":

@@ -93,14 +93,8 @@ class Fit:
         growth = np.zeros(points)
         for k, offset in enumerate(offsets):
             theta = problem.free(self.estimate + along * offset)
-
-            def complete(rest: Array, theta: Array = theta) -> Array:
-                complete = theta.copy()
-                complete[others] = rest
-                return complete
-
             if others.any():
-                theta = complete(problem.least(theta[others], complete, others))
+                theta = problem.minimise(theta, others)
             growth[k] = problem.chi_square(theta) - self.chi_square
         return self.estimate[index] + offsets, growth
 
@@ -120,6 +114,7 @@ class Fit:
         walkers = max(walkers, 2 * count + 2)
 
         def log_probability(estimate: Array) -> float:
+            # a scene that cannot be has no probability
             try:
                 return -0.5 * problem.chi_square(problem.free(estimate))
             except (InputError, RunFailed):
@@ -127,6 +122,7 @@ class Fit:
 
         sampler = emcee.EnsembleSampler(walkers, count, log_probability)
         sampler.random_state = np.random.RandomState(seed).get_state()
+        # walkers begin where linear theory of errors has them: hardly any are thrown away
         start = rng.multivariate_normal(self.estimate, self.covariance, walkers)
         steps = -(-samples // walkers)
         state = sampler.run_mcmc(start, max(50, steps // 10))
@@ -204,17 +200,18 @@ def fit(
     if not measured or not all(isinstance(trace, Traces) for trace in measured):
         raise InputError.at("traces", f"must be Traces, or several (got {shown(traces)})")
     names = [parameters] if isinstance(parameters, str) else parameters
-    wanted = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names, "common")
+    choices = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names, "common")
     ends = [trace.time[-1] for trace in measured if not trace.trigger]
     _check_reach(scene, max(ends, default=0.0))
-    problem = Problem(scene, measured, wanted)
+    problem = Problem(scene, measured, choices)
     first = problem.looks
     theta = np.zeros(len(problem.names))
 
     def attempt(halvings: int) -> Attempt[_Estimate]:
         nonlocal theta
         problem.looks = first * 2**halvings
-        theta = problem.least(theta, lambda rest: rest, slice(None))
+        # each from the estimate at longer steps, which is near
+        theta = problem.minimise(theta)
         estimate = _estimate(problem, theta)
         allowed = BIAS * np.sqrt(np.diag(estimate.covariance)) + 1e-9
         return Attempt(estimate, float((estimate.bias / allowed).max()))
@@ -225,6 +222,7 @@ def fit(
         message = "the steps change the estimates however short they are: use a shorter time"
         raise ToleranceNotMet(message)
     estimates = problem.estimates(theta)
+    # the end of a trace is known with the time of its strike only
     for name, value in zip(problem.names, estimates, strict=True):
         if name.startswith("trigger"):
             for trace in measured:
@@ -254,20 +252,21 @@ class _Estimate(NamedTuple):
 
 
 def _estimate(problem: Problem, theta: Array) -> _Estimate:
-    """Return the uncertainty of relative changes, and their error as half the steps show it."""
-    left, jacobian = problem.residuals(theta, True)
+    """Return the uncertainty of relative changes, and their error by a run of half the steps."""
+    residuals, jacobian = problem.residuals(theta, True)
     scale = np.linalg.norm(jacobian, axis=0)
     if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
         message = "the traces do not tell these apart: fit fewer of them"
         raise InputError.at("parameters", message)
     # of scaled columns, whose condition tells whether unknowns can be told apart
     inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
-    freedom = left.size - theta.size
-    square = float(left @ left)
+    freedom = residuals.size - theta.size
+    square = float(residuals @ residuals)
+    # noise that is not given is as large as the residuals show it
     if not problem.noisy:
         problem.variance = max(square, np.finfo(float).tiny) / max(freedom, 1)
     problem.looks *= 2
     finer = problem.residuals(theta)[0]
     problem.looks //= 2
-    bias = SAFETY * np.abs(inverse @ jacobian.T @ (finer - left))
+    bias = SAFETY * np.abs(inverse @ jacobian.T @ (finer - residuals))
     return _Estimate(problem.variance * inverse, square, freedom, bias)

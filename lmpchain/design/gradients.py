@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -89,6 +89,7 @@ class Gradient(Mapping[str, Array]):
 def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
     """Return the number of times after t = 0 of an objective: samples, or a multiple of them."""
     looks = scene.samples - 1
+    # a peak or a crossing may lie between two samples
     if objective.dense:
         turn = scene.duration / looks * scene.highest_frequency
         looks *= finer * max(1, math.ceil(turn / RUNS.look))
@@ -159,16 +160,13 @@ def at_step(
     return Answer(value, {name: params.pull(scene, inputs, name) for name in task.names}, run)
 
 
-Judgement = TypeVar("Judgement")
-
-
 def refine(
     solve: Callable[[float, int], Answer],
-    judge: Callable[[Answer, Sequence[Answer]], Judgement],
-    excess: Callable[[Judgement], float],
+    judge: Callable[[Answer, Sequence[Answer]], Any],
+    excess: Callable[[Any], float],
     first: float,
-    most: int,
-) -> Judgement:
+    answers: int,
+) -> Any:
     """Halve steps until the error of an answer, which runs with other steps show, is allowed.
 
     Parameters
@@ -182,8 +180,8 @@ def refine(
         Of a judgement: its error over the error allowed.
     first : float
         The longest step of an answer, s; it is judged by one twice as long.
-    most : int
-        Most answers.
+    answers : int
+        Most of them.
 
     Returns
     -------
@@ -191,9 +189,10 @@ def refine(
     """
     before = solve(2 * first, 1)
 
-    def attempt(halvings: int) -> Attempt[Judgement]:
+    def attempt(halvings: int) -> Attempt[Any]:
         nonlocal before
         finer = 2 ** (halvings + 1)
+        # the answer of one attempt is what the next is compared with
         coarse = before
         answer = before = solve(coarse.run.step / 2, finer)
         judgement = judge(answer, [coarse])
@@ -205,7 +204,7 @@ def refine(
             judgement = judge(answer, [coarse, solve(step, finer)])
         return Attempt(judgement, excess(judgement))
 
-    return halve(attempt, most).answer
+    return halve(attempt, answers).answer
 
 
 def _compare(task: Task, answer: Answer, others: Sequence[Answer]) -> Gradient:
@@ -239,13 +238,14 @@ def _compare(task: Task, answer: Answer, others: Sequence[Answer]) -> Gradient:
 
 
 def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
-    """Return how large the terms are whose sums are the derivatives of a value by all inputs.
+    """Return the sizes of the terms whose sums are the derivatives of a value by all inputs.
 
     Such as that value over an input, or, as it may be 0 itself, the part of it that an initial
     motion or a drive adds.
     """
     present = params.inputs(scene)
     pairs = list(zip(inputs, present, strict=True))
+    # masses, constants and forces come first, initial motion and drive after them
     total = abs(value) + sum(float(np.abs(slope) @ np.abs(x)) for slope, x in pairs[3:])
     return Inputs(
         *(
@@ -324,7 +324,7 @@ def gradient(
     if adaptive and not method.adaptive:
         raise InputError.at("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")
     task = Task(scene, objective, names, method, adaptive)
-    answer = refine(
+    answer: Gradient = refine(
         task.solve,
         lambda answer, others: _compare(task, answer, others),
         lambda judgement: 0.0 if step else judgement.error / tolerance,

@@ -20,17 +20,17 @@ from .seen import Seen, Slopes, contact_force, quadrature
 
 
 class Objective(Protocol):
-    """A number of a motion, and its derivatives."""
+    """A number that a motion gives, and its derivatives by the motion and the chain."""
 
     @property
     def dense(self) -> bool:
-        """Whether it needs times between the samples."""
+        """Whether the number depends on the motion between the samples, too."""
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains that it looks at; raises `InputError` if there is no such value."""
+        """Return the grains whose motion counts; raises `InputError` if there is no such value."""
 
     def __call__(self, view: Seen) -> Slopes:
-        """Return its value and derivatives."""
+        """Return the value and its derivatives."""
 
 
 def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
@@ -83,6 +83,7 @@ class PeakForce:
         """Return the smooth maximum and its derivatives."""
         force = contact_force(view, self.contact)
         largest = force.value.max()
+        # a contact that stays open: the derivative by all is 0
         if largest == 0:
             return view.slopes(0.0)
         share = force.value / largest
@@ -153,6 +154,7 @@ class Energy(_AtTime):
         """Return the group and its neighbours."""
         group = super().grains(scene)
         _check_still(scene, 0 if 1 in group else 1)
+        # the energy of a contact depends on both of its grains
         near = {other for grain in group for other in (grain - 1, grain, grain + 1)}
         return sorted(near & set(range(1, scene.chain.grains + 1)))
 
@@ -223,7 +225,7 @@ class ArrivalTime:
         return _check_grains(scene, [self.grain])
 
     def __call__(self, view: Seen) -> Slopes:
-        """Return the time and its derivatives; raises `InputError` if it is never that fast."""
+        """Return the time and its derivatives; raises `InputError` if the grain is too slow."""
         from scipy.optimize import brentq
 
         v = view.velocity[:, view.column(self.grain)]
@@ -234,6 +236,7 @@ class ArrivalTime:
                 reason = "has that velocity at once"
             message = f"grain {self.grain} {reason}: use another threshold"
             raise InputError.at("velocity", message)
+        # the crossing lies between the second and the third time, except at the ends
         first = int(np.clip(above[0] - 2, 0, v.size - 4))
         near = v[first : first + 4]
         step = view.time[1]

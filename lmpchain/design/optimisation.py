@@ -230,7 +230,7 @@ def optimise(
         numbers = box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed
         task = repr((scene.to_text(), type(objective).__name__, vars(objective), names, numbers))
     store = None if folder is None else _Store(Path(folder), sha256(task.encode()).hexdigest())
-    finished = [] if store is None else store.finished()
+    finished = [] if store is None else store.read()
     sign = -1.0 if maximise else 1.0
     first = _value(changed(scene, box.values(box.start)), objective, tolerance)
     descent = _Descent(box, objective, constraints, sign, runs, min(RUNS.turn, first.turn))
@@ -238,7 +238,7 @@ def optimise(
         for begin in begins[len(finished) :]:
             finished.append(_descend(descent, begin))
             if store is not None:
-                store.keep(finished)
+                store.write(finished)
             bar.advance()
             bar.describe(f"starts, best {sign * min(start.value for start in finished):.6g}")
     best = min(finished, key=lambda start: start.value)
@@ -270,7 +270,7 @@ def _value(scene: Scene, objective: Objective, tolerance: float) -> _Value:
     return refine(
         lambda step, _: at_step(scene, objective, (), method, step),
         judge,
-        lambda found: found.error / (tolerance * abs(found.value) or np.finfo(float).tiny),
+        lambda value: value.error / (tolerance * abs(value.value) or np.finfo(float).tiny),
         RUNS.turn / fastest,
         RUNS.halvings,
     )
@@ -329,16 +329,18 @@ def _descend(descent: _Descent, begin: Array) -> Start:
         nonlocal best, scale
         if len(history) == descent.runs:
             raise _Exhausted
+        # SLSQP may leave its bounds by round-off
         at = np.clip(at, 0.0, 1.0)
-        found, slopes = descent.solve(at)
-        history.append(found)
+        result, slopes = descent.solve(at)
+        history.append(result)
         # without an answer: far above all values, which are of the order of 1
-        if not np.isfinite(found):
+        if not np.isfinite(result):
             return 1e3, slopes
-        scale = scale or abs(found) or 1.0
-        if found < best.value and descent.allows(at):
-            best = Start(found, at.copy(), best.history)
-        return found / scale, slopes / scale
+        # tolerances of the optimisers are absolute: the first value is their unit
+        scale = scale or abs(result) or 1.0
+        if result < best.value and descent.allows(at):
+            best = Start(result, at.copy(), best.history)
+        return result / scale, slopes / scale
 
     limits = [
         {
@@ -372,7 +374,7 @@ class _Store:
         self.task = task
         folder.mkdir(parents=True, exist_ok=True)
 
-    def finished(self) -> list[Start]:
+    def read(self) -> list[Start]:
         """Return the starts that are finished; raises `InputError` if they are of another task."""
         if not self.path.exists():
             return []
@@ -390,7 +392,7 @@ class _Store:
             raise InputError.at("folder", message)
         return starts
 
-    def keep(self, starts: list[Start]) -> None:
+    def write(self, starts: list[Start]) -> None:
         """Write all starts that are finished."""
         rows = [
             {"value": value, "at": at.tolist(), "history": history.tolist()}

@@ -55,7 +55,7 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _refuse(scene: Scene, name: str) -> str:
-    """Return why a scene has no derivative by a parameter of this name; empty if it has one."""
+    """Return the reason why a scene has no derivative by a parameter; empty if it has one."""
     chain = scene.chain
     course = _course(scene)
     match name:
@@ -170,6 +170,7 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
         return {"constants": _by_modulus(chain)}
     if name == "diameters":
         fixed = [impurity.grain for impurity in chain.impurity if impurity.mass]
+        # a mass that is given does not follow from the diameter
         follows = ~np.isin(np.arange(chain.grains) + 1, fixed)
         follows &= chain.given_masses is None
         return {

@@ -110,6 +110,7 @@ def quadrature(size: int) -> Array:
     # backward differences at either end, as far as they do not overlap
     for k, gregory in enumerate((1 / 12, 1 / 24, 19 / 720, 3 / 160, 863 / 60480), 1):
         if 2 * k < size:
+            # the k-th difference has alternating binomial coefficients
             change = [gregory * (-1) ** j * math.comb(k, j) for j in range(k + 1)]
             weight[: k + 1] -= change
             weight[-k - 1 :] -= change[::-1]

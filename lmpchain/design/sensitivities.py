@@ -24,9 +24,21 @@ if TYPE_CHECKING:
 ROWS = 12  # of a table
 # of drawn chains: they are some 5 % off where an answer is well beyond first order
 PAIRS = 16
+# in the order of a table: what a chain is, then what happens to it
 CANDIDATES = (
-    *("diameters", "youngs_moduli", "masses", "contact_constants", "wall_constants", "top_load"),
-    *("gravity", "velocity", "displacement", "drive", "force", "amplitude", "frequency"),
+    "diameters",
+    "youngs_moduli",
+    "masses",
+    "contact_constants",
+    "wall_constants",
+    "top_load",
+    "gravity",
+    "velocity",
+    "displacement",
+    "drive",
+    "force",
+    "amplitude",
+    "frequency",
 )
 # parameters that count where they are given in place of diameters and moduli
 OVERRIDES = ("masses", "contact_constants", "wall_constants")
@@ -150,6 +162,7 @@ class Sensitivity:
         for name, change in self.relative.items():
             if change.size <= 2:
                 continue
+            # a contact is drawn between its two grains
             at = np.arange(1, change.size + 1) + (0.5 if name == "contact_constants" else 0.0)
             label = name.replace("_", " ")
             line: dict[str, Any] = {"color": next(colours), "marker": ".", "ms": 3, "lw": 0.9}
@@ -195,11 +208,11 @@ def objective(of: str) -> tuple[Objective, str]:
 
 def _parameters(scene: Scene) -> list[str]:
     """Return the parameters of an answer: diameters and moduli, or those given in their place."""
-    given = scene.chain.given().keys()
-    derived = not {"masses", "contact_constants"} <= given
+    fields = scene.chain.given().keys()
+    derived = not {"masses", "contact_constants"} <= fields
     names = []
     for name in CANDIDATES:
-        if name in OVERRIDES and name not in given:
+        if name in OVERRIDES and name not in fields:
             continue
         # nothing follows from diameters and moduli if masses and constants are given
         if name in ("diameters", "youngs_moduli") and not derived:
@@ -208,6 +221,7 @@ def _parameters(scene: Scene) -> list[str]:
             params.check(scene, [name])
         except InputError:
             continue
+        # a relative change of 0 is none
         if params.values(scene, name).any():
             names.append(name)
     return names
@@ -291,6 +305,7 @@ def _draw_pairs(
     )
     if first == 0:
         return 0.0, 0.0
+    # the same chains in every call, so that answers can be compared
     rng = np.random.default_rng(0)
     method = SPLITTINGS[slopes.integrator]
 

@@ -101,6 +101,7 @@ class Traces:
             lines = Path(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
         except OSError as error:
             raise InputError.at(str(path), error.strerror or "cannot be read") from error
+        # decimal points only: a comma may part the columns
         for line in lines:
             words = line.replace(";", ",").replace("\t", ",").split(",")
             try:

@@ -82,16 +82,18 @@ class Problem:
                 message = "is 0 everywhere, which no factor changes: name entries"
                 raise InputError.at(name, message)
             entries = base[base != 0]
+            # entries that are all alike are estimated in their own unit, others by a factor
             unit = float(entries[0]) if (entries == entries[0]).all() else 1.0
             self._add(name, unit, unit)
             self.along.append((name, base))
             return
-        each = isinstance(choice, str) and choice == "each"
-        numbers = range(1, base.size + 1) if each else choice
+        all_entries = isinstance(choice, str) and choice == "each"
+        numbers = range(1, base.size + 1) if all_entries else choice
         if isinstance(numbers, str) or not all(1 <= number <= base.size for number in numbers):
             message = f'must be "common", "each" or numbers from 1 to {base.size}'
             raise InputError.at(name, f"{message} (got {shown(choice)})")
         for number in numbers:
+            # an entry that is 0 changes in units of the largest
             unit = float(base[number - 1]) or float(np.abs(base).max()) or 1.0
             self._add(f"{name} {number}", float(base[number - 1]), unit)
             self.along.append((name, unit * (np.arange(base.size) == number - 1)))
@@ -113,7 +115,7 @@ class Problem:
         return values
 
     def _directions(self, scene: Scene) -> Inputs:
-        """Return how all inputs change with each relative change of the scene."""
+        """Return the changes of all inputs with each relative change of the scene."""
         changes = [params.push(scene, name, direction[None]) for name, direction in self.along]
         return Inputs(*(np.concatenate(inputs) for inputs in zip(*changes, strict=True)))
 
@@ -125,6 +127,7 @@ class Problem:
         run = DifferentiableRun(scene, SPLITTINGS["rkn4"], scene.duration, self.looks, self.grains)
         if not np.isfinite(run.velocity).all():
             raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s")
+        # nuisances of the traces alone need no tangent of the motion
         change = self._directions(scene) if derivatives and self.along else None
         motion = None if change is None else run.push(change)
         predictions = []
@@ -148,6 +151,7 @@ class Problem:
                 rate = spline(inside, 1)[:, 0] * ((when > 0)[:, None])
                 jacobian[index] = -rate * self.units[index]
                 index += 1
+            # each nuisance takes the next of the unknowns, in the order in which they were added
             if trace.gain:
                 gain = 1.0 + theta[index]
                 jacobian *= gain
@@ -181,19 +185,21 @@ class Problem:
         """Return the sum of squares of the residuals, over the noise."""
         return float((self.residuals(theta)[0] ** 2).sum()) / self.variance
 
-    def least(self, start: Array, complete: Any, free: Any) -> Array:
-        """Return the least squares, by Gauss and Newton's steps within a trust region.
+    def minimise(self, start: Array, free: Any = slice(None)) -> Array:
+        """Return the relative changes of least squares, by Gauss-Newton steps in a trust region.
 
         Parameters
         ----------
-        start : array
-            Of the relative changes that are free.
-        complete : function
-            Returns all of them from the free ones.
+        start : (K,) array
         free : index
-            Of the free ones among all.
+            Of those that may change; by default all may.
         """
         from scipy.optimize import least_squares
+
+        def complete(rest: Array) -> Array:
+            theta = start.copy()
+            theta[free] = rest
+            return theta
 
         lowest = np.full(len(self.names), -np.inf)
         for index, (name, _) in enumerate(self.along):
@@ -203,9 +209,9 @@ class Problem:
         size = 1.0
         if all(trace.noise is None for trace in self.traces):
             size = max(float(np.abs(trace.values).max()) for trace in self.traces) or 1.0
-        return least_squares(
+        fitted = least_squares(
             lambda rest: self.residuals(complete(rest))[0] / size,
-            start,
+            start[free],
             lambda rest: self.residuals(complete(rest), True)[1][:, free] / size,
             x_scale="jac",
             xtol=1e-12,
@@ -213,4 +219,5 @@ class Problem:
             gtol=1e-12,
             max_nfev=100,
             bounds=(lowest[free], np.inf),
-        ).x
+        )
+        return complete(fitted.x)

@@ -1,4 +1,4 @@
-"""Families of orbits that close: whether one comes back to orbits that it has been through."""
+"""Closed families of orbits, which come back to orbits that they have been through."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from .shooting import Constraint, Equations, Point, Solution
 
 @dataclass(frozen=True)
 class Closing:
-    """When an orbit of a family is an earlier one.
+    """Tolerances within which an orbit of a family is an earlier one.
 
     Attributes
     ----------
     near : float
         Distance of an earlier orbit from the way of the family, over the step, up to which the
         two are compared.
-    same : float
+    equal : float
         Relative distance of two equal orbits, beside ten times the errors of their steps.
     """
 
     near: float = 0.05
-    same: float = 1e-8
+    equal: float = 1e-8
 
 
 CLOSING = Closing()
@@ -41,7 +41,7 @@ class Aspect(NamedTuple):
 
 
 def aspects(equations: Equations, member: Member) -> list[Aspect]:
-    """Return an orbit, and the same half a period later if it rests there in another state."""
+    """Return an orbit at t = 0, and half a period later if it rests there in another state."""
     point = member.solution.point
     mesh = member.solution.mesh
     states = [Aspect(member.unknown, member.orbit.error)]
@@ -71,6 +71,7 @@ def returns(
     length = float(np.linalg.norm(step))
     middle = (start.unknown + end.unknown) / 2
     for aspect in earlier:
+        # no orbit further from the middle than the step is long lies beside it
         far = np.linalg.norm(aspect.unknown - middle) > length
         if aspect.unknown is start.unknown or far:
             continue
@@ -101,4 +102,4 @@ def _curve(start: Member, end: Member, length: float) -> Array:
 
 def _equal(unknown: Array, other: Array, error: float) -> bool:
     difference = np.abs(unknown - other).max()
-    return bool(difference < (CLOSING.same + 10 * error) * np.abs(other).max())
+    return bool(difference < (CLOSING.equal + 10 * error) * np.abs(other).max())

@@ -42,18 +42,18 @@ ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
 @dataclass(frozen=True)
 class Steps:
-    """Lengths of steps along a family, and when it is given up.
+    """Lengths of steps along a family, and limits beyond which it is given up.
 
     Attributes
     ----------
     first, smallest : float
         Over the size of the orbit.
     longest : float
-        The same; 1 would go down to rest.
+        Over the size of the orbit, too; 1 would go down to rest.
     straight : float
         Cosine of the angle between two directions from which on the next step may be longer.
     bent : float
-        The same, below which this one is too long.
+        That cosine below which this step is too long.
     easy : int
         Iterations of Newton's method up to which the next step may be longer.
     still : float
@@ -248,9 +248,10 @@ class _March:
         self.reached = self.miss == 0
         self.ending: Ending | None = None
         self.length = STEPS.first * curve.size(start)
-        # tries, and the way gone, since the family last moved on; work to locate events
+        # steps tried, and the distance that they led, since the family last moved on
         self.tries = 0
-        self.gone = 0.0
+        self.distance = 0.0
+        # to locate events, in unknowns times steps
         self.work = 0.0
 
     @property
@@ -276,11 +277,11 @@ class _March:
             self._locate_events(start, end, self.events)
         self.members.append(end)
         self.miss = self.curve.miss(end, self.target)
-        self.gone += float(np.linalg.norm(end.unknown - start.unknown)) / self.curve.size(end)
+        self.distance += float(np.linalg.norm(end.unknown - start.unknown)) / self.curve.size(end)
         # a family that moves on may try as often again
-        if self.gone > STEPS.still:
+        if self.distance > STEPS.still:
             self.tries = 0
-            self.gone = 0.0
+            self.distance = 0.0
         equations = self.curve.equations
         if not self.reached and returns(self.curve.solve, equations, self.earlier, start, end):
             self.ending = Ending.RETURNED
@@ -337,11 +338,11 @@ class _March:
             self.ending = Ending.CROWDED
 
     def family(self, name: str, until: float) -> Family:
-        """Return the orbits so far, their events, and why there are no more."""
+        """Return the orbits with their events, and the reason why there are no more."""
         members = self.members
-        ended = ""
+        reason = ""
         if self.ending:
-            ended = self.ending.value.format(
+            reason = self.ending.value.format(
                 orbits=self.points,
                 position=self.curve.position(members[-1]),
                 until=until,
@@ -353,7 +354,7 @@ class _March:
             name,
             tuple(self.events or ()),
             self.reached,
-            ended,
+            reason,
         )
 
 
@@ -437,7 +438,7 @@ def _curve(
     until: float,
     hold: str,
 ) -> tuple[Curve, Point]:
-    """Return the family of an orbit, and the point of the orbit on it."""
+    """Return the family that an orbit belongs to, and the point of the orbit there."""
     if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
         raise InputError.at("until", f"must be a number (got {shown(until)})")
     if hold not in ("period", "energy") or (hold == "energy" and orbit.drive is not None):
@@ -450,11 +451,13 @@ def _curve(
             raise InputError.at("until", f"must be above 0 for the {parameter} (got {until:g})")
         equations = _equations(orbit, lambda _: orbit.flow, 0.0)
         return Curve(equations, (), str(parameter)), Point(orbit.state, orbit.period)
-    chain_at, value, drive_at = _vary(orbit, parameter, start)
+    system_at, value = _vary(orbit, parameter, start)
 
+    # every residual at one value of the parameter runs the same flow
     @lru_cache(maxsize=8)
     def flow_at(number: float) -> Flow:
-        return Flow(chain_at(number), orbit.flow.rate, drive_at(number), orbit.flow.cycles)
+        chain, drive = system_at(number)
+        return Flow(chain, orbit.flow.rate, drive, orbit.flow.cycles)
 
     # values that the chain does not allow are refused at once
     flow_at(until)
@@ -471,21 +474,20 @@ def _equations(orbit: Orbit, flow_at: Callable[[float], Flow], scale: float) -> 
 
 def _vary(
     orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None
-) -> tuple[Callable[[float], Chain], float, Callable[[float], Drive | None]]:
-    """Return chain and drive as functions of the parameter, and its value for this orbit."""
+) -> tuple[Callable[[float], tuple[Chain, Drive | None]], float]:
+    """Return chain and drive as a function of the parameter, and its value for this orbit."""
     chain = orbit.chain
     drive = orbit.drive
     if not isinstance(parameter, str):
         if start is None:
             message = "is missing: the value for which the function gives the chain of the orbit"
             raise InputError.at("start", message)
-        return parameter, float(start), lambda _: drive
+        return lambda number: (parameter(number), drive), float(start)
     if parameter == "amplitude":
         if drive is None:
             message = "amplitude is that of a drive, and the orbit is not driven"
             raise InputError.at("parameter", message)
-        amplitude = float(drive.amplitude)
-        return lambda _: chain, amplitude, lambda number: drive.replace(amplitude=number)
+        return lambda number: (chain, drive.replace(amplitude=number)), float(drive.amplitude)
     element = ELEMENT.fullmatch(parameter)
     name = element[1] if element else parameter
     value = chain.diameters if element and name == "diameter" else getattr(chain, name, None)
@@ -493,13 +495,13 @@ def _vary(
     if element and field and isinstance(value, np.ndarray) and 1 <= int(element[2]) <= value.size:
         index = int(element[2]) - 1
 
-        def with_element(number: float) -> Chain:
+        def with_element(number: float) -> tuple[Chain, Drive | None]:
             values = value.copy()
             values[index] = number
-            return chain.replace(**{name: values})
+            return chain.replace(**{name: values}), drive
 
-        return with_element, float(value[index]), lambda _: drive
+        return with_element, float(value[index])
     if element or not field or type(value) is not float:
         message = "must be energy, period, amplitude or a number of the chain"
         raise InputError.at("parameter", f"{message} (got {shown(parameter)})")
-    return lambda number: chain.replace(**{name: number}), value, lambda _: drive
+    return lambda number: (chain.replace(**{name: number}), drive), value

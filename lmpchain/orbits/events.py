@@ -18,7 +18,7 @@ EVENTS = ("fold", "period doubling", "Neimark-Sacker", "branch point")
 
 @dataclass(frozen=True)
 class Location:
-    """How accurately an event is located.
+    """Tolerances of the location of an event.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Location:
     tries : int
         Most orbits for an event.
     near : float
-        Where it is, of the step in which it lies.
+        Of its place, over the step in which it lies.
     """
 
     split: float = 1e-6
@@ -104,6 +104,7 @@ def locate(
         side = int(count != before)
         bounds[side] = position
         values[side] = _distance(kind, member, centre, count == larger)
+        # Illinois: a bound that stays twice would hold the line back
         if side == previous:
             values[1 - side] /= 2
         if side:
@@ -115,7 +116,8 @@ def locate(
 
 
 def _propose(bounds: list[float], values: list[float], halve: bool) -> float:
-    """Return where the line through two values of a number passes zero, but not next to a bound."""
+    """Return the zero of the line through two values of a number, but not next to a bound."""
+    # values are sizes: of the two signs, one lies at either bound
     total = sum(values)
     share = 0.5 if halve or not total else values[0] / total
     return bounds[0] + (bounds[1] - bounds[0]) * min(max(share, 0.02), 0.98)
@@ -134,9 +136,8 @@ def _count(kind: str, member: Member) -> int:
 
 def _centre(member: Member) -> float:
     """Return the mean at which two pairs of multipliers have met: those that are least apart."""
-    mean = member.orbit.means
-    apart = mean[np.abs(mean.imag) > LOCATION.split]
-    return float(apart.real[np.abs(apart.imag).argmin()]) if apart.size else 0.0
+    pairs = _complex(member.orbit.means)
+    return float(pairs.real[np.abs(pairs.imag).argmin()]) if pairs.size else 0.0
 
 
 def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
@@ -151,11 +152,16 @@ def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
     real = np.sort(_real(mean))
     if kind == "Neimark-Sacker":
         if met:
-            apart = mean.imag[np.abs(mean.imag) > LOCATION.split]
-            return float((4 * apart**2).min()) if apart.size else 0.0
+            pairs = _complex(mean)
+            return float((4 * pairs.imag**2).min()) if pairs.size else 0.0
+        # of the real means next to each other, the two around the one at which they are to meet
         nearest = np.abs(real[1:] + real[:-1] - 2 * centre).argmin() if real.size > 1 else 0
         return float((np.diff(real) ** 2)[nearest]) if real.size > 1 else 0.0
     return float(np.abs(real - (1 if kind == "branch point" else -1)).min()) if real.size else 0.0
+
+
+def _complex(mean: Complex) -> Complex:
+    return mean[np.abs(mean.imag) > LOCATION.split]
 
 
 def _real(mean: Complex) -> Array:

@@ -30,7 +30,8 @@ def inverse(matrix: Array) -> Array:
 
 
 def close(half: Array) -> Array:
-    """Return the tangent map of half a period (2M, 2M) followed by the same reversed in time."""
+    """Return the tangent map of a period (2M, 2M) from that of half, which is reversed in time."""
+    # reversed in time, momenta change their sign
     sign = np.repeat([1.0, -1.0], len(half) // 2)
     return sign[:, None] * inverse(half) * sign @ half
 
@@ -82,7 +83,7 @@ def _halve(matrix: Array) -> Array:
 
 
 def _rotate(matrix: Array, row: int, column: int, size: int) -> None:
-    """Rotate a displacement and its momentum so that the entry of the momentum vanishes."""
+    """Rotate a displacement and its momentum until the entry of the momentum vanishes."""
     pair = [row, size + row]
     a, b = matrix[pair, column]
     norm = np.hypot(a, b)
@@ -93,8 +94,9 @@ def _rotate(matrix: Array, row: int, column: int, size: int) -> None:
 
 
 def _reflect(matrix: Array, column: Array, rows: NDArray[np.intp], size: int) -> None:
-    """Reflect displacements and momenta alike so that a column is left with its first entry."""
+    """Reflect displacements and momenta alike: of a column the first entry alone remains."""
     normal = column.copy()
+    # away from the first entry: the sum of two numbers of one sign loses no digits
     normal[0] += np.copysign(np.linalg.norm(column), column[0])
     square = normal @ normal
     if not square:

@@ -79,13 +79,14 @@ class Flow:
 
     @cached_property
     def _kernel_arrays(self) -> tuple[Links, Array]:
-        """The contacts, and the inverse mass of every body, 1/kg, as the compiled loop takes them."""
+        """Contacts, and inverse masses of all bodies, 1/kg, for the compiled loop."""
         rest = Profile(velocity=np.zeros(self.chain.grains))
         # scales of a chain at rest divide by 0, but are not used
         with np.errstate(all="ignore"):
             scene = Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)
             batch = ChainBatch([scene], "exact")
         inverse_mass = batch.inverse_mass[0]
+        # a grain that the drive holds does not give way
         inverse_mass[PAD : PAD + self.held] = 0.0
         return batch.links, inverse_mass
 
@@ -106,7 +107,7 @@ class Flow:
 
     @property
     def size(self) -> int:
-        """M."""
+        """Number of grains that move by themselves, M."""
         return self.chain.movable - self.held
 
     def canonical(self, displacement: Array, velocity: Array) -> Array:

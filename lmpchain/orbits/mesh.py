@@ -27,14 +27,14 @@ class Mesh:
         Step over the time to the nearest opening.
     crossing : float
         Shortest step times that frequency, around an opening: its error is far below the others'.
-    most : int
-        Most steps of a period.
+    steps : int
+        Largest number of them in a period.
     """
 
     reach: float = 0.3
     grading: float = 0.35
     crossing: float = 1e-4
-    most: int = 20_000
+    steps: int = 20_000
 
 
 MESH = Mesh()
@@ -50,9 +50,10 @@ def highest_frequency(flow: Flow, displacement: Array) -> float:
 
 
 def openings(flow: Flow, passage: Passage, period: float, mesh: Array) -> Array:
-    """Return when contacts open or close, as ascending fractions of the period."""
+    """Return the times at which contacts open or close, as ascending fractions of the period."""
     contacts = flow.chain.contacts
     overlap = contacts.overlap + contacts.closer(passage.displacement)
+    # a contact that round-off alone presses does not close
     noise = 1e-9 * np.abs(overlap).max()
     crossing = contacts.exists & (overlap.min(0) < 0) & (overlap.max(0) > noise)
     if not crossing.any():
@@ -67,7 +68,7 @@ def openings(flow: Flow, passage: Passage, period: float, mesh: Array) -> Array:
 def uniform(flow: Flow, period: float, displacement: Array, reach: float = MESH.reach) -> Array:
     """Return an even number of equal fractions that resolve a motion through states (K, N)."""
     count = highest_frequency(flow, displacement) * period / reach
-    half = max(24, int(np.ceil(min(count, MESH.most)))) // 2 + 1
+    half = max(24, int(np.ceil(min(count, MESH.steps)))) // 2 + 1
     return np.full(2 * half, 0.5 / half)
 
 
@@ -80,6 +81,7 @@ def graded(
         return even
     shortest = MESH.crossing / (highest_frequency(flow, displacement) * period)
     near = np.unique(np.concatenate((times, 1 - times, times - 1, times + 1, -times)))
+    # openings closer than the shortest step are one
     near = near[np.append(True, np.diff(near) > shortest)]
     # the density of steps, between close nodes on either side of every opening
     away = np.geomspace(shortest / 4, 4 * even[0] / MESH.grading, 600)
@@ -90,6 +92,6 @@ def graded(
     distance = np.minimum(np.abs(near[after] - nodes), np.abs(near[after - 1] - nodes))
     density = 1 / np.clip(MESH.grading * reach / MESH.reach * distance, shortest, even[0])
     count = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(nodes))))
-    half = int(np.ceil(min(count[-1], MESH.most / 2)))
+    half = int(np.ceil(min(count[-1], MESH.steps / 2)))
     steps = np.diff(np.interp(np.linspace(0.0, count[-1], half + 1), count, nodes))
     return np.concatenate((steps, steps[::-1]))

@@ -108,6 +108,7 @@ def mode_family(
     """
     check_positive("energy", energy)
     displacement, period = linear_mode(chain, mode, LIMITS.strain)
+    # a slow mode is nearly resonant with its harmonics at smaller amplitudes already
     displacement *= min(1.0, 2 * np.pi / period / (LIMITS.slow * chain.band_edge)) ** 2
     rest = np.zeros(chain.grains)
     linear = float(chain.excess_energy(displacement, rest))
@@ -179,7 +180,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
         energy = float(chain.excess_energy(displacement, rest))
         limit = find(chain_at(0.0), (displacement, rest), slowest, energy=energy)
     else:
-        displacement[grain - 1] = _alone(chain, grain, period)
+        displacement[grain - 1] = amplitude_alone(chain, grain, period)
         limit = find(chain_at(0.0), (displacement, rest), period)
     hold = "energy" if gentle else "period"
     family = follow(limit, chain_at, 1.0, start=0.0, hold=hold, events=False, progress=progress)
@@ -192,7 +193,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     return find(chain, family[-1], period)
 
 
-def _alone(chain: Chain, grain: int, period: float) -> float:
+def amplitude_alone(chain: Chain, grain: int, period: float) -> float:
     """Return the amplitude of a grain with this period while all others stand still, m."""
     unit = np.zeros(chain.grains)
     unit[grain - 1] = 1.0
@@ -205,14 +206,15 @@ def _alone(chain: Chain, grain: int, period: float) -> float:
         return contacts.energy(contacts.closer(np.multiply.outer(x, unit))).sum(-1)
 
     def excess(logarithm: float) -> float:
-        right = overlap * np.exp(logarithm)
-        top = float(potential(right))
-        left = brentq(lambda x: float(potential(x)) - top, -1e3 * right, 0.0, xtol=1e-15 * right)
+        high = overlap * np.exp(logarithm)
+        energy = float(potential(high))
+        low = brentq(lambda x: float(potential(x)) - energy, -1e3 * high, 0.0, xtol=1e-15 * high)
         # T = 2 int dx / speed; by x = middle + half sin(angle) the ends are no longer singular
-        half = (right - left) / 2
+        half = (high - low) / 2
         angle = np.pi / 2 * node
-        x = (right + left) / 2 + half * np.sin(angle)
-        speed = np.sqrt(2 * np.maximum(top - potential(x), 1e-30 * top) / mass)
+        x = (high + low) / 2 + half * np.sin(angle)
+        # at the ends round-off may leave less than nothing
+        speed = np.sqrt(2 * np.maximum(energy - potential(x), 1e-30 * energy) / mass)
         return float(2 * (half * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1)
 
     amplitudes = np.log(np.geomspace(*LIMITS.alone, 100))

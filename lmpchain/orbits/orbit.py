@@ -69,7 +69,7 @@ class Orbit(Shown):
 
     @property
     def energy(self) -> float:
-        """Energy above rest at t = 0, J; it is conserved unless the orbit is driven."""
+        """Energy above rest at t = 0, J; conserved unless the orbit is driven."""
         return float(self.chain.excess_energy(self.displacement, self.velocity))
 
     @property
@@ -179,7 +179,7 @@ class Orbit(Shown):
         return self.drive.replace(start=Profile(displacement=u * free, velocity=v * free))
 
     def scene(self, periods: float = 1, samples: int = 101) -> Scene:
-        """Return the scene that runs the orbit for so many periods, in any engine."""
+        """Return the scene that runs the orbit for a number of periods, in any engine."""
         excitation = self._excitation(self.displacement, self.velocity)
         return Scene(
             chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples

@@ -142,11 +142,11 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
     return strain / strains.max() * u, float(2 * np.pi / modes.frequency[mode - 1])
 
 
-def check_number(key: str, value: Any, most: int) -> None:
-    """Raise `InputError` for anything but a whole number from 1 to `most`."""
+def check_number(key: str, value: Any, last: int) -> None:
+    """Raise `InputError` for anything but a whole number from 1 to `last`."""
     integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not integer or not 1 <= value <= most:
-        message = f"must be a whole number from 1 to {most} (got {shown(value)})"
+    if not integer or not 1 <= value <= last:
+        message = f"must be a whole number from 1 to {last} (got {shown(value)})"
         raise InputError.at(key, message)
 
 

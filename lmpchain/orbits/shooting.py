@@ -21,7 +21,7 @@ from .flow import Flow, Passage
 
 @dataclass(frozen=True)
 class Newton:
-    """When Newton's method goes on, and when it has come to an orbit.
+    """Limits within which Newton's method goes on, and tolerances of an orbit.
 
     Attributes
     ----------
@@ -31,8 +31,8 @@ class Newton:
         Most steps.
     useful : float
         Factor by which a step with derivatives of another point must bring the residual down.
-    same : float
-        Relative distance over which derivatives are taken as the same.
+    local : float
+        Relative distance over which derivatives are taken as constant.
     nudge : float
         Change of a parameter, over its scale, for the derivative by differences.
     rounds : int
@@ -42,7 +42,7 @@ class Newton:
     closed: float = 1e-12
     iterations: int = 25
     useful: float = 0.1
-    same: float = 1e-6
+    local: float = 1e-6
     nudge: float = 1e-6
     rounds: int = 4
 
@@ -178,7 +178,7 @@ class Constraint(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """A periodic orbit as Newton's method leaves it.
+    """A solution of Newton's method: a periodic orbit, its steps and its derivatives.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class System(NamedTuple):
             slopes = slopes[: len(slopes) - len(pairs)]
         # the row that selects one state of an orbit leaves nothing
         phase = np.zeros(len(slopes) - residual.size)
-        residual = np.concatenate((residual, phase, [left for left, _ in pairs]))
+        residual = np.concatenate((residual, phase, [value for value, _ in pairs]))
         return residual, np.vstack((slopes, *(row[None] for _, row in pairs)))
 
     def size(self, residual: Array, unknown: Array) -> float:
@@ -258,7 +258,7 @@ class System(NamedTuple):
 
 
 class Descent(NamedTuple):
-    """Newton steps with the same derivatives.
+    """Newton steps with derivatives that are kept.
 
     Attributes
     ----------
@@ -337,7 +337,7 @@ def _newton(
         descent = _descend(system, unknown, slopes)
         unknown = descent.unknown
         steps = descent.steps
-        exact = origin is not None and _distance(unknown, origin) < NEWTON.same
+        exact = origin is not None and _distance(unknown, origin) < NEWTON.local
         if exact and descent.residual < closed:
             return _solution(system, descent, steps)
     # full steps: new derivatives wherever those of the last point do not serve any more
@@ -353,7 +353,7 @@ def _newton(
             return _solution(system, descent, steps) if descent.residual < closed else None
         # where the motion amplifies rounding no residual is that small, but a step is next to none
         still = _distance(descent.first, unknown) < 4 * EPSILON
-        exact = _distance(descent.unknown, unknown) < NEWTON.same
+        exact = _distance(descent.unknown, unknown) < NEWTON.local
         if exact and (still or descent.residual < closed):
             return _solution(system, descent, steps)
         # far from an orbit a step may lead up before the next ones lead down
@@ -364,7 +364,7 @@ def _newton(
 def _descend(
     system: System, unknown: Array, slopes: Array, residual: Array | None = None
 ) -> Descent:
-    """Take Newton steps with the same derivatives while each divides the residual by ten."""
+    """Take Newton steps with these derivatives while each divides the residual by ten."""
     period_at = system.equations.period_at(unknown)
     best = unknown
     first = None
@@ -394,7 +394,7 @@ def _descend(
 
 
 def _distance(unknown: Array, other: Array) -> float:
-    """Return the largest difference of two sets of unknowns, relative to the largest of them."""
+    """Return the largest difference of two sets of unknowns, relative to the largest unknown."""
     return float(np.abs(unknown - other).max() / np.abs(unknown).max())
 
 
@@ -433,7 +433,7 @@ def estimate_error(
 def solve_accurately(
     equations: Equations, guess: Point, constraints: Sequence[Constraint], name: str
 ) -> tuple[Solution, float]:
-    """Return an orbit whose steps err by less than 1e-12, if round-off lets them, and the error.
+    """Return an orbit and the error of its steps, below 1e-12 if round-off allows that.
 
     Raises
     ------

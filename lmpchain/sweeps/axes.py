@@ -249,7 +249,7 @@ def _number(axis: Axis) -> Axis:
 def _check(
     kind: type[Checked], table: dict[str, Any], tables: dict[str, Any]
 ) -> tuple[Any, dict[str, Uniform | Normal]]:
-    """Return options of a kind, and laws of random numbers; raises `InputError` with every fault."""
+    """Return options and laws of random numbers; raises `InputError` with every fault."""
     faults: list[Fault] = []
     laws: dict[str, Uniform | Normal] = {}
     try:

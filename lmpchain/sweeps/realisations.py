@@ -86,10 +86,10 @@ def _wider(scene: Scene, plan: Sweep) -> Scene:
 
 
 def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
-    """Return scenes of which the first stands for all that they share, their chains derived at once.
+    """Return neighbouring scenes whose chains are derived at once, or None if that cannot be.
 
-    None stands for those that are not sound beyond doubt, or for all if none can be derived so.
-    Raises `InputError` if the first has a fault.
+    The first stands for all that they share; raises `InputError` if it has a fault. None stands
+    for each that is not sound beyond doubt.
     """
     common = _wider(plan.regular_scene(places[0]), plan)
     disorder = plan.disorder(places[0])

@@ -259,11 +259,11 @@ def test_a_light_grain_alone_has_the_amplitude_of_its_period():
         parts = [quad(slowness, a, b, epsabs=0, epsrel=1e-10)[0] for a, b in pairwise(ends)]
         return 4 * sum(parts)
 
-    from lmpchain.orbits.modes import _alone
+    from lmpchain.orbits.modes import amplitude_alone
 
     for relative in (0.4, 2.0):
         amplitude = relative * eps
-        assert _alone(chain, 2, period(amplitude)) == pytest.approx(amplitude, rel=1e-4)
+        assert amplitude_alone(chain, 2, period(amplitude)) == pytest.approx(amplitude, rel=1e-4)
     with pytest.raises(InputError) as error:
         orbits.breather(chain, 2, 1.0)
     words = str(error.value).split()
