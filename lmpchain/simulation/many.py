@@ -16,7 +16,6 @@ from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.memory import keep_freed
 from .api import check_on_miss, simulate
 from .gathering import GatheringRun
 from .policy import policy_for, record
@@ -112,8 +111,6 @@ def in_batches(
     if not engine.batches or engine.equation != 1:
         # linear engines take one scene after the other anyway
         return
-    # batches free and take the same memory again and again
-    keep_freed()
     for number, scene in scenes.items():
         with suppress(LmpchainError):
             attempt = first_attempt(engine, engine.part(scene), tolerance)

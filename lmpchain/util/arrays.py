@@ -1,4 +1,4 @@
-"""The type of arrays that hold physical quantities, and the precision of their numbers."""
+"""Arrays that hold physical quantities, and the precision of their numbers."""
 
 from typing import Any, TypeVar
 
@@ -13,7 +13,7 @@ MAGNITUDE = (1 << 63) - 1
 
 
 def read_only(array: AnyArray) -> AnyArray:
-    """Return the same array, which can no longer be written to; a number stays what it is.
+    """Forbid that an array is written to, and return it; a number is returned as it is.
 
     Examples
     --------

@@ -24,18 +24,18 @@ BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
 # (https://github.com/numba/numba/issues/10486). Random numbers differ in forks, too.
 FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
 
-_news: dict[Callable, str] = {}  # message for the compilation of each function
-_said: set[str] = set()  # messages that were given
+_messages: dict[Callable, str] = {}  # for the compilation of each function
+_announced: set[str] = set()
 
 
 class _Announcer(Listener):
     """Announce compilations that take long; loading a kept result is silent."""
 
     def on_start(self, event: Event) -> None:
-        news = _news.get(event.data["dispatcher"].py_func)
-        if news is not None and news not in _said:
-            _said.add(news)
-            print(news, file=sys.stderr, flush=True)
+        message = _messages.get(event.data["dispatcher"].py_func)
+        if message is not None and message not in _announced:
+            _announced.add(message)
+            print(message, file=sys.stderr, flush=True)
 
     def on_end(self, event: Event) -> None:
         pass
@@ -109,14 +109,15 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
         when = "once for this machine"
         try:
             dispatcher = numba.njit(cache=True, **options)(function)
-            # numba checks only the source of this module, but a function may call modules beside it; as a version
-            # it is looked at before the rest is read, which may name records that are no longer there
+            # numba checks only the source of this module, but a function may call modules beside
+            # it. The version is looked at before the rest of the file is read, which may name
+            # records that are no longer there.
             file: Any = dispatcher._cache._cache_file
             file._version = f"{file._version} {_sources(Path(function.__code__.co_filename))}"
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
             dispatcher = numba.njit(**options)(function)
-        _news[function] = f"compiling {what}, {when}: about {seconds} s"
+        _messages[function] = f"compiling {what}, {when}: about {seconds} s"
         return dispatcher
 
     return decorate

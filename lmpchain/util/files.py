@@ -23,6 +23,9 @@ import numpy as np
 
 from ..errors import InputError
 
+SEAL = b"lmpchain sha256 "
+LARGEST_JSON = 2**30  # bytes of a file that describes a store, a run or a sweep
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -63,10 +66,6 @@ def _to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-SEAL = b"lmpchain sha256 "
-LARGEST_JSON = 2**30  # bytes, of what describes a store, a run or a sweep
 
 
 def check_readable(path: Path, largest: int) -> None:
@@ -139,27 +138,23 @@ def check_seal(path: Path) -> None:
 
 def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
     """Return the arrays that `numpy.savez` packed; raises unless they are plain."""
-    arrays = {}
     with zipfile.ZipFile(BytesIO(content)) as packed:
-        if any(item.compress_type != zipfile.ZIP_STORED for item in packed.infolist()):
-            raise ValueError("it holds compressed arrays")
-        for name in packed.namelist():
-            arrays[name.removesuffix(".npy")] = _plain_array(packed.read(name))
-    return arrays
+        items = packed.infolist()
+        return {item.filename.removesuffix(".npy"): _plain_array(packed, item) for item in items}
 
 
 def unpack_one(path: Path, name: str) -> np.ndarray:
     """Return one of the arrays of a file of `numpy.savez`, as `unpack` does."""
     check_readable(path, sys.maxsize)
     with zipfile.ZipFile(path) as packed:
-        item = packed.getinfo(f"{name}.npy")
-        if item.compress_type != zipfile.ZIP_STORED:
-            raise ValueError("it holds compressed arrays")
-        return _plain_array(packed.read(item))
+        return _plain_array(packed, packed.getinfo(f"{name}.npy"))
 
 
-def _plain_array(content: bytes) -> np.ndarray:
-    data = BytesIO(content)
+def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
+    # a small file could unpack to more than the memory holds
+    if item.compress_type != zipfile.ZIP_STORED:
+        raise ValueError("it holds compressed arrays")
+    data = BytesIO(packed.read(item))
     np.lib.format.read_magic(data)
     shape, columns_first, dtype = np.lib.format.read_array_header_1_0(data)
     if dtype.hasobject or columns_first:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from importlib import import_module
 from typing import Any
 
 
 def attributes(
-    package: str, submodules: Iterable[str] = (), names: Mapping[str, str] | None = None
+    package: str, submodules: Collection[str] = (), names: Mapping[str, str] | None = None
 ) -> Callable[[str], Any]:
     """Return a `__getattr__` for a package that imports its names on first use.
 
@@ -27,16 +27,16 @@ def attributes(
     >>> find("Chain").__module__
     'lmpchain.chain.chain'
     """
-    known = set(submodules)
-    where = {name: module for module, given in (names or {}).items() for name in given.split()}
+    modules = {name: module for module, words in (names or {}).items() for name in words.split()}
 
     def find(name: str) -> Any:
-        if name in known:
+        if name in submodules:
             return import_module(f".{name}", package)
-        if name not in where:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f".{where[name]}", package), name)
-        setattr(sys.modules[package], name, value)  # found at once from now on
+        value = getattr(import_module(f".{modules[name]}", package), name)
+        # from now on Python does not ask here
+        setattr(sys.modules[package], name, value)
         return value
 
     return find
@@ -55,17 +55,15 @@ def listed(module: str) -> Callable[[], list[str]]:
     """
 
     def names() -> list[str]:
-        own = vars(sys.modules[module])
-        return sorted(
-            own.get(
-                "__all__", [name for name, value in own.items() if _offered(name, value, module)]
-            )
+        namespace = vars(sys.modules[module])
+        # what a module imports was defined in another one
+        defined = (
+            name
+            for name, value in namespace.items()
+            if callable(value)
+            and getattr(value, "__module__", "") == module
+            and not name.startswith("_")
         )
+        return sorted(namespace.get("__all__", defined))
 
     return names
-
-
-def _offered(name: str, value: Any, module: str) -> bool:
-    return (
-        callable(value) and getattr(value, "__module__", "") == module and not name.startswith("_")
-    )

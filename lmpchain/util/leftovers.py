@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 
 SHARED = Path("/dev/shm")
-NAMES = "mpich_shm_"
+MPICH = "mpich_shm_"  # begins the names of its shared memory
 TEMPORARY = Path("/tmp")  # MPICH does not look at TMPDIR
 OLD_S = 60.0  # by then every rank of a run has started
 
@@ -25,7 +25,7 @@ def unname_shared_memory() -> None:
     which a kill takes away.
     """
     for name in _names_in_use([Path("/proc/self")]):
-        if name.startswith(NAMES):
+        if name.startswith(MPICH):
             (SHARED / name).unlink(missing_ok=True)
 
 
@@ -37,7 +37,7 @@ def sweep() -> None:
     says.
     """
     leftovers = []
-    for names in (SHARED / NAMES, SHARED / "ucx_shm_posix_", TEMPORARY / "hydra_hwloc_xmlfile_"):
+    for names in (SHARED / MPICH, SHARED / "ucx_shm_posix_", TEMPORARY / "hydra_hwloc_xmlfile_"):
         for path in names.parent.glob(f"{names.name}*"):
             with suppress(OSError):
                 # gone by now
@@ -69,5 +69,6 @@ def end_with_parent() -> None:
     """Have the kernel end this process as soon as its parent is gone."""
     # PR_SET_PDEATHSIG of linux/prctl.h
     death_signal = 1
+    # elsewhere a kill of the launcher leaves ranks behind
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(ctypes.c_int(death_signal), ctypes.c_ulong(signal.SIGKILL))

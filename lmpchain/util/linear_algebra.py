@@ -9,16 +9,16 @@ from typing import ParamSpec, TypeVar
 from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
-T = TypeVar("T")
+Result = TypeVar("Result")
 
 
 @cache
 def _controller() -> ThreadpoolController:
-    # which finds the libraries that are loaded, in 5 ms
+    # it looks for the libraries that are loaded, which takes 5 ms
     return ThreadpoolController()
 
 
-def in_one_thread(function: Callable[P, T]) -> Callable[P, T]:
+def in_one_thread(function: Callable[P, Result]) -> Callable[P, Result]:
     """Return a function whose linear algebra runs in one thread.
 
     Several are of no use to matrices of some hundred rows, and wait for each other where a machine
@@ -26,7 +26,7 @@ def in_one_thread(function: Callable[P, T]) -> Callable[P, T]:
     """
 
     @wraps(function)
-    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+    def alone(*args: P.args, **kwargs: P.kwargs) -> Result:
         with _controller().limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
 

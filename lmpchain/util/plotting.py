@@ -92,10 +92,10 @@ def figure(width: float = 8.0, height: float = 7.0) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    new = Figure(figsize=(width, height), layout="constrained")
+    picture = Figure(figsize=(width, height), layout="constrained")
     # without pyplot a figure is freed with its last reference
-    FigureCanvasAgg(new)
-    return new
+    FigureCanvasAgg(picture)
+    return picture
 
 
 def si(value: float, unit: str, places: int | None = None) -> str:

@@ -1,4 +1,4 @@
-"""MPI as far as one process sees it: who has started it, what it leaves behind, what ends with it."""
+"""MPI as one process sees it: who has started it, what it leaves behind, what ends with it."""
 
 import ctypes
 import mmap
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from lmpchain import EngineUnavailable
-from lmpchain.util import leftovers, memory, mpi
+from lmpchain.util import leftovers, mpi
 
 SIZES = ("PMI_SIZE", "PMIX_SIZE", "OMPI_COMM_WORLD_SIZE")
 SLURM = ("SLURM_PROCID", "SLURM_STEP_ID", "SLURM_STEP_NUM_TASKS")
@@ -182,14 +182,3 @@ def test_a_rank_is_killed_as_soon_as_its_parent_is_gone():
     process.start()
     process.join()
     assert process.exitcode == signal.SIGKILL
-
-
-def test_arrays_of_up_to_32_MB_come_from_a_heap_of_which_128_MB_stay(monkeypatch: Any):
-    """By the options M_MMAP_THRESHOLD and M_TRIM_THRESHOLD of glibc's malloc.h."""
-    options: dict[int, int] = {}
-    library = SimpleNamespace(mallopt=options.__setitem__)
-    monkeypatch.setattr(memory, "ctypes", SimpleNamespace(CDLL=lambda name: library))
-    memory.keep_freed.__wrapped__()
-    assert options == {-3: 32 * 2**20, -1: 128 * 2**20}
-    monkeypatch.setattr(memory, "ctypes", SimpleNamespace(CDLL=lambda name: SimpleNamespace()))
-    memory.keep_freed.__wrapped__()  # another C library has no such options

@@ -306,12 +306,18 @@ def test_the_bar_of_a_fast_run_ends_at_100_percent(capsys: pytest.CaptureFixture
 
 @pytest.mark.slow
 def test_a_plot_shows_once_in_a_notebook(monkeypatch: pytest.MonkeyPatch):
-    """By a real kernel: one picture where it is drawn, none of what only saves, with and without a semicolon."""
+    """By a real kernel: one picture where it is drawn, none of what only saves.
+
+    With and without a semicolon.
+    """
     nbclient = pytest.importorskip("nbclient", reason="nbclient comes with lmpchain[docs]")
     from nbformat.v4 import new_code_cell, new_notebook
 
     monkeypatch.delenv("MPLBACKEND", raising=False)  # what the kernel chooses
-    column = "Scene(chain=Chain(grains=9, diameter=1e-3), excitation=Impulse(velocity=1e-5), duration=2e-5)"
+    column = (
+        "Scene(chain=Chain(grains=9, diameter=1e-3), excitation=Impulse(velocity=1e-5), "
+        "duration=2e-5)"
+    )
     pictures = {
         "import lmpchain\nfrom matplotlib import pyplot\nfrom lmpchain import *": 0,
         f"run = simulate({column}, 'native')": 0,

@@ -1,4 +1,4 @@
-"""Checked values: every fault at once, in words, with both sides of each limit; copies are checked."""
+"""Checked values: every fault at once, in words, on both sides of each limit; checked copies."""
 
 import copy
 import pickle
