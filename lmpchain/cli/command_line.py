@@ -1,4 +1,4 @@
-"""The command line: one function a verb, in `commands`.
+"""The command line: parse the arguments of a verb, run its function, and report faults.
 
 Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of
 --max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.
@@ -18,9 +18,9 @@ from typing import Any
 
 from ..errors import InputError, LmpchainError
 from ..util import mpi
-from . import commands
 from .common import complain
 from .parser import Parser, ShowVersion
+from .run import run, run_folder, sweep
 from .verbs import VERBS
 
 
@@ -43,6 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LmpchainError as error:
         complain(str(error))
         return 1
+    # LAMMPS is loaded only here, as most commands do without it
     from ..engines.lammps.communicators import shutdown_workers, worker_loop
 
     # ranks beyond the first only serve LAMMPS
@@ -52,6 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(argv)
     finally:
+        # else the other ranks would wait for ever
         shutdown_workers(world)
 
 
@@ -90,6 +92,7 @@ def _main(argv: Sequence[str] | None) -> int:
     before = _on_sigterm(_raise_terminated)
     try:
         with warnings.catch_warnings():
+            # a warning is one line here, without the line of Python that it comes from
             warnings.showwarning = _show_warning  # type: ignore[assignment]
             return arguments.command(arguments)
     except InputError as error:
@@ -100,6 +103,7 @@ def _main(argv: Sequence[str] | None) -> int:
         complain(str(error))
         return 1
     except BrokenPipeError:
+        # it is an OSError, too, but no fault: `_run` ends in silence
         raise
     except OSError as error:
         complain(str(error))
@@ -118,14 +122,14 @@ def _describe_rest(arguments: argparse.Namespace) -> str:
     """Return in words what a stopped command has left on the disk."""
     from ..simulation.task import is_run, resume_command
 
-    if arguments.command is commands.sweep:
+    if arguments.command is sweep:
         return f"what is done is kept in {arguments.output}; the same command continues from there"
-    folder = commands.run_folder(arguments)
+    folder = run_folder(arguments)
     if folder and is_run(folder):
         return f"to go on: {resume_command(folder)}"
     hint = (
         "; with -o FOLDER/ what is done is kept and can be resumed"
-        if arguments.command is commands.run
+        if arguments.command is run
         else ""
     )
     return f"nothing unfinished was kept{hint}"
@@ -140,6 +144,7 @@ def _on_sigterm(handler: Any) -> Any:
     if threading.current_thread() is not threading.main_thread():
         return None
     before = signal.getsignal(signal.SIGTERM)
+    # None stands for a handler of C, which Python cannot install again
     signal.signal(signal.SIGTERM, signal.SIG_DFL if handler is None else handler)
     return before
 

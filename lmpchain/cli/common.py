@@ -19,6 +19,7 @@ PICTURES = (".png", ".pdf", ".svg")
 
 def complain(text: str, kind: str = "error") -> None:
     """Print a fault on stderr in one line, with unprintable characters escaped."""
+    # a name of a file may hold a line break, or a code that moves the cursor
     letters = (
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in " ".join(text.split())
@@ -67,6 +68,7 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
         raise InputError.at(name, "is the file that is read; name another file")
     if not path.parent.is_dir():
         raise InputError.at(name, f"there is no folder {path.parent}; make it first")
+    # the folder must take a new file: outputs are written beside and then renamed
     writable = os.access(path.parent, os.W_OK | os.X_OK)
     if not writable or (path.exists() and not os.access(path, os.W_OK)):
         raise InputError.at(name, "you may not write there; choose another place")

@@ -53,10 +53,10 @@ def compare(arguments: argparse.Namespace) -> int:
 
     reasons = {name: engines.get(name).refuses(scene) for name in names}
     refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
-    able = [name for name in names if not reasons[name]]
-    if not able:
+    engines_of_scene = [name for name in names if not reasons[name]]
+    if not engines_of_scene:
         raise InputError(refusals)
-    trajectories, failures = _solve(scene, able, arguments.tolerance)
+    trajectories, failures = _solve(scene, engines_of_scene, arguments.tolerance)
     if trajectories:
         result = comparison.compare(trajectories, _reference(scene, arguments.tolerance))
         print(result.table())
@@ -131,8 +131,9 @@ def _reference(scene: Scene, tolerance: float) -> Reference:
 
     if expected_seconds(scene) <= REFERENCE_S:
         return reference(scene)
-    # which the native engine reaches on ordinary scenes
+    # 1e-11 is a tolerance that the native engine reaches on ordinary scenes
     tight = max(tolerance / 100, 1e-11)
+    # errors are relative to the largest motion of any grain, so that all must be recorded
     all_grains = Scene(
         chain=scene.chain,
         excitation=scene.excitation,

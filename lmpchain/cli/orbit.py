@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from .common import check_outputs, gather, on_terminal, read, write_json
+from .common import check_outputs, gather, keep, on_terminal, read
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,9 +23,8 @@ def orbit(arguments: argparse.Namespace) -> int:
 
     family = mode_family(scene.chain, arguments.mode, arguments.energy, progress=on_terminal())
     print("\n".join(_describe(family)))
-    if numbers:
-        write_json(family.to_json(), numbers)
-        print(f"numbers: {numbers}")
+    keep(family, numbers, None)
+    # both the family and its last orbit, where other commands draw one result
     if picture:
         from ..util.plotting import save
 

@@ -31,8 +31,10 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Report what is wrong with the arguments in one line, and end with exit code 2."""
+        # argparse says what may be chosen, but not which of these was meant
         if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
             message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
+        # a long word, such as a scene in place of its name, would hide the message
         brief = re.sub(rf"\S{{{SHOWN_LETTERS},}}", lambda match: short(match[0]), message)
         named = brief.removeprefix("argument ")
         complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
@@ -43,7 +45,7 @@ class ShowVersion(argparse.Action):
     """Show the version, which is looked up only on demand."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Print it and end."""
+        """Print the version and end."""
         from importlib.metadata import version
 
         print(f"lmpchain {version('lmpchain')}")

@@ -6,7 +6,7 @@ import argparse
 
 from ..errors import InputError, LmpchainError, check_tolerance
 from ..util.tables import align, number
-from .common import gather, output, read, write_json
+from .common import gather, keep, output, read
 
 
 def plan(arguments: argparse.Namespace) -> int:
@@ -20,16 +20,15 @@ def plan(arguments: argparse.Namespace) -> int:
         lambda: arguments.json and output(arguments.json, arguments.scene or ""),
         lambda: check_tolerance(arguments.tolerance),
     )
+    # first, so that the proposals below rest on the new speeds
     if arguments.calibrate:
         _calibrate()
     if scene:
         from ..simulation.planner import plan
 
-        chosen = plan(scene, arguments.tolerance)
-        print(chosen.table())
-        if numbers:
-            write_json(chosen.to_json(), numbers)
-            print(f"numbers: {numbers}")
+        result = plan(scene, arguments.tolerance)
+        print(result.table())
+        keep(result, numbers, None)
     return 0
 
 
@@ -38,12 +37,12 @@ def _calibrate() -> None:
     from ..simulation.calibration import calibrate
 
     try:
-        path, took = calibrate()
+        path, seconds = calibrate()
     except OSError as error:
         raise LmpchainError(
             f"{cache_file()}: cannot be written: {error.strerror or error}"
         ) from None
-    print(f"measured in {took:.2g} s how fast the engines are here: {path}")
+    print(f"measured in {seconds:.2g} s how fast the engines are here: {path}")
     rows = [("engine", "overhead of a run", "cost over the shipped one")]
     rows += [
         (name, number(1e3 * start, unit="ms"), f"{slowness:.2g}")

@@ -34,6 +34,7 @@ def _policy(arguments: argparse.Namespace) -> Policy:
 def run(arguments: argparse.Namespace) -> int:
     """Solve a scene and save the trajectory, in a file or in a run folder."""
     name = arguments.output or beside(arguments.scene, ".nc")
+    # a name that ends in / is a folder, even if it is not there yet
     in_folder = run_folder(arguments) is not None
     scene, path, policy, _ = gather(
         lambda: read(arguments.scene),
@@ -51,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
+    # only now, when nothing is wrong with the input, is an earlier run taken away
     if in_folder and is_run(path):
         remove(path)
     for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
@@ -84,8 +86,10 @@ def resume(arguments: argparse.Namespace) -> int:
     if state["state"] == "finished":
         print(f"{arguments.folder}: this run is finished; there is nothing left to do")
     elif state["state"] == "killed":
-        done = f"at sample {state['samples_done']} of {state['samples']} or later"
-        print(f"{arguments.folder}: {state['reason']} {done}; going on from its last checkpoint")
+        progress = f"at sample {state['samples_done']} of {state['samples']} or later"
+        print(
+            f"{arguments.folder}: {state['reason']} {progress}; going on from its last checkpoint"
+        )
     return _report(
         lambda: resume(
             arguments.folder,
@@ -111,13 +115,15 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
 def _new_folder(name: str, force: bool) -> Path:
     from ..simulation.task import check_new, check_run, is_run, resume_command
 
-    if is_run(name) and not force:
+    if not is_run(name):
+        return check_new(name)
+    if not force:
         raise InputError.at(
             name,
             f"holds a run already: go on with it, {resume_command(name)}, replace it with --force, "
             "or name another folder",
         )
-    return check_run(name) if is_run(name) else check_new(name)
+    return check_run(name)
 
 
 def _new_file(name: str, scene: str, force: bool) -> Path:
@@ -165,12 +171,13 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     error = trajectory.error_estimate
     scene = trajectory.scene
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
-    parts = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
+    # Eq. (1) is solved without a model error
+    shares = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
     lines = {
         "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation}){ranks}",
         "scene": f"{scene.chain.grains} grains, {scene.samples} samples over {scene.duration:g} s",
         "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
-        "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
+        "estimated error": f"{error.total:.2g}{shares} (tolerance {tolerance:g})",
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error "
         f"estimate, {cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
         **in_words(scene, trajectory.gathered),
@@ -212,6 +219,7 @@ def sweep(arguments: argparse.Namespace) -> int:
             "sweep", "does not run under mpirun: use --workers, or --scheduler for several machines"
         )
     folder = arguments.output
+    # a queue may leave this process fewer cores than the machine has
     cores = len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
     with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:

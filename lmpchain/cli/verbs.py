@@ -8,7 +8,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from ..errors import shown
-from . import commands
+from .compare import compare, doctor, stability, workprec
+from .orbit import orbit
+from .pages import docs
+from .plan import plan
+from .read import dyson, fit, report
+from .run import deck, resume, run, sweep
+from .sensitivity import UNCERTAIN, sensitivity
 
 
 def _duration(text: str) -> float:
@@ -16,6 +22,7 @@ def _duration(text: str) -> float:
     match = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
+    # 90 alone is a time in seconds, but 0:00:90 is a slip of the pen
     if not total or (hours and float(seconds) >= 60):
         raise argparse.ArgumentTypeError(
             f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})"
@@ -23,6 +30,7 @@ def _duration(text: str) -> float:
     return total
 
 
+# names and options, as `add_argument` of argparse takes them
 Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
@@ -36,10 +44,11 @@ class Verb(NamedTuple):
 
 
 def _argument(*names: str, **options: Any) -> Argument:
-    """Return an argument as `argparse` takes it."""
+    """Return the names and the options of an argument."""
     return names, options
 
 
+# arguments that several verbs share
 SCENE = _argument("scene", metavar="SCENE.toml", help="scene file")
 TOLERANCE = _argument(
     "--tolerance",
@@ -87,7 +96,7 @@ RUN = (
 )
 VERBS = {
     "run": Verb(
-        commands.run,
+        run,
         "solve a scene and save the trajectory, in a file or a run folder",
         (
             SCENE,
@@ -135,7 +144,7 @@ VERBS = {
         ),
     ),
     "resume": Verb(
-        commands.resume,
+        resume,
         "continue the run in a folder, bit-identical to a run without the stop",
         (
             _argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made"),
@@ -144,7 +153,7 @@ VERBS = {
         ),
     ),
     "compare": Verb(
-        commands.compare,
+        compare,
         "solve a scene with several engines, compare with a reference",
         (
             SCENE,
@@ -159,7 +168,7 @@ VERBS = {
         ),
     ),
     "plan": Verb(
-        commands.plan,
+        plan,
         "show which engine solves a scene at the lowest cost, and why",
         (
             _argument("scene", metavar="SCENE.toml", nargs="?", help="scene file"),
@@ -174,7 +183,7 @@ VERBS = {
         ),
     ),
     "orbit": Verb(
-        commands.orbit,
+        orbit,
         "periodic orbit of the chain: a linear mode followed up to an energy",
         (
             SCENE,
@@ -193,7 +202,7 @@ VERBS = {
         ),
     ),
     "sensitivity": Verb(
-        commands.sensitivity,
+        sensitivity,
         "what an answer of a saved run depends on, grain by grain",
         (
             _argument("run", metavar="RUN.nc", help="saved run, or a scene file"),
@@ -204,6 +213,7 @@ VERBS = {
                 help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS "
                 "(such as 3-9) or arrival_time:GRAIN@VELOCITY",
             ),
+            # one option for each parameter that may be uncertain
             *(
                 _argument(
                     f"--{name}",
@@ -211,7 +221,7 @@ VERBS = {
                     type=float,
                     help=f"uncertainty of each {name}, as a part of it",
                 )
-                for name in commands.UNCERTAIN
+                for name in UNCERTAIN
             ),
             _argument(
                 "--tolerance",
@@ -225,7 +235,7 @@ VERBS = {
         ),
     ),
     "deck": Verb(
-        commands.deck,
+        deck,
         "write a LAMMPS input that runs by itself",
         (
             SCENE,
@@ -252,7 +262,7 @@ VERBS = {
         ),
     ),
     "dyson": Verb(
-        commands.dyson,
+        dyson,
         "weighted velocities of Eq. (22), beside the mean over random chains",
         (
             *RUN,
@@ -281,12 +291,12 @@ VERBS = {
         ),
     ),
     "fit": Verb(
-        commands.fit,
+        fit,
         "fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front",
         (*RUN, NUMBERS),
     ),
     "report": Verb(
-        commands.report,
+        report,
         "write a page about a saved run: pictures, fits, errors, provenance",
         (
             *RUN,
@@ -299,7 +309,7 @@ VERBS = {
         ),
     ),
     "workprec": Verb(
-        commands.workprec,
+        workprec,
         "work-precision chart of every engine and integrator on a scene",
         (
             SCENE,
@@ -320,12 +330,12 @@ VERBS = {
         ),
     ),
     "stability": Verb(
-        commands.stability,
+        stability,
         "find where methods fail on a scene: steps, round-off, chaos, theories",
         (SCENE, PICTURE, NUMBERS),
     ),
     "sweep": Verb(
-        commands.sweep,
+        sweep,
         "solve many scenes: a grid, a list, random draws, disordered chains",
         (
             _argument("sweep", metavar="SWEEP.toml", help="sweep file"),
@@ -348,9 +358,9 @@ VERBS = {
         ),
     ),
     "doctor": Verb(
-        commands.doctor,
+        doctor,
         "check the installation: LAMMPS, MPI, versions, cores, engines",
         (_argument("--json", metavar="FILE", help="file for the findings"),),
     ),
-    "docs": Verb(commands.docs, "open the pages of the documentation", ()),
+    "docs": Verb(docs, "open the pages of the documentation", ()),
 }

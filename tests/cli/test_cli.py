@@ -70,7 +70,10 @@ def test_help_needs_nothing_heavy():
         "MDAnalysis",
         "tqdm",
     }
-    code = f"import sys; from lmpchain.cli import main; main(['--help']); print({heavy} & set(sys.modules))"
+    code = (
+        "import sys; from lmpchain.cli import main; main(['--help']); "
+        f"print({heavy} & set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
 
@@ -524,7 +527,11 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     path = tmp_path / "scene.toml"
     text = tomli_w.dumps(tomllib.loads(SCENE) | {
         "chain": {"grains": 20, "diameter": 1e-3},
-        "recording": {"duration": 2e-5, "samples": 3, "quantities": ["peak_velocity", "arrival_time", "peak_force:3"]},
+        "recording": {
+            "duration": 2e-5,
+            "samples": 3,
+            "quantities": ["peak_velocity", "arrival_time", "peak_force:3"],
+        },
     })  # fmt: skip
     path.write_text(text)
     assert main(["run", str(path)]) == 0
@@ -551,7 +558,7 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     "words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]]
 )
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
-    """As behind `| head`, once it has read enough: the exit code is that of tools that SIGPIPE ends."""
+    """As behind `| head`, once it has read enough: the exit code is that of a SIGPIPE."""
     (tmp_path / "scene.toml").write_text(SCENE)
     read, write = os.pipe()
     os.close(read)

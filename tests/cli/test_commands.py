@@ -715,7 +715,11 @@ def test_a_saved_run_is_evaluated_as_asked(
     monkeypatch.setattr(
         "lmpchain.measure.dyson.sums", lambda run, m: asked.append((run.engine, list(m))) or result
     )
-    chains = lambda *values, progress: asked.append((*values[1:], progress)) or ("mean", "error")  # noqa: E731
+
+    def chains(*values, progress):
+        asked.append((*values[1:], progress))
+        return "mean", "error"
+
     monkeypatch.setattr("lmpchain.disorder.averages.at_the_end", chains)
     words = ["dyson", str(file), "--m", "1,5", "--json", str(numbers)]
     assert main([*words, "--realisations", "7", "--seed", "3"]) == 0
