@@ -85,6 +85,7 @@ def page(
     steps = len(PANELS) + 2
     with ProgressBar(steps, "report", " parts", shown=progress) as bar:
         bar.describe("The wave in space and time")
+        # for readers without JavaScript, and on paper
         still = panels.wave(trajectory)
         numbers = live.numbers(trajectory)
         bar.advance()
@@ -122,6 +123,7 @@ def title(trajectory: Trajectory) -> str:
 def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
     for name, draw in PANELS.items():
         bar.describe(name)
+        # a fault leaves a picture out, never the page
         try:
             yield Section(name, draw(trajectory))
         except LmpchainError as error:
@@ -166,6 +168,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     yield "recorded", f"{trajectory.grains.size} grains at {samples}"
     yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
+    # the fields of the cost name their unit
     for key, value in cost._asdict().items():
         name = f"{key.removesuffix('_s')} (s)" if key.endswith("_s") else key
         yield name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value)

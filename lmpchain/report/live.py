@@ -47,6 +47,7 @@ def crop(trajectory: Trajectory) -> Trajectory:
     last = moving.max() + VIEW.margin
     columns = as_slice(np.flatnonzero((grains >= first) & (grains <= last)))
     grains = grains[columns]
+    # the scene says which grains were recorded, and must agree with the columns
     scene = trajectory.scene.replace(grains=grains.tolist())
     return replace(
         trajectory, scene=scene, grains=grains, displacement=u[:, columns], velocity=v[:, columns]
@@ -72,6 +73,7 @@ def numbers(trajectory: Trajectory) -> dict[str, Any]:
     grains = trajectory.grains[order]
     columns = order[(grains >= first) & (grains <= last)]
     rows = np.unique(np.linspace(0, trajectory.time.size - 1, VIEW.times).round().astype(int))
+    # NaN has no place among integers
     velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[rows][:, columns])
     grains, drawn = thin_rows(trajectory.grains[columns], velocity.T, VIEW.grains)
     largest = float(np.abs(drawn).max(initial=0.0)) or 1.0

@@ -1,4 +1,4 @@
-"""Date and command of a saved run, as far as it says so."""
+"""Date and command of a saved run, where the files name them."""
 
 from __future__ import annotations
 

@@ -90,6 +90,7 @@ def waveforms(run: Trajectory) -> Panel:
     run = crop(run)
     picture = figure(WIDTH, 4.4)
     rows = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    # the motion above, its difference from linear theory below
     above, below = (axes_in_units(ax, "", "") for ax in rows)
     linear = _linear(run)
     largest = np.abs(run.velocity).max() or 1.0
@@ -154,6 +155,7 @@ def arrival(run: Trajectory) -> Panel:
     height.plot(depth, values, ".", ms=4, label="this run")
     power, name = _decay(run)
     if power is not None:
+        # through the deepest point: the law holds far from the strike
         law = values[-1] * (depth / depth[-1]) ** -power
         label = f"{name}: power -{power:.3g}" if power else f"{name}: constant"
         height.plot(depth, law, "--", lw=1, label=label)
@@ -189,6 +191,7 @@ def _front(run: Trajectory) -> front.Front:
         )
     track = front.track(run).between(source + 1, run.scene.chain.grains - PANEL_LIMITS.reflected)
     fewest = front.FEWEST
+    # what does not pass one grain after the other is no front, but a mode that swings
     onward = np.mean(np.diff(track.time) > 0) if track.grain.size >= fewest else 0.0
     if onward < PANEL_LIMITS.onward:
         raise InputError.at(
@@ -203,6 +206,7 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     excitation = run.scene.excitation
     if chain.grains == 1 or not is_uniform(chain) or not excitation.strike_velocity:
         return None, ""
+    # without compression a strike breaks up into waves that keep their heights
     if not chain.compressed:
         return 0.0, "solitary wave of the sonic vacuum"
     if chain.gravity == 0:
@@ -233,6 +237,7 @@ def forces(run: Trajectory) -> Panel:
     history = contact.contacts(run)
     ax = history.plot(_axes(), above_rest=True)
     first, last = extent(run)
+    # many contacts are drawn as a map over depth, a few as lines
     many = len(history.contact) > contact.LINES
     if many:
         ax.set_ylim(last + 0.5, first - 0.5)

@@ -1,4 +1,4 @@
-"""The pictures of a page: every line, axis and sentence against numbers that follow from the run."""
+"""Pictures of a page: every line, axis and sentence against numbers that follow from the run."""
 
 import base64
 import re
@@ -170,7 +170,8 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
         "60 µs",
     ]
     peak = np.abs(run.velocity[-1])
-    head = f"At the end the motion is largest at grain {peak.argmax() + 1}, {si(peak.max(), 'm/s', 1)}. "
+    place = f"grain {peak.argmax() + 1}, {si(peak.max(), 'm/s', 1)}"
+    head = f"At the end the motion is largest at {place}. "
     assert picture.caption.startswith(head)
     assert amount(si(peak.max(), "m/s", 1)) == pytest.approx(peak.max(), rel=2e-3)
     off = float(re.search(r"at most (\S+) of the largest velocity away", picture.caption)[1])
@@ -255,7 +256,8 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
     said = [text.get_text() for text in time.get_legend().get_texts()]
     assert said == ["this run", "long weak wave"]
     pattern = (
-        r"The front passes (\d+) grains; its peak goes from (.+) at grain (\d+) to (.+) at grain (\d+)\. "
+        r"The front passes (\d+) grains; "
+        r"its peak goes from (.+) at grain (\d+) to (.+) at grain (\d+)\. "
         r"Dashed: weak wave deep in the column\."
     )
     count, first, top, last, bottom = re.fullmatch(pattern, picture.caption).groups()
@@ -362,7 +364,10 @@ def test_the_spectrum_says_where_it_is_strongest(draw: Any, run: Trajectory, vac
     first, last = reached(run)
     assert picture.axes[0].get_ylim() == (last + 0.5, first - 0.5)
     assert picture.map
-    text = r"Velocity spectrum of every grain, strongest at (.+)\. The line is the local cut-off frequency\."
+    text = (
+        r"Velocity spectrum of every grain, strongest at (.+)\. "
+        r"The line is the local cut-off frequency\."
+    )
     strongest = amount(re.fullmatch(text, picture.caption)[1])
     size = np.abs(np.fft.rfft(run.velocity, axis=0))
     step = run.time[1]
@@ -425,7 +430,8 @@ def test_one_opening_is_one_time(draw: Any, hard: Trajectory):
 def test_the_energy_is_that_of_the_strike_and_drifts_little(draw: Any, run: Trajectory):
     picture = draw("balance", run)
     pattern = (
-        r"Energy relative to rest\. Drift: change not explained by work done on the chain, at most (\S+) of the "
+        r"Energy relative to rest\. "
+        r"Drift: change not explained by work done on the chain, at most (\S+) of the "
         r"largest energy, (.+)\."
     )
     drift, largest = re.fullmatch(pattern, picture.caption).groups()

@@ -191,8 +191,8 @@ def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
     (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert (
-        policy
-        == f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+        policy == "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+        f"script-src 'sha256-{digest}'"
     )
 
 
@@ -233,17 +233,24 @@ def test_a_run_folder_says_when_and_by_which_command(run: Trajectory, tmp_path: 
 SAID = "document.getElementById('said').textContent"
 FOCUS = "document.activeElement.id"
 COLOURS = """(() => {
-  const map = document.getElementById("map"), all = map.getContext("2d").getImageData(0, 0, map.width, map.height);
+  const map = document.getElementById("map");
+  const all = map.getContext("2d").getImageData(0, 0, map.width, map.height);
   return new Set(new Uint32Array(all.data.buffer)).size;
 })()"""
-PLACE = "(({x, y, width, height}) => [x, y, width, height])(document.getElementById('map').getBoundingClientRect())"
+PLACE = (
+    "(({x, y, width, height}) => [x, y, width, height])"
+    "(document.getElementById('map').getBoundingClientRect())"
+)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not installed(), reason="no Chromium is installed here")
 def test_in_a_browser(run: Trajectory, tmp_path: Path):
     page = tmp_path / "page.html"
-    odd = "</script><script>document.title = 'obeyed'</script><img src=x onerror=\"document.title = 'obeyed'\">"
+    odd = (
+        "</script><script>document.title = 'obeyed'</script>"
+        "<img src=x onerror=\"document.title = 'obeyed'\">"
+    )
     htmlreport.write(run, page, origin={"date": odd, "command": odd})
     with browser(tmp_path / "profile") as shown:
         for width, height, scheme in ((1280, 900, "light"), (390, 844, "dark")):
@@ -256,7 +263,10 @@ def test_in_a_browser(run: Trajectory, tmp_path: Path):
                 "[...document.images].every((one) => one.complete && one.naturalWidth > 0)"
             )
             assert shown.run(COLOURS) > 100, "the map has colours"
-            small = "[...document.querySelectorAll('button, input, summary')].some((one) => one.offsetHeight < 44)"
+            small = (
+                "[...document.querySelectorAll('button, input, summary')]"
+                ".some((one) => one.offsetHeight < 44)"
+            )
             assert not shown.run(small), "what is pressed is as large as a finger"
             shown.press("Tab")
             assert shown.run(FOCUS) == "map"
@@ -266,7 +276,8 @@ def test_in_a_browser(run: Trajectory, tmp_path: Path):
             for _ in range(2):
                 shown.press("ArrowLeft")
             value = run.velocity[-3, grain] * 1e6
-            assert shown.run(SAID) == f"Grain {grain + 1} at 59 µs: {float(f'{value:.3g}'):g} µm/s"
+            speed = float(f"{value:.3g}")
+            assert shown.run(SAID) == f"Grain {grain + 1} at 59 µs: {speed:g} µm/s"
             shown.press("Tab")
             assert shown.run(FOCUS) == "play"
             shown.press(" ", " ")
