@@ -95,12 +95,13 @@ QUANTITIES = {
     ),
     # those that a run can gather on its way have its names and units
     "peak_displacement": Quantity(
-        *gathered.KINDS["peak_displacement"], lambda motion, _: motion.peaks("displacement")[1:]
+        *gathered.QUANTITIES["peak_displacement"],
+        lambda motion, _: motion.peaks("displacement")[1:],
     ),
     "peak_velocity": Quantity(
-        *gathered.KINDS["peak_velocity"], lambda motion, _: motion.peaks("velocity")[1:]
+        *gathered.QUANTITIES["peak_velocity"], lambda motion, _: motion.peaks("velocity")[1:]
     ),
-    "arrival_time": Quantity(*gathered.KINDS["arrival_time"], _arrival_time),
+    "arrival_time": Quantity(*gathered.QUANTITIES["arrival_time"], _arrival_time),
     "energy": Quantity(
         ("time",),
         "J",
@@ -141,7 +142,7 @@ def quantity(name: str) -> Quantity:
     """Return one of the quantities, or the largest force of a contact."""
     if name in QUANTITIES:
         return QUANTITIES[name]
-    dimensions, units, title = gathered.KINDS[PEAK]
+    dimensions, units, title = gathered.QUANTITIES[PEAK]
     # it is gathered on the way: there is nothing to measure afterwards
     return Quantity(dimensions, units, f"{title} {contact_of(name)}", lambda motion, _: ())
 

@@ -10,21 +10,29 @@ import numpy as np
 from ..scene.scene import Scene
 
 TIME = "fine_time"
-# dimensions, unit and name
-KINDS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "peak_displacement": (("grain",), "m", "largest size of the displacement at any time"),
-    "peak_velocity": (("grain",), "m s-1", "largest size of the velocity at any time"),
-    "arrival_time": (
-        ("grain",),
-        "s",
-        "when the front passes, by the velocity (measure.front.track)",
+
+
+class Quantity(NamedTuple):
+    """Dimensions, unit and title of a quantity."""
+
+    dimensions: tuple[str, ...]
+    units: str
+    title: str
+
+
+QUANTITIES = {
+    "peak_displacement": Quantity(("grain",), "m", "largest size of the displacement at any time"),
+    "peak_velocity": Quantity(("grain",), "m s-1", "largest size of the velocity at any time"),
+    "arrival_time": Quantity(
+        ("grain",), "s", "when the front passes, by the velocity (measure.front.track)"
     ),
-    "peak_force": ((), "N", "largest force at any time of contact"),
-    "force": ((TIME,), "N", "force of contact"),
+    # the number of the contact follows
+    "peak_force": Quantity((), "N", "largest force at any time of contact"),
+    "force": Quantity((TIME,), "N", "force of contact"),
 }
 
 
-class Kind(NamedTuple):
+class Layout(NamedTuple):
     """Dimensions and shape of an array, and its attributes in files."""
 
     dimensions: tuple[str, ...]
@@ -43,31 +51,33 @@ def file_name(name: str) -> str:
     return name.replace(":", "_")
 
 
-def arrays(scene: Scene) -> dict[str, Kind]:
+def arrays(scene: Scene) -> dict[str, Layout]:
     """Return the arrays that are gathered of a scene, by name in `Trajectory.gathered`."""
-    kinds: dict[str, Kind] = {}
+    layouts: dict[str, Layout] = {}
     sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}
     for name in scene.quantities:
         key, _, contact = name.partition(":")
-        dimensions, units, title = KINDS[key]
+        dimensions, units, title = QUANTITIES[key]
         title = f"{title} {contact}".strip()
         shape = tuple(sizes[dimension] for dimension in dimensions)
-        kinds[name] = Kind(dimensions, shape, {"units": units, "long_name": title})
-        error = {"units": units, "long_name": f"error of the {title}"}
-        kinds[f"{name}_error"] = Kind(dimensions, shape, error)
+        labels = {"units": units, "long_name": title}
+        layouts[name] = Layout(dimensions, shape, labels)
+        layouts[f"{name}_error"] = Layout(
+            dimensions, shape, labels | {"long_name": f"error of the {title}"}
+        )
         if TIME in dimensions:
             labels = {"units": "s", "long_name": "time since the strike"}
-            kinds[TIME] = Kind(dimensions, shape, labels)
-    return kinds
+            layouts[TIME] = Layout(dimensions, shape, labels)
+    return layouts
 
 
 def variables(
     scene: Scene, values: dict[str, Any]
 ) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
     """Return dimensions, values and metadata of gathered arrays, by name in files."""
-    kinds = arrays(scene)
+    layouts = arrays(scene)
     return {
-        file_name(name): (kinds[name].dimensions, array, kinds[name].labels)
+        file_name(name): (layouts[name].dimensions, array, layouts[name].labels)
         for name, array in values.items()
     }
 
@@ -78,6 +88,7 @@ def in_words(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:
     for name in scene.quantities:
         value = np.ravel(values[name])
         error = np.ravel(values[f"{name}_error"])
+        # a grain that no front has passed has no arrival time
         finite = np.isfinite(value)
         if not finite.any():
             lines[name] = "nothing: no front has passed"
@@ -85,7 +96,7 @@ def in_words(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:
         low = f"{value[finite].min():.6g}"
         high = f"{value[finite].max():.6g}"
         span = low if low == high else f"{low} to {high}"
-        units = KINDS[name.partition(":")[0]][1].replace(" s-1", "/s")
+        units = QUANTITIES[name.partition(":")[0]].units.replace(" s-1", "/s")
         grains = "" if finite.all() else f" in {finite.sum()} of {finite.size} grains"
         lines[name] = f"{span} {units}{grains}, off by {error[finite].max():.2g} at most"
     return lines

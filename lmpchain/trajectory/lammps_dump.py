@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
-from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -161,9 +161,9 @@ def _read_samples(path: Path, columns: list[str], scene: Scene) -> tuple[np.ndar
     """Return step numbers, (T,), and the columns of the motion, (T, N) each, by atom number."""
     name = str(path)
     motion = ("vx", "vy", "vz", "v_phi")
-    wanted = [*_position_columns(columns), *(key for key in motion if key in columns)]
+    names = [*_position_columns(columns), *(key for key in motion if key in columns)]
     samples = scene.samples
-    steps, data = read_frames(path, columns, wanted, scene.chain.grains, most=2 * samples)
+    steps, data = read_frames(path, columns, names, scene.chain.grains, most=2 * samples)
     if len(steps) != samples:
         cure = "set the samples of the scene so, or run LAMMPS to its end"
         raise InputError.at(
@@ -337,15 +337,15 @@ def _read_ends(path: Path) -> tuple[list[str], bytes]:
 
 
 def read_frames(
-    path: Path, columns: list[str], wanted: list[str], grains: int, most: int
+    path: Path, columns: list[str], names: list[str], grains: int, most: int
 ) -> tuple[np.ndarray, dict[str, Array]]:
-    """Return step numbers, (T,), and these columns ordered by atom number, (T, N) each.
+    """Return step numbers, (T,), and columns by name, ordered by atom number, (T, N) each.
 
     A run that was stopped and started again writes frames twice, and one that was killed leaves
     half a frame: of each step, the frame that was written last is taken, and what is not whole is
     left out.
     """
-    indices = [columns.index(key) for key in ("id", *wanted)]
+    indices = [columns.index(key) for key in ("id", *names)]
     frames: dict[int, Array] = {}
     try:
         with _open(path) as opened:
@@ -364,27 +364,25 @@ def read_frames(
             str(path), f"cannot be read as a dump: {short(error)}; write it anew"
         ) from None
     steps = np.array(sorted(frames))
-    rows = np.array([frames[step] for step in steps]).reshape(len(steps), len(wanted), grains)
-    return steps, dict(zip(wanted, rows.transpose(1, 0, 2), strict=True))
+    rows = np.array([frames[step] for step in steps]).reshape(len(steps), len(names), grains)
+    return steps, dict(zip(names, rows.transpose(1, 0, 2), strict=True))
 
 
 def _whole_frames(opened: IO[bytes], grains: int) -> Iterator[list[bytes]]:
     """Yield the lines of each whole frame, without the first; frames cut short are left out."""
-    while line := opened.readline():
+    lines: Iterator[bytes] = iter(opened)
+    while line := next(lines, b""):
+        # where a run was killed within a line, the next frame begins in the middle of it
         if BEGIN not in line:
             continue
-        body = list(islice(opened, HEADER - 1 + grains))
-        head = body[: HEADER - 1]
-        begins = [number for number, line in enumerate(body) if BEGIN in line]
-        headed = len(head) == HEADER - 1 and (not begins or begins[0] >= len(head))
-        if headed and body[2].strip().isdigit() and int(body[2]) != grains:
+        body = list(itertools.islice(lines, HEADER - 1 + grains))
+        begins = next((number for number, line in enumerate(body) if BEGIN in line), len(body))
+        if begins >= HEADER - 1 and body[2].strip().isdigit() and int(body[2]) != grains:
             step = short(body[0].decode(errors="replace").strip())
             raise ValueError(f"the number of atoms changes at step {step}")
-        if begins:
+        if begins < len(body):
             # another frame begins before this one ends: go on with that
-            following = body[begins[0]][body[begins[0]].index(BEGIN) :]
-            later = body[begins[0] + 1 :]
-            opened.seek(opened.tell() - len(following) - sum(map(len, later)))
+            lines = itertools.chain(body[begins:], lines)
         elif len(body) == HEADER - 1 + grains:
             if not body[HEADER - 2].startswith(b"ITEM: ATOMS"):
                 raise ValueError("its frames are not alike")

@@ -54,10 +54,10 @@ class SampleReader(ProtoReader):
 
     def copy(self) -> SampleReader:
         """Return another reader of the same trajectory, at the same sample."""
-        new = SampleReader(self._run)
-        new.add_transformations(*self.transformations)
-        new.ts = self.ts.copy()
-        return new
+        reader = SampleReader(self._run)
+        reader.add_transformations(*self.transformations)
+        reader.ts = self.ts.copy()
+        return reader
 
     def close(self) -> None:
         """Do nothing: no file is held."""

@@ -15,7 +15,7 @@ from ..util.arrays import Array
 from ..util.files import check_readable, check_seal, seal, write_aside
 from ..util.provenance import command, now
 from .gathered import TIME
-from .record import ATTRIBUTES, DIMENSIONS, KINDS, Record, read_scene, shapes
+from .record import ATTRIBUTES, DATA_TYPES, DIMENSIONS, Record, read_scene, shapes
 
 if TYPE_CHECKING:
     import h5py
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 def write(record: Record, path: str | PathLike[str]) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
-    import h5netcdf  # xarray writes the same, but its import takes longer than most runs
+    # xarray writes the same, but its import takes longer than most runs
+    import h5netcdf
 
     # HDF5 crashes the process when a disk is full
     memory = BytesIO()
@@ -75,9 +76,10 @@ def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"its {name} is not in the file, or a link")
     array = file[name]
-    kind = KINDS.get(name, "float64")
-    if not isinstance(array, h5py.Dataset) or array.dtype != kind:
-        raise ValueError(f"its {name} are not numbers of the kind {kind}")
+    data_type = DATA_TYPES.get(name, "float64")
+    if not isinstance(array, h5py.Dataset) or array.dtype != data_type:
+        raise ValueError(f"its {name} are not numbers of the kind {data_type}")
+    # chunks may be compressed, and external files belong to someone else
     layout = array.id.get_create_plist().get_layout()
     if layout not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or array.external:
         raise ValueError(f"its {name} does not lie in the file in one piece, as lmpchain writes it")

@@ -31,8 +31,8 @@ def space_time(
     motion = np.asarray(getattr(trajectory, field)[::stride])[:, order]
     rows, drawn = thin_rows(trajectory.grains[order], motion.T)
     limit = scale(motion)
-    shown = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    colour_bar(ax, shown, f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
+    mesh = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    colour_bar(ax, mesh, f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
     ax.set(
         xlabel="time", ylabel="grain, from the top", xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1]
     )

@@ -17,7 +17,7 @@ from . import gathered
 FORMAT = 1  # version of the files
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
-KINDS = {"time": "float64", "grain": "int64", "displacement": "float64", "velocity": "float64"}
+DATA_TYPES = {"grain": "int64"}  # all other arrays are of float64
 # metadata of a file
 ATTRIBUTES = (
     "lmpchain_format",
@@ -138,8 +138,8 @@ class Record:
 
     def attributes(self) -> dict[str, Any]:
         """Return the metadata of the file."""
-        before = subject(self.scene, self.engine, self.equation, self.provenance)
-        return before | verdict(self.error_estimate, self.cost)
+        known_before = subject(self.scene, self.engine, self.equation, self.provenance)
+        return known_before | verdict(self.error_estimate, self.cost)
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
         """Return dimensions, values and metadata of each array."""
@@ -189,8 +189,14 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays of a scene, by name, without making one of them."""
     samples = scene.samples
     grains = scene.count(scene.chain)
-    return {"time": (samples,), "grain": (grains,), **dict.fromkeys(FIELDS, (samples, grains))} | {
-        gathered.file_name(name): kind.shape for name, kind in gathered.arrays(scene).items()
+    extra = {
+        gathered.file_name(name): layout.shape for name, layout in gathered.arrays(scene).items()
+    }
+    return {
+        "time": (samples,),
+        "grain": (grains,),
+        **dict.fromkeys(FIELDS, (samples, grains)),
+        **extra,
     }
 
 
@@ -210,7 +216,7 @@ def read_result(attributes: Mapping[str, Any]) -> dict[str, Any]:
     provenance = json.loads(attributes["provenance"])
     engine = attributes["engine"]
     equation = attributes["equation"]
-    # JSON writes 1.0 as 1
+    # in JSON a float may be written as 1
     kinds: dict[Any, Any] = {float: int | float, int: int, str: str}
     if not (error.model >= 0 and error.solver >= 0):
         raise ValueError("its error estimate is no number from 0")

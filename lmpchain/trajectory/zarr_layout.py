@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ..scene.scene import Scene
 from ..util.files import LARGEST_JSON, check_readable
-from .record import FIELDS, KINDS, shapes
+from .record import DATA_TYPES, FIELDS, shapes
 
 MOST_SHRUNK = 1000  # times that a codec shrinks numbers which count up
 SHRUNK = ["bytes", "blosc", "crc32c"]
@@ -100,6 +100,7 @@ def check(store: Path, scene: Scene) -> None:
     """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
     arrays = shapes(scene)
     sizes = stores(scene)
+    chunk = sizes["chunk"]
     names = {path.name for path in store.iterdir() if path.is_dir()}
     if metadata(store).get("node_type") != "group" or names - arrays.keys():
         raise ValueError("it is no store of lmpchain, or holds more than that")
@@ -108,7 +109,7 @@ def check(store: Path, scene: Scene) -> None:
         expected = {
             "node_type": "array",
             "shape": list(shape),
-            "data_type": KINDS.get(name, "float64"),
+            "data_type": DATA_TYPES.get(name, "float64"),
             "chunk_grid": _configure("regular", chunk_shape=list(sizes[name])),
             "chunk_key_encoding": _configure("default", separator="/"),
             "fill_value": 0 if name == "grain" else "NaN",
@@ -118,24 +119,20 @@ def check(store: Path, scene: Scene) -> None:
                 raise ValueError(f"the {key} of {name} is not that of its scene")
         if array.keys() - KEYS or array.get("storage_transformers"):
             raise ValueError(f"{name} is stored in a way that lmpchain does not use")
-        codecs = _check_codecs(name, array["codecs"], sizes["chunk"])
+        nested = array["codecs"]
+        codecs = codec_names_in_shards(nested, chunk) if name in FIELDS else codec_names(nested)
+        if codecs != SHRUNK and not (name == "grain" and codecs == SHRUNK_ONCE):
+            raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
+        # in a shard each chunk would have to be looked for
         if name not in FIELDS:
             _check_claims(store / name / "c", math.prod(sizes[name]), blosc=codecs == SHRUNK)
-
-
-def _check_codecs(name: str, codecs: Any, chunk: Piece) -> list[str]:
-    """Return the names of the codecs of an array; raises `ValueError` for others."""
-    names = codec_names_in_shards(codecs, chunk) if name in FIELDS else codec_names(codecs)
-    if names != SHRUNK and not (name == "grain" and names == SHRUNK_ONCE):
-        raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
-    return names
 
 
 def _check_claims(chunks: Path, length: int, blosc: bool) -> None:
     """Raise `ValueError` if a chunk claims to hold more numbers than it should or can."""
     for path in chunks.glob("[0-9]*"):
+        # a name with more than digits is that of a file that is being written
         if not path.name.isdecimal():
-            # being written
             continue
         with open(path, "rb") as opened:
             head = opened.read(8)
@@ -160,7 +157,7 @@ def codec_names(codecs: Any) -> list[str]:
 
 
 def codec_names_in_shards(codecs: Any, chunk: Piece) -> list[str]:
-    """Return the names of the codecs inside the one of a shard."""
+    """Return the names of the codecs inside the one of a shard, with chunks of this shape."""
     (outer,) = codecs
     inside = outer["configuration"]
     if outer["name"] != "sharding_indexed" or inside["chunk_shape"] != list(chunk):

@@ -24,7 +24,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import check_tree
 from . import gathered
-from .record import FIELDS, LABELS, Block, Cost, ErrorEstimate, read_scene, verdict
+from .record import DIMENSIONS, FIELDS, LABELS, Block, Cost, ErrorEstimate, read_scene, verdict
 from .zarr_layout import check, metadata, pieces
 
 if TYPE_CHECKING:
@@ -45,26 +45,20 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     sizes = pieces(samples, grains)
     shrink: Any = [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]
 
-    def make(
-        name: str, dimensions: tuple[str, ...], labels: dict[str, Any], **options: Any
-    ) -> None:
-        group.create_array(
-            name,
-            dimension_names=dimensions,
-            attributes=labels,
-            compressors=shrink,
-            **options,
-        )
+    def make(name: str, dimensions: tuple[str, ...], labels: Any, **options: Any) -> None:
+        labelled: Any = {"dimension_names": dimensions, "attributes": labels}
+        group.create_array(name, compressors=shrink, **labelled, **options)
 
+    # NaN until they are written, so that nobody takes a missing sample for one at rest
     unknown: Any = {"dtype": "f8", "fill_value": math.nan}
     fields = {"shape": (samples, grains), "chunks": sizes["chunk"]} | unknown
     for name in FIELDS:
-        make(name, ("time", "grain"), LABELS[name], shards=sizes[name], **fields)
+        make(name, DIMENSIONS, LABELS[name], shards=sizes[name], **fields)
     make("time", ("time",), LABELS["time"], shape=(samples,), chunks=sizes["time"], **unknown)
     make("grain", ("grain",), LABELS["grain"], data=scene.recorded, chunks=sizes["grain"])
-    for name, kind in gathered.arrays(scene).items():
-        shape = {"shape": kind.shape, "chunks": kind.shape}
-        make(gathered.file_name(name), kind.dimensions, kind.labels, **shape, **unknown)
+    for name, layout in gathered.arrays(scene).items():
+        shape = {"shape": layout.shape, "chunks": layout.shape}
+        make(gathered.file_name(name), layout.dimensions, layout.labels, **shape, **unknown)
     # consolidated metadata, which xarray reads first; zarr warns that they are no standard yet
     with warnings.catch_warnings(action="ignore"):
         zarr.consolidate_metadata(folder / NAME)
@@ -82,7 +76,7 @@ class Writer:
         self._rows = self._fields[0].shards[0]
         self._buffers = np.empty((len(FIELDS), self._rows, scene.recorded.size))
         times: Any = self._group["time"]
-        self._known = int(np.isfinite(times[:]).sum())
+        self._stored = int(np.isfinite(times[:]).sum())
         self._go_to(sample - sample % self._rows)
         self._end = sample
 
@@ -90,7 +84,7 @@ class Writer:
         """Begin a shard with its samples in the store, so that no reader sees a sample vanish."""
         self._first = self._end = first
         self._buffers.fill(math.nan)
-        if first < self._known:
+        if first < self._stored:
             with suppress(ValueError):
                 # damaged samples to come are written anew
                 for buffer, array in zip(self._buffers, self._fields, strict=True):
@@ -100,18 +94,20 @@ class Writer:
     def put(self, block: Block) -> None:
         """Append samples; full shards are written to the disk."""
         fields = block.displacement[0], block.velocity[0]
-        done = 0
+        written = 0
         count = len(fields[0])
-        while done < count:
+        # a block may end within a shard, or go on over several
+        while written < count:
             row = self._end - self._first
-            taken = min(self._rows - row, count - done)
+            rows = slice(row, min(self._rows, row + count - written))
+            size = rows.stop - row
             for buffer, values in zip(self._buffers, fields, strict=True):
                 # grains that the wave has not reached are at rest
-                buffer[row : row + taken] = 0.0
-                buffer[row : row + taken, block.columns] = values[done : done + taken]
-            done += taken
-            self._end += taken
-            if row + taken == self._rows:
+                buffer[rows] = 0.0
+                buffer[rows, block.columns] = values[written : written + size]
+            written += size
+            self._end += size
+            if rows.stop == self._rows:
                 self.flush()
                 self._go_to(self._end)
 

@@ -1,4 +1,6 @@
-"""Polynomials between samples, where a contact opens, closes or does both: against quadrature of a prescribed force."""
+"""Polynomials between samples, where a contact opens, closes or does both: against quadrature of a
+prescribed force.
+"""
 
 import numpy as np
 import pytest
@@ -13,12 +15,16 @@ KNOTS, WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def integral(values: np.ndarray) -> np.ndarray:
-    """Return the integral of values (K, 4) at Gauss points of K intervals of 1/FINE, at their ends, (K+1,)."""
+    """Return the integral of values (K, 4) at Gauss points of K intervals of 1/FINE, at their ends,
+    (K+1,).
+    """
     return np.concatenate(([0.0], np.cumsum(values @ WEIGHTS) / 2 / FINE))
 
 
 def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarray, ...]:
-    """Return time, displacement, velocity, acceleration of a grain of 1 kg pushed by a contact of 1 N/m^exponent."""
+    """Return time, displacement, velocity, acceleration of a grain of 1 kg pushed by a contact of 1
+    N/m^exponent.
+    """
     ends = np.arange((SAMPLES - 1) * FINE + 1) / FINE
     inside = (ends[:-1, None] + ends[1:, None] + KNOTS / FINE) / 2
 
@@ -34,7 +40,9 @@ def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarr
 
 
 def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
-    """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner intervals, (3,)."""
+    """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner
+    intervals, (3,).
+    """
     t, u, v, a = motion(overlap, exponent)
     at = slice(None, None, FINE)
     # where the other body is, and how fast

@@ -1,4 +1,6 @@
-"""Largest values and wave fronts of polynomials, and how far off they are said to be, by roots and dense evaluation."""
+"""Largest values and wave fronts of polynomials, and how far off they are said to be, by roots and
+dense evaluation.
+"""
 
 import math
 from collections.abc import Callable
@@ -92,7 +94,9 @@ def test_what_may_hide_between_samples_bounds_the_largest_value(kind: int):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
-    """Slopes of one sign at both ends say nothing where the curve bends, or misses the way, between these."""
+    """Slopes of one sign at both ends say nothing where the curve bends, or misses the way, between
+    these.
+    """
     for step in range(60):
         values = np.zeros((5, 3))
         values[1] = 3 + RNG.normal(size=3) * 0.3
@@ -132,9 +136,16 @@ def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
 
 
 def front(
-    position: Polynomial | np.ndarray, kind: int, fraction: float = 0.5, known: float = 0.0, certain: float = 0.0,
-    off: float = 0.0, ceiling: np.ndarray | None = None, width: bool = True, frequency: float = TILT_S,
-) -> np.ndarray:  # fmt: skip
+    position: Polynomial | np.ndarray,
+    kind: int,
+    fraction: float = 0.5,
+    known: float = 0.0,
+    certain: float = 0.0,
+    off: float = 0.0,
+    ceiling: np.ndarray | None = None,
+    width: bool = True,
+    frequency: float = TILT_S,
+) -> np.ndarray:
     """Return time, height and width of a front and their errors, (6,)."""
     motion = position if isinstance(position, np.ndarray) else motion_of(position, off)
     return front_among(motion, kind, H, fraction, known, certain, frequency, ceiling, width)
@@ -165,7 +176,9 @@ MOTIONS = [(hermite.VELOCITY, 1.0), (hermite.DISPLACEMENT, -1.0), (hermite.RAISE
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize(("known", "off"), [(0.0, 0.0), (1e-5, 0.0), (0.0, 1e-3), (2e-5, 5e-4)])
 def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: float, off: float):
-    """Errors: what those of value and slope make of the place where the slope is 0, and of the ends of the width."""
+    """Errors: what those of value and slope make of the place where the slope is 0, and of the ends
+    of the width.
+    """
     allowed = PUSHED * H * off * (1 if kind == hermite.VELOCITY else H / 2.1875)
     time, height, width, late, higher, wider = front(
         position_of(sign * SINGLE, kind), kind, known=known, off=off, certain=known
@@ -189,7 +202,9 @@ def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize("frequency", [40.0, 400.0])
 def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, frequency: float):
-    """An error that goes up and down fast says nothing of the slope: the value itself is that large for so long."""
+    """An error that goes up and down fast says nothing of the slope: the value itself is that large
+    for so long.
+    """
     known, top = 1e-6, SINGLE(0.4)
     late = front(
         position_of(sign * SINGLE, kind), kind, known=known, certain=known, frequency=frequency
@@ -202,7 +217,9 @@ def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, freque
 
 
 def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
-    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is lowest between."""
+    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is
+    lowest between.
+    """
 
     def curve(dip: float) -> Polynomial:
         shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
@@ -216,7 +233,9 @@ def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
-    """The first is half as large as the second, within the errors or not; so which of them the front is, is unsure."""
+    """The first is half as large as the second, within the errors or not; so which of them the
+    front is, is unsure.
+    """
     first, second = 0.15, 0.83
     known = 1e-4
     for ratio in (0.497, 0.4999, 0.5001, 0.503):
@@ -239,7 +258,9 @@ def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
-    """If it were less than the fraction of the largest value, which comes at the end, there would be no front."""
+    """If it were less than the fraction of the largest value, which comes at the end, there would
+    be no front.
+    """
     first = 0.3
 
     def curve(dip: float) -> Polynomial:
@@ -259,7 +280,9 @@ def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize("deeper", [-1.0, 1.0])
 def test_a_fall_within_what_is_certain_makes_no_front(kind: int, sign: float, deeper: float):
-    """What falls by less than is certain is no maximum; a little more, and which of two it is, is unsure."""
+    """What falls by less than is certain is no maximum; a little more, and which of two it is, is
+    unsure.
+    """
     first, second = 0.3, 0.8
     curve, dip = two(first, second, 0.9)
     fall = curve(first) - curve(dip)
@@ -337,7 +360,9 @@ def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
 
 
 def test_a_bump_that_hardly_rises_may_have_turned_before():
-    """Where the slope is within its error, the maximum may be there: from the quarter of an interval before on."""
+    """Where the slope is within its error, the maximum may be there: from the quarter of an
+    interval before on.
+    """
     turning = Polynomial.fromroots([0.35, 0.35, 0.8]) * -1.0
     curve = (turning + 1e-3 * Polynomial([0.8, -1])).integ()
     low, top = curve(0.35), curve(brentq(turning + 1e-3 * Polynomial([0.8, -1]), 0.7, 0.9))
@@ -377,7 +402,9 @@ def bumps(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
 
 @pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
 def test_stated_errors_cover_those_of_noisy_samples(kind: int):
-    """A smooth error of the samples, in size and slope as stated: no front is off by more, and some by as much."""
+    """A smooth error of the samples, in size and slope as stated: no front is off by more, and some
+    by as much.
+    """
     rng = np.random.default_rng(3)
     samples, known, ratios, clear = 24, 1e-3, [], 0
     for _ in range(25):
@@ -423,7 +450,9 @@ def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
 
 @pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
 def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
-    """The first maximum of a share of the largest, and where it falls to half, over many intervals."""
+    """The first maximum of a share of the largest, and where it falls to half,
+    over many intervals.
+    """
     rng = np.random.default_rng(17)
     clear = 0
     for number in range(60):
@@ -452,7 +481,9 @@ def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
 
 
 def test_shoulders_of_a_rise_are_where_its_slope_is_least():
-    """The rise beyond all before may have turned there: as long before as the slope is within its error."""
+    """The rise beyond all before may have turned there: as long before as the slope is within its
+    error.
+    """
     seen = 0
     for _ in range(40):
         turning = (Polynomial([-RNG.uniform(0.1, 0.9), 1]) ** 2 + 0.01) * (

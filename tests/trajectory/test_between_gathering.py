@@ -1,4 +1,6 @@
-"""Largest values and maxima that are gathered interval by interval, of polynomials: by their roots."""
+"""Largest values and maxima that are gathered interval by interval, of polynomials:
+by their roots.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +24,9 @@ def _same_draws_in_any_order():
 
 
 class Gathered:
-    """What is gathered of two bodies: a wall that moves, and a grain whose acceleration is given."""
+    """What is gathered of two bodies: a wall that moves,
+    and a grain whose acceleration is given.
+    """
 
     def __init__(self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float = 0.0):
         """Take samples of u, v, a, j (4, T) of both."""
@@ -76,7 +80,9 @@ def largest(curve: Polynomial, signed: bool = False) -> float:
 @pytest.mark.parametrize("parts", [(FINAL,), (1, 3, 4, FINAL), tuple(range(1, SAMPLES))])
 @pytest.mark.parametrize("off", [0.0, 0.5])
 def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, ...], off: float):
-    """The wall's approach to the grain counts with its sign, and its errors add to those of the grain."""
+    """The wall's approach to the grain counts with its sign, and its errors add to those of the
+    grain.
+    """
     for _ in range(8):
         position, wall = wavy(), wavy()
         kept, begin = Gathered(samples_of(position), samples_of(wall), off), 0
@@ -108,7 +114,9 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("middle", [0.437, 0.48, 0.5, 0.55])
 def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int):
-    """A parabola exceeds its samples by an eighth of a second difference at most; here just what was largest."""
+    """A parabola exceeds its samples by an eighth of a second difference at most; here just what
+    was largest.
+    """
     curve = sign * (1 - 3 * (Polynomial([-middle, 1])) ** 2)
     for low, seen in ((1 - 1e-9, True), (1 + 1e-9, False)):
         kept = Gathered(samples_of(curve.integ()), np.zeros((4, SAMPLES)), low=low)
@@ -120,7 +128,9 @@ def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("outer", [4.1, 10.0])
 def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: int):
-    """Four samples of a speed rise, but the middle two so little that it may turn between them, as it does."""
+    """Four samples of a speed rise, but the middle two so little that it may turn between them, as
+    it does.
+    """
     v = np.zeros(SAMPLES)
     v[2:6] = np.cumsum([1, outer, 1, outer])
     v[6:] = v[5]
@@ -145,7 +155,9 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
 
 
 def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
-    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is lowest between."""
+    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is
+    lowest between.
+    """
 
     def curve(dip: float) -> Polynomial:
         shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
@@ -201,7 +213,9 @@ def test_a_constant_speed_is_reached_where_it_began(sign: int):
 
 
 def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
-    """Of random polynomials: the turns of the speed that are above all that was, from that at t = 0 on."""
+    """Of random polynomials: the turns of the speed that are above all that was, from that at t = 0
+    on.
+    """
     counts = set()
     for _ in range(200):
         position = wavy()

@@ -114,7 +114,9 @@ def test_errors_follow_from_the_misfit_of_the_way_and_of_the_acceleration(kind: 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_quick_bound_is_close_where_samples_are(kind: int):
-    """Of a swing of a fourteenth of a period in an interval it exceeds the largest value by 1 % at most."""
+    """Of a swing of a fourteenth of a period in an interval it exceeds the largest value by 1 % at
+    most.
+    """
     omega = 0.45 / H
     t = H * np.arange(6)
     phase = omega * t + 0.3
@@ -307,7 +309,9 @@ def test_accelerations_and_jerks_are_those_of_the_forces(
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 def test_a_weak_wave_keeps_its_digits(exponent: float):
-    """Of an overlap it moves a hundred-millionth, where a difference of forces would lose 8 digits."""
+    """Of an overlap it moves a hundred-millionth,
+    where a difference of forces would lose 8 digits.
+    """
     contacts = chain_contacts(exponent, [True] * 3, [True] * 3)
     u, v = 1e-8 * RNG.normal(size=(2, 5, 2))
     block = block_of(u, v, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, H)

@@ -1,4 +1,6 @@
-"""Dumps that are written here, frame by frame: what is read from them, and both sides of every refusal."""
+"""Dumps that are written here, frame by frame: what is read from them, and both sides of every
+refusal.
+"""
 
 import gzip
 import math
@@ -26,9 +28,16 @@ REST = 0.01 - np.append(0, np.cumsum(CHAIN.contact_lengths[1:-1] - CHAIN.equilib
 
 
 def dump(
-    path: Path, u: np.ndarray = U, v: np.ndarray = V, rest: np.ndarray = REST, columns: str = "id x y z vz v_phi",
-    steps: Any = (100, 150, 200, 250), form: str = "%.17g", up: int = 1, numbers: np.ndarray = NUMBERS,
-) -> Path:  # fmt: skip
+    path: Path,
+    u: np.ndarray = U,
+    v: np.ndarray = V,
+    rest: np.ndarray = REST,
+    columns: str = "id x y z vz v_phi",
+    steps: Any = (100, 150, 200, 250),
+    form: str = "%.17g",
+    up: int = 1,
+    numbers: np.ndarray = NUMBERS,
+) -> Path:
     """Write a dump: atoms in an order that changes from frame to frame."""
     text = ""
     for sample, step in enumerate(steps):
@@ -39,8 +48,10 @@ def dump(
         )
         text += "-1 1\n-1 1\n-1 1\n" + f"ITEM: ATOMS {columns}\n"
         for n in np.roll(np.arange(z.size), sample):
-            words = [str(numbers[n]) if key == "id" else form % fields[key][n] if key in fields else "0"
-                     for key in columns.split()]  # fmt: skip
+            words = [
+                str(numbers[n]) if key == "id" else form % fields[key][n] if key in fields else "0"
+                for key in columns.split()
+            ]
             text += " ".join(words) + "\n"
     path.write_text(text)
     return path
@@ -222,7 +233,10 @@ def test_heights_need_digits_for_the_motion(tmp_path: Path, levels: int, good: b
     if good:
         t = Trajectory.from_dump(path, scene)
         np.testing.assert_allclose(t.displacement, u, rtol=0, atol=1e-17)
-        shares = "displacement within 5e-11 m, 0.005 of the largest; velocity within 5e-05 m/s, 0.03 of the largest"
+        shares = (
+            "displacement within 5e-11 m, 0.005 of the largest; "
+            "velocity within 5e-05 m/s, 0.03 of the largest"
+        )
         assert t.provenance["precision"] == shares
         return
     why = fault(path, scene)
@@ -236,6 +250,6 @@ def test_all_digits_are_known_to_the_last_bit(tmp_path: Path):
     digit = np.spacing(U.max() * math.pi)
     within = t.provenance["precision"].split(";")[0]
     assert (
-        within
-        == f"displacement within {digit / 2:.2g} m, {digit / 2 / (U.max() * math.pi):.1g} of the largest"
+        within == f"displacement within {digit / 2:.2g} m, "
+        f"{digit / 2 / (U.max() * math.pi):.1g} of the largest"
     )

@@ -1,4 +1,6 @@
-"""Files from someone else: what lmpchain did not write is refused before anything in it is opened."""
+"""Files from someone else:
+what lmpchain did not write is refused before anything in it is opened.
+"""
 
 import hashlib
 import io
@@ -129,7 +131,9 @@ def test_no_pickle_of_a_store_is_opened(
 
 
 def changed(run: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
-    """Change the metadata of an array where they stand: with it, and together with those of the others."""
+    """Change the metadata of an array where they stand: with it, and together with those of the
+    others.
+    """
     for path, where in ((run / "trajectory.zarr" / name, None), (run / "trajectory.zarr", name)):
         about = json.loads((path / "zarr.json").read_text())
         change(about["consolidated_metadata"]["metadata"][name] if where else about)
@@ -304,7 +308,9 @@ def test_a_checkpoint_that_is_none_is_not_used(stopped: Path, what: str):
 
 @pytest.mark.parametrize("what", ["window", "shape", "sample", "lost", "none", "text"])
 def test_the_state_of_a_checkpoint_fits_its_run(stopped: Path, what: str):
-    """The compiled loops trust the state: they do not look whether they are inside of their arrays."""
+    """The compiled loops trust the state:
+    they do not look whether they are inside of their arrays.
+    """
     arrays = arrays_of(stopped)
     if what == "window":
         arrays["state.native.state"]["first"][0] = -(10**9)

@@ -38,7 +38,9 @@ def trajectory() -> Trajectory:
 
 
 def rest(t: Trajectory) -> np.ndarray:
-    """Return the heights of the recorded grains at rest, (G,) m: diameters less overlaps, summed."""
+    """Return the heights of the recorded grains at rest, (G,) m: diameters less overlaps,
+    summed.
+    """
     chain = t.scene.chain
     apart = (chain.diameters[1:] + chain.diameters[:-1]) / 2 - chain.equilibrium_overlap
     return -np.append(0, np.cumsum(apart))[t.grains - 1]
@@ -137,7 +139,9 @@ def test_extxyz_is_whole_or_not_there(trajectory: Trajectory, tmp_path: Path):
 
 
 def test_what_a_deck_writes(tmp_path: Path):
-    """ASE reads the dump, LAMMPS's own reader the logs of `lmp` and of the library, and both dumps are the same."""
+    """ASE reads the dump, LAMMPS's own reader the logs of `lmp` and of the library, and both dumps
+    are the same.
+    """
     write_deck(small(), tmp_path / "deck", step=1e-7)
     lmp(tmp_path / "deck")
     t = simulate(
@@ -171,10 +175,11 @@ MOVED = Scene(**OWN.given() | {"excitation": Displacement(displacement=-2e-8, gr
 def own_deck(
     folder: Path, scene: Scene, up: int = 1, dump: str = "own.dump", columns: str = "id x y z vz"
 ) -> Path:
-    """Let LAMMPS run a deck that shares nothing with ours, with z up (1) or down (-1); return its dump.
+    """Let LAMMPS run a deck that shares nothing with ours, with z up (1) or down (-1); return its
+    dump.
 
-    Atoms have numbers without order and start at rest, but for what the scene does to them; the constant of
-    gran/hertz/history is K / sqrt(R / 2).
+    Atoms have numbers without order and start at rest, but for what the scene does to them; the
+    constant of gran/hertz/history is K / sqrt(R / 2).
     """
     folder.mkdir()
     chain = scene.chain
@@ -288,7 +293,9 @@ def test_dumps_without_what_is_needed(tmp_path: Path):
 
 
 def turned(text: str, axis: str, sign: int) -> str:
-    """Return a dump whose column stands along another axis, with its sign as it is or turned around."""
+    """Return a dump whose column stands along another axis, with its sign as it is or turned
+    around.
+    """
     lines, header = text.splitlines(), "ITEM: ATOMS id x y z vz"
     out = []
     for line in lines:
@@ -341,7 +348,9 @@ def test_a_column_along_a_diagonal_is_refused(
 
 
 def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
-    """A frame that is there twice is read once, half a frame not at all, wherever the run was killed in it."""
+    """A frame that is there twice is read once, half a frame not at all, wherever the run was
+    killed in it.
+    """
     path, truth, text = tmp_path / "dump", Trajectory.from_dump(upright, OWN), upright.read_text()
     frames = ["ITEM: TIMESTEP" + part for part in text.split("ITEM: TIMESTEP")[1:]]
     assert len(frames) == 11

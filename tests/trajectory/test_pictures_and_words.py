@@ -1,4 +1,6 @@
-"""What a trajectory shows of itself: the picture's data, its line in a notebook, and words on what was gathered."""
+"""What a trajectory shows of itself: the picture's data, its line in a notebook, and words on what
+was gathered.
+"""
 
 from dataclasses import replace
 
@@ -12,9 +14,12 @@ from lmpchain.trajectory.record import Cost, ErrorEstimate
 from lmpchain.util.plotting import figure
 
 SCENE = Scene(
-    chain=Chain(grains=6, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=4e-6, samples=5,
+    chain=Chain(grains=6, diameter=1e-3),
+    excitation=Impulse(velocity=1e-3),
+    duration=4e-6,
+    samples=5,
     grains=[4, 1, 2],
-)  # fmt: skip
+)
 COST = Cost(1.0, 0.25, 0.5, 80, 240, 6, "rkn4", 5e-8, 1, 3.0)
 
 
@@ -148,11 +153,15 @@ def test_what_is_gathered_has_labels_units_and_shapes():
 def test_what_is_gathered_in_words():
     scene = Scene(**SCENE.given() | {"quantities": QUANTITIES[:4]})
     values = {
-        "peak_velocity": np.array([1.25e-3, 3e-4, 5e-4]), "peak_velocity_error": np.array([1e-6, 2.5e-6, 0]),
-        "peak_displacement": np.full(3, np.nan), "peak_displacement_error": np.full(3, np.nan),
-        "arrival_time": np.array([np.nan, 2e-6, 1e-6]), "arrival_time_error": np.array([np.nan, 1e-9, 3e-9]),
-        "peak_force:3": np.array(1.5), "peak_force:3_error": np.array(0.02),
-    }  # fmt: skip
+        "peak_velocity": np.array([1.25e-3, 3e-4, 5e-4]),
+        "peak_velocity_error": np.array([1e-6, 2.5e-6, 0]),
+        "peak_displacement": np.full(3, np.nan),
+        "peak_displacement_error": np.full(3, np.nan),
+        "arrival_time": np.array([np.nan, 2e-6, 1e-6]),
+        "arrival_time_error": np.array([np.nan, 1e-9, 3e-9]),
+        "peak_force:3": np.array(1.5),
+        "peak_force:3_error": np.array(0.02),
+    }
     assert gathered.in_words(scene, values) == {
         "peak_velocity": "0.0003 to 0.00125 m/s, off by 2.5e-06 at most",
         "peak_displacement": "nothing: no front has passed",

@@ -24,9 +24,12 @@ from lmpchain.trajectory.zarr_layout import pieces
 from lmpchain.trajectory.zarr_store import Writer, usable
 
 SCENE = Scene(
-    chain=Chain(grains=1000, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=4e-6, samples=500,
+    chain=Chain(grains=1000, diameter=1e-3),
+    excitation=Impulse(velocity=1e-3),
+    duration=4e-6,
+    samples=500,
     grains=list(range(1, 1001)),
-)  # fmt: skip
+)
 ROWS = 208  # samples of a thousand grains that fill a chunk of 100 KB and more, in sixteens
 RNG = np.random.default_rng(5)
 U, V = RNG.normal(size=(2, 1, 500, 1000))
@@ -171,8 +174,19 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
         500,
     )
     odd = np.array([5, 3, 3])
-    for key in (7, slice(3, 90, 7), (slice(None), 3), (..., -1), odd, (odd, slice(4)), (odd, odd), (slice(2), [1, 0]),
-                (np.array([[1, 2], [3, 4]]), 0), truth[:, 0] > 0, (-1, -1)):  # fmt: skip
+    for key in (
+        7,
+        slice(3, 90, 7),
+        (slice(None), 3),
+        (..., -1),
+        odd,
+        (odd, slice(4)),
+        (odd, odd),
+        (slice(2), [1, 0]),
+        (np.array([[1, 2], [3, 4]]), 0),
+        truth[:, 0] > 0,
+        (-1, -1),
+    ):
         assert np.array_equal(field[key], truth[key])
     assert np.array_equal(np.asarray(field), truth)
     assert np.array_equal(2 * field - truth, truth)
@@ -222,9 +236,12 @@ RECORD = Record(
 def test_what_a_file_says_of_a_run_is_read_again():
     about = RECORD.attributes()
     assert read_result(about) == {
-        "engine": "native", "equation": 3, "error_estimate": RECORD.error_estimate, "cost": RECORD.cost,
+        "engine": "native",
+        "equation": 3,
+        "error_estimate": RECORD.error_estimate,
+        "cost": RECORD.cost,
         "provenance": {"choice": "of ours"},
-    }  # fmt: skip
+    }
     assert (about["model_error"], about["solver_error"], about["lmpchain_format"]) == (
         1e-3,
         2e-4,

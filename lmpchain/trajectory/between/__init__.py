@@ -1,1 +1,1 @@
-"""The motion between samples: compiled, from what is known at these."""
+"""Motion between the samples of a trajectory, compiled: largest values, fronts and their errors."""

@@ -17,10 +17,12 @@ from ...util.lazy import listed
 __dir__ = listed(__name__)
 
 NEWS = "the measures", 20  # topic and seconds of the compilation
-STILL, UNKNOWN = -1, -2  # columns of bodies at rest, and of bodies that were not recorded
-CACHE_LINE = 8  # numbers
+# columns of bodies at rest, and of bodies that were not recorded: any number below 0 would do
+STILL = -1
+UNKNOWN = -2
+# a division by 0 gives infinity, as in numpy, and no branch that would keep loops from vectors
 compiled = numba.njit(error_model="numpy")
-# what takes records of arrays, whose copies would cost more than what it does
+# for functions that take records of arrays, whose copies would cost more than the work
 joined = numba.njit(error_model="numpy", forceinline=True)
 
 
@@ -72,7 +74,7 @@ class Imposed(NamedTuple):
     ----------
     wall : (4, R) array
         Displacement, velocity, acceleration and jerk of the top wall.
-    given : (2, R) array
+    acceleration : (2, R) array
         Acceleration and jerk of the grain.
     doubt : (R,) array
         Error of either acceleration in the interval behind a sample.
@@ -83,7 +85,7 @@ class Imposed(NamedTuple):
     """
 
     wall: Array
-    given: Array
+    acceleration: Array
     doubt: Array
     grain: int
     driven: bool
@@ -98,7 +100,7 @@ class Block(NamedTuple):
         Displacement and velocity of C recorded grains.
     column : (N+2,) array
         Row of each body in these, or a mark; body 0 is the top wall, N+1 the bottom one.
-    known : (N+2,) array of bool
+    lawful : (N+2,) array of bool
         Whether the law gives the acceleration of a body; else it follows from the samples.
     h : float
         Time between two samples, s.
@@ -109,7 +111,7 @@ class Block(NamedTuple):
     u: Array
     v: Array
     column: np.ndarray
-    known: np.ndarray
+    lawful: np.ndarray
     h: float
     law: Law
     imposed: Imposed
@@ -140,7 +142,9 @@ def law_of(chain: Chain, linear: bool) -> Law:
     """
     contacts = chain.contacts
     inverse_mass = 1 / chain.masses
+    # a held grain is never accelerated
     inverse_mass[chain.movable :] = 0.0
+    # a linear law with an exponent above 1 has no stiffness where nothing is pressed at rest
     loose = np.where(linear & (chain.exponent > 1.0), 0.0, contacts.constant)
     pressed = contacts.pressed
     length = 1 / np.where(pressed, contacts.overlap, 1.0)
@@ -165,38 +169,37 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
     """
     excitation = scene.excitation
     wall = np.zeros((4, count))
-    given = np.zeros((2, count))
+    acceleration = np.zeros((2, count))
     doubt = np.zeros(count)
     wave = excitation.waveform
     if not wave:
-        return Imposed(wall, given, doubt, 0, False)
+        return Imposed(wall, acceleration, doubt, 0, False)
     time: Array = step * np.arange(first, first + count, dtype=float)
-    grain, driven = 0, False
+    grain = 0
+    driven = False
     if excitation.wall:
         wall[:] = [wave.at(time, order) for order in range(4)]
         jumps = wall[2:]
     else:
-        grain, driven = int(excitation.reach(scene.chain)[0]), bool(excitation.driven)
+        grain = int(excitation.reach(scene.chain)[0])
+        driven = bool(excitation.driven)
+        # a driven grain has a displacement, of which this is the second derivative; a pushed one
+        # has a force
         order, share = (2, 1.0) if driven else (0, 1 / scene.chain.masses[grain - 1])
-        given[:] = share * wave.at(time, order), share * wave.at(time, order + 1)
-        jumps = given
+        acceleration[:] = share * wave.at(time, order), share * wave.at(time, order + 1)
+        jumps = acceleration
+    # between corners a waveform is smooth, and Hermite interpolation takes care of itself
     corner = np.diff(np.searchsorted(wave.corners, time, side="right")) > 0
     jump, kink = np.abs(np.diff(jumps))
     bound = OPENINGS.kink * step * kink + (0.0 if wave.spline else jump)
     doubt[:-1] = np.where(corner, bound, 0.0)
-    return Imposed(wall, given, doubt, grain, driven)
+    return Imposed(wall, acceleration, doubt, grain, driven)
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def by_body(field):
-    """Return a (T, C) field as (C, T); a cache line at a time, which is read once then."""
-    out = np.empty((field.shape[1], field.shape[0]))
-    for first in range(0, field.shape[1], CACHE_LINE):
-        last = min(first + CACHE_LINE, field.shape[1])
-        for i in range(field.shape[0]):
-            for c in range(first, last):
-                out[c, i] = field[i, c]
-    return out
+def by_body(field: Array) -> Array:
+    """Return a (T, C) field as (C, T), so that the samples of a body lie side by side."""
+    # a copy even of a single column: the kernels are compiled for arrays that may be written to
+    return np.array(np.transpose(field), float, order="C")
 
 
 @compiled
@@ -230,9 +233,11 @@ def _push(r, closing, contact, law, force, rate):
             force[i] = strength * exponent * s
             rate[i] = strength * exponent * length * closing[i]
         elif y == 0.0:
+            # open: the force at rest is gone, and 0 to a power below 1 has no rate
             force[i] = -strength * pressed
             rate[i] = 0.0
         else:
+            # (1 + s)^delta - 1 in this form keeps the digits of a weak wave
             change = math.expm1(exponent * math.log1p(s)) if pressed > 0.0 else y**exponent
             force[i] = strength * change
             rate[i] = strength * exponent * y ** (exponent - 1.0) * length * closing[i]
@@ -257,7 +262,10 @@ def _nearly_opens(r, closing, contact, h):
 
 @compiled
 def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
-    """Raise the error of an acceleration where the contact opens or closes behind a sample."""
+    """Raise the error of an acceleration where the contact opens or closes behind a sample.
+
+    There the jerk jumps, so that the acceleration has a kink; see `Openings`.
+    """
     length, _, pressed = contact
     for i in range(r.size - 1):
         before = pressed + r[i] * length
@@ -268,6 +276,8 @@ def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
         if not (changed or _visits(before, after, rise, climb)):
             continue
         off = OPENINGS.kink * h * abs(rate[i + 1] - rate[i])
+        # both bodies were closer in between, in a collision shorter than an interval, if they still
+        # approach as the contact opens, or already recede as it closes
         nearer = (after > 0.0 and climb < 0.0) or (before > 0.0 and rise > 0.0)
         if nearer if changed else after <= 0.0:
             off = max(off, OPENINGS.collision * mass * abs(closing[i + 1] - closing[i]) / h)
@@ -276,7 +286,7 @@ def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
 
 @joined
 def _inverse_mass(law, n):
-    """Return that of a body, 0 of a wall."""
+    """Return the inverse mass of a body, 0 of a wall."""
     return law.inverse_mass[n - 1] if 0 < n <= law.inverse_mass.size else 0.0
 
 
@@ -293,7 +303,7 @@ def _motion(block, n, rest):
 
 @compiled
 def _push_contact(block, n, work):
-    """Fill in changes of the force of contact n and their rates; return whether it is near opening."""
+    """Fill in changes of the force of contact n and their rates; return if it nearly opens."""
     law = block.law
     contact = law.contacts[0, n], law.contacts[1, n], law.contacts[2, n]
     rest, r, closing, force, rate = work
@@ -347,6 +357,7 @@ def _differentiate(u, v, h, rows):
     """Fill in accelerations from the samples alone: of quintics through three of them."""
     a, j, doubt = rows
     last = u.size - 1
+    # fewer than four samples have no second quintic to compare with
     if last < 3:
         doubt[:] = math.inf
         return
@@ -355,6 +366,7 @@ def _differentiate(u, v, h, rows):
         a[i], j[i] = _quintic(u, v, h, k, float(i - k))
         earlier = max(k - 1, 1)
         later = min(k + 1, last - 1)
+        # the quintics of the neighbours at the same sample show the error
         one, _ = _quintic(u, v, h, earlier, float(i - earlier))
         other, _ = _quintic(u, v, h, later, float(i - later))
         doubt[i] = max(abs(one - a[i]), abs(other - a[i]))
@@ -366,6 +378,7 @@ def _differentiate(u, v, h, rows):
 def series_of(block, derived, place, n):
     """Return the motion of body n, a `Series`, whose derivatives are in a row of `derived` or 0."""
     imposed = block.imposed
+    # body 0 is the top wall, whose motion is imposed
     if n == 0:
         return Series(
             imposed.wall[0], imposed.wall[1], imposed.wall[2], imposed.wall[3], imposed.doubt
@@ -387,22 +400,26 @@ def derive(block, grains):
     grains : (G,) array
         Their numbers.
     """
-    law, imposed = block.law, block.imposed
+    law = block.law
+    imposed = block.imposed
     derived = np.zeros((grains.size + 1, 3, block.u.shape[1]))
     work = np.zeros((5, block.u.shape[1]))
-    row = np.full(block.column.size, -1)  # of bodies that are accelerated by contacts
+    # rows of the bodies that contacts accelerate
+    row = np.full(block.column.size, -1)
     for g in range(grains.size):
         n = grains[g]
-        if not block.known[n]:
+        if not block.lawful[n]:
             _differentiate(block.u[block.column[n]], block.v[block.column[n]], block.h, derived[g])
             continue
         if law.inverse_mass[n - 1] > 0.0 and not (n == imposed.grain and imposed.driven):
             row[n] = g
         if n == imposed.grain:
-            derived[g, :2] = imposed.given
+            derived[g, :2] = imposed.acceleration
             derived[g, 2] = imposed.doubt
+    # contact by contact, so that each force is computed once for its two bodies
     for contact in range(row.size - 1):
-        above, below = row[contact], row[contact + 1]
+        above = row[contact]
+        below = row[contact + 1]
         if law.contacts[1, contact] == 0.0 or (above < 0 and below < 0):
             continue
         near = _push_contact(block, contact, work)

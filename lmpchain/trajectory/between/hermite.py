@@ -1,13 +1,14 @@
 """The motion between samples by Hermite interpolation, compiled.
 
-Between two samples the velocity is the polynomial of degree 6 that has the recorded velocity v, the
-acceleration a and the jerk j at both ends, and carries the grain from one recorded displacement u to
-the other. Without that last condition it is the quintic through v, a and j; by how much that misses
-the recorded displacement shows how far off both may be.
+Between two samples the velocity is the polynomial of degree 6 that has the recorded velocity v,
+the acceleration a and the jerk j at both ends, and carries the grain from one recorded
+displacement u to the other. Without that last condition it is the quintic through v, a and j; by
+how much that misses the recorded displacement shows how far off both may be.
 
-Polynomials are in Bernstein form: the sum of c_k B_k(s), s = t / h from 0 to 1. They lie between the
-least and the largest of the c_k and have at most as many roots as these change sign. The mean of the
-c_k is the integral, so that c_3 follows from the way, and the c_k of the displacement are sums.
+Polynomials are in Bernstein form: the sum of c_k B_k(s), s = t / h from 0 to 1. They lie between
+the least and the largest of the c_k and have at most as many roots as these change sign. The mean
+of the c_k is the integral, so that c_3 follows from the way, and the c_k of the displacement are
+sums.
 """
 
 from __future__ import annotations
@@ -21,10 +22,12 @@ import numpy as np
 from ...util.arrays import Array
 from .derivatives import Series, compiled, joined
 
-VELOCITY, DISPLACEMENT, RAISED = range(3)  # values of interest: |v|, |u|, or u with its sign
+# values of interest: |v|, |u|, or u with its sign
+VELOCITY, DISPLACEMENT, RAISED = range(3)
 HALVINGS = 40  # of an interval: roots so close are one or none
+# least curvature, over the value, that is no rounding, as it is in free flight
+FLAT = 1e-9
 BINOMIALS = np.array([[math.comb(degree, k) for k in range(8)] for degree in range(8)], float)
-ROUNDING = 1e-9  # of a value: a curvature of less in an interval is rounding, as in free flight
 
 
 class Shape(NamedTuple):
@@ -98,13 +101,14 @@ def larger(one, other):
     return one if one > other else other
 
 
-@numba.njit(error_model="numpy", fastmath={"nnan", "nsz"})  # a maximum of several at a time
+# without NaN and signed zeros the compiler takes the maximum of several numbers at a time
+@numba.njit(error_model="numpy", fastmath={"nnan", "nsz"})
 def highest(y, begin, end, kind):
     """Return the largest size of values from one place to before another."""
-    most = size(y[begin], kind)
+    top = size(y[begin], kind)
     for i in range(begin + 1, end):
-        most = larger(size(y[i], kind), most)
-    return most
+        top = larger(size(y[i], kind), top)
+    return top
 
 
 @joined
@@ -115,13 +119,15 @@ def sampled(p):
 
 @joined
 def _velocity(s, i, h):
-    """Return the coefficients of the velocity from sample i to the next."""
+    """Return the seven coefficients of the velocity from sample i to the next."""
     c1 = s.v[i] + h * (1 / 6) * s.a[i]
     c2 = s.v[i] + h * (1 / 3) * s.a[i] + h * h * (1 / 30) * s.j[i]
     c4 = s.v[i + 1] - h * (1 / 3) * s.a[i + 1] + h * h * (1 / 30) * s.j[i + 1]
     c5 = s.v[i + 1] - h * (1 / 6) * s.a[i + 1]
+    # the mean of all seven is the way over h
     others = s.v[i] + c1 + c2 + c4 + c5 + s.v[i + 1]
-    return c1, c2, (s.u[i + 1] - s.u[i]) * (7 / h) - others, c4, c5
+    c3 = (s.u[i + 1] - s.u[i]) * (7 / h) - others
+    return s.v[i], c1, c2, c3, c4, c5, s.v[i + 1]
 
 
 @joined
@@ -133,40 +139,44 @@ def _largest(one, two, three, four):
 @compiled
 def _fill_errors(series, h, error):
     """Fill in errors of the velocity behind each sample; loops so short become vectors."""
-    v, a, j, doubt = series.v, series.a, series.j, series.doubt
+    v = series.v
+    a = series.a
+    j = series.j
     for i in range(error.size):
-        _, _, c3, _, _ = _velocity(series, i, h)
+        c3 = _velocity(series, i, h)[3]
+        # the middle coefficient of the quintic through v, a and j alone, raised by one degree
         quintic = (v[i] + v[i + 1]) / 2 + h * (1 / 5) * (a[i] - a[i + 1])
         quintic += h * h * (1 / 40) * (j[i] + j[i + 1])
         error[i] = SHAPE.safety * SHAPE.height / 7 * abs(c3 - quintic)
     for i in range(error.size):
-        error[i] += SHAPE.push * h * doubt[i]
+        error[i] += SHAPE.push * h * series.doubt[i]
     last = error.size - 1
     before = error[0]
-    for i in range(error.size):  # a misfit may vanish by chance: its neighbours count, too
-        own = error[i]
-        error[i] = larger(larger(before, own), error[min(i + 1, last)])
-        before = own
+    # a misfit may vanish by chance: its neighbours count, too
+    for i in range(error.size):
+        here = error[i]
+        error[i] = larger(larger(before, here), error[min(i + 1, last)])
+        before = here
 
 
 @compiled
 def _bound_speeds(series, h, reach):
     """Fill in upper bounds on speeds behind each sample."""
-    v = series.v
     for i in range(reach.size):
-        c1, c2, c3, c4, c5 = _velocity(series, i, h)
+        c0, c1, c2, c3, c4, c5, c6 = _velocity(series, i, h)
         inner = _largest(abs(c1), abs(c2), abs(c3), larger(abs(c4), abs(c5)))
-        reach[i] = larger(inner, larger(abs(v[i]), abs(v[i + 1])))
+        reach[i] = larger(inner, larger(abs(c0), abs(c6)))
 
 
 @compiled
 def _bound_displacements(series, h, kind, reach):
     """Fill in upper bounds on sizes of displacements behind each sample."""
-    u, v = series.u, series.v
+    u = series.u
     w = h * (1 / 7)
     for i in range(reach.size):
-        c1, c2, c3, c4, c5 = _velocity(series, i, h)
-        d1 = u[i] + w * v[i]
+        c0, c1, c2, c3, c4, c5, _ = _velocity(series, i, h)
+        # each coefficient of the displacement adds one of the velocity; the last is u[i + 1]
+        d1 = u[i] + w * c0
         d2 = d1 + w * c1
         d3 = d2 + w * c2
         d4 = d3 + w * c3
@@ -186,6 +196,7 @@ def path(series, kind, h, ceiling, bounds):
         _bound_speeds(series, h, reach)
     else:
         _bound_displacements(series, h, kind, reach)
+        # the integral of the shape is 1: the displacement is off by h / height times as much
         for i in range(error.size):
             error[i] *= h / SHAPE.height
     degree = 6 if kind == VELOCITY else 7
@@ -197,40 +208,36 @@ def path(series, kind, h, ceiling, bounds):
 def turns_or_slows(p, i):
     """Return whether a polynomial may turn behind sample i, or rise slower and then faster."""
     s = p.series
-    c1, c2, c3, c4, c5 = _velocity(s, i, p.h)
-    one, other = s.v[i], s.v[i + 1]
-    bent, straight = s.a[i], s.a[i + 1]
+    c0, c1, c2, c3, c4, c5, c6 = _velocity(s, i, p.h)
+    bends = s.a
     if p.kind == VELOCITY:
-        one, c1, c2, c3, c4, c5, other = (
-            c1 - one,
-            c2 - c1,
-            c3 - c2,
-            c4 - c3,
-            c5 - c4,
-            other - c5,
-            one,
-        )
-        other = c5
-        bent, straight = s.j[i], s.j[i + 1]
-    top = larger(_largest(one, c1, c2, c3), _largest(c4, c5, other, other))
-    low = larger(_largest(-one, -c1, -c2, -c3), _largest(-c4, -c5, -other, -other))
+        # the six differences are the coefficients of its derivative; c0 repeats one of them
+        c6 -= c5
+        c5 -= c4
+        c4 -= c3
+        c3 -= c2
+        c2 -= c1
+        c1 -= c0
+        c0 = c1
+        bends = s.j
+    top = larger(_largest(c0, c1, c2, c3), _largest(c4, c5, c6, c6))
+    low = larger(_largest(-c0, -c1, -c2, -c3), _largest(-c4, -c5, -c6, -c6))
+    # a derivative of one sign turns nowhere; it slows and then speeds up if its own slope says so
     if top >= low:
-        return low > 0.0 or bent < 0.0 < straight
-    return top > 0.0 or bent > 0.0 > straight
+        return low > 0.0 or bends[i] < 0.0 < bends[i + 1]
+    return top > 0.0 or bends[i] > 0.0 > bends[i + 1]
 
 
 @joined
 def polynomial(p, i):
     """Fill p.c and p.d with the polynomial from sample i to the next and its derivative."""
-    s = p.series
-    c1, c2, c3, c4, c5 = _velocity(s, i, p.h)
     v = p.c if p.kind == VELOCITY else p.d
-    v[0], v[1], v[2], v[3], v[4], v[5], v[6] = s.v[i], c1, c2, c3, c4, c5, s.v[i + 1]
+    v[0], v[1], v[2], v[3], v[4], v[5], v[6] = _velocity(p.series, i, p.h)
     if p.kind == VELOCITY:
         for k in range(6):
             p.d[k] = 6 * (v[k + 1] - v[k])
     else:
-        p.c[0] = s.u[i]
+        p.c[0] = p.series.u[i]
         for k in range(7):
             v[k] *= p.h
             p.c[k + 1] = p.c[k] + v[k] * (1 / 7)
@@ -251,20 +258,13 @@ def value(c, s):
 @compiled
 def slope(c, s):
     """Return the derivative of a polynomial at a place."""
-    degree = c.size - 2
-    power = s
-    y = (c[1] - c[0]) * (1 - s)
-    for k in range(1, degree):
-        y = (y + BINOMIALS[degree, k] * power * (c[k + 1] - c[k])) * (1 - s)
-        power *= s
-    return (degree + 1) * (y + power * (c[degree + 1] - c[degree]))
+    return (c.size - 1) * value(c[1:] - c[:-1], s)
 
 
 @joined
 def sure_bend(p, s, top, error):
     """Return h^2 times the least curvature at a place, for value and error there; 0 if unsure."""
-    least = abs(slope(p.d, s)) - SHAPE.curvature * error - ROUNDING * top
-    return larger(least, 0.0)
+    return larger(abs(slope(p.d, s)) - SHAPE.curvature * error - FLAT * top, 0.0)
 
 
 @compiled
@@ -280,7 +280,8 @@ def _changes(c):
 def _root(c):
     """Return the only root of a polynomial whose coefficients change sign once."""
     degree = c.size - 1
-    first, last = c[0], c[degree]
+    first = c[0]
+    last = c[degree]
     if first == last:
         return 0.0
     # in powers of s, which are evaluated faster
@@ -290,10 +291,12 @@ def _root(c):
             powers[k] -= powers[k - 1]
     for k in range(1, degree):
         powers[k] *= BINOMIALS[degree, k]
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     s = first / (first - last)
     for _ in range(60):
-        y, steep = powers[degree], 0.0
+        y = powers[degree]
+        steep = 0.0
         for k in range(degree - 1, -1, -1):
             steep = steep * s + y
             y = y * s + powers[k]
@@ -301,6 +304,7 @@ def _root(c):
             high = s
         else:
             low = s
+        # Newton's step, or bisection where that leaves the bracket
         following = s - y / steep if steep != 0.0 else low
         if not low < following < high:
             following = (low + high) / 2
@@ -325,7 +329,8 @@ def roots(c, places):
     begin = np.empty(HALVINGS + 2)
     width = np.empty(HALVINGS + 2)
     pieces[0] = c
-    begin[0], width[0] = 0.0, 1.0
+    begin[0] = 0.0
+    width[0] = 1.0
     waiting = 1
     count = 0
     while waiting > 0:
@@ -339,11 +344,14 @@ def roots(c, places):
         elif changes > 1 and not small:
             width[waiting] /= 2
             left = pieces[waiting + 1]
-            for step in range(c.size):  # de Casteljau's algorithm
+            # de Casteljau's algorithm
+            for step in range(c.size):
                 left[step] = right[0]
                 for k in range(c.size - 1 - step):
                     right[k] = (right[k] + right[k + 1]) / 2
-            begin[waiting + 1], width[waiting + 1] = begin[waiting], width[waiting]
+            # the left half goes on top: it is taken first, so that roots come in order
+            begin[waiting + 1] = begin[waiting]
+            width[waiting + 1] = width[waiting]
             begin[waiting] += width[waiting]
             waiting += 2
     return count

@@ -1,8 +1,8 @@
 """Largest values of grains and the maxima of their motion, interval by interval, compiled.
 
-One reduction for stored samples and for those of a run: it takes in consecutive samples, in blocks of
-any size, and keeps a few numbers a grain. An interval is taken in when the sample behind the next one
-is known, for the misfits of its neighbours tell of its error, too.
+One reduction for stored samples and for those of a run: it takes in consecutive samples, in blocks
+of any size, and keeps a few numbers a grain. An interval is taken in when the sample behind the
+next one is known, for the misfits of its neighbours tell of its error, too.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ from .hermite import (
     value,
 )
 
-MAXIMUM, SHOULDER, HIDDEN = range(3)  # kinds of events
+# kinds of events
+MAXIMUM, SHOULDER, HIDDEN = range(3)
 ROUNDED = 1e-12  # of a largest value: a fall by less is rounding
-MOST = 32  # events in an interval
-# An event of a grain that may be its front, as its size exceeds all sizes before: a maximum of the size,
-# a shoulder of its rise, or intervals in which a larger one may be hidden.
+ROOM = 32  # events by which a log grows, at least
+# An event of a grain that may be its front, as its size exceeds all sizes before: a maximum of the
+# size, a shoulder of its rise, or intervals in which a larger one may be hidden.
 EVENT = np.dtype([
     ("grain", int),  # number in the reduction
     ("kind", int),
@@ -57,13 +58,21 @@ class Largest(NamedTuple):
     low: Array
     high: Array
 
-    def estimate(self, known: float) -> tuple[Array, Array]:
-        """Return the values and how far off they are, if samples are off by `known`."""
-        return self.value, np.maximum(self.high - self.value, self.value - self.low) + known
+    def estimate(self, error: float) -> tuple[Array, Array]:
+        """Return the values and how far off they are, for samples with this error."""
+        return self.value, np.maximum(self.high - self.value, self.value - self.low) + error
 
 
 class Window(NamedTuple):
-    """Intervals of a block to take in, from `begin` to before `end`; its first sample is number `first`."""
+    """Intervals of a block to take in, from `begin` to before `end`.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first sample of the block.
+    begin, end : int
+        Of the intervals, counted from that sample.
+    """
 
     first: int
     begin: int
@@ -77,9 +86,9 @@ class Log(NamedTuple):
     used: int
 
 
-def lowest(count: int, least: float = 0.0) -> Largest:
+def lowest(count: int, bound: float = 0.0) -> Largest:
     """Return largest values before any interval."""
-    return Largest(*np.full((3, count), least))
+    return Largest(*np.full((3, count), bound))
 
 
 def events_of(values: Array) -> np.ndarray:
@@ -93,7 +102,7 @@ def events_of(values: Array) -> np.ndarray:
 
 @joined
 def hidden(p, i):
-    """Return a bound on the sizes between sample i and the next; -1 where the polynomial has all."""
+    """Return a bound on the sizes behind sample i; -1 where the polynomial shows all of them."""
     if p.ceiling.size == 0 or p.ceiling[i] < 0.0:
         return -1.0
     if p.kind == VELOCITY:
@@ -107,7 +116,8 @@ def _append(log, event):
     """Append an event; return the log."""
     events = log.events
     if log.used == events.size:
-        events = np.empty(2 * log.used + MOST, EVENT)
+        # twice as many, so that the copies cost no more than the events
+        events = np.empty(2 * log.used + ROOM, EVENT)
         events[: log.used] = log.events
     events[log.used] = event
     return Log(events, log.used + 1)
@@ -118,6 +128,7 @@ def _log_hidden(log, last, limit, begin, end):
     """Log that a size up to a limit may be hidden from one time to another."""
     if limit < abs(last.height):
         return log
+    # intervals that follow one another are one event
     if log.used > 0:
         before = log.events[log.used - 1]
         if before.kind == HIDDEN and before.grain == last.grain and before.until == begin:
@@ -126,7 +137,10 @@ def _log_hidden(log, last, limit, begin, end):
             return log
     log = _append(log, last)
     event = log.events[log.used - 1]
-    event.kind, event.when, event.height, event.until = HIDDEN, begin, limit, end
+    event.kind = HIDDEN
+    event.when = begin
+    event.height = limit
+    event.until = end
     return log
 
 
@@ -137,7 +151,8 @@ def _log_shoulders(p, i, t, stretch, last, log):
     slower = 0
     while slower < p.d.size - 1 and sign * (p.d[slower + 1] - p.d[slower]) >= 0.0:
         slower += 1
-    if slower >= p.d.size - 2:  # it is never slower and then faster, as most rises
+    # most rises are never slower and then faster
+    if slower >= p.d.size - 2:
         return log
     bent = (p.d.size - 1) * (p.d[1:] - p.d[:-1])
     places = np.empty(8)
@@ -152,7 +167,9 @@ def _log_shoulders(p, i, t, stretch, last, log):
         if abs(height) > abs(last.height) and steep > 0.0 and bend > 0.0:
             log = _append(log, last)
             event = log.events[log.used - 1]
-            event.kind, event.when, event.height = SHOULDER, t + s * p.h, height
+            event.kind = SHOULDER
+            event.when = t + s * p.h
+            event.height = height
             event.tilt = (SHAPE.slope * p.error[i] - steep) / p.h
             event.bend = bend / p.h**3
     return log
@@ -179,9 +196,13 @@ def _exceed(last, p, i, t, s, height, bend):
         if flat and not _has_fallen(last):
             return
         s = 0.0 if begin >= (1.0 - ROUNDED) * top else s
-    last.when, last.height, last.off = t + s * p.h, height, error
-    last.tilt, last.bend = SHAPE.slope * error / p.h, bend
-    last.since, last.until = top, last.when
+    last.when = t + s * p.h
+    last.height = height
+    last.off = error
+    last.tilt = SHAPE.slope * error / p.h
+    last.bend = bend
+    last.since = top
+    last.until = last.when
 
 
 @joined
@@ -191,6 +212,7 @@ def _end(last, p, i, t):
     if abs(height) >= abs(last.height):
         _exceed(last, p, i, t, 1.0, height, 0.0)
     last.since = min(last.since, abs(height))
+    # both sizes may be off, to opposite sides
     if last.since >= abs(last.height) - 2.0 * last.off:
         last.until = t + p.h
 
@@ -198,16 +220,16 @@ def _end(last, p, i, t):
 @joined
 def _dips(p, i):
     """Return whether a size falls and rises again from sample i to the next."""
-    s = p.series
-    one, other = (s.a[i], s.a[i + 1]) if p.kind == VELOCITY else (s.v[i], s.v[i + 1])
+    slopes = p.series.a if p.kind == VELOCITY else p.series.v
     y = sampled(p)
-    return one * y[i] < 0.0 < other * y[i + 1]
+    return slopes[i] * y[i] < 0.0 < slopes[i + 1] * y[i + 1]
 
 
 @joined
 def _rises_or_dips(p, k, last):
-    """Return whether a polynomial says of a last maximum that it is exceeded, or what follows it."""
+    """Return whether behind sample k the last maximum is exceeded, or the size dips below it."""
     y = sampled(p)
+    # it stays below: only a dip counts, unless the size has been 0 before
     if p.reach[k] + p.error[k] < abs(last.height):
         return last.since > 0.0 and _dips(p, k)
     fallen = y[k] * y[k + 1] < 0.0 or _has_fallen(last)
@@ -216,7 +238,7 @@ def _rises_or_dips(p, k, last):
 
 @joined
 def _pass_calm(p, i, window, peaks, latest, n):
-    """Take in intervals from i on as long as nothing turns in one of them; return the first other."""
+    """Take in intervals from i on as long as nothing turns in one; return the first other."""
     y = sampled(p)
     for k in range(i, window.end):
         if hidden(p, k) >= 0.0:
@@ -245,7 +267,9 @@ def _pass_turns(p, i, t, turns, limit, last, log):
     """
     if limit >= 0.0:
         log = _log_hidden(log, last, limit, t, t + p.h)
-    before, begin = sampled(p)[i], 0.0
+    before = sampled(p)[i]
+    begin = 0.0
+    # from turn to turn the size only rises or only falls
     for k in range(turns + 1):
         s = p.places[k] if k < turns else 1.0
         height = value(p.c, s) if k < turns else sampled(p)[i + 1]
@@ -261,7 +285,8 @@ def _pass_turns(p, i, t, turns, limit, last, log):
                 _exceed(last, p, i, t, s, height, bend)
         if k < turns:
             last.since = min(last.since, abs(height))
-        before, begin = height, s
+        before = height
+        begin = s
     return log
 
 
@@ -291,7 +316,7 @@ def _pass_any(p, i, t, peaks, latest, n, log):
 
 @compiled
 def follow(p, window, peaks, latest, n, log):
-    """Take in some intervals of a body; return the log of its events, kept if `latest` is not empty.
+    """Take in some intervals of a body; return the log of its events.
 
     Parameters
     ----------
@@ -300,7 +325,7 @@ def follow(p, window, peaks, latest, n, log):
     peaks : Largest
         Raised at n.
     latest : (G,) or (0,) array of EVENT
-        The last maximum that exceeds all before, changed at n.
+        The last maximum that exceeds all before, changed at n; no event is logged if it is empty.
     n : int
     log : Log
     """
@@ -342,8 +367,9 @@ def reduce(block, grains, derived, ceiling, window, sizes, latest, log):
     bounds = np.empty((2, block.u.shape[1] - 1))
     for g in range(grains.size):
         series = series_of(block, derived, g, grains[g])
+        # at rest
         if not (series.u.any() or series.v.any()):
-            continue  # at rest
+            continue
         limits = ceiling[g if ceiling.size else 0]
         if fast.value.size:
             p = path(series, VELOCITY, block.h, limits, bounds)
