@@ -1,4 +1,4 @@
-"""The picture of the README: the paper's scene at g in every engine, as `lmpchain compare` draws it."""
+"""Picture of the README: the paper's scene at g in every engine, by `lmpchain compare`."""
 
 from figures import HERE, arguments, finish, say, shorter
 
@@ -8,7 +8,9 @@ from lmpchain.benchmark.reference import reference
 
 
 def main() -> None:
-    """Run the scene in every engine, twice so that nothing is loaded meanwhile, and draw the comparison."""
+    """Run the scene in every engine, twice so that nothing is loaded meanwhile, and draw the
+    comparison.
+    """
     given = arguments(__file__, __doc__)
     scene = lmpchain.Scene.from_toml(HERE / "scenes" / "fig5_1g.toml")
     if given.quick:

@@ -1,7 +1,7 @@
 """CPU time of LAMMPS through the package against stand-alone `lmp` on the same deck, interleaved.
 
-The time of the package is that of a whole `simulate`, with the error estimate; that of `lmp` is the whole
-process, with its dump.
+The time of the package is that of a whole `simulate`, with the error estimate; that of `lmp` is the
+whole process, with its dump.
 """
 
 import argparse

@@ -1,9 +1,10 @@
 """Scaling of the cost with the number of grains, chains, threads and MPI ranks.
 
-Grain-steps (evaluations of the force, times grains) in a second of integration, in chains that move everywhere, so that
-none of them is left out: every grain is given a random velocity, weak enough that no contact opens. Beside it the time
-from nothing to the answer for a strike on grain 1, where grains that no wave has reached cost nothing, and a thousand
-random chains shared out over threads. Each number is the best of several runs, taken in turn.
+Grain-steps (evaluations of the force, times grains) in a second of integration, in chains that move
+everywhere, so that none of them is left out: every grain is given a random velocity, weak enough
+that no contact opens. Beside it the time from nothing to the answer for a strike on grain 1, where
+grains that no wave has reached cost nothing, and a thousand random chains shared out over threads.
+Each number is the best of several runs, taken in turn.
 """
 
 import json
@@ -59,7 +60,9 @@ def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
 
 
 def throughput(name: str, grains: int, share: float) -> Row:
-    """Time the integration of a chain that moves everywhere, for a share of the work of a full run."""
+    """Time the integration of a chain that moves everywhere,
+    for a share of the work of a full run.
+    """
     engine = name.split()[0]
     scene, step = stirred(grains, max(8, int(share * min(WORK[engine] / grains, STEPS[engine]))))
     run = lmpchain.simulate(scene, ENGINES[name](step))

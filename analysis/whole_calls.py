@@ -1,12 +1,15 @@
-"""What a whole call takes: making a scene, `simulate`, `simulate_many`, and a peer's whole call on the same scene.
+"""What a whole call takes: making a scene, `simulate`, `simulate_many`, and a peer's whole call on
+the same scene.
 
-The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). `adds` is what the native engine takes besides
-the integration and its estimate, `auto` the same where it is chosen by the call. Calls are interleaved, each with a
-scene of its own, but those of `auto`, and the least of many counts; kernels are compiled beforehand. The peer is
-numbalsoda's DOP853 if it is installed, else SciPy's: its whole call makes the arrays of the chain, the right-hand side
-and the solution at the samples, without an estimate of its error, in microseconds and in the speed of the strike, so
-that one absolute tolerance fits both displacements and velocities; its tolerance is the loosest whose true error is
-within ours. Its force is the plain one, or, where that loses too many digits, one that keeps them.
+The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). `adds` is what the native
+engine takes besides the integration and its estimate, `auto` the same where it is chosen by the
+call. Calls are interleaved, each with a scene of its own, but those of `auto`, and the least of
+many counts; kernels are compiled beforehand. The peer is numbalsoda's DOP853 if it is installed,
+else SciPy's: its whole call makes the arrays of the chain, the right-hand side and the solution at
+the samples, without an estimate of its error, in microseconds and in the speed of the strike, so
+that one absolute tolerance fits both displacements and velocities; its tolerance is the loosest
+whose true error is within ours. Its force is the plain one, or, where that loses too many digits,
+one that keeps them.
 """
 
 import argparse
@@ -32,7 +35,9 @@ Call = Callable[[float, float], Solution]
 
 
 def paper(velocity: float, last_digits: int = 0) -> lmpchain.Scene:
-    """Return the scene of the paper, or one that differs from it in the last digits of the strike."""
+    """Return the scene of the paper,
+    or one that differs from it in the last digits of the strike.
+    """
     chain = lmpchain.Chain(grains=120, diameter=1e-3)
     strike = lmpchain.Impulse(velocity=velocity * (1 + 1e-12 * last_digits))
     return lmpchain.Scene(chain=chain, excitation=strike, duration=100e-6)
@@ -67,7 +72,8 @@ def rate_of(law: Callable[[float], float]) -> Callable[..., None]:
 
 
 def column(velocity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the start of the paper's column, and F_n / m and 1 / eps_n of the contacts below its grains.
+    """Return the start of the paper's column, and F_n / m and 1 / eps_n of the contacts below its
+    grains.
 
     Lengths are in units of `velocity` times `UNIT`, times in `UNIT`.
     """
@@ -81,7 +87,9 @@ def column(velocity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def in_si(found: np.ndarray, velocity: float) -> Solution:
-    """Return displacements and velocities, m and m/s, (T, M) each, from states in the peer's units."""
+    """Return displacements and velocities, m and m/s, (T, M) each,
+    from states in the peer's units.
+    """
     grains = found.shape[1] // 2
     return found[:, :grains] * (velocity * UNIT), found[:, grains:] * velocity
 
@@ -141,7 +149,9 @@ def error(found: Solution, truth: lmpchain.Trajectory) -> float:
 
 
 def loosest(call: Call, velocity: float, tolerance: float) -> float:
-    """Return the loosest tolerance of the peer, in factors of two, that meets this one; NaN if none does."""
+    """Return the loosest tolerance of the peer, in factors of two, that meets this one; NaN if none
+    does.
+    """
     truth = lmpchain.simulate(paper(velocity), "native", 2e-13)
     for power in range(12, -24, -1):
         asked = tolerance * 2.0**power
@@ -175,10 +185,12 @@ def main() -> None:
     made, name = (numbalsoda_calls, "numbalsoda") if there else (scipy_calls, "scipy")
     peers = [made(law) for law in (plain, exact)]
     print(
-        f"least of {repeats} calls, ms; over: {name}'s whole call over making the scene and simulate together"
+        f"least of {repeats} calls, ms; "
+        f"over: {name}'s whole call over making the scene and simulate together"
     )
     print(
-        f"{'':8}{'tolerance':>10}{'scene':>8}{'simulate':>10}{'adds':>8}{'auto':>8}{'many':>8}{name:>12}{'over':>7}"
+        f"{'':8}{'tolerance':>10}{'scene':>8}{'simulate':>10}"
+        f"{'adds':>8}{'auto':>8}{'many':>8}{name:>12}{'over':>7}"
     )
     for strike, velocity in SPEEDS.items():
         for tolerance in TOLERANCES:
@@ -206,7 +218,8 @@ def main() -> None:
             alone, auto = (took[engine] - took["scene"] for engine in inside)
             adds = alone - min(inside["native"]), auto - min(inside["auto"])
             print(
-                f"{strike:8}{tolerance:10.0e}{took['scene']:8.3f}{alone:10.3f}{adds[0]:8.3f}{adds[1]:8.3f}{many:8.3f}"
+                f"{strike:8}{tolerance:10.0e}{took['scene']:8.3f}{alone:10.3f}"
+                f"{adds[0]:8.3f}{adds[1]:8.3f}{many:8.3f}"
                 f"{took['peer']:12.3f}{took['peer'] / took['native']:7.2f}",
                 flush=True,
             )

@@ -18,7 +18,7 @@ __dir__ = listed(__name__)
 
 
 def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
-    """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any.
+    """Return the numbers of contacts whose two bodies were recorded or stand still.
 
     Parameters
     ----------
@@ -33,11 +33,9 @@ def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
     InputError
         If no two neighbours were recorded.
     """
-    known = (
-        columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains)
-        != UNKNOWN
-    )
-    chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
+    chain = trajectory.scene.chain
+    recorded = columns(chain.grains, chain.movable, trajectory.grains) != UNKNOWN
+    chosen = np.flatnonzero(recorded[:-1] & recorded[1:] & chain.contacts.exists)
     if not chosen.size:
         raise InputError.at(
             "grains", "no two neighbours were recorded, so no contact is known: record both"
@@ -63,20 +61,22 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     InputError
         If one of them was not recorded and is not held.
     """
-    column = _found(trajectory, bodies)
-    u, v = trajectory.displacement[:, column], trajectory.velocity[:, column]
+    column = _recorded_columns(trajectory, bodies)
+    u = trajectory.displacement[:, column]
+    v = trajectory.velocity[:, column]
+    # the mark of a body that stands still is an index, too, of the last column
     u[:, column == STILL] = v[:, column == STILL] = 0.0
     if wall := trajectory.scene.excitation.wall:
-        u[:, bodies == 0], v[:, bodies == 0] = (
-            wall.at(trajectory.time, order)[:, None] for order in (0, 1)
-        )
+        u[:, bodies == 0] = wall.at(trajectory.time, 0)[:, None]
+        v[:, bodies == 0] = wall.at(trajectory.time, 1)[:, None]
     return u, v
 
 
 def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     """Return scene and motion, m and m/s, of the grains down to the last that ever moves.
 
-    Two grains at rest below that one belong to it, too, if there are any: the last of them is held for good.
+    Two grains at rest below that one belong to it, too, if there are any: the last of them is held
+    for good.
 
     Parameters
     ----------
@@ -91,12 +91,11 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     InputError
         If a grain that can move was not recorded.
     """
-    scene, u, v = (
-        trajectory.scene,
-        np.asarray(trajectory.displacement),
-        np.asarray(trajectory.velocity),
-    )
-    _found(trajectory, np.arange(1, scene.chain.grains + 1))
+    scene = trajectory.scene
+    u = np.asarray(trajectory.displacement)
+    v = np.asarray(trajectory.velocity)
+    _recorded_columns(trajectory, np.arange(1, scene.chain.grains + 1))
+    # a force may act on a grain that has not moved yet
     last = 2 + max(
         scene.excitation.reach(scene.chain)[1],
         int(trajectory.grains[leaves_rest(u, v)].max(initial=1)),
@@ -105,15 +104,14 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     return scene, *motion(trajectory, np.arange(1, scene.chain.grains + 1))
 
 
-def _found(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
-    """Return the columns of bodies, or marks; raise InputError if one is unknown."""
-    column = columns(
-        trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains
-    )[bodies]
+def _recorded_columns(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
+    """Return the columns of bodies, or marks; raise `InputError` if one is unknown."""
+    chain = trajectory.scene.chain
+    column = columns(chain.grains, chain.movable, trajectory.grains)[bodies]
     missing = np.unique(bodies[column == UNKNOWN])
     if missing.size:
-        some = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
+        numbers = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
         raise InputError.at(
-            "grains", f"this takes grains that were not recorded; record these too: {some}"
+            "grains", f"this takes grains that were not recorded; record these too: {numbers}"
         )
     return column

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -63,35 +63,42 @@ class ContactHistory(Shown):
     def events(self) -> list[Event]:
         """Return openings and closings in the order of time.
 
-        Their times are roots of the cubic Hermite interpolant through overlap and rate; the error falls with the
-        fourth power of the sampling interval. Touching without a force counts as closed. Between two samples that
-        are both pressed a contact has opened only if its rates say so, falling at the first and rising at the second
-        (the other way round if both are open): neither an interpolant that overshoots nor round-off makes an event.
+        Their times are roots of the cubic Hermite interpolant through overlap and rate; the error
+        falls with the fourth power of the sampling interval. Touching without a force counts as
+        closed. Between two samples that are both pressed a contact has opened only if its rates say
+        so, falling at the first and rising at the second (the other way round if both are open):
+        neither an interpolant that overshoots nor round-off makes an event.
         """
         events = []
-        o, v, gap = self.overlap, self.closing, self.overlap < 0
+        overlap = self.overlap
+        rate = self.closing
+        gap = overlap < 0
         changed = gap[1:] != gap[:-1]
+        before = overlap[:-1]
+        after = overlap[1:]
         # approaches closing or opening, then recedes
-        turned = (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed
+        turned = (before * rate[:-1] < 0) & (after * rate[1:] > 0) & ~changed
         # a cubic lies between the least and the largest of its control points
         third = np.diff(self.time)[:, None] / 3
-        turned &= (o[:-1] * (o[:-1] + third * v[:-1]) <= 0) | (o[1:] * (o[1:] - third * v[1:]) <= 0)
+        crosses_early = before * (before + third * rate[:-1]) <= 0
+        crosses_late = after * (after - third * rate[1:]) <= 0
+        turned &= crosses_early | crosses_late
         for i, c in np.argwhere(changed | turned):
             pair = slice(i, i + 2)
-            roots = CubicHermiteSpline(self.time[pair], o[pair, c], v[pair, c]).roots(
-                extrapolate=False
-            )
-            if changed[i, c]:  # if round-off hides the root, the sample nearer to contact
-                roots = roots[:1] if roots.size else [self.time[i + np.abs(o[pair, c]).argmin()]]
+            cubic = CubicHermiteSpline(self.time[pair], overlap[pair, c], rate[pair, c])
+            roots = cubic.roots(extrapolate=False)
+            if changed[i, c]:
+                # if round-off hides the root, the sample nearer to contact
+                nearer = self.time[i + np.abs(overlap[pair, c]).argmin()]
+                roots = roots[:1] if roots.size else [nearer]
             if changed[i, c] or len(roots) == 2:
-                number, opens = int(self.contact[c]), (not gap[i, c], bool(gap[i, c]))
-                events += [
-                    Event(float(t), number, state) for t, state in zip(roots, opens, strict=False)
-                ]
+                # of two events between samples the second undoes the first
+                for time, opens in zip(roots, (not gap[i, c], bool(gap[i, c])), strict=False):
+                    events.append(Event(float(time), int(self.contact[c]), opens))
         return sorted(events)
 
     def plot(self, ax: Axes | None = None, above_rest: bool = False) -> Axes:
-        """Draw the forces over time: a line a contact, or a map if there are many; returns the axes.
+        """Draw the forces over time, as lines or, if they are many, as a map; returns the axes.
 
         Parameters
         ----------
@@ -113,20 +120,15 @@ class ContactHistory(Shown):
         else:
             rows = np.argsort(self.contact)
             numbers, force = thin_rows(self.contact[rows], values.T[rows])
-            limit = scale(values)
-            colours = (
-                {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
-                if above_rest
-                else {"cmap": "cividis"}
-            )
-            shown = ax.pcolorfast(edges(self.time), edges(numbers), force, **colours)
-            colour_bar(
-                ax,
-                shown,
-                label,
-                format=EngFormatter("N"),
-                extend="both" if above_rest else "neither",
-            )
+            colours: dict[str, Any] = {"cmap": "cividis"}
+            extend = "neither"
+            if above_rest:
+                # a change has two signs; saturated, so that a wave can be seen where it is weak
+                limit = scale(values)
+                colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+                extend = "both"
+            mesh = ax.pcolorfast(edges(self.time), edges(numbers), force, **colours)
+            colour_bar(ax, mesh, label, format=EngFormatter("N"), extend=extend)
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))
             ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])
@@ -168,7 +170,8 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     trajectory : Trajectory
         Of any engine. A grain that is held need not have been recorded.
     numbers : (C,) sequence of int, optional
-        Contacts; by default all those between grains that were recorded, or between them and walls.
+        Contacts; by default all those between grains that were recorded, or between them and
+        walls.
 
     Returns
     -------
@@ -183,36 +186,43 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=3, diameter=1e-3)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-2), duration=3e-5, samples=51)
+    >>> strike = lmpchain.Impulse(velocity=1e-2)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=3e-5, samples=51)
     >>> history = contacts(lmpchain.simulate(scene, engine="native"))
     >>> history.contact.tolist(), history.force.shape
     ([1, 2], (51, 2))
     >>> [f"{event.contact} {'opens' if event.opens else 'closes'}" for event in history.events()]
     ['2 opens', '1 opens']
     """
-    every = trajectory.scene.chain.contacts
+    all_contacts = trajectory.scene.chain.contacts
     if numbers is None:
         chosen = known_contacts(trajectory)
     else:
-        chosen, there = np.array(numbers, dtype=int).reshape(-1), np.flatnonzero(every.exists)
-        if not np.isin(chosen, there).all():
-            raise InputError.at(
-                "numbers", f"the contacts are numbered {there[0]} to {there[-1]} (got {numbers})"
-            )
+        chosen = np.array(numbers, dtype=int).reshape(-1)
+        existing = np.flatnonzero(all_contacts.exists)
+        if not np.isin(chosen, existing).all():
+            ends = f"{existing[0]} to {existing[-1]}"
+            raise InputError.at("numbers", f"the contacts are numbered {ends} (got {numbers})")
     u, v = motion(trajectory, np.stack([chosen, chosen + 1]))
-    r = u[:, 0] - u[:, 1]
-    these = every.of(chosen)
-    overlap, closing = these.overlap + r, v[:, 0] - v[:, 1]
+    closer = u[:, 0] - u[:, 1]
+    law = all_contacts.of(chosen)
+    overlap = law.overlap + closer
     return ContactHistory(
-        trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r)
+        time=trajectory.time,
+        contact=chosen,
+        overlap=overlap,
+        closing=v[:, 0] - v[:, 1],
+        force=law.force_at(overlap),
+        # not the difference of two forces, in which a weak wave would lose its digits
+        change=law.force_change(closer),
     )
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
     """Return the force between the chain and the wall or held grain at one end, (T,) N, at least 0.
 
-    It is the force of the contact with the wall; where the bottom is "fixed", the force that holds grain N up, which
-    is that of contact N - 1 and the weight of grain N.
+    It is the force of the contact with the wall; where the bottom is "fixed", the force that holds
+    grain N up, which is that of contact N - 1 and the weight of grain N.
 
     Parameters
     ----------
@@ -257,18 +267,18 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
     InputError
         If nothing is driven.
     """
-    time, drive = trajectory.time, trajectory.scene.drive
+    drive = trajectory.scene.drive
     if drive is None:
         raise InputError.at("excitation", "nothing is driven in this scene")
-    return *drive.motion(time), drive.acceleration(time)
+    return *drive.motion(trajectory.time), drive.acceleration(trajectory.time)
 
 
 def drive_force(trajectory: Trajectory) -> Array:
     """Return the force of the driver on grain 1 or on the top wall, (T,) N, positive downward.
 
-    On grain 1 it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall above it; on the wall that of its contact.
-    At rest it is the top load, or 0 on grain 1 below a wall. The impulse that starts a motion with a velocity at t = 0
-    is left out.
+    On grain 1 it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall above it; on the wall that
+    of its contact. At rest it is the top load, or 0 on grain 1 below a wall. The impulse that
+    starts a motion with a velocity at t = 0 is left out.
 
     Parameters
     ----------
@@ -284,15 +294,15 @@ def drive_force(trajectory: Trajectory) -> Array:
     InputError
         If the chain is not driven, or grain 2 was not recorded.
     """
-    chain, acceleration = trajectory.scene.chain, drive_motion(trajectory)[2]
+    chain = trajectory.scene.chain
+    acceleration = drive_motion(trajectory)[2]
     if trajectory.scene.excitation.wall:
         return contacts(trajectory, [0]).force[:, 0]
     force = chain.masses[0] * acceleration + contacts(trajectory, [1]).change[:, 0]
-    return (
-        force - contacts(trajectory, [0]).change[:, 0]
-        if chain.top == "wall"
-        else chain.top_load + force
-    )
+    # at rest a wall carries the load, and the driver nothing
+    if chain.top == "wall":
+        return force - contacts(trajectory, [0]).change[:, 0]
+    return chain.top_load + force
 
 
 def sensor(trajectory: Trajectory, grain: int) -> Signal:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..errors import InputError, shown
-from ..scene.scene import Scene
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
@@ -264,7 +263,7 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
         weight=weight,
         as_printed=dyson.average(velocity, kappa, orders[:, None]),
         normalised=dyson.average(velocity, kappa, orders[:, None], normalised=True),
-        unit=_unit(trajectory.scene),
+        unit=trajectory.scene.excitation.strike_velocity or 1.0,
     )
 
 
@@ -338,7 +337,3 @@ def relative_stiffness(chain: Chain) -> Array:
         # K and its force follow from those above: the last contact would carry one more weight
         stiffness[-1] = stiffness[-2] * chain.contacts.stiffness_for_force(1 + weight / force[-2])
     return stiffness / stiffness[0]
-
-
-def _unit(scene: Scene) -> float:
-    return scene.excitation.strike_velocity or 1.0

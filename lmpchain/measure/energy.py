@@ -155,12 +155,12 @@ class EnergyShares(Shown):
         InputError
             If one of them was not recorded.
         """
-        wanted = np.arange(first, last + 1)
-        if not wanted.size or not np.isin(wanted, self.grain).all():
+        grains = np.arange(first, last + 1)
+        if not grains.size or not np.isin(grains, self.grain).all():
             raise InputError.at(
                 "part", f"takes recorded grains, from the first to the last (got {first} to {last})"
             )
-        return self.of_grain[:, np.isin(self.grain, wanted)].sum(1)
+        return self.of_grain[:, np.isin(self.grain, grains)].sum(1)
 
 
 def shares(trajectory: Trajectory | Motion) -> EnergyShares:

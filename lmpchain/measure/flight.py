@@ -59,10 +59,10 @@ class Flight:
 
 
 def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
-    """Return the largest maximum of a signal, found with a quintic spline through the samples around it.
+    """Return the largest maximum of a signal, by a quintic spline through the samples around it.
 
-    The error is the shift when only every second sample is used. Where the signal is smooth and well sampled, the
-    true error is about 1/60 of it. Errors of the trajectory itself come on top.
+    The error is the shift when only every second sample is used. Where the signal is smooth and
+    well sampled, the true error is about 1/60 of it. Errors of the trajectory itself come on top.
 
     Parameters
     ----------
@@ -87,15 +87,18 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     >>> round(peak.time, 5), round(peak.height, 5)
     (0.512, 1.0)
     """
-    top, last = int(np.argmax(values)), len(values) - 1
+    top = int(np.argmax(values))
+    last = len(values) - 1
     if not 0 < top < last:
         cure = "record for longer" if top else "there is no maximum to wait for"
         raise InputError.at(
             "duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}"
         )
     when, height = summit(time, values, top, 1)
-    step = float(time[top + 1] - time[top])
-    error = abs(when - summit(time, values, top, 2)[0]) if 2 <= top <= last - 2 else step
+    error = float(time[top + 1] - time[top])
+    # too near an end for every second sample: the maximum may be a sample away
+    if 2 <= top <= last - 2:
+        error = abs(when - summit(time, values, top, 2)[0])
     return Arrival(when, height, error)
 
 
@@ -112,8 +115,8 @@ def time_of_flight(
     first, second : int
         Grains; seconds and speed are negative if the wave comes to the second first.
     method : str
-        "peak": from the largest maximum of one signal to that of the other; "correlation": the shift that makes the
-        two most alike, for which the whole of both must have been recorded.
+        "peak": from the largest maximum of one signal to that of the other; "correlation": the
+        shift that makes the two most alike, for which the whole of both must have been recorded.
 
     Returns
     -------
@@ -126,16 +129,21 @@ def time_of_flight(
     """
     if first == second or method not in ("peak", "correlation"):
         raise InputError.at("second", 'choose two grains, and the method "peak" or "correlation"')
-    one, two = sensor(trajectory, first), sensor(trajectory, second)
+    one = sensor(trajectory, first)
+    two = sensor(trajectory, second)
     if method == "peak":
         begin, end = (arrival(s.time, s.change, f"force in grain {s.grain}") for s in (one, two))
-        seconds, error = end.time - begin.time, begin.error + end.error
+        seconds = end.time - begin.time
+        error = begin.error + end.error
     else:
+        # imported here: it takes longer than most measures
         from scipy.signal import correlate
 
+        # the second signal may lag or lead by all of the recording
         shifts = np.concatenate((-one.time[:0:-1], one.time))
         best = arrival(shifts, correlate(two.change, one.change), "correlation of the two forces")
-        seconds, error = best.time, best.error
+        seconds = best.time
+        error = best.error
     depths = trajectory.scene.chain.depths
     distance = abs(float(depths[second - 1] - depths[first - 1]))
     return Flight(abs(second - first), distance, seconds, error)
@@ -161,11 +169,13 @@ def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, fl
     """
     near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
     near = near[(near >= 0) & (near < len(values))]
+    # in steps from the sample, so that the spline is well conditioned
     unit = time[top + 1] - time[top]
     spline = make_interp_spline(
         (time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1)
     )
     roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
+    # the sample itself stands in where rounding leaves no root of the slope
     inside = np.append(roots[np.abs(roots) <= stride], 0.0)
     best = inside[np.argmax(spline(inside))]
     return float(time[top] + best * unit), float(spline(best))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy import optimize, stats
@@ -25,7 +25,7 @@ __dir__ = listed(__name__)
 
 Quantity = Literal["amplitude", "time", "width", "speed"]
 FEWEST = 6  # grains for a power law with its correction
-OTHERS = {"time": "s", "width": "s", "speed": "m/s"}  # units
+UNITS_OF_FRONTS = {"time": "s", "width": "s", "speed": "m/s"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,13 +36,15 @@ class Front(Shown):
     ----------
     field : "velocity" or "displacement"
     grain, depth : (P,) arrays
-        Grains with a maximum, from the top downward; depths of their centres at rest below that of grain 1, m.
+        Grains with a maximum, from the top downward; depths of their centres at rest below that of
+        grain 1, m.
     time, amplitude, width : (P,) arrays
-        When the maximum is reached, s; the value there, m/s or m, negative for a motion upward; the full width at half
-        maximum in time, s, NaN where the motion does not pass half the amplitude on both sides.
+        When the maximum is reached, s; the value there, m/s or m, negative for a motion upward; the
+        full width at half maximum in time, s, NaN where the motion does not pass half the amplitude
+        on both sides.
     time_error, amplitude_error, width_error : (P,) arrays
-        How far these may be off: by sampling, by the error of the trajectory where it is known, and because another
-        maximum may be the front if values are off by as much.
+        How far these may be off: by sampling, by the error of the trajectory where it is known, and
+        because another maximum may be the front if values are off by as much.
     """
 
     field: Field
@@ -57,7 +59,10 @@ class Front(Shown):
 
     @property
     def speed(self) -> Array:
-        """Local speed, (P,) m/s, from neighbouring grains: negative upward, infinite where they peak at once."""
+        """Local speed from neighbouring grains, (P,) m/s.
+
+        It is negative upward, and infinite where grains peak at once.
+        """
         with np.errstate(divide="ignore"):
             return 1 / self._slowness(self.depth)
 
@@ -71,24 +76,25 @@ class Front(Shown):
             raise InputError.at(
                 "grains", "a speed takes the front at two grains or more: record more of them"
             )
+        # two grains have no second difference
         return np.gradient(self.time, place, edge_order=2 if place.size > 2 else 1)
 
     def between(self, first: int, last: int) -> Front:
-        """Return the part of the front at the grains from `first` to `last`."""
-        keep = (self.grain >= first) & (self.grain <= last)
-        return replace(self, **{key: x[keep] for key, x in vars(self).items() if key != "field"})
+        """Return the front at the grains from `first` to `last`."""
+        inside = (self.grain >= first) & (self.grain <= last)
+        return replace(self, **{key: x[inside] for key, x in vars(self).items() if key != "field"})
 
     def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
-        """Return depths h = n - 1/2 and the size of a quantity where it is known, (K,) each; its label."""
+        """Return depths h = n - 1/2 and sizes of a quantity where it is finite, (K,); its label."""
         if quantity not in get_args(Quantity):
             raise InputError.at(
                 "quantity",
                 f"must be one of {', '.join(get_args(Quantity))} (got {shown(quantity)})",
             )
         values = np.abs(getattr(self, quantity))
-        known = np.isfinite(values)
-        label = f"{quantity} of the front ({OTHERS.get(quantity, UNITS[self.field])})"
-        return self.grain[known] - 0.5, values[known], label
+        finite = np.isfinite(values)
+        label = f"{quantity} of the front ({UNITS_OF_FRONTS.get(quantity, UNITS[self.field])})"
+        return self.grain[finite] - 0.5, values[finite], label
 
     def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Axes:
         """Draw a quantity against depth, both logarithmic; returns the axes."""
@@ -135,8 +141,9 @@ class PowerLaw(Shown):
         The quantity, depths h = n - 1/2 in grains, and what was fitted.
     order, exponent, factor, correction : float
     error : (3,) array
-        Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the shift when a term
-        in h^(-2 order) is fitted too. On smooth data such terms exceed the scatter; it is an estimate, not a bound.
+        Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the
+        shift when a term in h^(-2 order) is fitted too. On smooth data such terms exceed the
+        scatter; it is an estimate, not a bound.
     """
 
     label: str
@@ -166,11 +173,12 @@ class PowerLaw(Shown):
 def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
     """Track the wave front from grain to grain, between the samples too.
 
-    At each grain the front is the first local maximum of the absolute value, so upward motion counts, that reaches
-    `fraction` of the largest size there and after which the motion falls by more than the error of the trajectory.
-    Left out are grains that begin with such a size, as the one that was struck does, and those whose maximum is not
-    within the recording. Behind the front the displacement falls slowly in a column, not at
-    all in a sonic vacuum: track the velocity there, which is largest where the displacement rises most.
+    At each grain the front is the first local maximum of the absolute value, so upward motion
+    counts, that reaches `fraction` of the largest size there and after which the motion falls by
+    more than the error of the trajectory. Left out are grains that begin with such a size, as the
+    one that was struck does, and those whose maximum is not within the recording. Behind the front
+    the displacement falls slowly in a column, not at all in a sonic vacuum: track the velocity
+    there, which is largest where the displacement rises most.
 
     Parameters
     ----------
@@ -192,19 +200,20 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     --------
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=40, diameter=1e-3)
-    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-5), duration=1e-4, samples=401)
+    >>> strike = lmpchain.Impulse(velocity=1e-5)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=1e-4, samples=401)
     >>> front = track(lmpchain.simulate(scene, engine="native"))
     >>> front.grain[:3].tolist(), [f"{c:.0f} m/s" for c in front.speed[[5, 10, 15]]]
     ([2, 3, 4], ['190 m/s', '212 m/s', '227 m/s'])
     """
     check(trajectory, field)
-    error, motion, order = (
-        trajectory.error_estimate.solver,
-        motion_of(trajectory),
-        np.argsort(trajectory.grains),
-    )
-    certain = (error if np.isfinite(error) else 0.0) * motion.sampled[field == "velocity"]
-    grains, rows = trajectory.grains[order], motion.fronts(field, fraction, certain)[order]
+    error = trajectory.error_estimate.solver
+    motion = motion_of(trajectory)
+    order = np.argsort(trajectory.grains)
+    # an error of the equation shifts the whole wave, but makes no maxima
+    fall = (error if np.isfinite(error) else 0.0) * motion.sampled[field == "velocity"]
+    grains = trajectory.grains[order]
+    rows = motion.fronts(field, fraction, fall)[order]
     passed = np.isfinite(rows[:, 0])
     if not passed.any():
         raise InputError.at(
@@ -247,9 +256,80 @@ def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None 
     slope, error, correlation = np.array(
         [(fit.slope, fit.stderr, fit.rvalue) for fit in map(stats.linregress, x, y)]
     ).T
-    residual = np.sqrt(1 - correlation**2) * y.std(1)
     return Exponents(
-        quantity, np.exp(x.mean(1)), slope, stats.t.ppf(0.975, size - 2) * error, residual
+        quantity=quantity,
+        depth=np.exp(x.mean(1)),
+        exponent=slope,
+        error=stats.t.ppf(0.975, size - 2) * error,
+        residual=np.sqrt(1 - correlation**2) * y.std(1),
+    )
+
+
+class CorrectedPower(NamedTuple):
+    """A power law fitted with its correction: exponent, logarithm of the factor, correction.
+
+    Attributes
+    ----------
+    values : (3,) array
+    interval : (3,) array
+        Half the 95 % confidence intervals; 0 of an exponent that is given.
+    shift : (3,) array
+        How far the values move when the next term is fitted, too.
+    """
+
+    values: Array
+    interval: Array
+    shift: Array
+
+
+def fit_power(
+    depth: Array, values: Array, order: float, following: float, exponent: float | None = None
+) -> CorrectedPower:
+    """Fit values of the form factor h^exponent (1 + correction / h^order).
+
+    Parameters
+    ----------
+    depth, values : (P,) arrays
+        Both above 0.
+    order, following : float
+        Orders of the correction and of the next one, which shows what further terms do.
+    exponent : float, optional
+        One that is given is not fitted.
+
+    Returns
+    -------
+    CorrectedPower
+
+    Raises
+    ------
+    InputError
+        If the fit does not converge.
+    """
+    # on logarithms, so that relative errors count alike at all depths
+    x = np.log(depth)
+    y = np.log(values)
+    fixed: list[float] = [] if exponent is None else [exponent]
+
+    def law(x: Array, *terms: float) -> Array:
+        power, scale, first, second = (*fixed, *terms, 0.0)[:4]
+        corrected = 1 + first * np.exp(-order * x) + second * np.exp(-following * x)
+        return scale + power * x + np.log(np.abs(corrected))
+
+    try:
+        # from a plain power law to its first correction, and on to the next one
+        start = [*np.polyfit(x, y, 1), 0.0][len(fixed) :]
+        parameters, covariance = optimize.curve_fit(law, x, y, start)
+        further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])
+    except RuntimeError:
+        raise InputError.at(
+            "front", "obeys no such law: choose other grains with Front.between"
+        ) from None
+    interval = stats.t.ppf(0.975, x.size - parameters.size) * np.sqrt(np.diag(covariance))
+    exact = np.zeros(len(fixed))
+    return CorrectedPower(
+        values=np.append(fixed, parameters),
+        interval=np.append(exact, interval),
+        shift=np.append(exact, np.abs(further[:-1] - parameters)),
     )
 
 
@@ -258,13 +338,15 @@ def asymptotic(
 ) -> PowerLaw:
     """Fit the asymptotic power law of a quantity and its finite-depth correction.
 
-    The wave is that after a weak strike on the top of a column.
-    With xi = 1 - 1/delta, dispersion spreads the front (tau^2 - chi^2)^(-a), a = xi / (4 - 2 xi), over times ~ h^w,
-    w = 1/3 - xi/2. Displacements tend to the power -xi/4 - a w of h, velocities to -xi/4 - (1 + a) w: -1/10 and -4/15
-    for Hertz; -1/12 and -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local ones on the way there.
+    The wave is that after a weak strike on the top of a column. With xi = 1 - 1/delta, dispersion
+    spreads the front (tau^2 - chi^2)^(-a), a = xi / (4 - 2 xi), over times ~ h^w, w = 1/3 - xi/2.
+    Displacements tend to the power -xi/4 - a w of h, velocities to -xi/4 - (1 + a) w: -1/10 and
+    -4/15 for Hertz; -1/12 and -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local
+    ones on the way there.
 
-    The order is 1/delta - 1/3 for amplitude and width, 2/3 for time and speed; above delta = 2 the correction cannot be
-    separated from the power. A given `exponent` is not fitted. `Front.between` leaves out first grains and reflections.
+    The order is 1/delta - 1/3 for amplitude and width, 2/3 for time and speed; above delta = 2 the
+    correction cannot be separated from the power. A given `exponent` is not fitted. `Front.between`
+    leaves out first grains and reflections.
 
     Parameters
     ----------
@@ -285,7 +367,6 @@ def asymptotic(
         If delta is not 1 to 2, or too few grains show the front.
     """
     depth, values, label = front.against_depth(quantity)
-    x, y = np.log(depth), np.log(values)
     if not 1 <= delta <= 2:
         raise InputError.at("front", f"has such a law for 1 <= delta <= 2 only (got {delta})")
     if depth.size < FEWEST:
@@ -293,33 +374,18 @@ def asymptotic(
             "front", f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer"
         )
     order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
-    known: list[float] = [] if exponent is None else [exponent]
-
-    def law(x: Array, *terms: float) -> Array:
-        power, scale, first, second = (*known, *terms, 0.0)[:4]
-        return (
-            scale
-            + power * x
-            + np.log(np.abs(1 + first * np.exp(-order * x) + second * np.exp(-2 * order * x)))
-        )
-
-    try:
-        parameters, covariance = optimize.curve_fit(
-            law, x, y, [*np.polyfit(x, y, 1), 0.0][len(known) :]
-        )
-        further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])
-    except RuntimeError:
-        raise InputError.at(
-            "front", "obeys no such law: choose other grains with Front.between"
-        ) from None
-    error = stats.t.ppf(0.975, x.size - parameters.size) * np.sqrt(np.diag(covariance))
-    error += np.abs(further[:-1] - parameters)
-    (power, scale, correction), error = (
-        np.append(known, parameters),
-        np.append(np.zeros(len(known)), error),
-    )
+    fit = fit_power(depth, values, order, 2 * order, exponent)
+    power, scale, correction = fit.values
+    factor = np.exp(scale)
     return PowerLaw(
-        label, depth, values, order, error * [1, np.exp(scale), 1], power, np.exp(scale), correction
+        label=label,
+        depth=depth,
+        values=values,
+        order=order,
+        error=(fit.interval + fit.shift) * [1, factor, 1],
+        exponent=power,
+        factor=factor,
+        correction=correction,
     )
 
 

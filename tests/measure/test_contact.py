@@ -1,4 +1,6 @@
-"""Contact forces, openings, sensors and wave speeds, each against a number that the package did not make."""
+"""Contact forces, openings, sensors and wave speeds, each against a number that the package did not
+make.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ REST = Impulse(velocity=0.0)
 
 
 def vacuum(grains: int, **ends: Any) -> Chain:
-    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless told."""
+    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless
+    told.
+    """
     units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
     return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))
 
@@ -38,7 +42,9 @@ def record(
 
 @pytest.fixture(scope="module")
 def pulse() -> Trajectory:
-    """Return a strike of 1 on a vacuum chain of 60, until the pulse has come back from a wall of the same material."""
+    """Return a strike of 1 on a vacuum chain of 60, until the pulse has come back from a wall of
+    the same material.
+    """
     scene = Scene(
         chain=vacuum(60, bottom="wall"),
         excitation=Impulse(velocity=1.0),
@@ -90,7 +96,9 @@ def test_at_rest_contacts_carry_the_weight_above(ends: dict[str, Any], exponent:
 
 
 def test_two_balls_that_collide() -> None:
-    """They part after 2.9432751843 x_max / v, and the largest force is K x_max^1.5: classical, see Landau 7, 9."""
+    """They part after 2.9432751843 x_max / v, and the largest force is K x_max^1.5: classical, see
+    Landau 7, 9.
+    """
     deepest = (2.5 * 0.5 * 0.5) ** 0.4  # v = m = K = 1, reduced mass 1/2
     lasts = 2.9432751843 * deepest
     t = record(vacuum(2), Impulse(velocity=1.0), 1.5 * lasts, 201, tolerance=1e-11)
@@ -104,7 +112,9 @@ def test_two_balls_that_collide() -> None:
 
 
 def test_a_wall_feels_more_than_the_chain(pulse: Trajectory) -> None:
-    """F_wall / F_chain = 1.94390 for a solitary wave and a wall of its material: Job et al., PRL 94, 178002 (2005)."""
+    """F_wall / F_chain = 1.94390 for a solitary wave and a wall of its material: Job et al., PRL
+    94, 178002 (2005).
+    """
     incoming = contacts(until(pulse, 60.0), [30])
     along = arrival(incoming.time, incoming.force[:, 0])
     at_wall = arrival(pulse.time, wall_force(pulse))
@@ -112,7 +122,9 @@ def test_a_wall_feels_more_than_the_chain(pulse: Trajectory) -> None:
 
 
 def test_the_force_of_a_driver() -> None:
-    """Grain 2 of three between springs is a forced oscillator: its textbook motion gives the force on grain 1."""
+    """Grain 2 of three between springs is a forced oscillator: its textbook motion gives the force
+    on grain 1.
+    """
     chain = Chain(grains=3, diameter=1e-3, exponent=1.0, gravity=2.0, top_load=1e-3)
     k, m, load, amplitude = chain.contact_constants[0], chain.masses[0], 1e-3, 1e-12
     own = np.sqrt(2 * k / m)
@@ -172,7 +184,9 @@ def test_events_of_a_sine(offset: float, samples: int) -> None:
 
 
 def test_events_at_the_edge_of_touching() -> None:
-    """What just touches in a sample has closed there; what nearly parts between two samples has not."""
+    """What just touches in a sample has closed there; what nearly parts between two samples has
+    not.
+    """
     rng = np.random.default_rng(1)
     for _ in range(100):
         start, step, rates = (
@@ -197,7 +211,9 @@ def test_events_at_the_edge_of_touching() -> None:
 
 
 def test_events_of_a_dense_recording(column: Trajectory) -> None:
-    """The same motion recorded 20 times as densely, and a straight line between the samples about each change."""
+    """The same motion recorded 20 times as densely, and a straight line between the samples about
+    each change.
+    """
     sparse, dense = (
         simulate(
             Scene(**column.scene.given() | {"samples": samples}),
@@ -232,7 +248,9 @@ def test_a_gentle_wave_opens_nothing() -> None:
 
 
 def test_grains_that_just_touch_have_not_opened() -> None:
-    """A front in the vacuum starts at nothing and grows beyond all powers; an interpolant through it overshoots."""
+    """A front in the vacuum starts at nothing and grows beyond all powers; an interpolant through
+    it overshoots.
+    """
     chain = vacuum(12)
     assert contacts(record(chain, REST, 10.0, 11)).events() == []
     # until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine
@@ -245,8 +263,12 @@ def test_grains_that_just_touch_have_not_opened() -> None:
         assert all(event.opens for event in events)
         assert [event.contact for event in events] == list(range(1, len(events) + 1))
         assert len(events) == 4
-    struck = Scene(chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free"), excitation=Impulse(velocity=0.1),
-                   duration=4e-5, samples=161)  # fmt: skip
+    struck = Scene(
+        chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free"),
+        excitation=Impulse(velocity=0.1),
+        duration=4e-5,
+        samples=161,
+    )
     native, lammps = (
         contacts(simulate(struck, engine, 1e-5)).events() for engine in ("native", "lammps")
     )
@@ -260,7 +282,9 @@ def test_grains_that_just_touch_have_not_opened() -> None:
 
 
 def test_arrival_of_a_known_peak() -> None:
-    """A Gaussian, sampled at any phase: the error falls with the sixth power and stays within its estimate."""
+    """A Gaussian, sampled at any phase: the error falls with the sixth power and stays within its
+    estimate.
+    """
     worst = []
     for step in (0.4, 0.2):
         found = []
@@ -291,7 +315,9 @@ def test_an_arrival_that_sampling_hardly_shows() -> None:
 
 @pytest.mark.parametrize("method", ["peak", "correlation"])
 def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any) -> None:
-    """V = 0.9074700784 v_m^(1/5), the exact lattice soliton (Ahnert and Pikovsky 2009, English and Pego 2005)."""
+    """V = 0.9074700784 v_m^(1/5), the exact lattice soliton (Ahnert and Pikovsky 2009, English and
+    Pego 2005).
+    """
     before_the_echo = until(pulse, 65.0)
     flight = time_of_flight(before_the_echo, 30, 50, method)
     strength = arrival(before_the_echo.time, before_the_echo.velocity[:, 29]).height
@@ -308,7 +334,9 @@ def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any
 
 
 def test_sound_between_sensors_of_unlike_grains() -> None:
-    """In a long wave sound travels at d sqrt(k/m) between equal grains; distances count diameters and overlaps."""
+    """In a long wave sound travels at d sqrt(k/m) between equal grains; distances count diameters
+    and overlaps.
+    """
     chain = Chain(grains=150, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     unit = chain.time_scale
     bump = np.exp(-(np.linspace(-4, 16, 401) ** 2))
@@ -381,10 +409,16 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
         ("grain: grain 40 has no contacts on both sides", lambda: sensor(column, 40)),
         ("end: there is no wall at the end 'top'", lambda: wall_force(column, "top")),
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
-        ("end: there is no wall at the end 'left'", lambda: wall_force(column, "left")),  # type: ignore[arg-type]
+        (
+            "end: there is no wall at the end 'left'",
+            lambda: wall_force(column, "left"),  # type: ignore[arg-type]
+        ),
         ("excitation: nothing is driven", lambda: drive_force(column)),
         ("second: choose two grains", lambda: time_of_flight(column, 5, 5)),
-        ("second: choose two grains", lambda: time_of_flight(column, 5, 6, "guess")),  # type: ignore[arg-type]
+        (
+            "second: choose two grains",
+            lambda: time_of_flight(column, 5, 6, "guess"),  # type: ignore[arg-type]
+        ),
     ]:
         with pytest.raises(InputError) as error:
             wrong()

@@ -1,4 +1,6 @@
-"""Eq. (22) of a trajectory: its sums, the table, the JSON and the picture, against the formula of Eq. (23) itself."""
+"""Eq. (22) of a trajectory: its sums, the table, the JSON and the picture, against the formula of
+Eq. (23) itself.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +89,9 @@ def test_a_motion_that_no_single_strike_began_is_shown_in_metres_a_second():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0])
 def test_stiffness_over_that_of_the_first_contact(exponent: float):
-    """(F_n / F_1)^(1 - 1/delta) with the weight above each contact, and below the last the weight of grain N too."""
+    """(F_n / F_1)^(1 - 1/delta) with the weight above each contact, and below the last the weight
+    of grain N too.
+    """
     masses = np.linspace(1e-6, 2e-6, 5)
     chain = Chain(grains=5, diameter=1e-3, masses=masses, exponent=exponent, top_load=1e-5)
     weight = 1e-5 + 9.81 * np.cumsum(masses)
@@ -101,7 +105,9 @@ def test_stiffness_over_that_of_the_first_contact(exponent: float):
 
 @pytest.mark.parametrize("unit", [1.0, -0.5])
 def test_the_table(unit: float):
-    """Two orders: in units of the strike if there was one, the mean of random chains with its error and its grain."""
+    """Two orders: in units of the strike if there was one, the mean of random chains with its error
+    and its grain.
+    """
     seen = by_hand(unit)
     others = [ensemble(1.0, unit), ensemble(-1.0, unit, 2e-2)]
     lines = seen.table(ORDERED * unit, others).splitlines()

@@ -27,7 +27,9 @@ from lmpchain.scene.excitation import Excitation
 
 
 def vacuum(grains: int, **ends: Any) -> Chain:
-    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless told."""
+    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless
+    told.
+    """
     units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
     return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))
 
@@ -71,7 +73,9 @@ UNDRIVEN = {
 
 @pytest.mark.parametrize("case", UNDRIVEN.values(), ids=UNDRIVEN)
 def test_energy_and_momentum_come_from_somewhere(case: tuple[Chain, Excitation, float]) -> None:
-    """Without a driver the energy stays; momentum changes by what the ends give, to the error of the quadrature."""
+    """Without a driver the energy stays; momentum changes by what the ends give, to the error of
+    the quadrature.
+    """
     chain, excitation, duration = case
     t = record(chain, excitation, duration, 401)
     energy = ledger(t)
@@ -111,7 +115,9 @@ def test_a_spring_alone_swaps_its_energy() -> None:
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_a_lifted_grain_falls_freely(exponent: float) -> None:
-    """Held up by nothing it gains m g t, which the ledger books as what the floor no longer gives."""
+    """Held up by nothing it gains m g t,
+    which the ledger books as what the floor no longer gives.
+    """
     chain = Chain(grains=2, diameter=1e-3, exponent=exponent)
     gap = 2 * chain.length_scale
     falls = np.sqrt(2 * gap / 9.81)
@@ -140,7 +146,9 @@ DRIVES = {
 
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
 def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
-    """What it does not close falls with the fourth power of the interval and is what the estimate says over 15."""
+    """What it does not close falls with the fourth power of the interval and is what the estimate
+    says over 15.
+    """
     chain = Chain(grains=20, diameter=1e-3, top_load=1e-3)
     open_ends = []
     for samples in (129, 257, 513):
@@ -157,10 +165,12 @@ def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
 
 
 def test_a_driver_of_springs_does_the_work_of_theory() -> None:
-    """The motion of grain 2 in an endless chain of springs is that of grain 1 folded with 2 J_2(2 t) / t.
+    """The motion of grain 2 in an endless chain of springs is that of grain 1 folded with
+    2 J_2(2 t) / t.
 
-    Schroedinger, Annalen der Physik 44, 916 (1914), in units of sqrt(k/m); the integrals by Gauss and Legendre.
-    Later the mean power is that of a running wave, k A^2 omega sin(q) / 2 with omega = 2 sqrt(k/m) sin(q/2).
+    Schroedinger, Annalen der Physik 44, 916 (1914), in units of sqrt(k/m); the integrals by Gauss
+    and Legendre. Later the mean power is that of a running wave, k A^2 omega sin(q) / 2 with omega
+    = 2 sqrt(k/m) sin(q/2).
     """
     chain = Chain(grains=120, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1e-3)
     k, m, unit = chain.contact_constants[0], chain.masses[0], chain.time_scale
@@ -206,7 +216,9 @@ def test_the_kinetic_energy_counts_the_driven_grain() -> None:
 
 
 def test_energy_is_shared_5_to_4_between_walls() -> None:
-    """K/E = (delta+1)/(delta+3) + [G(T) - G(0)] / ((delta+3) T E), G = sum m phi phi': the virial theorem."""
+    """K/E = (delta+1)/(delta+3) + [G(T) - G(0)] / ((delta+3) T E), G = sum m phi phi': the virial
+    theorem.
+    """
     chain = vacuum(20, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=400.0, samples=8001)
     # chaotic after 100, but the theorem holds for any motion
@@ -222,7 +234,9 @@ def test_energy_is_shared_5_to_4_between_walls() -> None:
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
 def test_energy_of_a_solitary_wave(exponent: float) -> None:
-    """Its time mean of K/E is (delta+1)/(delta+3) exactly: Slepyan, arXiv:1410.8301. The wave is cut from a strike."""
+    """Its time mean of K/E is (delta+1)/(delta+3) exactly: Slepyan, arXiv:1410.8301. The wave is
+    cut from a strike.
+    """
     struck = record(vacuum(70, exponent=exponent), Impulse(velocity=1.0), 70.0, 2, 1e-8)
     behind = int(struck.velocity[-1].argmax()) - 8
     u, v = (
@@ -274,7 +288,9 @@ def test_two_samples_say_nothing_about_the_error() -> None:
 
 @pytest.mark.parametrize("bottom", ["fixed", "free"])
 def test_grains_that_never_move_change_nothing(bottom: str) -> None:
-    """The balance of a long chain, of which only the first grains are reached, is that of these alone."""
+    """The balance of a long chain, of which only the first grains are reached, is that of these
+    alone.
+    """
     found = []
     for grains in (200, 2000):
         load = {"gravity": 0.0} if bottom == "free" else {}

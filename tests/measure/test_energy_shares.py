@@ -37,7 +37,9 @@ def test_shares_add_up(name: str):
 
 @pytest.mark.parametrize("kind", ACTED)
 def test_what_flows_into_a_part(kind: str):
-    """The energy of grains 5 to 9 changes by the power of contact 4: its force times the mean of the two velocities."""
+    """The energy of grains 5 to 9 changes by the power of contact 4: its force times the mean of
+    the two velocities.
+    """
     scene = Scene(chain=LOADED, excitation=ACTED[kind], duration=3e-5, samples=3001)
     t = simulate(scene, "native", 1e-10)
     part = energy.shares(t).part(5, 9)

@@ -1,4 +1,6 @@
-"""Every term of the ledger, and every energy of a grain or contact, from the motion by its own formula."""
+"""Every term of the ledger, and every energy of a grain or contact, from the motion by its own
+formula.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def overlaps(t: Trajectory) -> Array:
 
 @pytest.mark.parametrize("name", GIVEN)
 def test_every_term_and_what_was_given(name: str):
-    """The terms from the motion; they add up to what force, driver and walls have given, to the quadrature's error."""
+    """The terms from the motion; they add up to what force, driver and walls have given, to the
+    quadrature's error.
+    """
     t = run(name)
     chain, seen = t.scene.chain, energy.ledger(t)
     u, v, power = t.displacement, t.velocity, chain.exponent + 1
@@ -92,13 +96,17 @@ def test_every_term_and_what_was_given(name: str):
 
 
 def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
-    """Return the integral up to each sample: the trapezoid with its first correction, that of a cubic."""
+    """Return the integral up to each sample: the trapezoid with its first correction, that of a
+    cubic.
+    """
     parts = step * (value[1:] + value[:-1]) / 2 + step**2 / 12 * (slope[:-1] - slope[1:])
     return np.append(0.0, np.cumsum(parts))
 
 
 def test_the_errors_are_the_shift_when_every_second_sample_is_used():
-    """A force on grain 3 of a chain on a floor: its work, and the impulses of both, from 41 samples and from 21."""
+    """A force on grain 3 of a chain on a floor: its work, and the impulses of both, from 41 samples
+    and from 21.
+    """
     t = run("a sine on grain 3", 41)
     chain, seen, omega = t.scene.chain, energy.ledger(t), 2 * np.pi * 1e5
     force = 1e-3 * np.sin(omega * t.time)
@@ -173,7 +181,9 @@ def test_the_lines_of_the_picture():
 
 @pytest.mark.parametrize("ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall"}])
 def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str]):
-    """E = K [o^(d+1) - eps^(d+1)] / (d+1) - F (o - eps): what is stored less the work of what pressed it at rest."""
+    """E = K [o^(d+1) - eps^(d+1)] / (d+1) - F (o - eps): what is stored less the work of what
+    pressed it at rest.
+    """
     chain = Chain(**UNEVEN, **ends)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=7)
     t = simulate(scene, engines.Native(step=1e-8))
@@ -219,7 +229,9 @@ def test_grains_in_the_order_in_which_they_were_recorded():
 
 
 def test_errors_are_what_errors_of_the_motion_make_of_an_energy():
-    """Speeds off by dv: m [(v + dv)^2 - v^2] / 2; two displacements off by du: the contact's energy at 2 du more."""
+    """Speeds off by dv: m [(v + dv)^2 - v^2] / 2; two displacements off by du: the contact's energy
+    at 2 du more.
+    """
     chain = Chain(**UNEVEN, bottom="wall")
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=41

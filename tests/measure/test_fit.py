@@ -1,4 +1,6 @@
-"""Fits of the theory to trajectories and of scenes to traces, against exact solutions, and what the command prints."""
+"""Fits of the theory to trajectories and of scenes to traces, against exact solutions, and what the
+command prints.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ from lmpchain.benchmark.comparison import compare
 from lmpchain.benchmark.reference import reference
 from lmpchain.cli.command_line import main
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.measure.fit.overview import (
+from lmpchain.measure.fit import (
     ExponentFit,
     Summary,
     Trace,
@@ -69,7 +71,9 @@ def answered(
 
 @pytest.fixture(scope="module")
 def column() -> Trajectory:
-    """Return a weak strike on 300 grains, until the front has come to the bottom and half the way back."""
+    """Return a weak strike on 300 grains, until the front has come to the bottom and half the way
+    back.
+    """
     return answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9), 200.0, 1601)
 
 
@@ -89,7 +93,9 @@ def keys(error: Any) -> list[str]:
 
 
 def test_shares_of_the_modes_and_their_energy(column: Trajectory):
-    """Against the energy of the scene, and a dense eigenvalue solver: shares of an impulse are m_1 X_1p^2."""
+    """Against the energy of the scene, and a dense eigenvalue solver: shares of an impulse are m_1
+    X_1p^2.
+    """
     fit = fit_modes(column)
     assert fit.share.sum() == pytest.approx(1, abs=1e-12)
     assert fit.energy.sum() == pytest.approx(column.scene.energy, rel=1e-9)
@@ -175,7 +181,9 @@ def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
 
 
 def test_the_local_speed_in_a_column():
-    """kappa_n = n^(1/3): near grain 150 the chain is uniform for some time, and within what theory leaves out."""
+    """kappa_n = n^(1/3): near grain 150 the chain is uniform for some time, and within what theory
+    leaves out.
+    """
     fit = fit_bessel(
         answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9, grain=150), 40.0, 401)
     )
@@ -217,7 +225,9 @@ def test_amplitude_at_the_surface():
 
 
 def test_law_of_the_front(column: Trajectory):
-    """(6/5) h^(5/6), once the lag of 0.908 h^(1/6) / 4^(1/3) is taken off, which alone would make it 0.825."""
+    """(6/5) h^(5/6), once the lag of 0.908 h^(1/6) / 4^(1/3) is taken off, which alone would make
+    it 0.825.
+    """
     law = fit_continuum(column).front
     assert law is not None
     assert law.exponent == pytest.approx(5 / 6, abs=1e-3)
@@ -743,7 +753,9 @@ def test_fit_faults_have_exit_code_2(
 
 
 def test_bessel_needs_a_wave_and_not_only_its_start():
-    """Behind a wall the first grain is its own image at once: what the strike gave is no measurement."""
+    """Behind a wall the first grain is its own image at once: what the strike gave is no
+    measurement.
+    """
     chain = Chain(
         grains=40,
         material="steel",

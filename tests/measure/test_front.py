@@ -1,4 +1,6 @@
-"""The front of a wave: found between samples, against exact solutions, published laws and their exponents."""
+"""The front of a wave: found between samples, against exact solutions, published laws and their
+exponents.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def column(
     recorded: str = "all",
     delta: float = 1.5,
 ) -> Trajectory:
-    """Return a column struck at the top with this strike number, until its weak front has passed the `last` grain."""
+    """Return a column struck at the top with this strike number, until its weak front has passed
+    the `last` grain.
+    """
     chain = Chain(grains=grains, diameter=1e-3, exponent=delta)
     eta = 1 + 1 / delta
     end = 2 / eta * last ** (eta / 2) + 2.5 * last ** (eta / 2 - 2 / 3) + 4
@@ -56,11 +60,16 @@ def displacement(weak: Trajectory) -> Front:
 def made_up(
     motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5
 ) -> Trajectory:
-    """Return a trajectory with a velocity motion(t, n) for t from 0 to 20 us, that no equation is known to give."""
+    """Return a trajectory with a velocity motion(t, n) for t from 0 to 20 us, that no equation is
+    known to give.
+    """
     scene = Scene(
-        chain=Chain(grains=grains + 1, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=20e-6,
-        samples=samples, grains=f"1:{grains}",
-    )  # fmt: skip
+        chain=Chain(grains=grains + 1, diameter=1e-3),
+        excitation=Impulse(velocity=1e-6),
+        duration=20e-6,
+        samples=samples,
+        grains=f"1:{grains}",
+    )
     numbers, step = np.arange(1.0, grains + 1), 20 / (samples - 1)
     nodes, weights = np.polynomial.legendre.leggauss(16)
     inside = scene.time[:-1, None, None] * 1e6 + step * (nodes[:, None] + 1) / 2
@@ -135,9 +144,12 @@ def test_a_wave_that_was_not_seen_to_fall_has_no_width():
 
 def test_recorded_grains_may_come_in_any_order():
     scene = Scene(
-        chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-6, grain=10), duration=6e-5, samples=301,
+        chain=Chain(grains=40, diameter=1e-3),
+        excitation=Impulse(velocity=1e-6, grain=10),
+        duration=6e-5,
+        samples=301,
         grains=[20, 4, 12, 10, 16, 8],
-    )  # fmt: skip
+    )
     front = track(simulate(scene, engine="native", tolerance=1e-8))
     assert front.grain.tolist() == [4, 8, 12, 16, 20], "the one that was struck is left out"
     assert (np.diff(front.time[2:]) > 0).all()
@@ -147,7 +159,9 @@ def test_recorded_grains_may_come_in_any_order():
 
 
 def test_against_the_exact_motion_of_a_weak_strike():
-    """Sum over all modes, from a dense eigenvalue solver: the maxima by root finding, without any sampling."""
+    """Sum over all modes, from a dense eigenvalue solver: the maxima by root finding, without any
+    sampling.
+    """
     t = column(1e-7, 60, 80)
     chain, strike = t.scene.chain, t.scene.excitation.velocity
     diagonal, coupling = chain.dynamical_matrix()
@@ -169,7 +183,9 @@ def test_against_the_exact_motion_of_a_weak_strike():
 
 
 def test_soliton_of_the_sonic_vacuum():
-    """V = 0.9074700784 v^(1/5) and 1.5791 grains of full width at half maximum: the exact lattice soliton."""
+    """V = 0.9074700784 v^(1/5) and 1.5791 grains of full width at half maximum: the exact lattice
+    soliton.
+    """
     chain = Chain(
         grains=90,
         diameter=100.0,
@@ -209,7 +225,9 @@ def test_peak_velocity(velocity: Front, weak: Trajectory, grain: int, ratio: flo
 
 
 def test_local_speed(velocity: Front, weak: Trajectory):
-    """Speed over n^(1/6): 0.9944 at 100; the maximum lags 0.908 h^(1/6) / 4^(1/3) behind (6/5) h^(5/6)."""
+    """Speed over n^(1/6): 0.9944 at 100; the maximum lags 0.908 h^(1/6) / 4^(1/3) behind (6/5)
+    h^(5/6).
+    """
     unit = weak.scene.chain.time_scale
     assert at(velocity, 100, velocity.grains_per_second) * unit / 100 ** (1 / 6) == pytest.approx(
         0.9944, abs=7e-4
@@ -266,7 +284,9 @@ def test_asymptotic_laws(
     power: float,
     factor: float,
 ):
-    """Velocity 0.931767 n^(-4/15), displacement n^(-1/10), not the -1/4 and -1/12 of Hong, Ji and Kim."""
+    """Velocity 0.931767 n^(-4/15), displacement n^(-1/10), not the -1/4 and -1/12 of Hong, Ji and
+    Kim.
+    """
     unit, strike = weak.scene.chain.time_scale, weak.scene.excitation.velocity
     scale = {
         "amplitude": strike if field == "velocity" else strike * unit,

@@ -1,4 +1,6 @@
-"""Fits of laws and parameters, number by number, against a least-squares fit written another way."""
+"""Fits of laws and parameters, number by number,
+against a least-squares fit written another way.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ Array = NDArray[np.float64]
 def least_squares(
     h: Array, y: Array, orders: list[float], power: float | None = None
 ) -> tuple[Array, Array]:
-    """Fit y = f h^p (1 + sum of c h^-order) in logarithms; return p, ln f, c ... and their standard errors."""
+    """Fit y = f h^p (1 + sum of c h^-order) in logarithms; return p, ln f, c ... and their standard
+    errors.
+    """
 
     def off(x: Array) -> Array:
         p, scale, *terms = x if power is None else np.append(power, x)
@@ -67,8 +71,9 @@ def test_an_asymptotic_law_and_its_errors(delta: float, power: float | None):
         (fitted[0], factor, fitted[2]), rel=1e-4
     )
     assert law.error == pytest.approx(interval * [1, factor, 1], rel=2e-2)
-    assert law.residual == pytest.approx(law.values / (law.factor * h**law.exponent * (1 + law.correction / h**order))
-                                         - 1, abs=1e-12)  # fmt: skip
+    assert law.residual == pytest.approx(
+        law.values / (law.factor * h**law.exponent * (1 + law.correction / h**order)) - 1, abs=1e-12
+    )
 
 
 def test_six_grains_are_enough_for_a_law_and_five_are_not():
@@ -119,8 +124,13 @@ def test_local_intervals_hold_the_truth_in_95_of_100_draws():
 
 def column(grains: int = 120, units: float = 90.0, samples: int = 361, **more: Any) -> Trajectory:
     chain = Chain(grains=grains, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=-1e-9), duration=units * chain.time_scale,
-                  samples=samples, **more)  # fmt: skip
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=-1e-9),
+        duration=units * chain.time_scale,
+        samples=samples,
+        **more,
+    )
     return simulate(scene, "chebyshev", 1e-8)
 
 
@@ -136,7 +146,9 @@ def chi(h: Any, delta: float = 1.5) -> Any:
 
 @pytest.mark.parametrize("inside", [0.5, 0.3])
 def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
-    """Made up with C = 1.3 and scatter: which samples are fitted, the regression, its interval and its residual."""
+    """Made up with C = 1.3 and scatter: which samples are fitted, the regression, its interval and
+    its residual.
+    """
     unit, chain = struck.scene.chain.time_scale, struck.scene.chain
     tau, travel = struck.time[:, None] / unit, chi(struck.grains - 0.5)
     cone = np.maximum(tau**2 - travel**2, 1e-9)
@@ -193,8 +205,13 @@ def test_which_laws_are_fitted_to_which_front(struck: Trajectory):
     velocity, displacement = (
         track(struck, field).between(15, 70) for field in ("velocity", "displacement")
     )
-    fronts = {"velocity": (velocity, "amplitude"), "displacement": (displacement, "amplitude"),
-              "time": (velocity, "time"), "speed": (velocity, "speed"), "width": (velocity, "width")}  # fmt: skip
+    fronts = {
+        "velocity": (velocity, "amplitude"),
+        "displacement": (displacement, "amplitude"),
+        "time": (velocity, "time"),
+        "speed": (velocity, "speed"),
+        "width": (velocity, "width"),
+    }
     assert list(seen.laws) == list(fronts)
     for name, (front, quantity) in fronts.items():
         same = asymptotic(front, quantity, 1.5)  # type: ignore[arg-type]
@@ -249,7 +266,9 @@ def guessed(velocity: float) -> Scene:
 
 
 def waving(asked: list[Scene]) -> Any:
-    """Return a solver whose velocities are those of the strike times sin(2e5 t + n); scenes that it is asked for."""
+    """Return a solver whose velocities are those of the strike times sin(2e5 t + n); scenes that it
+    is asked for.
+    """
 
     def solve(scene: Scene) -> Any:
         asked.append(scene)
@@ -264,7 +283,9 @@ def waving(asked: list[Scene]) -> Any:
 
 @pytest.mark.parametrize("even", [True, False])
 def test_a_parameter_on_which_all_depends_linearly(even: bool):
-    """The value is sum(x y) / sum(x^2), off by sqrt(s^2 / sum(x^2)) with s^2 from n - 1 residuals."""
+    """The value is sum(x y) / sum(x^2),
+    off by sqrt(s^2 / sum(x^2)) with s^2 from n - 1 residuals.
+    """
     time = np.linspace(0, 4e-5, 30) if even else 4e-5 * np.linspace(0.1, 1, 30) ** 1.5
     shape = np.sin(2e5 * time[:, None] + np.array([3, 5]))
     values = 2e-3 * (shape + 0.1 * np.random.default_rng(1).normal(size=shape.shape))
@@ -288,7 +309,9 @@ def test_a_parameter_on_which_all_depends_linearly(even: bool):
 
 
 def test_how_far_a_fit_looks_for_its_parameter():
-    """Up to 2 span from the best of nine values, no farther; a span of 1 begins with the value of the scene."""
+    """Up to 2 span from the best of nine values, no farther; a span of 1 begins with the value of
+    the scene.
+    """
     time = np.linspace(0, 4e-5, 30)
     shape = np.sin(2e5 * time + 3)
     asked: list[Scene] = []
@@ -314,7 +337,9 @@ def test_how_far_a_fit_looks_for_its_parameter():
 
 
 def test_trials_that_cannot_be_answered():
-    """Values at which there is no such scene are passed over; if there is none at all, that is said."""
+    """Values at which there is no such scene are passed over; if there is none at all, that is
+    said.
+    """
     time = np.linspace(0, 4e-5, 30)
     shape = np.sin(2e5 * time + 3)
 

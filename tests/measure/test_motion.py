@@ -1,4 +1,6 @@
-"""The motion between samples: peaks against exact and densely sampled motion, and what is claimed of their errors."""
+"""The motion between samples: peaks against exact and densely sampled motion, and what is claimed
+of their errors.
+"""
 
 from __future__ import annotations
 
@@ -56,9 +58,10 @@ def test_sparse_samples_say_how_far_off_they_are(dense, samples):
 def test_two_grains_against_the_exact_oscillation(samples: int):
     """One spring between held ends: phi = (v/omega) sin(omega t).
 
-    Its frequency is known to be at most 2^(1/2) omega. From 4.5 samples in a period on, no motion hides between two of
-    them, and a peak is found wherever it is. Of three in a period none is near the largest displacement: the value is
-    13.4 % low, for it is that of the largest sample, and its error says that more than that may hide.
+    Its frequency is known to be at most 2^(1/2) omega. From 4.5 samples in a period on, no motion
+    hides between two of them, and a peak is found wherever it is. Of three in a period none is near
+    the largest displacement: the value is 13.4 % low, for it is that of the largest sample, and its
+    error says that more than that may hide.
     """
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=0.0)
     omega = float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
@@ -82,7 +85,9 @@ def test_two_grains_against_the_exact_oscillation(samples: int):
 
 @pytest.mark.parametrize("equation", [1, 0])
 def test_order_of_the_interpolation(dense, equation):
-    """The error of the velocity falls with the sixth power of the time between samples, or the fourth."""
+    """The error of the velocity falls with the sixth power of the time between samples, or the
+    fourth.
+    """
     every = np.array([200, 100, 50]) if equation else np.array([100, 50, 25])
     off, true = [], peaks(dense).value
     for step in every:
@@ -107,7 +112,9 @@ def test_what_hides_between_two_samples_is_bounded():
 
 @pytest.mark.parametrize("samples", [41, 5])
 def test_grains_that_never_move_change_nothing(samples):
-    """Peaks and fronts of the first grains are the same where ten times as many are at rest below them."""
+    """Peaks and fronts of the first grains are the same where ten times as many are at rest below
+    them.
+    """
     found = []
     for grains in (200, 2000):
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=0.1)

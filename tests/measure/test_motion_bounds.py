@@ -1,4 +1,6 @@
-"""Bounds on the motion between samples: closed forms of one spring, and the energy within reach grain by grain."""
+"""Bounds on the motion between samples: closed forms of one spring, and the energy within reach
+grain by grain.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,13 @@ def swing(
     samples: int, angle: float, error: float = 1e-4, equation: int = 1, grains: Any = "all"
 ) -> Motion:
     """Return grain 1 on its spring, v cos(omega t), sampled so often within this angle."""
-    scene = Scene(chain=SPRING, excitation=Impulse(velocity=SPEED), duration=angle / OMEGA, samples=samples,
-                  grains=grains)  # fmt: skip
+    scene = Scene(
+        chain=SPRING,
+        excitation=Impulse(velocity=SPEED),
+        duration=angle / OMEGA,
+        samples=samples,
+        grains=grains,
+    )
     phase = OMEGA * scene.time
     u, v = SPEED / OMEGA * np.sin(phase), SPEED * np.cos(phase)
     recorded = np.arange(1, 3) if grains == "all" else np.array(grains)
@@ -37,7 +44,9 @@ def swing(
 
 
 def test_what_an_error_is_relative_to():
-    """No motion below omega exceeds its samples by more than 1 / cos(omega h / 2); else energy limits it exactly."""
+    """No motion below omega exceeds its samples by more than 1 / cos(omega h / 2); else energy
+    limits it exactly.
+    """
     angle = 2.5  # the frequency is known to be at most 2^(1/2) omega
     fine = swing(6, angle)
     more = 1 / math.cos(math.sqrt(2) * angle / 5 / 2)
@@ -56,7 +65,9 @@ def test_what_an_error_is_relative_to():
 
 
 def test_what_a_chain_that_may_open_can_reach():
-    """The fastest is a grain with all of the energy; the farthest goes at that speed for half an interval more."""
+    """The fastest is a grain with all of the energy; the farthest goes at that speed for half an
+    interval more.
+    """
     masses = np.linspace(2e-6, 1e-6, 12)
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free", masses=masses)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-4, samples=3)
@@ -72,7 +83,9 @@ def test_what_a_chain_that_may_open_can_reach():
 
 
 def test_what_a_pressed_chain_can_reach():
-    """Where no contact opens, the contacts hold the energy: (sum of r)^2 <= (delta + 1) E sum of 1 / k."""
+    """Where no contact opens, the contacts hold the energy: (sum of r)^2 <= (delta + 1) E sum of 1
+    / k.
+    """
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=4e-4, samples=3)
     t = simulate(scene, engines.Native(step=2e-8))
@@ -83,7 +96,9 @@ def test_what_a_pressed_chain_can_reach():
 
 
 def test_what_hides_between_samples_of_one_spring():
-    """v^2 + 2 (omega u)^2: the energy of the sample before, the contact counted with either grain."""
+    """v^2 + 2 (omega u)^2: the energy of the sample before,
+    the contact counted with either grain.
+    """
     fine = swing(6, 5.0)
     assert fine.ceiling.shape == (1, 0)
     coarse = swing(4, 7.5)
@@ -110,7 +125,9 @@ def test_what_hides_between_samples_of_one_spring():
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize("recorded", ["all", "1:10"])
 def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
-    """Grain by grain: all that the wave can bring within an interval, and the frequency of contacts so pressed."""
+    """Grain by grain: all that the wave can bring within an interval, and the frequency of contacts
+    so pressed.
+    """
     chain = Chain(grains=14, diameter=np.linspace(1e-3, 1.5e-3, 14), top_load=1e-3)
     scene = Scene(
         chain=chain,
@@ -167,7 +184,9 @@ def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
 
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
 def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
-    """F at rest and k v / omega; below a held grain its weight too. Off by k times what the overlap may be off by."""
+    """F at rest and k v / omega; below a held grain its weight too. Off by k times what the overlap
+    may be off by.
+    """
     if bottom == "fixed":
         chain, stiffness, rest = (
             SPRING,
@@ -211,8 +230,13 @@ def test_no_force_where_nothing_stands_or_nothing_was_recorded():
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-6, samples=21)
     with pytest.raises(InputError, match="end: there is no wall at the end 'bottom'"):
         motion_of(simulate(scene, engines.Native(step=1e-8))).largest_wall_force()
-    scene = Scene(chain=Chain(grains=5, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-6, samples=21,
-                  grains=[1, 2, 3])  # fmt: skip
+    scene = Scene(
+        chain=Chain(grains=5, diameter=1e-3),
+        excitation=Impulse(velocity=1e-4),
+        duration=1e-6,
+        samples=21,
+        grains=[1, 2, 3],
+    )
     between = motion_of(simulate(scene, engines.Native(step=1e-8)))
     with pytest.raises(InputError, match="grains: the grains of contact 4 must be recorded"):
         between.largest_wall_force()
@@ -221,7 +245,9 @@ def test_no_force_where_nothing_stands_or_nothing_was_recorded():
 
 @pytest.mark.parametrize("equation", [0, 1])
 def test_the_closest_approach_of_two_grains_is_no_further_off_than_it_says(equation: int):
-    """Of every contact of a chain that opens, from few samples against many; each grain's acceleration counts."""
+    """Of every contact of a chain that opens, from few samples against many; each grain's
+    acceleration counts.
+    """
     chain = Chain(grains=6, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=6e-5, samples=1441)
     t = simulate(scene, engines.Native(step=1e-8))

@@ -178,8 +178,12 @@ def test_a_spectrum_over_wavenumber_and_frequency():
 def test_the_motion_over_time_and_depth(grains: Any):
     chain = Chain(grains=12, diameter=1e-3)
     scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6, grain=3), duration=1e-4, samples=41, grains=grains
-    )  # fmt: skip
+        chain=chain,
+        excitation=Impulse(velocity=1e-6, grain=3),
+        duration=1e-4,
+        samples=41,
+        grains=grains,
+    )
     t = simulate(scene, "native", 1e-4)
     axes = space_time(t, "displacement", law=True)
     (line,) = axes.lines
@@ -338,13 +342,29 @@ def test_the_energies_of_modes():
 
 
 def test_a_wave_of_bessel_functions():
-    """Four of the grains that move by more than 5 % of the largest value, from the first to the last."""
+    """Four of the grains that move by more than 5 % of the largest value, from the first to the
+    last.
+    """
     grain = np.repeat(np.arange(1, 12), 3)
     time = np.tile(np.arange(3) * 1e-6, 11)
     size = np.where(np.arange(1, 12) <= 10, np.linspace(1, 0.06, 11), 0.04)
     values = (size[:, None] * np.array([0.1, -1.0, 0.5])).ravel()
-    fit = BesselFit("displacement", 3, 1.0, 2e6, 5e-7, 1.2, np.array([1, 1, 1, 0.03]), np.eye(3), np.ones(4),
-                    grain, time, values, 2 * values, 0.125)  # fmt: skip
+    fit = BesselFit(
+        "displacement",
+        3,
+        1.0,
+        2e6,
+        5e-7,
+        1.2,
+        np.array([1, 1, 1, 0.03]),
+        np.eye(3),
+        np.ones(4),
+        grain,
+        time,
+        values,
+        2 * values,
+        0.125,
+    )
     axes = fit.plot()
     chosen = [1, 4, 7, 10]
     rows = [grain == number for number in chosen]

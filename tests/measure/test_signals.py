@@ -26,8 +26,13 @@ RNG = np.random.default_rng(8)
 def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
     """Return displacements as large as overlaps, and any velocities, of an uneven chain."""
     given = {"grains": 9, "diameter": np.linspace(1e-3, 1.5e-3, 9), "top_load": 1e-3} | chain
-    scene = Scene(chain=Chain(**given), excitation=Impulse(velocity=1e-6), duration=2e-5, samples=samples,
-                  grains=grains)  # fmt: skip
+    scene = Scene(
+        chain=Chain(**given),
+        excitation=Impulse(velocity=1e-6),
+        duration=2e-5,
+        samples=samples,
+        grains=grains,
+    )
     t = simulate(scene, engines.Native(step=1e-7))
     u, v = RNG.normal(size=(2, *t.displacement.shape))
     still = t.grains > scene.chain.movable
@@ -71,7 +76,9 @@ def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
 
 @pytest.mark.parametrize("top", ["free", "wall"])
 def test_what_a_driver_pushes_with(top: str):
-    """On grain 1: m a + F_1 - m g, less the force of a wall above, or with the load; on a wall: that of its contact."""
+    """On grain 1: m a + F_1 - m g, less the force of a wall above, or with the load; on a wall:
+    that of its contact.
+    """
     chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top=top)
     drive = Drive(amplitude=2e-9, frequency=1e5, grain=0 if top == "wall" else 1)
     t = simulate(
@@ -125,16 +132,20 @@ def test_the_summit_of_a_quintic_spline(stride: int, top: int):
     places = places[(places >= 0) & (places <= 40)]
     spline = make_interp_spline(time[places], values[places], k=5)
     found = minimize_scalar(
-        lambda s: -spline(s), bounds=(time[top] - 0.05, min(time[top] + 0.08, 4.0)), method="bounded",
+        lambda s: -spline(s),
+        bounds=(time[top] - 0.05, min(time[top] + 0.08, 4.0)),
+        method="bounded",
         options={"xatol": 1e-12},
-    )  # fmt: skip
+    )
     when, height = summit(time, values, top, stride)
     assert when == pytest.approx(found.x, abs=3e-8)
     assert height == pytest.approx(-found.fun, rel=1e-10)
 
 
 def test_the_error_of_an_arrival():
-    """The shift when every second sample is used, or one interval where there are too few beside the largest."""
+    """The shift when every second sample is used, or one interval where there are too few beside
+    the largest.
+    """
     time = np.linspace(0, 4, 41)
     for top, near in ((1, False), (2, True), (20, True), (38, True), (39, False)):
         values = np.exp(-3 * (time - time[top] - 0.013) ** 2)
@@ -164,7 +175,9 @@ def test_a_flight_in_metres_and_grains():
 
 @pytest.mark.parametrize("method", ["peak", "correlation"])
 def test_the_flight_of_a_bump(method: Any):
-    """A bump of displacement that passes at one grain in 1.013 us, so that all forces are the same but later."""
+    """A bump of displacement that passes at one grain in 1.013 us, so that all forces are the same
+    but later.
+    """
     chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4e-5, samples=401)
     t = simulate(scene, engines.Native(step=1e-7))
@@ -259,8 +272,13 @@ def test_where_each_body_was_recorded():
 
 
 def test_largest_values_bear_the_numbers_of_their_grains():
-    scene = Scene(chain=Chain(grains=6, diameter=1e-3), excitation=Impulse(velocity=1e-6, grain=2), duration=2e-5,
-                  samples=101, grains=[4, 2, 3, 1, 5])  # fmt: skip
+    scene = Scene(
+        chain=Chain(grains=6, diameter=1e-3),
+        excitation=Impulse(velocity=1e-6, grain=2),
+        duration=2e-5,
+        samples=101,
+        grains=[4, 2, 3, 1, 5],
+    )
     t = simulate(scene, "native", 1e-9)
     for field in ("velocity", "displacement"):
         seen = peaks(t, field)  # type: ignore[arg-type]

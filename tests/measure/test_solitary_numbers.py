@@ -1,4 +1,6 @@
-"""A solitary wave, number by number: its mean height, the line through its arrivals, its width and their errors."""
+"""A solitary wave, number by number: its mean height, the line through its arrivals, its width and
+their errors.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def front(struck: Trajectory) -> Front:
 def test_height_speed_and_width(
     struck: Trajectory, front: Front, first: int | None, last: int | None
 ):
-    """By default of the later half of grains 6 to 39; errors of half a 95 % interval and of sampling."""
+    """By default of the later half of grains 6 to 39; errors of half a 95 % interval and of
+    sampling.
+    """
     fit = fit_soliton(struck, first, last)
     if first is None and last is None:
         inner = front.between(6, 39)
@@ -55,8 +59,13 @@ def test_height_speed_and_width(
     line = np.sqrt(left @ left / (n.size - 2) / (n @ n)) * speed**2
     scatter = used.amplitude.std(ddof=1) / np.sqrt(n.size)
     width = used.width[whole].std(ddof=1) / np.sqrt(count) * speed
-    sampled = np.array([used.amplitude_error.max(), 3 * used.time_error.max() / np.ptp(used.grain) * speed**2,
-                        used.width_error[whole].max() * speed])  # fmt: skip
+    sampled = np.array(
+        [
+            used.amplitude_error.max(),
+            3 * used.time_error.max() / np.ptp(used.grain) * speed**2,
+            used.width_error[whole].max() * speed,
+        ]
+    )
     sure = stats.t.ppf(0.975, count - 2)
     assert fit.error == pytest.approx(sure * np.array([scatter, line, width]) + sampled, rel=1e-6)
     unit = (CHAIN.masses[0] / CHAIN.contact_constants[0]) ** 0.4

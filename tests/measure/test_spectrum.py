@@ -48,7 +48,9 @@ def loaded(grains: int, **given: Any) -> Chain:
 
 @pytest.mark.parametrize("window", ["boxcar", "hann"])
 def test_a_harmonic_motion_is_a_line(window: str):
-    """400 samples of 1 us: 20 kHz is the 8th frequency; the height is half the amplitude times the window's area."""
+    """400 samples of 1 us: 20 kHz is the 8th frequency; the height is half the amplitude times the
+    window's area.
+    """
     found = spectrum(made_up(lambda t, n: n * np.sin(2 * np.pi * 20e3 * t + n)), window=window)
     assert found.frequency == pytest.approx(2500.0 * np.arange(201))
     assert found.amplitude.shape == (201, 16)
@@ -152,7 +154,9 @@ def test_parseval_in_two_dimensions():
 
 
 def test_a_uniform_chain_has_its_dispersion_relation():
-    """omega = 2 sqrt(k/m) sin(q/2), to half the resolution in frequency, from a strike in the middle."""
+    """omega = 2 sqrt(k/m) sin(q/2), to half the resolution in frequency, from a strike in the
+    middle.
+    """
     chain = loaded(121)
     omega = 2 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
     speed = 1e-4 * chain.length_scale * omega
@@ -192,7 +196,9 @@ def test_waves_in_a_column_move_downward_on_the_local_relation():
 
 
 def test_a_dimer_has_two_branches():
-    """w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m M)]^(1/2), k in radians a grain, and waves on both."""
+    """w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m M)]^(1/2), k in radians a grain,
+    and waves on both.
+    """
     masses = np.resize([1e-6, 3e-6], 160)
     chain = Chain(grains=160, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
     stiffness, unit = chain.linear_stiffness[0], chain.time_scale
@@ -233,7 +239,9 @@ def test_cut_off():
 
 
 def test_cut_off_of_a_dimer():
-    """The optical branch ends at 2K (1/m + 1/M); the gap is from 2K/M to 2K/m, at every depth with its own K."""
+    """The optical branch ends at 2K (1/m + 1/M); the gap is from 2K/M to 2K/m, at every depth with
+    its own K.
+    """
     masses = np.resize([1e-6, 3e-6], 60)
     chain = Chain(grains=60, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
     k = chain.linear_stiffness[0]

@@ -1,4 +1,6 @@
-"""Fits of Bessel functions and modes: what is fitted, and what noise makes of it, by other means."""
+"""Fits of Bessel functions and modes: what is fitted, and what noise makes of it,
+by other means.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def late() -> Trajectory:
 
 
 def test_the_covariance_of_what_is_fitted(late: Trajectory):
-    """s^2 (J^T J)^-1 with J by differences in amplitude, rate and delay themselves, s^2 from n - 3 residuals."""
+    """s^2 (J^T J)^-1 with J by differences in amplitude, rate and delay themselves, s^2 from n - 3
+    residuals.
+    """
     noise = 2e-11 * np.random.default_rng(2).normal(size=late.velocity.shape)
     fit = fit_bessel(replace(late, velocity=late.velocity + noise))
 
@@ -71,7 +75,9 @@ def test_the_covariance_of_what_is_fitted(late: Trajectory):
 
 
 def test_noise_scatters_as_the_covariance_says(late: Trajectory):
-    """One standard error holds 68 %, two hold 95 %; amplitude, rate and delay scatter together as they should."""
+    """One standard error holds 68 %, two hold 95 %; amplitude, rate and delay scatter together as
+    they should.
+    """
     rng = np.random.default_rng(20)
     few = replace(
         late, time=late.time[::2], velocity=late.velocity[::2], displacement=late.displacement[::2]
@@ -105,7 +111,9 @@ def test_noise_scatters_as_the_covariance_says(late: Trajectory):
     ],
 )
 def test_values_that_no_echo_has_reached(more: dict[str, Any], struck: int, first: int, last: int):
-    """2 s <= m - 7.4 m^(1/3), with the order m of the nearest image: below the last grain, or above the first."""
+    """2 s <= m - 7.4 m^(1/3), with the order m of the nearest image: below the last grain, or above
+    the first.
+    """
     chain = Chain(**UNIFORM | more)
     t = run(chain, Impulse(velocity=1e-9, grain=struck), 25.0)
     fit = fit_bessel(t)
@@ -125,7 +133,9 @@ def test_values_that_no_echo_has_reached(more: dict[str, Any], struck: int, firs
 
 
 def test_grains_that_are_alike_within_five_per_cent():
-    """Contacts and masses up to 5 % off belong to the uniform part, more do not; the held grain may be any."""
+    """Contacts and masses up to 5 % off belong to the uniform part, more do not; the held grain may
+    be any.
+    """
     masses = np.full(30, 1e-6)
     masses[[3, 21]] = 1.049e-6, 0.951e-6
     masses[[1, 25]] = 0.949e-6, 1.051e-6
@@ -195,14 +205,24 @@ def test_nothing_to_fit(excitation: Any):
 
 
 def test_enough_values_with_a_wave_in_them():
-    """Twelve values are enough, eleven are not; nor are any if the largest is below 1e-3 of the strike."""
+    """Twelve values are enough, eleven are not; nor are any if the largest is below 1e-3 of the
+    strike.
+    """
     chain = Chain(**UNIFORM)
     t = run(chain, Impulse(velocity=1e-9), 6.0, 25)
     unit = chain.time_scale
     assert fit_bessel(t, (1, 2), 1.26 * unit).grain.size == 12
     with pytest.raises(InputError, match="samples: 11 values lie where the solution can hold"):
-        fit_bessel(replace(t, grains=t.grains[:1], velocity=t.velocity[:, :1], displacement=t.displacement[:, :1]),
-                   (1, 1), 2.51 * unit)  # fmt: skip
+        fit_bessel(
+            replace(
+                t,
+                grains=t.grains[:1],
+                velocity=t.velocity[:, :1],
+                displacement=t.displacement[:, :1],
+            ),
+            (1, 1),
+            2.51 * unit,
+        )
     size = np.abs(t.velocity[1:, 9]).max()
     for factor, enough in ((1.01e-3 * 1e-9 / size, True), (0.99e-3 * 1e-9 / size, False)):
         only = replace(t, grains=t.grains[9:10], velocity=factor * t.velocity[:, 9:10],
@@ -220,7 +240,9 @@ def test_enough_values_with_a_wave_in_them():
 
 
 def test_amplitudes_and_energies_of_modes():
-    """The motion is the sum of the modes; the energy of each is that of the linear chain, from dense eigenvectors."""
+    """The motion is the sum of the modes; the energy of each is that of the linear chain, from
+    dense eigenvectors.
+    """
     chain = Chain(grains=9, diameter=np.linspace(1e-3, 1.3e-3, 9), bottom="wall", top_load=1e-3)
     t = run(chain, Impulse(velocity=1e-9, grain=3), 12.0, 31)
     fit, scale = fit_modes(t), np.sqrt(chain.masses)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import stats
-from scipy.optimize import curve_fit
 
 from ...errors import InputError, shown
 from ...theory import front as theory
@@ -19,7 +18,7 @@ from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend
-from ..front import FEWEST, PowerLaw, asymptotic
+from ..front import FEWEST, PowerLaw, asymptotic, fit_power
 from .column_front import bottom, front_before_echo, strike_at_top
 
 if TYPE_CHECKING:
@@ -81,11 +80,8 @@ class FrontLaw(Shown):
     @property
     def law(self) -> Array:
         """The law at these depths, (P,), units of tau."""
-        return (
-            self.factor
-            * self.depth**self.exponent
-            * (1 + self.correction * self.depth**-self.order)
-        )
+        power = self.factor * self.depth**self.exponent
+        return power * (1 + self.correction * self.depth**-self.order)
 
     @property
     def residual(self) -> Array:
@@ -96,17 +92,11 @@ class FrontLaw(Shown):
         """Draw the times against depth, with the law, both logarithmic; returns the axes."""
         ax = axes_in_units(ax, "", "")
         ax.plot(self.depth, self.time, ".", markersize=4, label="largest velocity")
-        ax.plot(
-            self.depth,
-            self.time - self.shift,
-            ".",
-            markersize=4,
-            label="less the lag of the grains",
-        )
-        law = (
-            f"{self.factor:.4f} h^{self.exponent:.4f}, expected {self.expected[1]:.4f} "
-            f"h^{self.expected[0]:.4f}"
-        )
+        less = self.time - self.shift
+        ax.plot(self.depth, less, ".", markersize=4, label="less the lag of the grains")
+        exponent, factor = self.expected
+        expected = f"expected {factor:.4f} h^{exponent:.4f}"
+        law = f"{self.factor:.4f} h^{self.exponent:.4f}, {expected}"
         ax.plot(self.depth, self.law, lw=1, label=law)
         ax.set(
             xscale="log",
@@ -273,39 +263,23 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         return None
     order = 1 / 3 + 1 / chain.exponent
     step = 1 / chain.exponent - 1 / 3
-
-    def law(x: Array, *terms: float) -> Array:
-        scale, power, correction, further = (*terms, 0.0)[:4]
-        return (
-            scale
-            + power * x
-            + np.log(np.abs(1 + np.exp(-order * x) * (correction + further * np.exp(-step * x))))
-        )
-
-    x = np.log(h)
-    y = np.log(time - shift)
     try:
-        # a plain power law, then its first correction, and the next one for the error
-        start = np.polyfit(x, y, 1)[::-1]
-        parameters, covariance = curve_fit(law, x, y, [*start, 0.0])
-        further, _ = curve_fit(law, x, y, [*parameters, 0.0])
-    except RuntimeError:
+        fit = fit_power(h, time - shift, order, order + step)
+    except InputError:
         # after so strong a strike there is no such law
         return None
-    error = stats.t.ppf(0.975, n.size - 3) * np.sqrt(np.diag(covariance)) + 2 * np.abs(
-        further[:3] - parameters
-    )
-    factor = float(np.exp(parameters[0]))
+    power, scale, correction = fit.values.tolist()
+    factor = float(np.exp(scale))
     _, eta, _ = exponents(chain.exponent)
     return FrontLaw(
         depth=h,
         time=time,
         shift=shift,
         order=order,
-        exponent=float(parameters[1]),
+        exponent=power,
         factor=factor,
-        correction=float(parameters[2]),
-        error=error[[1, 0, 2]] * [1, factor, 1],
+        correction=correction,
+        error=(fit.interval + 2 * fit.shift) * [1, factor, 1],
         expected=np.array([eta / 2, 2 / eta]),
     )
 
@@ -375,12 +349,10 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     xi, eta, _ = exponents(delta)
     p, q = theory.decay(delta)
     velocity = front_before_echo(trajectory, "velocity", first, last)
-    if (shown := velocity.grain.size) < FEWEST:
-        need = (
-            f"a fit needs it at {FEWEST} or more grains from grain {first} on; this run shows "
-            f"{shown}"
-        )
-        raise InputError.at("front", f"{need}: record longer")
+    size = velocity.grain.size
+    if size < FEWEST:
+        need = f"a fit needs it at {FEWEST} or more grains from grain {first} on"
+        raise InputError.at("front", f"{need}; this run shows {size}: record longer")
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):
         # behind a strong wave the displacement has no maximum

@@ -329,11 +329,10 @@ def _change(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:
     """Return the field of the scene that holds the parameter, with this value."""
     if parameter == "velocity":
         return {"excitation": scene.excitation.replace(velocity=value)}
-    change: dict[str, Any] = {"top_load": value}
-    if parameter == "youngs_modulus":
-        material: Any = scene.chain.material
-        change = {"material": material.replace(youngs_modulus=value)}
-    return {"chain": scene.chain.replace(**change)}
+    if parameter == "top_load":
+        return {"chain": scene.chain.replace(top_load=value)}
+    material: Any = scene.chain.material
+    return {"chain": scene.chain.replace(material=material.replace(youngs_modulus=value))}
 
 
 def _times(scene: Scene, times: Array) -> Array:

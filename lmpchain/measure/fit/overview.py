@@ -14,20 +14,9 @@ from ...errors import InputError
 from ...trajectory.trajectory import Trajectory
 from ...util.notebook import Shown
 from ...util.tables import align, finite, number
-from .column import ContinuumFit as ContinuumFit
-from .column import ExponentFit as ExponentFit
-from .column import FrontLaw as FrontLaw
-from .column import fit_continuum as fit_continuum
-from .column import fit_exponents as fit_exponents
-from .inverse import ParameterFit as ParameterFit
-from .inverse import Trace as Trace
-from .inverse import fit_parameter as fit_parameter
-from .solitary import SolitonFit as SolitonFit
-from .solitary import fit_soliton as fit_soliton
-from .waves import BesselFit as BesselFit
-from .waves import ModeFit as ModeFit
-from .waves import fit_bessel as fit_bessel
-from .waves import fit_modes as fit_modes
+from .column import fit_continuum, fit_exponents
+from .solitary import fit_soliton
+from .waves import fit_bessel, fit_modes
 
 # strike number up to which linear theory is right to about 1 % in peak velocities
 WEAK_STRIKE = 0.3  # analysis/calibration/fit_thresholds.py
