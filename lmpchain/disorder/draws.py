@@ -58,11 +58,9 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
     >>> bool(abs(zeta.mean() - 1) < 0.01), bool(abs(zeta.var() - 1 / 4) < 0.01)
     (True, True)
     """
-    _check_law(m, law)
-    return _zeta(m, size, rng, law)
-
-
-def _zeta(m: float, size: int, rng: np.random.Generator, law: Law) -> Array:
+    valid = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
+    fault = None if valid else ("m", f"must be a number above 0 (got {shown(m)})")
+    check(fault, _fault_of_choice("law", law, get_args(Law)))
     return np.maximum(rng.standard_gamma(m + (law == "paper"), size) / m, SOFTEST)
 
 
@@ -146,7 +144,7 @@ def realisation(
     >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
     True
     """
-    _check_draw(scene.chain, m, seed, index, law, of)
+    _check_draw(scene.chain, seed, index, of)
     zeta = _draw(scene.chain, m, seed, index, law, of)
     chain = Chain._unchecked(**_fields(scene.chain, zeta, of))
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
@@ -161,23 +159,22 @@ def drawn_constants(
     of: Of = "stiffness",
 ) -> Array:
     """Return the factors on the contact constants of R realisations, (R, N-1)."""
-    _check_draw(chain, m, seed, min(indices), law, of)
+    _check_draw(chain, seed, min(indices), of)
     zeta = np.array([_draw(chain, m, seed, index, law, of) for index in indices])
     return _change(chain, zeta, of)
 
 
-def _check_draw(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> None:
+def _check_draw(chain: Chain, seed: int, index: int, of: Of) -> None:
     """Raise `InputError` unless this realisation can be drawn."""
     check(fault_of_whole("seed", seed, 0), fault_of_whole("index", index, 0))
     _check_of(chain, of)
-    _check_law(m, law)
 
 
 def _draw(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> Array:
     """Return the random factors of a realisation, one a contact or one a grain."""
     # a stream of its own for each index: it does not matter which others are drawn
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-    return _zeta(m, _count(chain, of), rng, law)
+    return factors(m, _count(chain, of), rng, law)
 
 
 def _count(chain: Chain, of: Of) -> int:
@@ -227,13 +224,6 @@ def check(*faults: Fault) -> None:
     """Raise `InputError` with the faults there are."""
     if present := [fault for fault in faults if fault]:
         raise InputError(present)
-
-
-def _check_law(m: object, law: str) -> None:
-    """Raise `InputError` unless m is a number above 0 and the law one of the two."""
-    valid = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
-    fault = None if valid else ("m", f"must be a number above 0 (got {shown(m)})")
-    check(fault, _fault_of_choice("law", law, ("dyson", "paper")))
 
 
 def fault_of_whole(key: str, value: object, low: int) -> Fault:

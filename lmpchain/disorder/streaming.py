@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import engines
-from ..chain.chain import Chain
 from ..chain.plausible import LIMITS
 from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, solve_to_tolerance
@@ -195,9 +194,7 @@ def _add_batch(
     errors = outcome.errors[:count]
     average.model = max(average.model, *(error.model for error in errors))
     average.solver = max(average.solver, *(error.solver for error in errors))
-    average.squeezed += sum(_squeezes(scene.chain) for scene in scenes[:count])
+    for scene in scenes[:count]:
+        compression = scene.chain.equilibrium.compression
+        average.squeezed += int((compression > LIMITS.compression).any())
     return average
-
-
-def _squeezes(chain: Chain) -> bool:
-    return bool((chain.equilibrium.compression > LIMITS.compression).any())

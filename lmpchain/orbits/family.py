@@ -155,7 +155,10 @@ class Family(Shown):
         if not chain.compressed:
             return np.zeros((0, 2))
         period = repeating(chain)
-        if chain.gravity == 0 and chain.grains > period and (period > 1 or _uniform(chain)):
+        arrays = (chain.masses, chain.linear_stiffness)
+        # the period is 1 of a uniform chain, and of one that never repeats
+        uniform = all(np.ptp(array) < 1e-9 * array[0] for array in arrays)
+        if chain.gravity == 0 and chain.grains > period and (period > 1 or uniform):
             cell = Cell(chain.masses[:period], chain.linear_stiffness[:period])
             edges = branches(cell, [0.0, np.pi]).frequency / (2 * np.pi)
             return np.sort(edges, axis=1)
@@ -173,10 +176,3 @@ class Family(Shown):
             "events": [event.to_json() for event in self.events],
             "orbit": self.orbits[-1].to_json(),
         }
-
-
-def _uniform(chain: Any) -> bool:
-    return bool(
-        np.ptp(chain.masses) < 1e-9 * chain.masses[0]
-        and np.ptp(chain.linear_stiffness) < 1e-9 * chain.linear_stiffness[0]
-    )

@@ -101,26 +101,6 @@ class _Acting(Excitation):
             end = f"end at {self.times[-1]:g} s"
             yield "times", f"{end}, before the recording does at {duration:g} s"
 
-    @property
-    def smooth(self) -> bool:
-        """Whether its third derivative jumps only where a step can end, as at knots of a spline."""
-        return self.waveform.smooth
-
-    @property
-    def knot_spacing(self) -> float:
-        """Least time between knots of a spline, at which adaptive steps end, s; else infinite."""
-        return self.waveform.knot_spacing
-
-    @property
-    def fastest(self) -> float:
-        """Highest frequency that a step must resolve, rad/s."""
-        return self.waveform.fastest
-
-    @property
-    def linear(self) -> bool:
-        """Whether it is made of sines, as linear engines need it."""
-        return self.times is None
-
 
 class Drive(_Acting):
     """A prescribed motion of grain 1 or of the top wall; positive downward, from 0 at t = 0.

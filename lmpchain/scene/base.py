@@ -85,23 +85,23 @@ class Excitation(Checked):
 
     @property
     def smooth(self) -> bool:
-        """Whether its third derivative in time jumps only where a step can end."""
-        return True
+        """Whether its third derivative jumps only where a step can end, as at knots of a spline."""
+        return self.waveform is None or self.waveform.smooth
 
     @property
     def knot_spacing(self) -> float:
         """Least time between knots of a spline, at which adaptive steps end, s; else infinite."""
-        return np.inf
+        return np.inf if self.waveform is None else self.waveform.knot_spacing
 
     @property
     def fastest(self) -> float:
-        """Highest frequency in it that a step must resolve, rad/s."""
-        return 0.0
+        """Highest frequency that a step must resolve, rad/s."""
+        return 0.0 if self.waveform is None else self.waveform.fastest
 
     @property
     def linear(self) -> bool:
-        """Whether the engines of the linearised chain know its solution."""
-        return not self.does_work
+        """Whether engines of the linearised chain know its solution: all but that of a spline."""
+        return self.waveform is None or self.waveform.spline is None
 
     @property
     def strike_velocity(self) -> float:

@@ -82,9 +82,7 @@ class Axis:
             columns[self.name] = np.arange(self.length)
         for key, values in self.columns.items():
             if key != INDEX:
-                columns[key] = (
-                    _numbers(values) if _numeric(values) else [_label(value) for value in values]
-                )
+                columns[key] = _coordinate(values)
         return columns
 
 
@@ -96,18 +94,15 @@ def _numeric(values: Sequence[Any]) -> bool:
     return kinds <= {int, float} and bool(kinds)
 
 
-def _numbers(values: Sequence[Any]) -> Array:
-    """Return numbers as an array, lists of them as its rows, filled up with NaN."""
-    if not isinstance(values[0], list):
-        return np.array(values)
-    rows = np.full((len(values), max(map(len, values))), np.nan)
-    for row, value in zip(rows, values, strict=True):
-        row[: len(value)] = value
-    return rows
-
-
-def _label(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value, default=str)
+def _coordinate(values: Sequence[Any]) -> Array | list[str]:
+    """Return numbers as an array, lists of them as rows filled up with NaN, all else as words."""
+    if not _numeric(values):
+        return [
+            value if isinstance(value, str) else json.dumps(value, default=str) for value in values
+        ]
+    if isinstance(values[0], list):
+        return np.array(list(itertools.zip_longest(*values, fillvalue=np.nan)), float).T
+    return np.array(values)
 
 
 def make_axes(tables: Mapping[str, Any]) -> list[Axis]:

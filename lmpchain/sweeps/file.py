@@ -294,17 +294,14 @@ def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
     source = {"scene": tables, "engine": engine, "tolerance": tolerance, "keep": keep, **kinds}
     source["files"] = _hash_files(tables, axes, folder) if files is None else files
     if any(key.startswith("disorder.") for axis in axes for key in axis.columns):
-        tables = tables | {"disorder": _contact_options(kinds["disorder"])}
+        # the options of random contacts, without their number and the laws of grains
+        options = {
+            key: value
+            for key, value in kinds["disorder"].items()
+            if key != "realisations" and not isinstance(value, dict)
+        }
+        tables = tables | {"disorder": options}
     return Sweep(tables, folder, engine, tolerance, keep, axes, source)
-
-
-def _contact_options(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of random contacts, without their number and the laws of grains."""
-    return {
-        key: value
-        for key, value in table.items()
-        if key != "realisations" and not isinstance(value, dict)
-    }
 
 
 def _take_scene(source: Any, folder: Path) -> tuple[dict[str, Any], Path]:

@@ -15,7 +15,6 @@ from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.recording import Recording
 from ..util.arrays import Array
-from .axes import Axis
 from .file import Place, Sweep
 from .store import Column
 
@@ -47,9 +46,13 @@ class Labels(NamedTuple):
 
 def make_labels(plan: Sweep) -> Labels:
     """Return the labels of a sweep; scenes that cannot be made have none."""
-    swept = [range(len(axis)) if _shapes(axis) else range(1) for axis in plan.axes]
+    # along other axes all scenes record the same: the first stands for them
+    lengths = [
+        len(axis) if any(key == "chain" or key.startswith(SHAPING) for key in axis.columns) else 1
+        for axis in plan.axes
+    ]
     shapes = set()
-    for position in itertools.product(*swept):
+    for position in itertools.product(*map(range, lengths)):
         # warnings are those of the trial scenes
         with suppress(InputError), warnings.catch_warnings(action="ignore"):
             shapes.add(_find_shape(plan, position))
@@ -75,10 +78,6 @@ def make_labels(plan: Sweep) -> Labels:
 def find_recorded(plan: Sweep, position: Place, size: int) -> np.ndarray:
     """Return the grains that a scene with a chain of this size records, (G,)."""
     return _read_recording(json.dumps(plan.tables_at(position).get("recording")), size)[1]
-
-
-def _shapes(axis: Axis) -> bool:
-    return any(key == "chain" or key.startswith(SHAPING) for key in axis.columns)
 
 
 class _Shape(NamedTuple):

@@ -93,9 +93,12 @@ def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
     """
     common = _wider(plan.regular_scene(places[0]), plan)
     disorder = plan.disorder(places[0])
-    if not _derivable(common) or (disorder and disorder.of not in OF_CONTACTS):
-        return None
     chain = common.chain
+    # each would be cut to the grains that its wave reaches, or have an excitation of its own
+    if common.light_cone is not None or common.excitation.of_chain:
+        return None
+    if chain.grains == 1 or (disorder and disorder.of not in OF_CONTACTS):
+        return None
     values = [plan.draw_values(place, chain.grains) for place in places]
     drawn = {
         key.removeprefix("chain."): np.array([row[key] for row in values]) for key in values[0]
@@ -115,14 +118,6 @@ def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
         _scene(common, chain, bool(drawn)) if accepted else None
         for chain, accepted in zip(chains, sound, strict=True)
     ]
-
-
-def _derivable(scene: Scene) -> bool:
-    """Say whether scenes like this differ in derived arrays only.
-
-    Else each is cut to the grains that its wave reaches, or has an excitation of its own.
-    """
-    return scene.light_cone is None and scene.chain.grains > 1 and not scene.excitation.of_chain
 
 
 def _sound(chain: Chain, equilibria: Equilibrium, drawn: Mapping[str, Array]) -> NDArray[np.bool_]:
