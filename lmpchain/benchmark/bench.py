@@ -161,10 +161,8 @@ class Bench:
             if steps >= EFFORT.steps:
                 return steps
         self._begun = time.perf_counter()
-        # the search takes a quarter of the time at most
-        while steps > max(EFFORT.sharpness * failing, failing + 1):
-            if self.spent_s >= self.share_s / 4:
-                break
+        limit = self.share_s / 4  # of the time that the search may take
+        while steps > max(EFFORT.sharpness * failing, failing + 1) and self.spent_s < limit:
             middle = (failing + steps) // 2
             if self._is_stable(at(middle)):
                 steps = middle

@@ -224,9 +224,9 @@ class Engine(ABC):
         """The methods that it may take; none if it does not step through time."""
         return ()
 
-    @abstractmethod
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why it cannot do this scene, as (key, reason); empty if it can."""
+        """Return why a scene cannot be done, as (key, reason); empty by default: it can."""
+        return []
 
     @abstractmethod
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:

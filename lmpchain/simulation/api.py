@@ -243,9 +243,9 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
         error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{limit}"
         remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
         warnings.warn(remark.rstrip(". "), stacklevel=3)
-    if outcome.missed and not task.best_effort:
-        raise ToleranceNotMet(outcome.missed, trajectory)
     if outcome.missed:
+        if not task.best_effort:
+            raise ToleranceNotMet(outcome.missed, trajectory)
         warnings.warn(outcome.missed, stacklevel=3)
     return trajectory
 

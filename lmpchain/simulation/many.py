@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from typing import Any, Literal
 
 import numpy as np
 
-from ..engines.base import Engine, Run
+from ..engines.base import Engine
 from ..engines.native.time_stepping import alike
 from ..engines.step_control import Attempt, first_attempt, next_attempt
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance, shown
@@ -153,16 +153,13 @@ def _solve(
     """Run scenes together; return answer, next attempt, and reason of a miss for each."""
     candidate = attempts[0].candidate
     parts = [scene.fine for scene in scenes]
-    run: Run = engine.start(parts, candidate)
     gathering = None
-    try:
+    with closing(engine.start(parts, candidate)) as run:
         if scenes[0].quantities:
             run = gathering = GatheringRun(run, engine, scenes, parts, {})
         blocks = [block for block in run.blocks() if block.displacement.size]
         errors = run.errors()
         cost = run.cost()
-    finally:
-        run.close()
     u = _join([block.displacement for block in blocks])
     v = _join([block.velocity for block in blocks])
     totals = [error.total for error in errors]

@@ -78,10 +78,7 @@ def check_new(folder: str | PathLike[str]) -> Path:
         raise InputError.at(str(folder), f"holds a run already: {cure}")
     # of a run that was killed before it wrote its scene
     leftovers = {STATUS, RUN, LOCK}
-    names = (
-        [p.name for p in path.iterdir() if ".partial" not in p.suffixes] if path.exists() else []
-    )
-    if not leftovers.issuperset(names):
+    if not leftovers.issuperset(p.name for p in path.glob("*") if ".partial" not in p.suffixes):
         raise InputError.at(str(folder), "is neither empty nor a run folder; choose another")
     return path
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
 
@@ -183,17 +184,13 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
         steps = math.ceil(scene.duration / step / 2000)
         samples = max(1, int(scene.duration / step / steps))
         trial = scene.replace(duration=samples * steps * step, samples=samples + 1)
+        candidate = proposed._replace(steps_per_landing=steps, step=step)
         try:
-            run = solver.start([trial], proposed._replace(steps_per_landing=steps, step=step))
+            with closing(solver.start([trial], candidate)) as run:
+                for _ in run.blocks():
+                    pass
         except RunFailed:
             return False
-        try:
-            for _ in run.blocks():
-                pass
-        except RunFailed:
-            return False
-        finally:
-            run.close()
         return True
 
     low = expected / 2

@@ -1,4 +1,4 @@
-"""Where something acts all along: estimates against Taylor series, with samples far from each other and near."""
+"""Where something acts all along: estimates against Taylor series, for few and many samples."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from helpers.taylor_series import reference
 
 from lmpchain import Chain, Force, Scene, simulate
 
-# two grains between walls, the lower one pushed for half of the time: the end of the push is a corner
+# two grains between walls, the lower one pushed for half of the time: the push ends in a corner
 PUSHED = Scene(
     chain=Chain(
         grains=2, diameter=1e-3, gravity=0, exponent=1, top_load=1e-2, top="wall", bottom="wall"

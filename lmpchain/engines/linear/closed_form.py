@@ -117,9 +117,8 @@ class Continuum(ClosedForm):
         """Return why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
-            reasons.append(
-                ("top_load", "continuum knows chains under gravity alone; use modes or chebyshev")
-            )
+            why = "continuum knows chains under gravity alone; use modes or chebyshev"
+            reasons.append(("top_load", why))
         return reasons
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:

@@ -42,26 +42,14 @@ class LinearEngine(Engine):
         contacts = scene.chain.contacts
         reasons = []
         if not scene.chain.compressed:
-            reasons.append(
-                (
-                    "gravity",
-                    "without gravity and load nothing can be linearised; use the engine native",
-                )
-            )
+            why = "without gravity and load nothing can be linearised; use the engine native"
+            reasons.append(("gravity", why))
         elif (contacts.exists & ~contacts.pressed).any():
-            reasons.append(
-                (
-                    "top",
-                    "a wall that only touches cannot be linearised; give a top_load or use native",
-                )
-            )
+            why = "a wall that only touches cannot be linearised; give a top_load or use native"
+            reasons.append(("top", why))
         if not scene.excitation.linear:
-            reasons.append(
-                (
-                    "excitation",
-                    "linear engines know no motion or force by points; use the engine native",
-                )
-            )
+            why = "linear engines know no motion or force by points; use the engine native"
+            reasons.append(("excitation", why))
         return reasons
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
@@ -128,12 +116,8 @@ class Chebyshev(LinearEngine):
             and excitation.does_work
             and not (scene.drive and np.isinf(scene.drive.waveform.end))
         ):
-            reasons.append(
-                (
-                    "excitation",
-                    f"{self.name} knows motions that are a sine without end only; use modes",
-                )
-            )
+            why = f"{self.name} knows motions that are a sine without end only; use modes"
+            reasons.append(("excitation", why))
         return reasons
 
     def work(self, scene: Scene) -> float:
@@ -160,12 +144,8 @@ class Modes(LinearEngine):
         """Return why there is no linear theory of this scene, or no room for its modes."""
         reasons = super().refuses(scene)
         if scene.chain.grains > MOST_MODES:
-            reasons.append(
-                (
-                    "grains",
-                    f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev",
-                )
-            )
+            why = f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"
+            reasons.append(("grains", why))
         return reasons
 
     def round_off(self, scene: Scene) -> float:
@@ -178,12 +158,8 @@ class Modes(LinearEngine):
         wave = scene.excitation.waveform
         if wave and wave.envelope:
             begun = min(1.0, wave.envelope * scene.duration)
-            rounding += (
-                EPSILON
-                * CANCELS
-                / begun**2
-                * (1 + scene.chain.grains * wave.fastest / scene.chain.band_edge)
-            )
+            highest = scene.chain.grains * wave.fastest / scene.chain.band_edge
+            rounding += EPSILON * CANCELS / begun**2 * (1 + highest)
         return rounding
 
     def work(self, scene: Scene) -> float:

@@ -74,10 +74,6 @@ class Native(TimeSteppingEngine):
         self.force = force
         self.adaptive = adaptive
 
-    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Every chain that can be described can be done."""
-        return []
-
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Propose the steps of a choice, unless round-off alone exceeds the tolerance."""
         candidate = super().propose(scene, tolerance, choice)

@@ -207,8 +207,8 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
     choices = [StepChoice(method, steps, 1, shortens, coarse, method.evaluations * steps)]
-    # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign, and of
-    # the corners of what acts all along a polynomial knows nothing
+    # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign, and
+    # polynomials know nothing of the corners of what acts all along
     smooth = scene.chain.compressed and not scene.excitation.does_work
     if adaptive and smooth and method.interpolates:
         choices += _interpolate(scene, method, tolerance, shortens, phase, reach)
