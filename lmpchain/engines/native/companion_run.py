@@ -361,12 +361,12 @@ class CompanionRun(Run):
 
         Contacts must open, waves must return to them, and there must be time for it to grow.
         """
+        # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self._sample == self.scene.samples - 1
-        recurrent = self._companions.recurrent[real] and opens and self.closest[real] > 0
-        counts = min(estimate, self.candidate.solver_error)
-        return (
-            complete and recurrent and could_grow(self._scenes[real], motion.evaluations) > counts
-        )
+        # contacts open, grains collide, and what comes of it returns to contacts that opened
+        recurs = opens and self.closest[real] > 0 and self._companions.recurrent[real]
+        growth = could_grow(self._scenes[real], motion.evaluations)
+        return complete and recurs and growth > min(estimate, self.candidate.solver_error)
 
     def cost(self) -> Cost:
         """Return the cost so far.
