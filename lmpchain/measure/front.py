@@ -9,7 +9,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from ..errors import InputError, shown
-from ..trajectory.picture import UNITS
+from ..trajectory.picture import UNITS_OF_FIELDS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
@@ -93,7 +93,8 @@ class Front(Shown):
             )
         values = np.abs(getattr(self, quantity))
         finite = np.isfinite(values)
-        label = f"{quantity} of the front ({UNITS_OF_FRONTS.get(quantity, UNITS[self.field])})"
+        unit = UNITS_OF_FRONTS.get(quantity, UNITS_OF_FIELDS[self.field])
+        label = f"{quantity} of the front ({unit})"
         return self.grain[finite] - 0.5, values[finite], label
 
     def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Axes:

@@ -37,7 +37,6 @@ from .recorded import Field, check_field, columns
 
 __dir__ = listed(__name__)
 
-QUANTITIES = {"velocity": VELOCITY, "displacement": DISPLACEMENT}
 # omega h up to which no motion hides between two samples, and where accelerations come from the
 # samples; analysis/calibration/between_samples.py
 RESOLVED = 2.0
@@ -255,7 +254,8 @@ class Motion:
         )
         rows = np.full((self.grains.size, 6), np.nan)
         motion = (self._block, self._moving, self._derived, self.ceiling)
-        rows[self._moves] = fronts(*motion, QUANTITIES[field], width, rules)
+        kind = VELOCITY if field == "velocity" else DISPLACEMENT
+        rows[self._moves] = fronts(*motion, kind, width, rules)
         return rows
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:

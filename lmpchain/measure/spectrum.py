@@ -11,7 +11,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..theory.bands import Cell, branches, repeating
 from ..theory.local_bands import local_bands
-from ..trajectory.picture import UNITS
+from ..trajectory.picture import UNITS_OF_FIELDS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
@@ -63,7 +63,7 @@ class Spectrum(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over frequency and depth, with the local bands; returns the axes."""
         ax = axes_in_units(ax, "Hz", "")
-        label = f"{self.field} ({UNITS[self.field]} per Hz)"
+        label = f"{self.field} ({UNITS_OF_FIELDS[self.field]} per Hz)"
         _draw_logarithmic(ax, self.frequency, self.grain, self.amplitude.T, label)
         if self.cut_off.any():
             ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
@@ -115,7 +115,7 @@ class Dispersion(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over wavenumber and frequency with the relation; returns the axes."""
         ax = axes_in_units(ax, "", "Hz")
-        label = f"{self.field} ({UNITS[self.field]} per Hz)"
+        label = f"{self.field} ({UNITS_OF_FIELDS[self.field]} per Hz)"
         _draw_logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, label)
         styles = (":", "-", "--")
         for number, relation, style in zip(self.grain, self.relation, styles, strict=True):

@@ -13,7 +13,7 @@ from .record import Record
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-UNITS = {"velocity": "m/s", "displacement": "m"}
+UNITS_OF_FIELDS = {"velocity": "m/s", "displacement": "m"}
 MOVING = 1e-3  # share of the largest motion below which a grain counts as at rest
 
 
@@ -32,7 +32,9 @@ def space_time(
     rows, drawn = thin_rows(trajectory.grains[order], motion.T)
     limit = scale(motion)
     mesh = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    colour_bar(ax, mesh, f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
+    colour_bar(
+        ax, mesh, f"{field}, downward", format=EngFormatter(UNITS_OF_FIELDS[field]), extend="both"
+    )
     ax.set(
         xlabel="time", ylabel="grain, from the top", xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1]
     )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Field = Literal["velocity", "displacement", "force"]
 Parameter = Literal["velocity", "top_load", "youngs_modulus"]
-UNITS = {
+UNITS_OF_TRACES = {
     "velocity": "m/s",
     "displacement": "m",
     "force": "N",
@@ -143,14 +143,14 @@ class ParameterFit(Shown):
         from matplotlib.ticker import EngFormatter
 
         trace = self.trace
-        ax = axes_in_units(ax, "s", UNITS[trace.field])
+        ax = axes_in_units(ax, "s", UNITS_OF_TRACES[trace.field])
         for i in choose_few(trace.grain.size):
             label = f"grain {trace.grain[i]}"
             (points,) = ax.plot(trace.time, trace.values[:, i], ".", markersize=4, label=label)
             ax.plot(trace.time, self.model[:, i], color=points.get_color(), lw=1)
         field = "force above rest" if trace.field == "force" else f"{trace.field}, downward"
         ax.set(xlabel="time", ylabel=field)
-        unit = UNITS[self.parameter]
+        unit = UNITS_OF_TRACES[self.parameter]
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
         value = EngFormatter(unit, places=4)(self.value)
         set_title(ax, f"{name} {value} ± {EngFormatter(unit, places=1)(self.error)} (lines)")
@@ -284,7 +284,12 @@ def _parameter(
     value = 0.0
     faults = list(_parameter_faults(scene, parameter))
     if not faults:
-        value = _value(scene, parameter)
+        holders: dict[str, Any] = {
+            "velocity": scene.excitation,
+            "top_load": chain,
+            "youngs_modulus": chain.material,
+        }
+        value = getattr(holders[parameter], parameter)
         if not value:
             cure = "give it a value of the right size to begin with"
             faults.append((parameter, f"is 0 in the scene: {cure}"))
@@ -314,15 +319,6 @@ def _parameter_faults(scene: Scene, parameter: Parameter) -> Iterator[tuple[str,
         elif scene.chain.given().get("contact_constants") is not None:
             fault = "are given, so that Young's modulus changes nothing: leave them out"
             yield "contact_constants", fault
-
-
-def _value(scene: Scene, parameter: Parameter) -> float:
-    holders: dict[str, Any] = {
-        "velocity": scene.excitation,
-        "top_load": scene.chain,
-        "youngs_modulus": scene.chain.material,
-    }
-    return getattr(holders[parameter], parameter)
 
 
 def _change(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from ...chain.chain import Chain
 from ...errors import InputError
 from ...scene.excitation import Displacement, Impulse
 from ...theory.modes import eigenmodes
-from ...trajectory.picture import UNITS
+from ...trajectory.picture import UNITS_OF_FIELDS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
@@ -223,7 +223,7 @@ class BesselFit(Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the motion of some grains as points and the fit as lines; returns the axes."""
-        ax = axes_in_units(ax, "s", UNITS[self.field])
+        ax = axes_in_units(ax, "s", UNITS_OF_FIELDS[self.field])
         moving = np.unique(self.grain[np.abs(self.values) > 0.05 * np.abs(self.values).max()])
         for grain in moving[choose_few(moving.size)]:
             rows = self.grain == grain

@@ -147,8 +147,8 @@ def law_of(chain: Chain, linear: bool) -> Law:
     # a linear law with an exponent above 1 has no stiffness where nothing is pressed at rest
     loose = np.where(linear & (chain.exponent > 1.0), 0.0, contacts.constant)
     pressed = contacts.pressed
-    length = 1 / np.where(pressed, contacts.overlap, 1.0)
-    rows = np.array([length, np.where(pressed, contacts.force, loose), pressed])
+    inverse_length = 1 / np.where(pressed, contacts.overlap, 1.0)
+    rows = np.array([inverse_length, np.where(pressed, contacts.force, loose), pressed])
     return Law(rows, inverse_mass, float(chain.exponent), bool(linear))
 
 
@@ -203,10 +203,10 @@ def by_body(field: Array) -> Array:
 
 
 @compiled
-def _push_hertz(r, closing, length, strength, pressed, force, rate):
+def _push_hertz(r, closing, inverse_length, strength, pressed, force, rate):
     """Fill in changes of a force of exponent 3/2 and their rates."""
     for i in range(r.size):
-        s = r[i] * length
+        s = r[i] * inverse_length
         y = pressed + s
         y = y if y > 0.0 else 0.0
         root = math.sqrt(y)
@@ -215,23 +215,37 @@ def _push_hertz(r, closing, length, strength, pressed, force, rate):
         closed = s * (3.0 + s * (3.0 + s)) / (1.0 + full)
         change = closed if (pressed > 0.0) & (y > 0.0) else full - pressed
         force[i] = strength * change
-        rate[i] = strength * 1.5 * length * root * closing[i]
+        rate[i] = strength * 1.5 * inverse_length * root * closing[i]
 
 
 @compiled
 def _push(r, closing, contact, law, force, rate):
-    """Fill in changes of the force of a contact and their rates, for changes r of the overlap."""
-    length, strength, pressed = contact
+    """Fill in changes of the force of a contact and their rates, for changes r of the overlap.
+
+    F - F_0 = S (max(p + s, 0)^delta - p) with s = r / l, and its rate S delta (p + s)^(delta - 1)
+    r' / l; linear: S delta s.
+
+    ======  =====================================================  ========
+    symbol  meaning                                                name
+    ======  =====================================================  ========
+    r, r'   change of the overlap since rest, and its rate         r, closing
+    1 / l   inverse overlap at rest, 1/m if nothing is pressed     inverse_length
+    S       force at rest, or K if nothing is pressed              strength
+    p       1 if pressed at rest, else 0                           pressed
+    delta   exponent of the force                                  law.exponent
+    ======  =====================================================  ========
+    """
+    inverse_length, strength, pressed = contact
     exponent = law.exponent
     if exponent == 1.5 and not law.linear:
-        _push_hertz(r, closing, length, strength, pressed, force, rate)
+        _push_hertz(r, closing, inverse_length, strength, pressed, force, rate)
         return
     for i in range(r.size):
-        s = r[i] * length
+        s = r[i] * inverse_length
         y = max(pressed + s, 0.0)
         if law.linear:
             force[i] = strength * exponent * s
-            rate[i] = strength * exponent * length * closing[i]
+            rate[i] = strength * exponent * inverse_length * closing[i]
         elif y == 0.0:
             # open: the force at rest is gone, and 0 to a power below 1 has no rate
             force[i] = -strength * pressed
@@ -240,7 +254,7 @@ def _push(r, closing, contact, law, force, rate):
             # (1 + s)^delta - 1 in this form keeps the digits of a weak wave
             change = math.expm1(exponent * math.log1p(s)) if pressed > 0.0 else y**exponent
             force[i] = strength * change
-            rate[i] = strength * exponent * y ** (exponent - 1.0) * length * closing[i]
+            rate[i] = strength * exponent * y ** (exponent - 1.0) * inverse_length * closing[i]
 
 
 @joined
@@ -253,10 +267,10 @@ def _visits(one, other, rise, climb):
 @compiled
 def _nearly_opens(r, closing, contact, h):
     """Return at how many samples a contact is open, or may be one interval later or earlier."""
-    length, _, pressed = contact
+    inverse_length, _, pressed = contact
     count = 0
     for i in range(r.size):
-        count += pressed + r[i] * length <= h * length * abs(closing[i])
+        count += pressed + r[i] * inverse_length <= h * inverse_length * abs(closing[i])
     return count
 
 
@@ -266,12 +280,12 @@ def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
 
     There the jerk jumps, so that the acceleration has a kink; see `Openings`.
     """
-    length, _, pressed = contact
+    inverse_length, _, pressed = contact
     for i in range(r.size - 1):
-        before = pressed + r[i] * length
-        after = pressed + r[i + 1] * length
-        rise = h * length * closing[i]
-        climb = h * length * closing[i + 1]
+        before = pressed + r[i] * inverse_length
+        after = pressed + r[i + 1] * inverse_length
+        rise = h * inverse_length * closing[i]
+        climb = h * inverse_length * closing[i + 1]
         changed = (after > 0.0) != (before > 0.0)
         if not (changed or _visits(before, after, rise, climb)):
             continue
@@ -336,10 +350,24 @@ def _accelerate(block, n, near, share, rows, work):
 
 @compiled
 def _quintic(u, v, h, k, s):
-    """Return a and j at k + s of the quintic through the samples k - 1, k and k + 1."""
+    """Return a and j at k + s of the quintic through the samples k - 1, k and k + 1.
+
+    u(t) = u_k + v_k h t + c_2 t^2 + ... + c_5 t^5 with t from -1 to 1, in units of h; it has the
+    recorded displacements and velocities at all three.
+
+    ======  =====================================  ========
+    symbol  meaning                                name
+    ======  =====================================  ========
+    u, v    displacement and velocity              u, v
+    h       time between two samples               h
+    t       time from sample k, in units of h      s
+    c_n     coefficients                           c2 ... c5
+    a, j    second and third derivative of u       returned
+    ======  =====================================  ========
+    """
     above = u[k + 1] - u[k]
     below = u[k - 1] - u[k]
-    # u - u[k] = v[k] h t + c2 t^2 + ... + c5 t^5, t from -1 to 1
+    # sums and differences of the two ends part the even from the odd powers
     even = (above + below) / 2
     odd = (above - below) / 2 - h * v[k]
     steep = h * (v[k + 1] - v[k - 1]) / 4

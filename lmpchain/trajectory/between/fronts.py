@@ -41,6 +41,14 @@ class Rules(NamedTuple):
     duration: float
 
 
+class Peak(NamedTuple):
+    """Largest size of a grain, and the bounds between which it lies."""
+
+    value: float
+    low: float
+    high: float
+
+
 @compiled
 def _first(events, lowest, fall, share):
     """Return the first maximum of a size that falls by so much and a share of its error, or -1."""
@@ -118,8 +126,7 @@ def doubt_choice(events, at, late, peak, rules):
         Which of them is the front.
     late : float
         How far off its time is at least, s.
-    peak : (float, float, float)
-        Largest size, and between what it lies.
+    peak : Peak
     rules : Rules
 
     Returns
@@ -128,14 +135,13 @@ def doubt_choice(events, at, late, peak, rules):
         s, and in the unit of the size; 0 if no other maximum may be the front.
     """
     front = events[at]
-    largest, low, high = peak
     when = front.when
     top = abs(front.height)
     off = front.off + rules.error
-    enough = rules.fraction * largest
+    enough = rules.fraction * peak.value
     # what a front has at least, if all errors lie on one side or on the other
-    lower = rules.fraction * (low - rules.error) - off
-    upper = rules.fraction * (high + rules.error) + off
+    lower = rules.fraction * (peak.low - rules.error) - off
+    upper = rules.fraction * (peak.high + rules.error) + off
     apart = 0.0
     # the rise may have turned before
     begin, height = _earlier(events, when, lower, late, rules)
@@ -153,11 +159,11 @@ def doubt_choice(events, at, late, peak, rules):
     if top < upper or top - front.since <= fall + 2.0 * front.off:
         other = _first(events, upper, fall, 2.0)
         late = max(late, abs(events[other].when - when) if other >= 0 else end)
-        apart = max(apart, abs(abs(events[other].height) - top) if other >= 0 else high)
+        apart = max(apart, abs(abs(events[other].height) - top) if other >= 0 else peak.high)
     for k in range(events.size):
         event = events[k]
         if event.kind == HIDDEN and event.when <= when and event.height >= enough:
-            apart = high
+            apart = peak.high
             late = max(late, when - event.when, event.until - when if top >= upper else end)
     return late, apart
 
@@ -185,7 +191,7 @@ def arrivals(events, bounds, peaks, start, rules):
         of_grain = events[bounds[g] : bounds[g + 1]]
         at = choose(of_grain, peaks.value[g], start[g], rules)
         if at >= 0:
-            peak = peaks.value[g], peaks.low[g], peaks.high[g]
+            peak = Peak(peaks.value[g], peaks.low[g], peaks.high[g])
             late, _ = doubt_choice(of_grain, at, spread(of_grain[at], rules), peak, rules)
             out[0, g] = of_grain[at].when
             out[1, g] = late
@@ -303,7 +309,7 @@ def front_of(p, width, rules):
     # copied, for a record does not keep the array of which it is
     front = Front(events[at].when, events[at].height, events[at].off)
     late = min(_last_as_large(p, front, rules), spread(events[at], rules))
-    peak = peaks.value[0], peaks.low[0], peaks.high[0]
+    peak = Peak(peaks.value[0], peaks.low[0], peaks.high[0])
     late, apart = doubt_choice(events, at, late, peak, rules)
     out[0] = front.when
     out[1] = front.height

@@ -119,7 +119,20 @@ def sampled(p):
 
 @joined
 def _velocity(s, i, h):
-    """Return the seven coefficients of the velocity from sample i to the next."""
+    """Return the seven coefficients of the velocity from sample i to the next.
+
+    c_0 = v_i, c_1 = v_i + h a_i / 6, c_2 = v_i + h a_i / 3 + h^2 j_i / 30, likewise from the other
+    end; c_3 follows from (c_0 + ... + c_6) / 7 = (u_{i+1} - u_i) / h.
+
+    ======  ===========================================  ====
+    symbol  meaning                                      name
+    ======  ===========================================  ====
+    u, v    displacement and velocity at the samples     s.u, s.v
+    a, j    acceleration and jerk there                  s.a, s.j
+    h       time between two samples                     h
+    c_k     coefficients in Bernstein form               c1 ... c5
+    ======  ===========================================  ====
+    """
     c1 = s.v[i] + h * (1 / 6) * s.a[i]
     c2 = s.v[i] + h * (1 / 3) * s.a[i] + h * h * (1 / 30) * s.j[i]
     c4 = s.v[i + 1] - h * (1 / 3) * s.a[i + 1] + h * h * (1 / 30) * s.j[i + 1]

@@ -34,7 +34,7 @@ from .hermite import (
 
 # kinds of events
 MAXIMUM, SHOULDER, HIDDEN = range(3)
-ROUNDED = 1e-12  # of a largest value: a fall by less is rounding
+NO_FALL = 1e-12  # of a largest value: a fall by less is rounding
 ROOM = 32  # events by which a log grows, at least
 # An event of a grain that may be its front, as its size exceeds all sizes before: a maximum of the
 # size, a shoulder of its rise, or intervals in which a larger one may be hidden.
@@ -178,7 +178,7 @@ def _log_shoulders(p, i, t, stretch, last, log):
 @joined
 def _has_fallen(last):
     """Return whether the size has fallen since the last maximum, by more than rounding."""
-    return last.since < (1.0 - ROUNDED) * abs(last.height)
+    return last.since < (1.0 - NO_FALL) * abs(last.height)
 
 
 @joined
@@ -192,10 +192,10 @@ def _exceed(last, p, i, t, s, height, bend):
     error = p.error[i]
     if bend == 0.0 and top > 0.0:
         # in free flight, maybe: the maximum is where that began
-        flat = begin <= (1.0 + ROUNDED) * abs(last.height) and top <= begin + error
+        flat = begin <= (1.0 + NO_FALL) * abs(last.height) and top <= begin + error
         if flat and not _has_fallen(last):
             return
-        s = 0.0 if begin >= (1.0 - ROUNDED) * top else s
+        s = 0.0 if begin >= (1.0 - NO_FALL) * top else s
     last.when = t + s * p.h
     last.height = height
     last.off = error
