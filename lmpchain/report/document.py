@@ -19,7 +19,7 @@ from ..util.plotting import si
 from ..util.progress import ProgressBar
 from ..util.templates import render
 from . import live, panels
-from .origin import UNKNOWN
+from .origin import NOT_RECORDED
 from .panels import Panel
 
 Rows = Sequence[Sequence[str]]
@@ -46,7 +46,7 @@ def write(
     trajectory: Trajectory,
     path: str | PathLike[str],
     progress: bool = False,
-    origin: Mapping[str, str] = UNKNOWN,
+    origin: Mapping[str, str] = NOT_RECORDED,
 ) -> None:
     """Write the page, atomically.
 
@@ -62,7 +62,7 @@ def write(
 
 
 def page(
-    trajectory: Trajectory, progress: bool = False, origin: Mapping[str, str] = UNKNOWN
+    trajectory: Trajectory, progress: bool = False, origin: Mapping[str, str] = NOT_RECORDED
 ) -> str:
     """Return the page as self-contained HTML; a part that does not apply to the run says why.
 

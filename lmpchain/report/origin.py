@@ -10,12 +10,12 @@ from pathlib import Path
 
 from ..util.files import check_readable
 
-UNKNOWN = {"date": "not recorded", "command": "not recorded"}
+NOT_RECORDED = {"date": "not recorded", "command": "not recorded"}
 
 
 def origin(path: str | PathLike[str] | None) -> dict[str, str]:
     """Return date and command of a saved run; the date of the file where it does not say."""
-    answer = dict(UNKNOWN)
+    answer = dict(NOT_RECORDED)
     if path is None:
         return answer
     path = Path(path)

@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-SHARED = Path("/dev/shm")
+SHARED_MEMORY = Path("/dev/shm")
 MPICH = "mpich_shm_"  # begins the names of its shared memory
 TEMPORARY = Path("/tmp")  # MPICH does not look at TMPDIR
 OLD_S = 60.0  # by then every rank of a run has started
@@ -26,7 +26,7 @@ def unname_shared_memory() -> None:
     """
     for name in _names_in_use([Path("/proc/self")]):
         if name.startswith(MPICH):
-            (SHARED / name).unlink(missing_ok=True)
+            (SHARED_MEMORY / name).unlink(missing_ok=True)
 
 
 @cache
@@ -37,7 +37,11 @@ def sweep() -> None:
     says.
     """
     leftovers = []
-    for names in (SHARED / MPICH, SHARED / "ucx_shm_posix_", TEMPORARY / "hydra_hwloc_xmlfile_"):
+    for names in (
+        SHARED_MEMORY / MPICH,
+        SHARED_MEMORY / "ucx_shm_posix_",
+        TEMPORARY / "hydra_hwloc_xmlfile_",
+    ):
         for path in names.parent.glob(f"{names.name}*"):
             with suppress(OSError):
                 # gone by now
@@ -60,7 +64,9 @@ def _names_in_use(processes: Iterable[Path]) -> set[str]:
             # ended by now, or that of another user
             lines = (process / "maps").read_text().splitlines()
             names |= {
-                Path(line.split(maxsplit=5)[-1]).name for line in lines if f"{SHARED}/" in line
+                Path(line.split(maxsplit=5)[-1]).name
+                for line in lines
+                if f"{SHARED_MEMORY}/" in line
             }
     return names
 

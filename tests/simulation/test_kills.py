@@ -235,7 +235,7 @@ def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.Monk
 
     Not what is in use, new, or of others.
     """
-    monkeypatch.setattr(leftovers, "SHARED", tmp_path)
+    monkeypatch.setattr(leftovers, "SHARED_MEMORY", tmp_path)
     monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path)
     begins = ("hydra_hwloc_xmlfile_", "mpich_shm_", "other_", "ucx_shm_posix_")
     old, used, new = (

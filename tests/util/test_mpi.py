@@ -116,7 +116,7 @@ def shared(tmp_path: Path, monkeypatch: Any) -> Path:
     """Folders in place of those of the machine."""
     for name in ("shm", "tmp"):
         (tmp_path / name).mkdir()
-    monkeypatch.setattr(leftovers, "SHARED", tmp_path / "shm")
+    monkeypatch.setattr(leftovers, "SHARED_MEMORY", tmp_path / "shm")
     monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path / "tmp")
     return tmp_path
 
