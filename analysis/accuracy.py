@@ -1,6 +1,7 @@
 """True and estimated errors of both engines on the paper's scenes, as a Markdown table.
 
-The reference is a Taylor series of order 32 in extended precision (`lmpchain.benchmark.reference`), error some 5e-16.
+The reference is a Taylor series of order 32 in extended precision (`lmpchain.benchmark.reference`),
+error some 5e-16.
 """
 
 from pathlib import Path
@@ -31,8 +32,10 @@ def main() -> None:
             t = lmpchain.simulate(scene, engine, tolerance)
             off = error(t, solution)
             known = f"{off:.0e}" if off > solution.error else f"below {solution.error:.0e}"
-            print(f"| {name} | {engine}, {tolerance:.0e} | {known} | {t.error_estimate.total:.0e} | "
-                  f"{t.cost.integration_s * 1e3:.1f} ms |")  # fmt: skip
+            print(
+                f"| {name} | {engine}, {tolerance:.0e} | {known} | {t.error_estimate.total:.0e} | "
+                f"{t.cost.integration_s * 1e3:.1f} ms |"
+            )
 
 
 if __name__ == "__main__":

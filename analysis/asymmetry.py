@@ -1,9 +1,10 @@
 """Rise and fall of the pulse of a struck column: the paper's "pronounced asymmetry" of Eq. (35).
 
-The displacement rises within some grains' travel time, w ~ h^(1/6), and falls as (tau^2 - chi^2)^(-1/10), a long tail.
-Points are Eq. (1) by the native engine, lines the front of Airy type for the rise and the causal Eq. (35) for the
-fall, from the height of the run. Widths are times from half of the largest displacement to it and back to half. The
-velocity, its slope, has no tail: it falls even faster than it rises, and oscillates behind.
+The displacement rises within some grains' travel time, w ~ h^(1/6), and falls as (tau^2 -
+chi^2)^(-1/10), a long tail. Points are Eq. (1) by the native engine, lines the front of Airy type
+for the rise and the causal Eq. (35) for the fall, from the height of the run. Widths are times from
+half of the largest displacement to it and back to half. The velocity, its slope, has no tail: it
+falls even faster than it rises, and oscillates behind.
 """
 
 import numpy as np
@@ -60,7 +61,10 @@ def main() -> None:
     )
     v = dict(zip(depths, run.velocity.T / scene.excitation.velocity, strict=True))
 
-    title = "Asymmetry of the peaked mode: steep in front, a long tail behind.  Corrected: Eq. (35) within the cone only"
+    title = (
+        "Asymmetry of the peaked mode: steep in front, a long tail behind.  "
+        "Corrected: Eq. (35) within the cone only"
+    )
     picture, ((pulse, below), (width, off)) = page(title, 2, width=12)
     for n, shade in zip(shown, SHADES, strict=False):
         chi, w = float(continuum.chi(n - 0.5)), (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)

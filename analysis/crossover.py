@@ -1,8 +1,9 @@
 """How the peak velocity of a pulse falls with depth, from the sonic vacuum to the linear column.
 
-A strong strike makes a solitary wave of the sonic vacuum, whose height stays until the column presses its grains harder
-than the wave does; a weak one spreads linearly, and falls as h^(-4/15) at great depth. What decides is the strength of
-the wave where it is: its velocity over what a contact at rest there can hold, which falls as h^(-5/6) at least.
+A strong strike makes a solitary wave of the sonic vacuum, whose height stays until the column
+presses its grains harder than the wave does; a weak one spreads linearly, and falls as h^(-4/15) at
+great depth. What decides is the strength of the wave where it is: its velocity over what a contact
+at rest there can hold, which falls as h^(-5/6) at least.
 """
 
 import numpy as np
@@ -25,7 +26,9 @@ DEEPEST, PER_TAU, WINDOW = 1000, 40, 5
 
 
 def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return depths, local exponents of the peak velocity, and local strengths, after a strike of this number."""
+    """Return depths, local exponents of the peak velocity, and local strengths,
+    after a strike of this number.
+    """
     tau = 1.05 * float(front.peak_time(int(depths[-1]))) + 5
     # strong pulses are ahead: the floor is far
     grains = int(continuum.depth(tau)) + int(depths[-1]) // 2
@@ -42,7 +45,9 @@ def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def main() -> None:
-    """Strike a column from weakly to strongly; draw local exponents against depth and against local strength."""
+    """Strike a column from weakly to strongly; draw local exponents against
+    depth and against local strength.
+    """
     given = arguments(__file__, __doc__)
     deepest, strikes = (200, (1e-2, 1e2, 1e4)) if given.quick else (DEEPEST, STRIKES)
     depths = np.unique(np.geomspace(4, deepest, 48).astype(int))
@@ -54,8 +59,10 @@ def main() -> None:
     every = [
         (f"$v_0^*$ = {x:g}", x, {"lw": 1.3, "color": SHADES[i]}) for i, x in enumerate(strikes)
     ]
-    every += [(name, x, {"lw": 1.0, "color": "0.35", "ls": style})
-              for (name, x), style in zip(PAPER.items(), (":", "-.", "--", (0, (6, 1))), strict=True)]  # fmt: skip
+    every += [
+        (name, x, {"lw": 1.0, "color": "0.35", "ls": style})
+        for (name, x), style in zip(PAPER.items(), (":", "-.", "--", (0, (6, 1))), strict=True)
+    ]
     for label, strength, style in every:
         h, p, local = strike(strength, depths)
         over_depth.semilogx(h, p, **style)

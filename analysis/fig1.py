@@ -1,9 +1,10 @@
 """Fig. 1 of the paper: a strike of 8.57 mm/s on 120 glass beads, a pulse some two grains wide.
 
-Left: velocities at three times; circles are LAMMPS, lines the native engine. The theory is that of the pulse in an
-unloaded chain (Nesterenko), with the height of the run. Right: how far every contact is squeezed or stretched, in
-units of its overlap at rest. "10 times" more than linear theory allows holds near contact 4 only; and the contacts 1,
-2 and 3 open, for which Eq. (1) needs a bracket that forbids tension.
+Left: velocities at three times; circles are LAMMPS, lines the native engine. The theory is that of
+the pulse in an unloaded chain (Nesterenko), with the height of the run. Right: how far every
+contact is squeezed or stretched, in units of its overlap at rest. "10 times" more than linear
+theory allows holds near contact 4 only; and the contacts 1, 2 and 3 open, for which Eq. (1) needs a
+bracket that forbids tension.
 """
 
 import numpy as np
@@ -42,7 +43,10 @@ def main() -> None:
     lammps = lmpchain.simulate(scene, "lammps", tolerance=1e-5 if given.quick else 1e-6)
     unit, strike = 1e3, scene.excitation.velocity
 
-    title = "Fig. 1: strike of 8.57 mm/s, 120 glass beads.  Corrected: no tension, [overlap]$_+$, in Eq. (1)"
+    title = (
+        "Fig. 1: strike of 8.57 mm/s, 120 glass beads.  "
+        "Corrected: no tension, [overlap]$_+$, in Eq. (1)"
+    )
     picture, ((wave, below), (ratio, opened)) = page(title, 2, width=11)
     for moment, shade in zip(MOMENTS, SHADES, strict=False):
         row = int(np.abs(native.time - moment).argmin())
@@ -92,7 +96,12 @@ def main() -> None:
         contact, least, color=SHADES[5], marker="o", ms=3, lw=1, label=f"contacts 1 to {count} open"
     )
     opened.axhline(-1, color="0.5", ls=":", lw=1.3)
-    opened.set(xlabel="contact, from the top", ylabel="least Δφ / ε", xlim=(0, 40), ylim=(-60, 0.4))
+    opened.set(
+        xlabel="contact, from the top",
+        ylabel="least Δφ / ε",
+        xlim=(0, 40),
+        ylim=(-60, 0.4),
+    )
     say("largest ratio at contact 1", largest[0])
     say("largest ratio at contact 25", largest[24])
     say("contacts that open", count)

@@ -1,8 +1,9 @@
 """Fig. 2 of the paper: a grain in the middle of the column is displaced; Eq. (6) with one kappa.
 
-Squares are Eq. (1) moved so weakly that it is Eq. (3) to 1e-6; the exact series of Eq. (19) goes through them at any
-time. Eq. (6) is the infinite chain with the kappa of grain 50 everywhere: it is good as long as the wave has gone a
-few grains, not in "a wide interval" of times, for what runs down meets stiffer contacts than what runs up.
+Squares are Eq. (1) moved so weakly that it is Eq. (3) to 1e-6; the exact series of Eq. (19) goes
+through them at any time. Eq. (6) is the infinite chain with the kappa of grain 50 everywhere: it is
+good as long as the wave has gone a few grains, not in "a wide interval" of times, for what runs
+down meets stiffer contacts than what runs up.
 """
 
 import numpy as np
@@ -36,7 +37,10 @@ def main() -> None:
     phi = run.displacement / scene.excitation.displacement
     n = np.arange(1, GRAINS)
 
-    title = "Fig. 2: grain 50 is displaced by 1.  Corrected: Eq. (6), with one κ, holds at early times only"
+    title = (
+        "Fig. 2: grain 50 is displaced by 1.  "
+        "Corrected: Eq. (6), with one κ, holds at early times only"
+    )
     picture, pairs = page(title, 2, rows=2, width=11, height=10)
     for tau, (wave, below) in zip(TAU, pairs, strict=True):
         measured = phi[tau, :-1]
@@ -49,7 +53,8 @@ def main() -> None:
         apart(below, n, uniform, measured, np.abs(measured).max(), **PRINTED)
         apart(below, n, exact, measured, np.abs(measured).max(), **THEORY)
         reach = 4 + 2.4 * tau
-        wave.set_title(f"τ = {tau}, {tau * scene.chain.time_scale * 1e6:.1f} µs", fontsize="medium")
+        time = f"{tau * scene.chain.time_scale * 1e6:.1f} µs"
+        wave.set_title(f"τ = {tau}, {time}", fontsize="medium")
         wave.set(
             xlim=(MOVED - reach, MOVED + reach),
             ylim=(wave.get_ylim()[0], 1.75 * wave.get_ylim()[1]),

@@ -1,7 +1,8 @@
 """Fig. 3 of the paper: springs (delta = 1), top displaced (a) or struck (b); Eqs. (11), (13).
 
-Squares are the native engine, circles LAMMPS with linear contacts; both solve Eq. (1), which is linear here as long
-as nothing opens. The velocity in Eq. (13) is dphi/dT, not the dphi/dtau of the text; at kappa = 1 they are the same.
+Squares are the native engine, circles LAMMPS with linear contacts; both solve Eq. (1), which is
+linear here as long as nothing opens. The velocity in Eq. (13) is dphi/dT, not the dphi/dtau of the
+text; at kappa = 1 they are the same.
 """
 
 import numpy as np

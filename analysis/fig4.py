@@ -1,8 +1,9 @@
 """Fig. 4 of the paper: Hertzian column, top displaced (a) or struck (b), against Eq. (19).
 
-Squares are the native engine, circles LAMMPS, both struck so weakly that Eq. (1) is Eq. (3). The series is exact once
-the cases of the brace in Eq. (20) are j = 1 and j > 1; with the printed i, the dashed line, it is off at grain 1 above
-all. For a strike each Bessel function is to be integrated over time, which the paper does not say.
+Squares are the native engine, circles LAMMPS, both struck so weakly that Eq. (1) is Eq. (3). The
+series is exact once the cases of the brace in Eq. (20) are j = 1 and j > 1; with the printed i, the
+dashed line, it is off at grain 1 above all. For a strike each Bessel function is to be integrated
+over time, which the paper does not say.
 """
 
 import numpy as np
@@ -29,7 +30,9 @@ GRAINS, TAU = 40, 14
 
 
 def as_printed(grains: int, tau: float) -> np.ndarray:
-    """Return Eq. (19) with the A_j(n) of Eq. (20) as printed, (N-1,): the cases are i = 1 and i > 1."""
+    """Return Eq. (19) with the A_j(n) of Eq. (20) as printed, (N-1,): the
+    cases are i = 1 and i > 1.
+    """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
     linear = modes.eigenmodes(chain)
     shape, omega = linear.shape * np.sqrt(linear.mass[:, None]), linear.frequency * chain.time_scale
@@ -46,8 +49,14 @@ def main() -> None:
     given = arguments(__file__, __doc__)
     grains, tau = (20, 7) if given.quick else (GRAINS, TAU)
     n = np.arange(1, grains)
-    title = "Fig. 4: a column under gravity, δ = 3/2.  Corrected: the cases of Eq. (20) are j = 1 and j > 1"
-    title += "\nLAMMPS at strength 1e-4, native at 1e-9: their distances are what is nonlinear at these strengths"
+    title = (
+        "Fig. 4: a column under gravity, δ = 3/2.  "
+        "Corrected: the cases of Eq. (20) are j = 1 and j > 1"
+    )
+    title += (
+        "\nLAMMPS at strength 1e-4, native at 1e-9: their distances are what is nonlinear "
+        "at these strengths"
+    )
     picture, pairs = page(title, 2, width=11)
     cases = {
         "a: displaced, Eq. (19)": (1, bessel.finite),

@@ -1,8 +1,9 @@
 """Fig. 5 of the paper: velocities 100 us after a strike of 0.857 mm/s at 10, 1 and 0.1 g.
 
-Squares are the native engine, circles LAMMPS, both for Eq. (1); the line is the linear theory, Eq. (19). The paper
-finds "a satisfactory correspondence"; but the strike is weak at none of the three. Its strike number v0* must be
-below 0.04 for linear theory to be right to 1 %; at g it is 8.5, and contact 1 all but opens.
+Squares are the native engine, circles LAMMPS, both for Eq. (1); the line is the linear theory, Eq.
+(19). The paper finds "a satisfactory correspondence"; but the strike is weak at none of the three.
+Its strike number v0* must be below 0.04 for linear theory to be right to 1 %; at g it is 8.5, and
+contact 1 all but opens.
 """
 
 import numpy as np
@@ -32,7 +33,10 @@ SCENES = {"10 g": "fig5_10g.toml", "g": "fig5_1g.toml", "g / 10": "fig5_0.1g.tom
 def main() -> None:
     """Run the three scenes in both engines and draw them."""
     given = arguments(__file__, __doc__)
-    title = "Fig. 5: strike of 0.857 mm/s, t = 100 µs.  Corrected: it is not weak at g; γ is in m$^{-1/2}$ s$^{-2}$"
+    title = (
+        "Fig. 5: strike of 0.857 mm/s, t = 100 µs.  "
+        "Corrected: it is not weak at g; γ is in m$^{-1/2}$ s$^{-2}$"
+    )
     picture, pairs = page(title, 3, width=14, height=6)
     for (name, file), (wave, below) in zip(SCENES.items(), pairs, strict=True):
         scene = lmpchain.Scene.from_toml(HERE / "scenes" / file)

@@ -1,9 +1,10 @@
 """Fig. 6 of the paper: the effect of Dyson's disorder on the wave.
 
-Left: the sum of Eq. (22) over the velocities of one ordered column, weighted with Eq. (23), against the order m. It is
-no average: its weights do not add up to 1, and it grows without bound as m does. Right: what "the velocity averaged
-over disorder" should mean: the mean over columns whose kappa_n are drawn from Dyson's distribution. There the claim of
-the paper holds: more disorder, less velocity.
+Left: the sum of Eq. (22) over the velocities of one ordered column, weighted with Eq. (23), against
+the order m. It is no average: its weights do not add up to 1, and it grows without bound as m does.
+Right: what "the velocity averaged over disorder" should mean: the mean over columns whose kappa_n
+are drawn from Dyson's distribution. There the claim of the paper holds: more disorder, less
+velocity.
 """
 
 import numpy as np
@@ -40,7 +41,10 @@ def main() -> None:
     n = np.arange(1, GRAINS + 1)
     linear = np.append(bessel.finite(kappa(GRAINS), n[:-1], 1, float(TAU)), 0.0)
 
-    title = "Fig. 6: velocities at τ = 15 and disorder.  Corrected: Eq. (22) is no average; that over columns, right"
+    title = (
+        "Fig. 6: velocities at τ = 15 and disorder.  "
+        "Corrected: Eq. (22) is no average; that over columns, right"
+    )
     picture, ((weighted, below), (wave, noise)) = page(title, 2, width=12)
     m, coarse = np.geomspace(1, 1e4, 400), np.geomspace(1, 1e4, 25)
     for style, label, normalised in (
@@ -62,7 +66,8 @@ def main() -> None:
         )
         apart(below, coarse, points, at_points, 1.0, **style)
     limit = np.sqrt(m / (2 * np.pi)) * linear[0]
-    weighted.plot(m[m > 30], limit[m > 30], color=SHADES[1], ls=":", label=r"$\sqrt{m / 2π}\; v_1$")
+    late = r"$\sqrt{m / 2π}\; v_1$"
+    weighted.plot(m[m > 30], limit[m > 30], color=SHADES[1], ls=":", label=late)
     weighted.set(xscale="log", ylabel="Σ weight × velocity / $v_0$")
     below.set(
         xlabel="order m (large: little disorder)", ylabel="|native − theory|", ylim=(1e-11, 1e-5)

@@ -1,8 +1,9 @@
 """Fig. 7 of the paper, the "3D display of the influence of the Dyson disorder", as maps.
 
-Left: the sum of Eq. (22) for one ordered column. Its size at large m follows the motion of grain 1 alone, of which
-kappa is 1. Right: the largest mean velocity over columns whose kappa_n are drawn from Dyson's distribution. Below: the
-sum with the velocities of the native engine against that with Eq. (19), and the standard error of the mean.
+Left: the sum of Eq. (22) for one ordered column. Its size at large m follows the motion of grain 1
+alone, of which kappa is 1. Right: the largest mean velocity over columns whose kappa_n are drawn
+from Dyson's distribution. Below: the sum with the velocities of the native engine against that with
+Eq. (19), and the standard error of the mean.
 """
 
 import numpy as np

@@ -1,8 +1,9 @@
 """Fig. 8 of the paper: harmonically driven top; Eq. (27), its mode, and the chain itself.
 
-Squares are Eq. (1) with grain 1 driven weakly, circles the continuum of Eq. (27) solved cell by cell, lines the mode
-of Eq. (30). With exp(i lambda tau) the printed H^(1) is a wave that comes in from below; the top sends down H^(2), its
-conjugate. The amplitude falls all the way, as h^(-1/12) deep down.
+Squares are Eq. (1) with grain 1 driven weakly, circles the continuum of Eq. (27) solved cell by
+cell, lines the mode of Eq. (30). With exp(i lambda tau) the printed H^(1) is a wave that comes in
+from below; the top sends down H^(2), its conjugate. The amplitude falls all the way, as h^(-1/12)
+deep down.
 """
 
 import numpy as np
@@ -59,7 +60,10 @@ def main() -> None:
     wave_in, wave_out = ((u * np.exp(1j * LAMBDA * tau)).real for u in (mode, mode.conjugate()))
     near = continuum.chi(h) < tau - RAMP - 30  # beyond, the drive had not reached its amplitude
     cells_, grains_ = field.displacement[-1], run.displacement[-1] / unit
-    title = "Fig. 8: the top driven at λ = 0.5.  Corrected: the wave that runs down is $H^{(2)}$, of order ν"
+    title = (
+        "Fig. 8: the top driven at λ = 0.5.  "
+        "Corrected: the wave that runs down is $H^{(2)}$, of order ν"
+    )
     picture, ((wave, below), (height, relative)) = page(title, 2, width=12)
     good, bad, discrete = (distance(x[near], cells_[near]) for x in (wave_out, wave_in, grains_))
     wave.plot(
@@ -105,7 +109,11 @@ def main() -> None:
         apart(relative, h[near], amplitude[near], np.abs(mode)[near], np.abs(mode)[near], **style)
     height.set(xlim=(0.4, last), ylim=(0.55, 1.2), ylabel="amplitude of φ")
     height.yaxis.set(minor_formatter="{x:g}")
-    relative.set(xlabel="depth h = n − 1/2 (grains)", ylabel=r"relative to $|u_λ|$", ylim=(1e-6, 1))
+    relative.set(
+        xlabel="depth h = n − 1/2 (grains)",
+        ylabel=r"relative to $|u_λ|$",
+        ylim=(1e-6, 1),
+    )
     say("outgoing mode", 100 * good, "% off")
     say("mode as printed", 100 * bad, "% off")
     say("chain and Eq. (27) differ by", 100 * discrete, "%")

@@ -1,8 +1,9 @@
 """Fig. 9 of the paper: the "peaked mode" of Eq. (35), the wave behind a strike on the top.
 
-Squares are Eq. (1) struck weakly, the thin line the continuum of Eq. (27) solved cell by cell. Eq. (35) with |...| also
-says that grains move where no wave has been: made causal, and with its amplitude C = 1.155137, it is the impulse
-response. Its peak is infinite; the grains disperse it into the Airy function that `theory.front` gives.
+Squares are Eq. (1) struck weakly, the thin line the continuum of Eq. (27) solved cell by cell. Eq.
+(35) with |...| also says that grains move where no wave has been: made causal, and with its
+amplitude C = 1.155137, it is the impulse response. Its peak is infinite; the grains disperse it
+into the Airy function that `theory.front` gives.
 """
 
 import numpy as np
@@ -42,7 +43,10 @@ def main() -> None:
     close = chi > tau - 20
     airy = front.displacement(n[close], float(tau))
 
-    title = "Fig. 9: strike on the top, Eq. (35).  Corrected: causal, nothing moves ahead of the light cone"
+    title = (
+        "Fig. 9: strike on the top, Eq. (35).  "
+        "Corrected: causal, nothing moves ahead of the light cone"
+    )
     picture, pairs = page(title, 2, width=12)
     inside, ahead = chi < 0.5 * tau, chi > 1.1 * tau
     off, wrong = np.abs(chain[inside] / causal[inside] - 1).max(), printed[ahead].min()
@@ -50,8 +54,12 @@ def main() -> None:
     # left: everything; right: the front
     for (wave, below), limits in zip(pairs, ((0, grains), (0.82, 1.18)), strict=True):
         whole = limits[0] == 0
-        wave.plot(fine + 0.5, continuum.peaked(fine, float(tau), 0.0, continuum.impulse_amplitude(), 0.0), **PRINTED,
-                  label=f"Eq. (35) as printed, |...|: {wrong:.2f} where all is at rest")  # fmt: skip
+        wave.plot(
+            fine + 0.5,
+            continuum.peaked(fine, float(tau), 0.0, continuum.impulse_amplitude(), 0.0),
+            **PRINTED,
+            label=f"Eq. (35) as printed, |...|: {wrong:.2f} where all is at rest",
+        )
         wave.plot(
             fine + 0.5,
             continuum.impulse_response(fine, float(tau)),

@@ -94,7 +94,9 @@ def apart(
 def end_of_run(
     pair: tuple[Axes, Axes], scene: lmpchain.Scene, engine: str, unit: float, exact: np.ndarray
 ) -> float:
-    """Run a scene, draw the last displacements over `unit` with the exact ones; return the error."""
+    """Run a scene, draw the last displacements over `unit` with the
+    exact ones; return the error.
+    """
     wave, below = pair
     style, tolerance = {"lammps": (LAMMPS, 1e-6), "native": (NATIVE, 1e-12)}[engine]
     run = lmpchain.simulate(scene, engine, tolerance)
@@ -117,7 +119,9 @@ def random_search(
     value: Callable[[lmpchain.Scene], float],
     seconds: float,
 ) -> tuple[float, lmpchain.Scene | None, int]:
-    """Return the least value, its scene, and how many were drawn in so many seconds of the processor."""
+    """Return the least value, its scene, and how many were drawn in so
+    many seconds of the processor.
+    """
     rng, best, tried = np.random.default_rng(2), (np.inf, None), 0
     end = time.process_time() + seconds
     while time.process_time() < end:
@@ -131,7 +135,9 @@ def random_search(
 
 
 def finish(picture: Figure, path: Path) -> None:
-    """Save the picture in full colour with the commit, the command and the printed numbers in it, and say where."""
+    """Save the picture in full colour with the commit, the command and the printed
+    numbers in it, and say where.
+    """
     about = {"Commit": commit(), "Command": command(), "Numbers": json.dumps(PRINTED_NUMBERS)}
     with write_aside(path) as aside:
         picture.savefig(aside, dpi=110, format="png", metadata=about, pil_kwargs={"optimize": True})
@@ -139,7 +145,9 @@ def finish(picture: Figure, path: Path) -> None:
 
 
 def commit() -> str:
-    """Return the commit that draws, with a mark if files differ from it; empty outside a repository."""
+    """Return the commit that draws, with a mark if files differ from it;
+    empty outside a repository.
+    """
     said = [
         subprocess.run(
             ["git", *words.split()], cwd=HERE, capture_output=True, text=True, check=False
@@ -153,7 +161,9 @@ def commit() -> str:
 
 
 def command() -> str:
-    """Return the command that draws, from the folder above this one, without where the picture goes."""
+    """Return the command that draws, from the folder above this one,
+    without where the picture goes.
+    """
     options = [
         word for word in sys.argv[1:] if word.startswith("--") or not re.search(r"[/.]|^-o$", word)
     ]
@@ -178,7 +188,9 @@ def distance(measured: np.ndarray, reference: np.ndarray) -> float:
 
 
 def summit(profile: np.ndarray) -> float:
-    """Return the position of the maximum of a profile of grains 1, 2 ..., by a parabola through three."""
+    """Return the position of the maximum of a profile of grains 1, 2 ...,
+    by a parabola through three.
+    """
     top = int(profile.argmax())
     before, here, after = profile[top - 1 : top + 2]
     return top + 1 + 0.5 * (before - after) / (before - 2 * here + after)
@@ -208,7 +220,8 @@ def weak_scene(
     tau : float
         Duration in the unit of the paper's tau.
     strength : float
-        Of a velocity of grain 1, in eps_1 / time unit; with `moved`, of a displacement of that grain, in its eps_n.
+        Of a velocity of grain 1, in eps_1 / time unit; with `moved`, of a displacement of that
+        grain, in its eps_n.
     recorded
         Grains.
     """

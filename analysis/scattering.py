@@ -1,7 +1,8 @@
-"""What one impurity, or a pair of them, lets through: transfer matrices, and packets of waves in Hertzian chains.
+"""What one impurity, or a pair of them, lets through: transfer matrices, and
+packets of waves in Hertzian chains.
 
-One sphere that differs reflects all the more the shorter the wave. Two of them side by side are transparent at one
-frequency, as electrons pass atoms in the Ramsauer-Townsend effect.
+One sphere that differs reflects all the more the shorter the wave. Two of them side by side are
+transparent at one frequency, as electrons pass atoms in the Ramsauer-Townsend effect.
 """
 
 import numpy as np
@@ -33,7 +34,9 @@ def edge(chain: lmpchain.Chain) -> float:
 def passed(
     engine: str, ratio: float, count: int, share: float, tolerance: float
 ) -> tuple[float, float]:
-    """Return the share of the energy of a packet that passes, and the mean of T over its spectrum."""
+    """Return the share of the energy of a packet that passes, and the
+    mean of T over its spectrum.
+    """
     odd = list(range(300, 300 + count))
     chain = with_odd(ratio, odd, 600)
     w, k = edge(chain), 2 * np.arcsin(share)
@@ -58,7 +61,9 @@ def reflected(chain: lmpchain.Chain, frequency: float) -> float:
 
 
 def main() -> None:
-    """Draw the transmitted energy of single and double impurities over frequency, with packets in two engines."""
+    """Draw the transmitted energy of single and double impurities over
+    frequency, with packets in two engines.
+    """
     given = arguments(__file__, __doc__)
     picture = figure(10, 4.8)
     axes = picture.subplots(1, 2, sharey=True)

@@ -1,8 +1,8 @@
 """One long chain on several threads: how many times as fast as on one, with the same bits.
 
-All grains move: gently, at steps of one length, and so that contacts open all over the chain and steps shorten. Times
-are those of the integration alone, interleaved; the least of several runs counts. More threads than free cores gain
-nothing.
+All grains move: gently, at steps of one length, and so that contacts open all over the chain and
+steps shorten. Times are those of the integration alone, interleaved; the least of several runs
+counts. More threads than free cores gain nothing.
 """
 
 import argparse
@@ -41,7 +41,9 @@ def shaken(grains: int, steps: int) -> lmpchain.Scene:
 def run(
     scene: lmpchain.Scene, name: str, adaptive: bool, steps: int, threads: int
 ) -> tuple[float, float, bytes]:
-    """Return how long the integration of a scene takes, s, its grain-steps, and where the grains are then."""
+    """Return how long the integration of a scene takes, s, its grain-steps,
+    and where the grains are then.
+    """
     method, schedule = METHODS[name], StepSchedule(steps, 1, scene.duration / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {}, threads)
     u, v = np.zeros((2, 1, 2, scene.chain.grains))

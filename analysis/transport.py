@@ -1,8 +1,9 @@
 """Peak velocity, time and energy of a weak strike against depth, for several exponents.
 
-Points are Eq. (1) by the native engine, lines the front of Airy type (`theory.front`), of which the next order is some
-0.34 n^(-1/3). A column of n grains answers so at its lowest grain until the floor does, so depth stands for the length
-of the chain as well. Not h^(-1/12), which is for waves of one frequency: peak velocities fall as h^(-4/15) for Hertz.
+Points are Eq. (1) by the native engine, lines the front of Airy type (`theory.front`), of which the
+next order is some 0.34 n^(-1/3). A column of n grains answers so at its lowest grain until the
+floor does, so depth stands for the length of the chain as well. Not h^(-1/12), which is for waves
+of one frequency: peak velocities fall as h^(-4/15) for Hertz.
 """
 
 import numpy as np
@@ -32,7 +33,9 @@ def strike(depths: np.ndarray, delta: float) -> lmpchain.Trajectory:
 
 
 def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
-    """Return the work that a grain does on the next one up to a time, over the energy of the strike."""
+    """Return the work that a grain does on the next one up to a time,
+    over the energy of the strike.
+    """
     now = run.time <= until
     chain, at = run.scene.chain, int(np.searchsorted(run.grains, grain))
     force = chain.linear_stiffness[grain - 1] * (
@@ -43,7 +46,9 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return the same by `theory.front` for a downward wave: 2 sqrt(kappa) times the integral of v^2."""
+    """Return the same by `theory.front` for a downward wave: 2 sqrt(kappa)
+    times the integral of v^2.
+    """
     n, xi = 100, 1 - 1 / delta
     peak = float(front.peak_time(n, delta))
     at = peak + np.linspace(-12, 6, 601) * n ** (1 / 3 - xi / 2)
@@ -58,7 +63,10 @@ def main() -> None:
     """Strike columns of several exponents; draw velocity, time and energy against depth."""
     given = arguments(__file__, __doc__)
     deepest, deltas, further = (200, (1.0, 1.5), ()) if given.quick else (DEEPEST, DELTAS, FURTHER)
-    title = "Transport: the first pulse of a weak strike on the top, native engine against theory.front (lines)"
+    title = (
+        "Transport: the first pulse of a weak strike on the top, native engine against "
+        "theory.front (lines)"
+    )
     picture, pairs = page(title, 2, rows=2, width=12, height=11)
     (speed, speed_off), (time, time_off), (energy, energy_off), (power, power_off) = pairs
     depths = np.unique(np.geomspace(5, deepest, 40).astype(int))
@@ -107,8 +115,14 @@ def main() -> None:
         if delta == 1.5:
             corrected = theory_v * (1 - NEXT * depths ** (-1 / 3))
             last = 100 * abs(v[-1] / corrected[-1] - 1)
-            speed.loglog(depths, corrected, "--", color=shade, lw=1.2,
-                         label=f"δ = 1.5 with its correction, 1 − {NEXT} n$^{{-1/3}}$: {last:.2g} % off")  # fmt: skip
+            speed.loglog(
+                depths,
+                corrected,
+                "--",
+                color=shade,
+                lw=1.2,
+                label=f"δ = 1.5 with its correction, 1 − {NEXT} n$^{{-1/3}}$: {last:.2g} % off",
+            )
             apart(
                 speed_off,
                 depths,

@@ -1,7 +1,8 @@
 """Work-precision charts of every engine and integrator, with other codes where measured.
 
-One picture and one file of numbers a scene, and a table: the time to four errors. Between the points of a curve it is
-interpolated as a power law; where the longest step is better already, it is the time of that.
+One picture and one file of numbers a scene, and a table: the time to four errors. Between the
+points of a curve it is interpolated as a power law; where the longest step is better already, it is
+the time of that.
 """
 
 import argparse
@@ -41,8 +42,13 @@ def others(name: str) -> list[dict[str, Any]]:
 def again(name: str, path: Path) -> WorkPrecision:
     """Return what was measured before, for the chart and the table."""
     kept = json.loads(path.read_text(encoding="utf-8"))
-    known = ({key: math.nan if value is None and key != "tolerance" else value for key, value in row.items()}
-             for row in kept["rows"])  # fmt: skip
+    known = (
+        {
+            key: math.nan if value is None and key != "tolerance" else value
+            for key, value in row.items()
+        }
+        for row in kept["rows"]
+    )
     rows = [Point(**{"compile_s": 0.0} | row) for row in known]
     groups = groupby(
         rows, key=lambda point: (point.engine, "" if point.tolerance else point.integrator)

@@ -112,8 +112,8 @@ def dyson_rounding(kappa: ArrayLike, m: ArrayLike) -> Array:
 
 
 def front_of_springs(n: ArrayLike) -> Array:
-    """Return Eq. (11) at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by its series for large
-    orders.
+    """Return Eq. (11) at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by
+    its series for large orders.
 
     Abramowitz and Stegun, 9.3.31; right to 1e-15 from n = 500 on.
     """
@@ -137,8 +137,8 @@ def bessel_rounding(n: ArrayLike) -> Array:
 
 
 def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
-    """Return the distance of the solution under each gravity from that without; strike 1 cm/s, load
-    in N.
+    """Return the distance of the solution under each gravity from that
+    without; strike 1 cm/s, load in N.
     """
 
     def struck(g: float) -> Trajectory:
@@ -153,8 +153,8 @@ def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
 def weak(
     exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3
 ) -> Scene:
-    """Return a column of 30 beads until tau = 14.5, struck at a velocity or with a strike
-    number.
+    """Return a column of 30 beads until tau = 14.5, struck at a
+    velocity or with a strike number.
     """
     chain = Chain(grains=30, diameter=BEAD, gravity=gravity, exponent=exponent)
     speed = number * chain.length_scale / chain.time_scale if velocity is None else velocity
@@ -202,8 +202,8 @@ def measured_period(scene: Scene) -> float:
 
 
 def squeezing(strain: float) -> Scene:
-    """Return 10 beads under gravity, struck for an overlap of `strain` diameters of two beads
-    alone.
+    """Return 10 beads under gravity, struck for an overlap of `strain`
+    diameters of two beads alone.
     """
     chain = Chain(grains=10, diameter=BEAD)
     power, overlap = chain.exponent + 1, strain * BEAD
@@ -216,8 +216,8 @@ def squeezing(strain: float) -> Scene:
 
 
 def squeezed(scene: Scene) -> tuple[float, float]:
-    """Return the largest overlap over the diameter, and the distance of LAMMPS from the native
-    engine.
+    """Return the largest overlap over the diameter, and the distance of
+    LAMMPS from the native engine.
     """
     native, contacts = simulate(scene, "native", 1e-11), scene.chain.contacts
     overlap = (
@@ -228,8 +228,8 @@ def squeezed(scene: Scene) -> tuple[float, float]:
 
 
 def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: int = 40) -> Array:
-    """Return the largest distance from the axis of a bent column at rest in LAMMPS, (samples + 1,)
-    m.
+    """Return the largest distance from the axis of a bent column at rest
+    in LAMMPS, (samples + 1,) m.
 
     Parameters
     ----------

@@ -149,8 +149,8 @@ def _airy_lag(tau: float, exponent: float) -> float:
 
 
 def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
-    """Return the error of Eq. (30) at depth h below a driven top (Hertz): phase omega^3 sqrt(h) /
-    12.
+    """Return the error of Eq. (30) at depth h below a driven top (Hertz):
+    phase omega^3 sqrt(h) / 12.
 
     The difference of the wave numbers, k^3 / 24 with k = omega / h^(1/6), summed up from the top.
     At the first grains, where no wavelength fits in, it is less: what is measured is lower by 0.01

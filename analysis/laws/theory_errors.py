@@ -102,8 +102,8 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
 
 
 def local_error(tau: float) -> float:
-    """Return the error of Eq. (7) after a displacement of grain 1, Euclidean over grains, at
-    tau.
+    """Return the error of Eq. (7) after a displacement of grain 1,
+    Euclidean over grains, at tau.
     """
     grains = int(1.3 * continuum.depth(tau)) + 20
     unit = WEAK * Chain(grains=grains, diameter=BEAD).length_scale
@@ -182,8 +182,8 @@ def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
 
 
 def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return wavelengths in grains and phase velocities over the continuum's, (G,) each; see
-    `driven`.
+    """Return wavelengths in grains and phase velocities over the
+    continuum's, (G,) each; see `driven`.
     """
     h, motion = driven(frequency, tau)
     number = -np.diff(np.angle(motion)) % (2 * np.pi)
@@ -198,8 +198,8 @@ def harmonic_error(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
 
 
 def fronts(tau: float) -> tuple[Array, Array, Array]:
-    """Return grains, arrival times of the largest velocity and its widths at half height in tau,
-    (G,).
+    """Return grains, arrival times of the largest velocity and its widths
+    at half height in tau, (G,).
     """
     scene = column(WEAK, tau, int(continuum.depth(1.2 * tau)) + 30)
     front = track(theory(scene, "chebyshev"))

@@ -1,3 +1,3 @@
-"""Where methods fail, one map a module: `measure(quick)` returns numbers, `draw(numbers)` a
-figure.
+"""Where methods fail, one map a module: `measure(quick)` returns
+numbers, `draw(numbers)` a figure.
 """

@@ -93,8 +93,8 @@ def runge_kutta(
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return relative errors of the energy over time, their trends, and their spread against the
-    step.
+    """Return relative errors of the energy over time, their trends, and
+    their spread against the step.
     """
     scene = hot(4)
     edge, periods = scene.chain.band_edge, 2e3 if quick else PERIODS

@@ -25,8 +25,8 @@ FLOOR = 3e-13  # error below which round-off contributes
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return the errors of a strong strike on 30 beads, in which three contacts open, against the
-    step.
+    """Return the errors of a strong strike on 30 beads, in which three
+    contacts open, against the step.
     """
     scene = lmpchain.Scene(
         chain=lmpchain.Chain(grains=30, diameter=1e-3, exponent=EXPONENT),

@@ -34,8 +34,8 @@ def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 1
 
 
 def measure(quick: bool) -> dict:
-    """Return the decades of growth for strikes x times, each length, and predicted predictability
-    times.
+    """Return the decades of growth for strikes x times, each length, and
+    predicted predictability times.
     """
     velocities = np.logspace(-3.5, -0.5, 3 if quick else 10)
     panels = []
@@ -57,8 +57,8 @@ def measure(quick: bool) -> dict:
 
 
 def draw(data: dict) -> Figure:
-    """Draw growth as colours over strike x time, with measured and predicted predictability
-    times.
+    """Draw growth as colours over strike x time, with measured and
+    predicted predictability times.
     """
     panels, velocities, times = (
         data["panels"],

@@ -51,7 +51,7 @@ def pair_slopes(values: Array) -> tuple[Array, Array]:
 
 
 def free_approach(energy: Any, constant: Number, exponent: float) -> Number:
-    """Return how deep a contact without force at rest is when it holds this energy, m.
+    """Return the overlap at which a contact without force at rest holds this energy, m.
 
     Its energy is ``K r^(delta+1) / (delta+1)``.
     """

@@ -80,7 +80,7 @@ class Equilibrium:
         return dynamical_matrix(self.contacts.stiffness, self.masses[..., :movable])
 
     def computable(self, movable: int) -> NDArray[np.bool_]:
-        """Say whether masses and stiffnesses are numbers that can be computed with, (...)."""
+        """Return whether masses and stiffnesses are numbers that can be computed with, (...)."""
         diagonal, coupling = self.dynamical_matrix(movable)
         sound = (self.masses > 0).all(-1) & ~np.isnan(self.compression).any(-1)
         for elements in (diagonal, coupling):

@@ -48,7 +48,7 @@ LIMITS = Limits()
 
 
 def beyond_hertz(compression: float) -> str:
-    """Say that a contact is compressed to this part of the diameter, beyond Hertz's law."""
+    """Return the remark on a contact compressed to this part of the diameter, beyond Hertz."""
     return (
         f"a contact is squeezed to {compression:.2g} of the diameter; "
         f"Hertz's law holds to about {LIMITS.hertz_compression:g}"

@@ -76,12 +76,15 @@ class Pages(NamedTuple):
 
 CHECKPOINTS = Checkpoints()
 PAGES = Pages()
-UNSEEN = 2.0  # strain between two checkpoints over the largest at any
-SHORT, LONG = 4, 6  # coefficients of `economised`
+# strain between two checkpoints over the largest at any
+UNSEEN = 2.0
+# coefficients of `economised`
+SHORT = 4
+LONG = 6
 
 
 class Inputs(NamedTuple):
-    """What a motion depends on: derivatives by it, or directions (D, ...) in which it changes.
+    """Inputs of a motion: derivatives with respect to them, or directions (D, ...) of change.
 
     Attributes
     ----------
@@ -108,6 +111,21 @@ class Inputs(NamedTuple):
         return Inputs(*(value + added for value, added in zip(self, other, strict=True)))
 
 
+class Call(NamedTuple):
+    """Pieces, from the first to the one behind the last, that a call of a compiled loop takes.
+
+    Attributes
+    ----------
+    pieces : (2,) array
+    row, rows : int
+        Their first row, and how many there are.
+    """
+
+    pieces: NDArray[np.intp]
+    row: int
+    rows: int
+
+
 def aligned(rows: int, width: int) -> Array:
     """Return zeros (rows, width), where rows of whole cache lines begin with one."""
     memory = np.zeros(rows * width + PAD)
@@ -123,9 +141,10 @@ def economised(exponent: float, reach: float) -> Array:
     """
     k = np.arange(12)
     reach = min(max(reach, 1e-6), 0.02)
-    parts = poly2cheb(np.cumprod((exponent - k) / (k + 1)) * reach**k)
-    terms = SHORT if np.abs(parts[SHORT:]).sum() <= 1e-16 * abs(parts[0]) else LONG
-    coefficients = cheb2poly(parts[:terms])  # without zeros at its end
+    series = poly2cheb(np.cumprod((exponent - k) / (k + 1)) * reach**k)
+    terms = SHORT if np.abs(series[SHORT:]).sum() <= 1e-16 * abs(series[0]) else LONG
+    # numpy takes zeros at the end away
+    coefficients = cheb2poly(series[:terms])
     return np.pad(coefficients, (0, terms - coefficients.size)) / reach ** np.arange(terms)
 
 
@@ -167,20 +186,25 @@ class DifferentiableRun:
         self.time = np.linspace(0.0, scene.duration, looks + 1)
         if isinstance(step, list):
             lengths = np.concatenate(step)
-            steps = [len(part) for part in step]
+            counts = [len(of_part) for of_part in step]
             pairs = zip(self.time, step, strict=False)
-            self._begins = np.concatenate([t + np.cumsum(part) - part for t, part in pairs])
+            self._begins = np.concatenate(
+                [t + np.cumsum(of_part) - of_part for t, of_part in pairs]
+            )
         else:
             count = max(1, math.ceil(scene.duration / looks / step * (1 - 1e-12)))
             lengths = np.full(looks * count, scene.duration / (looks * count))
-            steps = [count] * looks
+            counts = [count] * looks
             self._begins = np.arange(looks * count) * lengths[0]
         self.step = float(lengths.max())
         self.steps = lengths.size
-        begun = np.concatenate(([0], np.cumsum(steps)))
+        steps_before = np.concatenate(([0], np.cumsum(counts)))
         self._reach = np.array((0.0, *method.reach[:-1]))
-        self._course = Course(np.array(method.kicks), np.array(method.drifts), lengths, begun)
-        self._offsets = method.evaluations * begun + np.arange(looks + 1)  # rows before each look
+        self._course = Course(
+            np.array(method.kicks), np.array(method.drifts), lengths, steps_before
+        )
+        # rows before each look: one a stage, and the last kick before each look
+        self._offsets = method.evaluations * steps_before + np.arange(looks + 1)
         excitation = scene.excitation
         self.imposed = None
         if isinstance(excitation, (Drive, Force)):
@@ -201,6 +225,7 @@ class DifferentiableRun:
         width = self._x.shape[1]
         self._chains = batch.arrays(self._x, self._v, np.zeros((1, 0, width)), self._state)
         self._mobility = batch.inverse_mass[0]
+        # on the way back a contact has the place of the body below it
         above = aligned(3, width)
         above[0, 1:] = links.inverse_length[0, :-1]
         above[1, 1:] = links.strength[0, :-1]
@@ -222,6 +247,7 @@ class DifferentiableRun:
         """Cut the run into pieces between checkpoints."""
         width = self._x.shape[1]
         rows = int(self._offsets[-1])
+        # as far apart as round-off, or the cache, allows; further where memory does not hold all
         longest = CHECKPOINTS.undone_rows
         if not self._undone:
             longest = max(CHECKPOINTS.fewest_rows, CHECKPOINTS.kept_bytes // (8 * width))
@@ -240,31 +266,31 @@ class DifferentiableRun:
         look = np.searchsorted(self._offsets, rows, side="right") - 1
         step, stage = np.divmod(rows - self._offsets[look], len(self._reach))
         step += self._course.begun[look]
-        over = step == self._course.begun[look + 1]  # the last kick before a look
-        step = np.where(over, step - 1, step)
+        # the last kick before a look belongs to the step that ends there
+        last = step == self._course.begun[look + 1]
+        step = np.where(last, step - 1, step)
         inside = self._begins[step] + self._reach[stage] * self._course.lengths[step]
-        return np.where(over, self.time[look + 1], inside)
+        return np.where(last, self.time[look + 1], inside)
 
     def _path(self, row: int, count: int) -> Path:
-        """Return what is imposed in some rows, or nothing."""
+        """Return the imposed motion or force in some rows, or none."""
         if self.imposed is None:
             return Path(0, np.empty(0), np.empty(0))
         body = int(self._chains.imposed.wave["body"][0])
         imposed = self.imposed.waveform.at(self._times(row, count))
         return Path(body, imposed, np.zeros(imposed.size))
 
-    def _calls(self) -> list[tuple[NDArray[np.intp], int, int]]:
-        """Return pieces, their first row and the number of rows for every call of a loop."""
+    def _calls(self) -> list[Call]:
+        """Return the calls of a compiled loop that a way through the run takes."""
         starts = self._pieces.starts
-        size = (
-            starts.size
-            if self.imposed is None
-            else max(1, CHECKPOINTS.rows_of_call // self._longest)
-        )
+        size = starts.size
+        # what is imposed in each row takes memory
+        if self.imposed is not None:
+            size = max(1, CHECKPOINTS.rows_of_call // self._longest)
         cuts = np.append(np.arange(0, starts.size - 1, size), starts.size - 1)
         return [
-            (np.array(pieces), int(starts[pieces[0]]), int(np.diff(starts[list(pieces)])[0]))
-            for pieces in pairwise(cuts)
+            Call(np.array((first, stop)), int(starts[first]), int(starts[stop] - starts[first]))
+            for first, stop in pairwise(cuts)
         ]
 
     def _run(self) -> None:
@@ -276,6 +302,7 @@ class DifferentiableRun:
             kernels.forward(
                 self._chains, self._course, self._room, path, self._pieces, pieces, self._looks
             )
+        # the loops leave a driven grain without a velocity
         if self.imposed and self._driven:
             for order in (0, 1):
                 motion = self.imposed.waveform.at(self.time, order)
@@ -307,6 +334,7 @@ class DifferentiableRun:
         grains = chain.grains
         looks = np.array([displacement, velocity], dtype=float)
         by_course = np.zeros(self.imposed.size if self.imposed else 0)
+        # what is seen of a driven grain is what its motion says, and no grain moves it
         if self.imposed and self._driven:
             by_x, by_v = looks[..., self.grains == 1].sum(-1)
             by_course += self.imposed.pull(self.time, by_v, 1)
@@ -318,6 +346,7 @@ class DifferentiableRun:
         bodies[2, 1 : width + 1] = self._mobility
         above[:, :width] = self._above
         law = self._law
+        # a polynomial for the strains of this run, which are known only now
         if law.way == Way.UNDONE_SERIES:
             terms = economised(law.less, min(UNSEEN * self._strain, self.scene.largest_strain))
             way = Way.UNDONE_SHORT if terms.size == SHORT else Way.UNDONE_SERIES
@@ -331,6 +360,7 @@ class DifferentiableRun:
             tops=np.empty((2, self._longest)),
             room=self._room,
         )
+        # a grain that the run never moves would have moved from another start
         pieces = self._pieces
         if everywhere:
             pieces = pieces._replace(windows=np.full_like(pieces.windows, (PAD, width - PAD)))
@@ -340,6 +370,7 @@ class DifferentiableRun:
             kernels.backward(law, self._course, pieces, numbers, derivatives, path, memory)
             if self.imposed:
                 by_course += self.imposed.pull(self._times(row, count), path.derivative, 0)
+        # what is seen at t = 0 is the start itself
         x, pull, _, _, by_mass = adjoint[:, PAD + 1 : PAD + 1 + grains]
         v = pull * chain.masses
         np.add.at(x, self.grains - 1, looks[0, 0])
@@ -348,6 +379,7 @@ class DifferentiableRun:
         by_power, by_force = adjoint[2:4, PAD : PAD + grains + 1]
         stiffness = above[2, PAD : PAD + grains + 1]
         by_power = np.divide(by_power, stiffness, out=np.zeros(grains + 1), where=stiffness > 0)
+        # at a fixed force at rest, see `kernels.adjoint`
         by_constant = by_force - contacts.force * by_power
         held = self._mobility[PAD : PAD + grains] == 0
         return Inputs(
@@ -363,7 +395,8 @@ class DifferentiableRun:
 
     def push(self, change: Inputs) -> tuple[Array, Array]:
         """Return the changes of displacement and velocity, (D, looks+1, G), in D directions."""
-        chain, contacts = self.scene.chain, self.scene.chain.contacts
+        chain = self.scene.chain
+        contacts = chain.contacts
         width = self._x.shape[1]
         grains = chain.grains
 
@@ -379,8 +412,8 @@ class DifferentiableRun:
 
         held = self._mobility[PAD : PAD + grains] == 0
         inverse = np.divide(1.0, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists)
-        rows = *np.zeros((4, width)), links(inverse), links(contacts.force)
-        response = Response(*rows)
+        power, force, slope, soften = np.zeros((4, width))
+        response = Response(power, force, slope, soften, links(inverse), links(contacts.force))
         changes = Change(
             x=bodies(np.where(held, 0.0, change.displacement)),
             v=bodies(np.where(held, 0.0, change.velocity)),
@@ -392,6 +425,7 @@ class DifferentiableRun:
         looks = self._looks._replace(values=np.zeros((len(changes.x), *self._looks.values.shape)))
         looks.values[:, 0, 0] = changes.x[:, looks.bodies]
         looks.values[:, 1, 0] = changes.v[:, looks.bodies]
+        # deviations need no checkpoints: they go on from call to call
         pieces = self._pieces
         x, v = pieces.states[0].copy()
         moved = Bodies(x, v, self._mobility)
@@ -419,6 +453,7 @@ class DifferentiableRun:
 
 def _way(exponent: float, links: Links) -> Way:
     """Choose the way back of the one chain of a batch."""
+    # undone where no contact can open: round-off would close or open those that only touch
     form = links.form[0]
     hertz = exponent == 1.5
     if links.precompressed and not links.uncompressed[0]:

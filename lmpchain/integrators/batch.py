@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -16,11 +16,13 @@ from .kernels.contact_forces import FORMS, ROOTS, Form
 from .kernels.layout import ALONE, PAD, WAVE, Chains, Imposed, Links, Team
 from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
 
+# strike number from which the fastest form of the force loses nothing;
 # analysis/calibration/roundoff.py
-STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
+STRONG = 1.0
 FORCES = ("auto", "exact", "plain")
-# bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
-WINDOW_MIN = 14 * PAD  # analysis/calibration/light_cone.py
+# bodies: shorter chains are computed as a whole, for less than it costs to follow the wave;
+# analysis/calibration/light_cone.py
+WINDOW_MIN = 14 * PAD
 
 
 class ChainBatch:
@@ -77,12 +79,11 @@ class ChainBatch:
         excitation = scenes[0].excitation
         self.grains = chain.grains
         self.driven = excitation.driven
-        apart = excitation.of_chain or any(s.excitation is not excitation for s in scenes)
-        # scenes that are set in motion in a way of their own
-        self._struck = scenes if len(scenes) > 1 and apart else scenes[:1]
+        # one start serves all scenes of one excitation, unless it depends on the chain
+        differ = excitation.of_chain or any(s.excitation is not excitation for s in scenes)
+        self._struck = scenes if differ else scenes[:1]
         self.initial = initial or self._initial()
-        masses = [scene.chain.masses for scene in scenes]
-        self.masses = np.array(masses) if len(masses) > 1 else masses[0].copy()[None]
+        self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = together([scene.chain.contacts for scene in scenes])
         at_rest = AtRest(
             overlap=self.contacts.overlap,
@@ -92,20 +93,21 @@ class ChainBatch:
             compressed=chain.compressed,
         )
         strikes = np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes])
-        free = self.driven, chain.movable
-        table, uncompressed, self.omega, self.scale, self.units, self.allowed = lay_out(
-            at_rest, self.masses, strikes, free
-        )
+        layout = lay_out(at_rest, self.masses, strikes, (self.driven, chain.movable))
+        self.inverse_mass = layout.inverse_mass
+        self.omega = layout.omega
+        self.scale = layout.scale
+        self.units = layout.units
+        self.allowed = layout.allowed
         forms = [force_form(scene, force) for scene in scenes]
         self.links = Links(
-            inverse_length=table[0],
-            strength=table[1],
-            uncompressed=uncompressed,
+            inverse_length=layout.inverse_length,
+            strength=layout.strength,
+            uncompressed=layout.uncompressed,
             form=np.array(forms),
             precompressed=float(chain.compressed),
             coefficients=series(chain.exponent),
         )
-        self.inverse_mass = table[2]
         self.plain = [form in ROOTS and chain.compressed for form in forms]
         self.opening_power = chain.exponent
         self.imposed = self._imposed()
@@ -115,9 +117,6 @@ class ChainBatch:
         return np.repeat(rows, len(self.scenes), axis=0) if len(rows) < len(self.scenes) else rows
 
     def _initial(self) -> tuple[Array, Array]:
-        if len(self.scenes) == 1:
-            u, v = self.scenes[0].initial()
-            return u[None], v[None]
         u, v = np.array([scene.initial() for scene in self._struck]).swapaxes(0, 1)
         return self._of_each(np.ascontiguousarray(u)), self._of_each(np.ascontiguousarray(v))
 
@@ -149,10 +148,13 @@ class ChainBatch:
         )
 
     def _imposed(self) -> Imposed:
-        """Return what acts on the chains after t = 0."""
+        """Return the imposed motions or forces of the chains after t = 0."""
         size = len(self.scenes)
         if not self.scenes[0].excitation.does_work:
-            return _no_motion(size, self.grains)
+            # the last body that is acted on lies before the first
+            none = np.tile([PAD - 1 + self.grains, PAD], (size, 1))
+            knots = np.zeros((size, 0))
+            return Imposed(False, none, np.zeros(size, WAVE), knots, np.zeros((size, 4, 0)))
         reach = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck]))
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
@@ -165,7 +167,11 @@ class ChainBatch:
                 continue
             first, _ = scene.excitation.reach(scene.chain)
             body = PAD + first - 1
-            body = body if scene.excitation.driven else PAD - 1 if scene.excitation.wall else -body
+            if scene.excitation.wall:
+                body = PAD - 1
+            elif not scene.excitation.driven:
+                # below 0: the body is pushed, see `layout.WAVE`
+                body = -body
             count = 0 if spline is None else len(spline.x)
             table[real] = wave.amplitude, wave.omega, wave.envelope, wave.end, count, body
             if spline is not None:
@@ -177,12 +183,6 @@ class ChainBatch:
     def openings(self) -> tuple[Array, Array]:
         """Weight and reach of each contact, (R, W), see `layout.Openings`."""
         return opening_weights(self.links, self.inverse_mass, self.omega, self.scale)
-
-
-@lru_cache(maxsize=64)
-def _no_motion(size: int, grains: int) -> Imposed:
-    reach = np.tile([PAD - 1 + grains, PAD], (size, 1))  # the last before the first
-    return Imposed(False, reach, np.zeros(size, WAVE), np.zeros((size, 0)), np.zeros((size, 4, 0)))
 
 
 @cache
@@ -214,6 +214,7 @@ def force_form(scene: Scene, force: str = "auto") -> int:
         return Form.UNCOMPRESSED_POWER if roots is None else roots
     if force == "auto" and scene.largest_strain < weakest(exponent):
         return Form.POLYNOMIAL
+    # the plain form subtracts two forces, and loses what is below the last digit of that at rest
     if roots is not None and (
         force == "plain" or (force == "auto" and scene.strike_number > STRONG)
     ):
@@ -222,5 +223,5 @@ def force_form(scene: Scene, force: str = "auto") -> int:
 
 
 def name_of(form: int) -> str:
-    """Return what a form of the force is called."""
+    """Return the name of a form of the force."""
     return FORMS[form][0]

@@ -34,10 +34,12 @@ class DormandPrince:
 
     @cached_property
     def tables(self) -> tuple[Array, Array, Array]:
-        """Nodes (12,), inner weights (12, 12) and weights of a step (2, 12); see `kernels.dop853`."""
+        """Nodes (12,), inner weights (12, 12), weights of a step (2, 12); see `kernels.dop853`."""
         from scipy.integrate import DOP853
 
-        a, b = DOP853.A[:12, :12], DOP853.B
+        # of two integrations at once, of accelerations to displacements
+        a = DOP853.A[:12, :12]
+        b = DOP853.B
         return DOP853.C[:12], a @ a, np.array([b @ a, b])
 
     @cached_property
@@ -54,13 +56,13 @@ class DormandPrince:
         """Return by what factor x'' = -omega^2 x grows a step; it shrinks up to the limit."""
         from scipy.integrate import DOP853
 
-        a, b = DOP853.A[:12, :12], DOP853.B
-        return float(
-            abs(1 + 1j * reach * b @ np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12)))
-        )
+        # the stability function at i omega h
+        a = DOP853.A[:12, :12]
+        slopes = np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12))
+        return float(abs(1 + 1j * reach * DOP853.B @ slopes))
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
-        """Return what moves a batch of chains by steps of these schedules."""
+        """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.dop853 import march
 
         openings = shorten_steps(self.order, batch, schedules)

@@ -40,6 +40,7 @@ class Gear:
 
     def growth(self, reach: float) -> float:
         """Return by what factor x'' = -omega^2 x grows a step: always."""
+        # Taylor's series of x, h x', h^2 x'' / 2 ...: binomial coefficients
         predict = np.array(
             [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]]
         )
@@ -47,7 +48,7 @@ class Gear:
         return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
-        """Return what moves a batch of chains by steps of these schedules."""
+        """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.gear import march
 
         return March(march, (np.array(self.corrections),), history=3)

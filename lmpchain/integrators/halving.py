@@ -6,7 +6,8 @@ Richardson's formula: with steps h and q h a method of order p gives answers tha
 
 Here nothing is divided: where a contact opens the force is not smooth, and the order is lost. The
 difference itself, times `SAFETY`, is the bound. L. F. Richardson, Phil. Trans. R. Soc. A 210, 307
-(1911); E. Hairer, S. P. Norsett and G. Wanner, Solving Ordinary Differential Equations I, sec. II.4.
+(1911); E. Hairer, S. P. Norsett and G. Wanner, Solving Ordinary Differential Equations I, section
+II.4.
 """
 
 from __future__ import annotations
@@ -56,5 +57,6 @@ def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]
         if attempt.excess <= 1:
             break
         attempt = solve(halvings)
+        # round-off may make the last one worse than those before
         best = min(best, attempt, key=lambda one: one.excess)
     return best

@@ -39,19 +39,12 @@ def adaptive_steps(scene: Scene, method: Splitting, step: float, looks: int) -> 
         ChainBatch([scene]), method, StepSchedule(count, 1, interval / count, True), {}
     )
     u, v = np.empty((2, 1, 2, scene.chain.grains))
-    before = 0.0
-    begun = 0
-    steps = []
-    parts: list[Array] = []
-    while begun < looks:
-        run.fill(u, v, begun, begun + 1, 1)
-        landed = run.sample > begun
-        done = interval if landed else float(run.watched["done"][0])
-        steps.append(done - before)
-        before = done
-        if landed:
-            parts.append(np.array(steps))
-            before = 0.0
-            begun = begun + 1
-            steps = []
-    return parts
+    steps: list[Array] = []
+    for look in range(looks):
+        times = [0.0]
+        # one step a call, of which the clock says how long it was
+        while run.sample == look:
+            run.fill(u, v, look, look + 1, 1)
+            times.append(float(run.watched["done"][0]) if run.sample == look else interval)
+        steps.append(np.diff(times))
+    return steps

@@ -47,8 +47,9 @@ class ImposedCourse:
 
     def _sine(self, time: Array, order: int) -> Array:
         """Return derivatives by amplitude and frequency, (2, ...)."""
-        wave, rate = self.waveform, self.waveform.at(time, order + 1)
-        by_frequency = time * rate + (wave.at(time, 1) if order else 0.0)
+        wave = self.waveform
+        # of A sin(w t) by w: t / w times its rate
+        by_frequency = time * wave.at(time, order + 1) + (wave.at(time, 1) if order else 0.0)
         return np.array(
             [
                 replace(wave, amplitude=1.0).at(time, order),
@@ -63,13 +64,15 @@ class ImposedCourse:
         if self.waveform.spline is None:
             return self._sine(time, order) @ weight
         piece, powers = self._pieces(time, order)
-        gathered = np.array([np.bincount(piece, weight * power, self.size - 1) for power in powers])
-        return np.tensordot(gathered, self._basis.c, 2)
+        # summed by pieces first: of coefficients there are as many as samples squared
+        by_piece = np.array([np.bincount(piece, weight * power, self.size - 1) for power in powers])
+        return np.tensordot(by_piece, self._basis.c, 2)
 
     def push(self, time: Array, change: Array, order: int) -> Array:
         """Return changes (D, ...) of value, or rate (order 1), at times, for changes (D, P)."""
         if self.waveform.spline is None:
             return np.tensordot(change, self._sine(time, order), 1)
         piece, powers = self._pieces(time, order)
-        coefficients = np.tensordot(change, self._basis.c, (1, 2))  # (D, 4, P-1)
+        # (D, 4, P-1)
+        coefficients = np.tensordot(change, self._basis.c, (1, 2))
         return np.einsum("k...,dk...->d...", powers, coefficients[:, :, piece])

@@ -1,4 +1,4 @@
-"""What every method of time integration is and says of itself."""
+"""Interface of the methods of time integration, and their properties."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class March(NamedTuple):
 
 
 class Method(Protocol):
-    """What is known of every method."""
+    """A method of time integration: its order, cost and stability, and its compiled march."""
 
     @property
     def name(self) -> str:
@@ -58,7 +58,10 @@ class Method(Protocol):
 
     @property
     def error_constant(self) -> float:
-        """Relative error at omega h = 1 for omega T = 60: analysis/calibration/error_constants.py."""
+        """Relative error at omega h = 1 for omega T = 60.
+
+        analysis/calibration/error_constants.py.
+        """
 
     @property
     def reference(self) -> str:
@@ -80,7 +83,7 @@ class Method(Protocol):
         """Return the factor by which an oscillator grows a step, or shrinks, at omega h = reach."""
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
-        """Return what moves a batch of chains by steps of these schedules, of one kind."""
+        """Return the compiled march of a batch of chains by these schedules, of one kind."""
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:

@@ -1,4 +1,4 @@
-"""How steps near contacts that open or close depend on the method and on its schedules."""
+"""Lengths of steps near contacts that open or close, by method and schedule."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ class OpeningSteps:
     Attributes
     ----------
     shortened : float
-        h' / h at the time 1 / omega from the opening of the contact that matters most: small enough that
-        these steps leave as little error as the others.
+        h' / h at the time 1 / omega from the opening of the contact that matters most: small enough
+        that these steps leave as little error as the others.
     coarse : float
         The same of coarse ones, where samples hold steps short and that does not matter.
     crossing : float
         omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening.
     least_crossing : float
-        omega h' over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off.
+        omega h' over the (delta + 1)th root of EPSILON: what a shorter step would gain is
+        round-off.
     """
 
     shortened: float = 0.2
@@ -43,8 +44,9 @@ OPENING_STEPS = OpeningSteps()
 
 
 def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> Shortening:
-    """Return how much shorter steps of these schedules, of one kind, are near openings."""
+    """Return the lengths of steps near openings, of these schedules of one kind."""
     steps = OPENING_STEPS
+    # a step across an opening is wrong by its length to the power delta + 1
     falls = 1 / (batch.opening_power + 1)
     ratios = np.array([schedule.ratio for schedule in schedules])
     shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened

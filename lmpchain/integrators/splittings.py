@@ -7,9 +7,9 @@ symmetric, so explicit, time-reversible and symplectic.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
 
@@ -24,7 +24,8 @@ from .step_schedule import StepSchedule
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-DENSE_ROWS = 4  # what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
+# what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
+DENSE_ROWS = 4
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,8 @@ class Splitting:
         return len(self.drifts)
 
     @cached_property
-    def _coefficients(self) -> tuple[Array, Array]:
-        return np.array(self.kicks), np.array(self.drifts)
+    def _stages(self) -> Stages:
+        return Stages(np.array(self.kicks), np.array(self.drifts))
 
     @cached_property
     def reach(self) -> tuple[float, ...]:
@@ -91,35 +92,27 @@ class Splitting:
         return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
-        """Return what moves a batch of chains by steps of these schedules."""
-        (kicks, drifts), schedule = self._coefficients, schedules[0]
-        adaptive = schedule.adaptive or schedule.dense > 0
-        run = _march(adaptive)
-        stages = Stages(kicks, drifts)
-        if not adaptive:
-            return March(run, stages, shared=True)
+        """Return the compiled march of a batch of chains by steps of these schedules."""
+        from .kernels import adaptive_splitting, splitting
+
+        schedule = schedules[0]
+        # samples between steps are interpolated by the adaptive march alone
+        if not (schedule.adaptive or schedule.dense > 0):
+            return March(splitting.march, self._stages, shared=True)
         openings = shorten_steps(self.order, batch, schedules)
         history = DENSE_ROWS if schedule.dense else 0
-        return March(run, (stages, openings), history, shared=True)
+        return March(adaptive_splitting.march, (self._stages, openings), history, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
         square = frequency**2
-        # x and v from (1, 0) and (0, 1)
+        # x and v from (1, 0) and (0, 1); for |half the trace| > 1 one of the two motions grows
         x = np.array([np.ones_like(square), np.zeros_like(square)])
         v = np.array([np.zeros_like(square), np.ones_like(square)])
         for b, a in zip(self.kicks, (*self.drifts, 0.0), strict=True):
             v = v - b * square * x
             x = x + a * v
         return (x[0] + v[1]) / 2
-
-
-@cache  # an import costs more than a short run takes between two samples
-def _march(adaptive: bool) -> Callable[..., int]:
-    """Return the compiled march by adaptive steps, or by those of one length."""
-    from .kernels import adaptive_splitting, splitting
-
-    return adaptive_splitting.march if adaptive else splitting.march
 
 
 def _symmetric(half: list[float], count: int) -> tuple[float, ...]:

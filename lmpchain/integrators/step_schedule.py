@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-# steps between two samples from which on companions land on each, too: there a landing changes their
-# steps by little, and few samples may miss a collision; analysis/calibration/richardson_estimate.py
+# steps between two samples from which on companions land on each, too: there a landing changes
+# their steps by little, and few samples may miss a collision;
+# analysis/calibration/richardson_estimate.py
 MANY_STEPS = 32
 
 
@@ -26,7 +27,8 @@ class StepSchedule(NamedTuple):
     ratio : float
         Step over that of the answer.
     coarse_openings : bool
-        Whether steps near openings are longer than what keeps the order of the method there asks for.
+        Whether steps near openings are longer than what keeps the order of the method there asks
+        for.
     dense : int
         Every `dense`-th sample between two landings is interpolated; 0: none.
     """
@@ -42,17 +44,20 @@ class StepSchedule(NamedTuple):
     def longer(self, ratio: float) -> StepSchedule:
         """Return the schedule of a companion of this one, with steps longer by this ratio.
 
-        If the answer interpolates samples, the companion interpolates every 4th, 2nd or each of them, as they are
-        only compared. Otherwise, with many steps a sample, it lands on every sample, for a collision may show in one
-        sample only; with few, its landings are as much further apart.
+        If the answer interpolates samples, the companion interpolates every 4th, 2nd or each of
+        them, as they are only compared. Otherwise, with many steps a sample, it lands on every
+        sample, for a collision may show in one sample only; with few, its landings are as much
+        further apart.
         """
         steps = math.ceil(self.steps / ratio)
         companion = self._replace(steps=steps, step=self.step * self.steps / steps, ratio=ratio)
+        # of a step there is to be one sample at least, where it interpolates
         if self.stride > 1:
             dense = next(n for n in (4, 2, 1) if n == 1 or ratio * self.stride >= n * self.steps)
             return companion._replace(dense=dense)
         if self.steps >= MANY_STEPS:
             return companion
+        # in lowest terms: landings as close as whole numbers of longer steps allow
         numerator, denominator = ratio.as_integer_ratio()
         common = math.gcd(denominator * self.steps, numerator)
         return companion._replace(
@@ -63,8 +68,8 @@ class StepSchedule(NamedTuple):
 
     def total(self, samples: int) -> int:
         """Return the steps from sample 0 to the sample of this number, if all are equal."""
-        landings, rest = divmod(samples, self.stride)
-        return landings * self.steps - (-self.steps * rest // self.stride)
+        landings, remaining = divmod(samples, self.stride)
+        return landings * self.steps - (-self.steps * remaining // self.stride)
 
     @property
     def halved(self) -> StepSchedule:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
-from typing import Any, Protocol
+from itertools import pairwise
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,19 +28,33 @@ from .method import Method
 from .step_schedule import StepSchedule
 
 NOTHING = np.empty((0, 0, 0, 0))
-# what a thread works on: chains, what the method and the clocks are, and chains from which to which
-Work = tuple[Chains, tuple[Any, ...], NDArray[Any], int, int]
+UNFIT = "the state that was kept does not fit"
 
 
-@lru_cache(maxsize=256)
-def _clocks(schedules: tuple[StepSchedule, ...], interval: float, final: int) -> NDArray[Any]:
-    rows = [(interval, final, s.steps, s.step, s.stride, s.ratio == 1, s.dense) for s in schedules]
-    return np.array(rows, CLOCK)
+class Work(NamedTuple):
+    """The share of a thread in a batch: chains, their method and clocks.
+
+    Attributes
+    ----------
+    chains : Chains
+    method : tuple
+        Coefficients of the method, as its march takes them.
+    clocks : (F,) array of `layout.CLOCK`
+    begin, end : int
+        The first of the chains, and the one behind the last.
+    """
+
+    chains: Chains
+    method: tuple[Any, ...]
+    clocks: NDArray[Any]
+    begin: int
+    end: int
 
 
 def room_for(*shape: int) -> tuple[Array, Array]:
     """Return where a stepper can put displacements and velocities of grains, (..., N) each."""
-    make = np.empty if shape[-1] <= WHOLE_ROWS else np.zeros  # what no wave has reached stays zero
+    # in long rows, what no wave has reached stays zero
+    make = np.empty if shape[-1] <= WHOLE_ROWS else np.zeros
     return make(shape), make(shape)
 
 
@@ -69,7 +83,7 @@ class Stepper(Protocol):
         """
 
     def state(self) -> dict[str, Array]:
-        """Return what is needed to go on with the same bits."""
+        """Return the arrays from which a run goes on with the same bits."""
 
     def close(self) -> None:
         """Release everything."""
@@ -112,6 +126,7 @@ class NativeStepper:
         count = len(self._schedules)
         u = chains.initial[0][None]
         v = chains.initial[1][None]
+        # a state has the bodies of every schedule
         if state:
             u, v = (
                 np.array(state[name], dtype=float).reshape(count, self._size, chains.grains)
@@ -123,33 +138,37 @@ class NativeStepper:
             self._state[:] = state["state"]
         self.stride = schedule.stride
         final = scenes[0].samples - 1
-        clocks = _clocks(self._schedules, scenes[0].duration / final, final)
+        interval = scenes[0].duration / final
+        rows = [
+            (interval, final, s.steps, s.step, s.stride, s.ratio == 1, s.dense)
+            for s in self._schedules
+        ]
+        clocks = np.array(rows, CLOCK)
         march = method.march(chains, self._schedules)
         self._march = march.run
-        parts = (
-            min(threads, chains.grains // LEAST_SHARE)
-            if march.shared and self._size < threads
-            else 1
-        )
+        # threads share chains out; a chain each, or each chain if there are too few of them
+        parts = 1
+        if march.shared and self._size < threads:
+            parts = min(threads, chains.grains // LEAST_SHARE)
         shares = min(threads, self._size) if parts < 2 else 1
         self._teams = team(parts) if parts > 1 else [ALONE]
         # each thread that shares a chain has a state of its own, in which only extremes differ
         self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
+        # the thread that asks is one of them
         others = shares * len(self._teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
         self._history = np.zeros((count * self._size, march.history, self._x.shape[1]))
         if state:
             if state["history"].shape != self._history.shape:
-                raise ValueError("the state that was kept does not fit")
+                raise ValueError(UNFIT)
             self._history[:] = state["history"]
-        bodies = self._x, self._v, self._history
+        borders = [share * self._size // shares for share in range(shares + 1)]
         self._work: list[Work] = []
         for thread_state, member in zip(self._states, self._teams, strict=True):
-            work = chains.arrays(*bodies, thread_state, member), march.method, clocks
-            for share in range(shares):
-                self._work.append(
-                    (*work, share * self._size // shares, (share + 1) * self._size // shares)
-                )
+            arrays = chains.arrays(self._x, self._v, self._history, thread_state, member)
+            self._work += [
+                Work(arrays, march.method, clocks, begin, end) for begin, end in pairwise(borders)
+            ]
         # to no goal: this only compiles, so that the time of the first fill is that of steps
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
@@ -166,7 +185,7 @@ class NativeStepper:
             # a clock that is no number never ends; extremes need not be numbers, after a breakdown
             fits = bool(inside.all() and np.isfinite(state["done"]).all())
         if not fits:
-            raise ValueError("the state that was kept does not fit")
+            raise ValueError(UNFIT)
 
     def fill(
         self,
@@ -202,6 +221,7 @@ class NativeStepper:
             raise
         if len(self._teams) == 1:
             return sum(done)
+        # each has looked at its own grains; all have made the same steps
         strains = [state["least_strain"] for state in self._states]
         self._state["least_strain"] = np.min(strains, axis=0)
         for name in ("largest_approach", "largest_displacement", "largest_speed"):
@@ -209,7 +229,7 @@ class NativeStepper:
         return done[0]
 
     def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
-        """Do what one thread has to."""
+        """Move the chains of one thread."""
         chains, method, clocks, begin, end = work
         try:
             return self._march(chains, method, clocks, fields, Goal(begin, end, until, max_steps))
@@ -236,9 +256,9 @@ class NativeStepper:
     @property
     def progress(self) -> float:
         """Part of all landings that are done."""
-        of_each = self._state["sample"].reshape(-1, self._size).mean(1)
+        samples = self._state["sample"].reshape(-1, self._size).mean(1)
         rates = [1 / schedule.stride for schedule in self._schedules]
-        return float(of_each @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
+        return float(samples @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
 
     @property
     def watched(self) -> NDArray[Any]:
@@ -260,14 +280,14 @@ class NativeStepper:
         return np.array((state["largest_displacement"], state["largest_speed"])).T
 
     def state(self) -> dict[str, Array]:
-        """Return what is needed to go on with the same bits."""
+        """Return the arrays from which a run goes on with the same bits."""
         inside = slice(PAD, PAD + self.chains.grains)
         u, v = (
             bodies[:, inside].reshape(-1, self._size, inside.stop - PAD)
             for bodies in (self._x, self._v)
         )
-        kept = {"u": u, "v": v, "state": self._state, "history": self._history}
-        return {name: array.copy() for name, array in kept.items()}
+        arrays = {"u": u, "v": v, "state": self._state, "history": self._history}
+        return {name: array.copy() for name, array in arrays.items()}
 
     def leave(self, broken: NDArray[np.bool_], until: int) -> None:
         """Let those chains, (S + 1, R), be at the sample `until` as they are."""

@@ -1,5 +1,5 @@
-"""Bounds that are known without arrays: never crossed by what the arrays say, and close for the
-paper's column.
+"""Bounds that are known without arrays: never crossed by what the arrays say,
+and close for the paper's column.
 """
 
 import numpy as np

@@ -1,5 +1,5 @@
-"""The chain at rest, its band edge and its energy, against formulas and methods that the package
-does not use.
+"""The chain at rest, its band edge and its energy, against formulas and methods
+that the package does not use.
 """
 
 import dataclasses
@@ -54,8 +54,8 @@ def test_the_chain_of_the_paper():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
 def test_contact_constant_for_any_exponent(exponent: float):
-    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) with everything from the two grains of the
-    contact.
+    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) with everything from the
+    two grains of the contact.
     """
     chain = Chain(
         grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent
@@ -107,8 +107,8 @@ def test_a_wall_of_the_same_material_is_sqrt_2_times_as_stiff(exponent: float):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 def test_wall_constants_of_other_materials(exponent: float):
-    """K = (4/3) E* sqrt(R) d^(1.5 - delta) with the radius and the diameter of the grain that
-    touches the wall.
+    """K = (4/3) E* sqrt(R) d^(1.5 - delta) with the radius and the diameter of
+    the grain that touches the wall.
     """
     chain = Chain(
         grains=3,
@@ -183,8 +183,8 @@ def test_forces_balance_at_rest_between_walls(chain: Chain):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 def test_the_contact_law_and_what_follows_from_it(exponent: float):
-    """Stiffness is the slope of the force, a collision ends where the energy is spent, and loads
-    scale stiffnesses.
+    """Stiffness is the slope of the force, a collision ends where the energy is
+    spent, and loads scale stiffnesses.
     """
     every = Chain(grains=5, diameter=1e-3, exponent=exponent).contacts
     contacts = every.of(np.flatnonzero(every.pressed))
@@ -276,8 +276,8 @@ def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
 
 
 def test_band_edge_between_like_walls():
-    """N equal springs between equal walls of constant kappa k: the determinant in closed form for
-    two grains.
+    """N equal springs between equal walls of constant kappa k: the determinant
+    in closed form for two grains.
     """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
     k, m = chain.contact_constants[0], chain.masses[0]
@@ -296,8 +296,8 @@ def test_band_edge_of_a_free_pair_and_of_a_vacuum():
 
 
 def contact_energy(chain: Chain, n: int, r: float) -> float:
-    """Work done on contact n, 0 that with a wall above, beyond that of its force at rest, closer by
-    r, J.
+    """Work done on contact n, 0 that with a wall above, beyond that of its
+    force at rest, closer by r, J.
     """
     eps, force, delta = chain.contacts.overlap[n], chain.contacts.force[n], chain.exponent
     if force == 0:
@@ -378,8 +378,8 @@ def test_excess_energy_between_walls(chain: Chain):
 
 
 def test_excess_energy_of_contacts_that_rest():
-    """Of many samples, columns that never move are left out, and the others are what each sample
-    alone gives.
+    """Of many samples, columns that never move are left out, and the others are
+    what each sample alone gives.
     """
     contacts = Chain(grains=9, diameter=1e-3, bottom="wall").contacts
     r = np.random.default_rng(1).normal(size=(5, 10)) * contacts.overlap[-1]
@@ -643,8 +643,8 @@ def test_a_fault_names_its_key_and_says_what_to_do(keys: dict, key: str, message
 
 
 def test_the_strike_is_held_against_walls_too():
-    """Grain 1 thrown up at a wall of rubber, or driven into grain 2, goes in too deep for Hertz's
-    law.
+    """Grain 1 thrown up at a wall of rubber, or driven into grain 2, goes
+    in too deep for Hertz's law.
     """
     rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
     chain = Chain(grains=5, diameter=1e-3, top="wall", top_material=rubber)
@@ -694,8 +694,8 @@ def test_materials():
     "odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]]
 )
 def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impurity], monkeypatch):
-    """A hundred million grains would be gigabytes; the bound is what arrays say of a chain that is
-    just long.
+    """A hundred million grains would be gigabytes; the bound is what arrays say
+    of a chain that is just long.
     """
     tracemalloc.start()
     try:

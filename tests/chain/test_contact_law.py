@@ -1,5 +1,5 @@
-"""Contacts one by one: force, energy, bounds and what follows from them, in 40 digits or in closed
-form.
+"""Contacts one by one: force, energy, bounds and what follows from them, in
+40 digits or in closed form.
 """
 
 import mpmath as mp
@@ -68,8 +68,8 @@ def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float) -> 
 
 
 def test_energy_bounds_overlaps_and_strains() -> None:
-    """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2; the lesser of the
-    two counts.
+    """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2;
+    the lesser of the two counts.
     """
     constant, force = np.array([1e9, 2e9, 5e8]), np.array([1e-4, 3e-4, 2e-4])
     contacts = Contacts.at_rest(constant, force, 1.5)
@@ -133,8 +133,8 @@ def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:
 
 
 def test_bounds_are_reached_where_grains_are_alike() -> None:
-    """Masses, sizes and sound exactly; constants between two grains and at a wall; the lowest
-    overlap.
+    """Masses, sizes and sound exactly; constants between two grains and at
+    a wall; the lowest overlap.
     """
     chain = Chain(
         grains=2,
@@ -207,8 +207,8 @@ def test_energy_that_a_moved_wall_puts_in() -> None:
 
 
 def test_a_long_chain_is_judged_by_its_common_grains() -> None:
-    """From a million grains on, at least what the grains well above the lowest ones weigh is
-    carried.
+    """From a million grains on, at least what the grains well above the
+    lowest ones weigh is carried.
     """
     material = Material(density=1.0, youngs_modulus=6e10, poissons_ratio=0.0)
     both = Kinds([material, material], [1e-3, 2e-3], [1e-6, 1e-5])

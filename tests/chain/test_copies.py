@@ -1,5 +1,5 @@
-"""Copies: a changed one is checked and owes nothing to the old one, and nothing else changes a
-value.
+"""Copies: a changed one is checked and owes nothing to the old one, and
+nothing else changes a value.
 """
 
 import copy

@@ -20,8 +20,8 @@ from lmpchain.theory import scattering
     "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow), "modes"]
 )
 def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
-    """With K_wall = 2^delta K it is half of a symmetric chain, whose middle contact is squeezed
-    from both sides.
+    """With K_wall = 2^delta K it is half of a symmetric chain, whose middle
+    contact is squeezed from both sides.
     """
     if (engine == "lammps" and delta == 2.2) or (engine == "modes" and not load):
         return

@@ -1,5 +1,5 @@
-"""Patterned chains: their grains one by one, and what follows from them by formulas written out
-here.
+"""Patterned chains: their grains one by one, and what follows from them
+by formulas written out here.
 """
 
 from math import pi, sqrt

@@ -1,5 +1,5 @@
-"""Pieces of a chain, and what long chains cost, against the whole and against chains written out
-grain by grain.
+"""Pieces of a chain, and what long chains cost, against the whole and against
+chains written out grain by grain.
 """
 
 import tracemalloc
@@ -108,8 +108,8 @@ def test_the_largest_part_is_the_chain_and_parts_are_chains_like_others(chain: C
     ids=["top", "middle", "near the wall", "driven", "profile"],
 )
 def test_a_part_moves_as_the_whole(strike, first: int, last: int):
-    """Until the wave comes to its ends; grain 60 is an impurity, and below grain 120 lies a
-    wall.
+    """Until the wave comes to its ends; grain 60 is an impurity, and
+    below grain 120 lies a wall.
     """
     chain = Chain(
         grains=120,
@@ -169,8 +169,8 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
 
 
 def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
-    """Bounds spare sound chains the arrays; they must never let a faulty one pass, nor refuse a
-    sound one.
+    """Bounds spare sound chains the arrays; they must never let a faulty one
+    pass, nor refuse a sound one.
     """
     rng = np.random.default_rng(11)
     refused = 0

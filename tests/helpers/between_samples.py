@@ -1,5 +1,5 @@
-"""Largest values and fronts of one body whose displacement, velocity, acceleration and jerk are
-given.
+"""Largest values and fronts of one body whose displacement, velocity,
+acceleration and jerk are given.
 """
 
 import math
@@ -91,8 +91,8 @@ def block_of(
     known: Any = True,
     imposed: Imposed | None = None,
 ) -> Block:
-    """Return samples (T, C) of a chain from constants, forces and overlaps of its contacts (3,
-    N+1).
+    """Return samples (T, C) of a chain from constants, forces and
+    overlaps of its contacts (3, N+1).
 
     `columns` are those of all bodies, walls included, or marks.
     """

@@ -1,5 +1,5 @@
-"""Headless Chromium, steered through a pipe by the DevTools protocol; nothing but the browser is
-needed.
+"""Headless Chromium, steered through a pipe by the DevTools protocol;
+nothing but the browser is needed.
 """
 
 import base64

@@ -1,5 +1,5 @@
-"""Commands as processes of their own: started, watched by what they have done so far, stopped and
-read.
+"""Commands as processes of their own: started, watched by what they have
+done so far, stopped and read.
 """
 
 import os
@@ -122,8 +122,8 @@ def at_work(folder: Path, process: subprocess.Popen[str], samples: int = 1) -> N
 
 
 def busy(process: int, seconds: float) -> None:
-    """Wait until a process has computed for so long with LAMMPS loaded, however little of the cores
-    it is given.
+    """Wait until a process has computed for so long with LAMMPS loaded, however
+    little of the cores it is given.
     """
     watched = psutil.Process(process)
 

@@ -35,8 +35,8 @@ def paper(name: str, samples: int = 26) -> Scene:
 
 
 def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
-    """Return a short loaded chain struck so gently (v0* = 1e-3) that nothing comes near to
-    opening.
+    """Return a short loaded chain struck so gently (v0* = 1e-3) that
+    nothing comes near to opening.
     """
     chain = Chain(
         grains=grains, material=GLASS, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent
@@ -112,8 +112,8 @@ def _impurities(rng: np.random.Generator, grains: int, diameter: float) -> list[
 
 
 def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, float]:
-    """Return a length and a frequency: those of the contact below this grain, in the vacuum those
-    of a strike.
+    """Return a length and a frequency: those of the contact below this grain, in
+    the vacuum those of a strike.
     """
     if chain.compressed:
         contact = min(grain, chain.grains - 1) - 1
@@ -174,8 +174,8 @@ def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
 def acted_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)
 ) -> Scene:
-    """Draw forces, bursts, walls that move and packets, on chains of one grain and more, also
-    between given walls.
+    """Draw forces, bursts, walls that move and packets, on chains of one grain and
+    more, also between given walls.
     """
     while True:
         try:
@@ -281,8 +281,8 @@ def _wide_chain(rng: np.random.Generator) -> Chain:
 
 
 def _at_speed(rng: np.random.Generator, chain: Chain, speed: float) -> Scene:
-    """Draw an excitation that moves grains at about this speed, for 2 to 20 times what contacts
-    need to answer it.
+    """Draw an excitation that moves grains at about this speed, for 2 to 20 times
+    what contacts need to answer it.
     """
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
     mass, contact = chain.masses[grain - 1], min(grain, chain.grains - 1) - 1

@@ -15,8 +15,8 @@ def tangent_map(
     steps: np.ndarray,
     splitting: Splitting,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return displacement and velocity (M,) after these steps, s, and the derivatives by both (2M,
-    2M).
+    """Return displacement and velocity (M,) after these steps, s, and the
+    derivatives by both (2M, 2M).
     """
     size, delta = chain.movable, REAL(chain.exponent)
     constant, rest = (

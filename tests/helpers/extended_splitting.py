@@ -66,8 +66,8 @@ def _hertz(scene: Scene, young: Array, d: Array) -> Array:
 
 
 def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
-    """Return masses, constants and so on with some parameters changed, and all that follows from
-    them.
+    """Return masses, constants and so on with some parameters changed, and
+    all that follows from them.
     """
     chain, now = scene.chain, parameters(scene)
     before = {name: value.copy() for name, value in now.items()}
@@ -133,8 +133,8 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
 def run(
     scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]
 ) -> tuple[Array, Array, Any]:
-    """Return displacement and velocity (looks+1, N) after so many steps a look, and what the chain
-    is made of.
+    """Return displacement and velocity (looks+1, N) after so many steps a look,
+    and what the chain is made of.
     """
     chain, now = scene.chain, made_of(scene, changed)
     m, delta = now["masses"], WIDE(chain.exponent)

@@ -1,5 +1,5 @@
-"""The command line of lmpchain with a checkpoint at every few samples, and first attempts whose
-steps are too long.
+"""The command line of lmpchain with a checkpoint at every few samples, and first
+attempts whose steps are too long.
 
     python tests/helpers/hurried.py run scene.toml -o run/
 

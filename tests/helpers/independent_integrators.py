@@ -1,5 +1,5 @@
-"""References that the engines did not make: two integrators that share nothing with the package but
-Eq. (1).
+"""References that the engines did not make: two integrators that share nothing
+with the package but Eq. (1).
 
 Both take a scene and return ``(u, v, error)``: displacement (T, N) m and velocity (T, N) m/s of
 every grain at the recorded times, positive downward, and how far a second, looser run came out, in
@@ -28,8 +28,8 @@ Reference = tuple[NDArray[np.float64], NDArray[np.float64], float]
 
 
 class Motion:
-    """Eq. (1) for one scene: lengths in units of `length`, times in units of `time`, in the
-    precision `kind`.
+    """Eq. (1) for one scene: lengths in units of `length`, times in units of
+    `time`, in the precision `kind`.
 
     ``x_n'' = [f_(n-1) - f_n] / m_n`` where f_n is the force of contact n minus its equilibrium
     value; contact 0 is with a wall above grain 1 and contact N with one below grain N. It is found
@@ -94,8 +94,8 @@ class Motion:
         return state
 
     def size(self, t: np.floating[Any], state: Array) -> Array:
-        """Return the largest displacement and velocity of all grains in a state (2, N), and of a
-        wall that moves.
+        """Return the largest displacement and velocity of all grains in a state (2,
+        N), and of a wall that moves.
         """
         largest = np.abs(state).max(axis=1)
         if self.acting and self.body == 0:  # it moves before any grain does
@@ -104,8 +104,8 @@ class Motion:
         return largest
 
     def closeness(self, t: np.floating[Any], x: Array) -> Array:
-        """Return how much closer than at rest contacts (N+1,) are, over their overlap at rest if
-        they have one.
+        """Return how much closer than at rest contacts (N+1,) are, over their
+        overlap at rest if they have one.
         """
         bodies = np.zeros(x.size + 2, dtype=x.dtype)  # a wall, or nothing, at either end
         bodies[1:-1] = x
@@ -116,8 +116,8 @@ class Motion:
     def changes(
         self, t: np.floating[Any], state: Array, step: np.floating[Any], later: Array
     ) -> bool:
-        """Return whether a contact that presses at time t, in a state (2, N), is open a step later,
-        or the reverse.
+        """Return whether a contact that presses at time t, in a state (2, N), is open
+        a step later, or the reverse.
         """
         before, after = (
             self.closeness(*at) > self.opens for at in ((t, state[0]), (t + step, later[0]))
@@ -125,8 +125,8 @@ class Motion:
         return bool(((before != after) & (self.strength > 0)).any())
 
     def acceleration(self, t: np.floating[Any], x: Array) -> Array:
-        """Return x'' (N,) of the displacements x (N,) at time t; 0 for a grain that is held or
-        driven.
+        """Return x'' (N,) of the displacements x (N,) at time t; 0 for a
+        grain that is held or driven.
         """
         s = self.closeness(t, x)
         if self.compressed:
@@ -142,8 +142,8 @@ class Motion:
         return pull * self.mobility
 
     def stretches(self) -> Iterator[tuple[np.floating[Any], np.floating[Any], bool]]:
-        """Yield begin and end of every stretch of time that is smooth, and whether a sample is
-        taken at its end.
+        """Yield begin and end of every stretch of time that is smooth, and whether
+        a sample is taken at its end.
         """
         for begin, end in pairwise(self.instants):
             inside = self.knots[(self.knots > begin) & (self.knots < end)]
@@ -199,8 +199,8 @@ class Sine:
 
 
 class Spline:
-    """The cubic (not-a-knot) spline through points: their slopes from SciPy, its pieces in the
-    precision `kind`.
+    """The cubic (not-a-knot) spline through points: their slopes from SciPy, its
+    pieces in the precision `kind`.
     """
 
     def __init__(self, times: Array, values: Array, kind: type[np.floating[Any]]):
@@ -242,8 +242,8 @@ def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Spline |
 
 
 def relative_error(u: Array, v: Array, u_ref: Array, v_ref: Array) -> float:
-    """Max over displacement and velocity of max|x - x_ref| / max|x_ref| over all samples and
-    grains.
+    """Max over displacement and velocity of max|x - x_ref| / max|x_ref|
+    over all samples and grains.
     """
     pairs = ((u, u_ref), (v, v_ref))
     return max(float(np.abs(np.asarray(x) - ref).max() / np.abs(ref).max()) for x, ref in pairs)
@@ -290,8 +290,8 @@ def scipy_reference(scene: Scene) -> Reference:
 
 
 def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
-    """Integrate with extrapolated Stoermer steps in extended precision (80 bits where the machine
-    has them).
+    """Integrate with extrapolated Stoermer steps in extended precision (80 bits
+    where the machine has them).
 
     Every step is divided into 1, 2, 3 ... equal parts and extrapolated to none at all, until two
     columns agree to `tolerance` of the largest displacement and velocity; where ten columns do not,
@@ -359,8 +359,8 @@ def _extrapolate(
 def _stoermer(
     motion: Motion, state: Array, push: Array, begin: Array, step: Array, parts: int
 ) -> Array:
-    """Advance x'' = a(t, x) by `parts` leapfrog steps; the error holds only even powers of their
-    length.
+    """Advance x'' = a(t, x) by `parts` leapfrog steps; the error holds only
+    even powers of their length.
     """
     h = step / parts
     x, gain = state[0], push * (h / 2)

@@ -1,5 +1,5 @@
-"""Independent answers for the theory: a general integrator, mpmath, and the differences of smooth
-functions.
+"""Independent answers for the theory: a general integrator, mpmath, and the
+differences of smooth functions.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 
 def springs(kappa: Array, masses: Array | None = None) -> Chain:
-    """Return a chain whose linear stiffnesses are kappa, with unit masses, and whose last grain is
-    held.
+    """Return a chain whose linear stiffnesses are kappa, with unit masses,
+    and whose last grain is held.
     """
     grains = len(kappa) + 1
     return Chain(
@@ -40,8 +40,8 @@ def gravity_column(movable: int, delta: float = 1.5) -> Array:
 def integrate(
     kappa: Array, displacement: Array, velocity: Array, tau: Array, masses: Array | float = 1.0
 ) -> tuple[Array, Array]:
-    """Solve Eq. (3) with the last grain held; return displacement and velocity (T, M), right to
-    some 1e-12.
+    """Solve Eq. (3) with the last grain held; return displacement and velocity
+    (T, M), right to some 1e-12.
     """
     count = len(kappa)
 
@@ -60,8 +60,8 @@ def unit(count: int, k: int) -> Array:
 
 
 def largest(function: Callable[[Array], Array], low: float, high: float) -> float:
-    """Return the largest value of a smooth function between two places, by a polynomial through 21
-    of them.
+    """Return the largest value of a smooth function between two places, by a
+    polynomial through 21 of them.
     """
     fit = Chebyshev.interpolate(function, 20, (low, high))
     turns = fit.deriv().roots()
@@ -91,8 +91,8 @@ def residual_of_27(
 
 
 def superposition(h: float, tau: float, delta: float, power: float) -> complex:
-    """Return Eq. (31) for A = lambda^-power, by mpmath along the imaginary axis, where it does not
-    oscillate.
+    """Return Eq. (31) for A = lambda^-power, by mpmath along the imaginary axis,
+    where it does not oscillate.
     """
     with mp.workdps(20):
         d, h, tau, power = mp.mpf(delta), mp.mpf(h), mp.mpf(tau), mp.mpf(power)

@@ -8,8 +8,8 @@ Array = NDArray[np.float64]
 
 
 def find_peak(time: Array, values: Array, top: int | None = None) -> tuple[float, float]:
-    """Return when values (T,) are largest, near the sample `top` if it is given, and how large,
-    between samples too.
+    """Return when values (T,) are largest, near the sample `top` if it is given, and
+    how large, between samples too.
     """
     top = int(values.argmax()) if top is None else top
     assert 12 <= top < len(time) - 12, "the peak must lie well inside the recording"

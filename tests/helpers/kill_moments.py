@@ -1,5 +1,5 @@
-"""What a kill leaves of a folder: copies of it from just before every change that a process makes
-to the disk.
+"""What a kill leaves of a folder: copies of it from just before every change
+that a process makes to the disk.
 """
 
 import os
@@ -55,8 +55,8 @@ class Watch:
 def kill_moments(
     folder: Path, work: Callable[[], object], most: int, rng: random.Random, into: Path
 ) -> list[Path]:
-    """Do some work, twice; return what up to so many kills, at any change that it makes to a
-    folder, would leave.
+    """Do some work, twice; return what up to so many kills, at any change that it
+    makes to a folder, would leave.
     """
     before = folder.with_name(f"{folder.name} before")
     if folder.exists():

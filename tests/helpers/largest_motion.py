@@ -1,5 +1,5 @@
-"""An independent answer to a scene, and errors relative to its largest motion at any time of the
-run.
+"""An independent answer to a scene, and errors relative to its largest
+motion at any time of the run.
 """
 
 from collections.abc import Callable
@@ -16,8 +16,8 @@ BETWEEN = 12  # times between two samples at which the largest motion is looked 
 def true_error(
     t: Trajectory, scene: Scene, integrate: Callable[[Scene], Reference] = extended_reference
 ) -> tuple[float, float]:
-    """Return the error of a trajectory as the package defines it, and that of the independent
-    answer itself.
+    """Return the error of a trajectory as the package defines it, and that of
+    the independent answer itself.
     """
     finer = (scene.samples - 1) * BETWEEN + 1
     u, v, own = integrate(Scene(**scene.given() | {"samples": finer, "grains": "all"}))

@@ -26,8 +26,8 @@ Course = Callable[..., Any]
 
 
 class Column(NamedTuple):
-    """What Eq. (1) takes: of N grains masses (..., N), constants and forces at rest of all contacts
-    (..., N+1) ...
+    """What Eq. (1) takes: of N grains masses (..., N), constants and forces at rest
+    of all contacts (..., N+1) ...
     """
 
     masses: Array
@@ -180,8 +180,8 @@ def by_splitting(motion: Motion, method: Splitting, steps: Iterable[Any]) -> Arr
 
 
 class DormandPrinceStep(NamedTuple):
-    """Changes of displacement and velocity (N,) in a step, and estimates of their errors by orders
-    5 and 3.
+    """Changes of displacement and velocity (N,) in a step, and estimates of
+    their errors by orders 5 and 3.
     """
 
     x: Array
@@ -223,8 +223,8 @@ CORRECTIONS = np.array([WIDE(19) / 120, WIDE(3) / 4, 1, WIDE(1) / 2, WIDE(1) / 1
 
 
 def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
-    """Return x^(k) h^k / k!, (5, N), by differences of accelerations a step before and after, by
-    the law of now.
+    """Return x^(k) h^k / k!, (5, N), by differences of accelerations a step before
+    and after, by the law of now.
 
     Half a step after stands for that before if contacts are open then that are not now.
     """
@@ -249,8 +249,8 @@ def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
 
 
 def by_gear(motion: Motion, steps: Iterable[Any]) -> Array:
-    """Return the states (K+1, 2, N); where the length of the step changes, the method begins
-    anew.
+    """Return the states (K+1, 2, N); where the length of the step
+    changes, the method begins anew.
     """
     x, v, t, before = motion.x, motion.v, WIDE(0), None
     states = [motion.seen(x, v, t)]

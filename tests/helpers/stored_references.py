@@ -86,8 +86,8 @@ def _stored() -> dict[str, np.ndarray]:
 
 
 def stored_reference(name: str) -> Reference:
-    """Return what `extended_reference` gave for one of `SCENES`; `tests/data/make_references.py`
-    makes it.
+    """Return what `extended_reference` gave for one of `SCENES`;
+    `tests/data/make_references.py` makes it.
     """
     motion, error = _stored()[name], _stored()[f"{name}: error"]
     return motion[0], motion[1], float(error)

@@ -1,5 +1,5 @@
-"""A reference for hard scenes: Taylor series in time, in extended precision, compiled from
-`taylor_series.c`.
+"""A reference for hard scenes: Taylor series in time, in extended precision,
+compiled from `taylor_series.c`.
 
 It shares nothing with the package but Eq. (1): equilibrium, force and time integration are its own.
 Steps follow the radius of convergence, so that contacts that open and close cost no accuracy, and
@@ -34,8 +34,8 @@ class Unresolved(ArithmeticError):
 
 
 class Reference(NamedTuple):
-    """Displacement and velocity (T, N) in SI units, the largest of either at any time, and steps
-    and events taken.
+    """Displacement and velocity (T, N) in SI units, the largest of either at any
+    time, and steps and events taken.
     """
 
     displacement: Array
@@ -68,8 +68,8 @@ def _library(kind: str) -> Any:
 
 
 def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int = 0) -> Reference:
-    """Return the solution with this tolerance of one step, and a Taylor order higher by `more` than
-    is best for it.
+    """Return the solution with this tolerance of one step, and a Taylor order higher
+    by `more` than is best for it.
 
     Raises
     ------
@@ -158,8 +158,8 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
 
 
 def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
-    """Return what acts: kind, where, sines (S, 2) up to a time, knots, and pieces between them; see
-    `Drive` in C.
+    """Return what acts: kind, where, sines (S, 2) up to a time, knots, and pieces
+    between them; see `Drive` in C.
     """
     wide = np.longdouble
     none = 0, 0, np.zeros((1, 2), wide), wide(np.inf), np.zeros(1, wide), np.zeros(4, wide)
@@ -204,8 +204,8 @@ def _address(array: NDArray[Any]) -> ctypes.c_void_p:
 
 
 def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
-    """Return a solution with this tolerance of one step, and its error: the distance to a looser
-    one.
+    """Return a solution with this tolerance of one step, and its error:
+    the distance to a looser one.
 
     It is never below what all openings, and the ends of the wave, may leave out, for two solutions
     may leave out the same, nor below the digits that a burst loses as it begins: it is a sum of

@@ -1,5 +1,5 @@
-"""Scenes drawn from all that a user may ask, each from its seed; what they cost is bounded, nothing
-else is.
+"""Scenes drawn from all that a user may ask, each from its seed; what they
+cost is bounded, nothing else is.
 
 2 to 10^5 grains, exponents 1 to 3, every end and excitation, strike numbers 1e-12 to 1e4, mass
 ratios to 10^6, impurities, tapered, periodic and disordered chains, 0.5 to 4000 periods, 2 to 1001
@@ -31,8 +31,8 @@ MATERIALS = ("glass", "steel", "ptfe", "brass", "tungsten_carbide")
 def trial_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5
 ) -> Scene:
-    """Draw a scene of one of these exponents (any if there is none), of about so many grain-radians
-    at most.
+    """Draw a scene of one of these exponents (any if there is none), of about
+    so many grain-radians at most.
     """
     while True:
         try:
@@ -72,8 +72,8 @@ def _chain(rng: np.random.Generator, exponents: tuple[float, ...]) -> Chain:
 
 
 def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
-    """Draw the grains: alike, with impurities, tapered, periodic, disordered, or masses and
-    constants of their own.
+    """Draw the grains: alike, with impurities, tapered, periodic, disordered, or
+    masses and constants of their own.
     """
     diameter, material, n = _log(rng, 2e-4, 5e-2), rng.choice(MATERIALS).item(), np.arange(grains)
     kind = rng.choice(
@@ -197,8 +197,8 @@ def _excitation(
 def acted_trial_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5
 ) -> Scene:
-    """Draw a scene as `trial_scene` does, but with a force, a burst, a moving wall, or a packet of
-    waves.
+    """Draw a scene as `trial_scene` does, but with a force, a burst, a moving
+    wall, or a packet of waves.
     """
     while True:
         still = trial_scene(rng, exponents, work)

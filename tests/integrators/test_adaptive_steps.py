@@ -1,5 +1,5 @@
-"""Steps that adapt: their lengths and what they lead to, against plain NumPy; samples between
-them.
+"""Steps that adapt: their lengths and what they lead to, against plain
+NumPy; samples between them.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def corners(scene: Scene) -> np.ndarray:
 
 
 def time_to_opening(gap: float, rate: float, bend: float) -> float:
-    """Return how far the nearest root of a quadratic is, in the complex plane; of an open contact
-    one to come.
+    """Return how far the nearest root of a quadratic is, in the complex plane;
+    of an open contact one to come.
     """
     roots = (
         np.roots([bend / 2, rate, gap]) if bend else np.roots([rate, gap]) if rate else np.empty(0)
@@ -84,8 +84,8 @@ def time_to_opening(gap: float, rate: float, bend: float) -> float:
 
 
 def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -> float:
-    """Return the largest of all contacts: (weight)^2 |rate^2 - 2 gap bend|^(3/2) / (omega
-    distance)^9.
+    """Return the largest of all contacts: (weight)^2 |rate^2 - 2 gap
+    bend|^(3/2) / (omega distance)^9.
     """
     chain, batch = scene.chain, ChainBatch([scene])
     omega, speed = scene.highest_frequency, batch.scale[0, 1]
@@ -205,8 +205,8 @@ def test_dop853_shortens_its_steps_where_contacts_open_as_in_plain_numpy(name: s
 @pytest.mark.parametrize("stride", [4, 3])
 @pytest.mark.parametrize("name", SCENES)
 def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride: int):
-    """Through displacement, velocity, acceleration and jerk at both ends of a step, in every second
-    sample.
+    """Through displacement, velocity, acceleration and jerk at both ends of a
+    step, in every second sample.
     """
     scene = SCENES[name].replace(samples=4 * LOOKS + 1)
     steps, dense = 10, 2 if stride == 4 else 1

@@ -1,5 +1,5 @@
-"""Derivatives of a run, back and forth, against differences of plain NumPy in 80-bit numbers, for
-every law and end.
+"""Derivatives of a run, back and forth, against differences of plain NumPy in 80-bit
+numbers, for every law and end.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def pressed(**options: Any) -> Chain:
 
 
 def flying(strains: float, **options: Any) -> Scene:
-    """Return a scene in which all grains fly about, contacts by so many overlaps closer or
-    apart.
+    """Return a scene in which all grains fly about, contacts by so many
+    overlaps closer or apart.
     """
     chain = pressed(**options)
     scale = chain.contacts.overlap.max() or 1e-7
@@ -107,8 +107,8 @@ def sizes(scene: Scene, states: np.ndarray) -> Inputs:
 def differences(
     scene: Scene, method: str, steps: list[Any], looks: list[int]
 ) -> tuple[np.ndarray, Inputs, Inputs]:
-    """Return states at looks (looks+1, 2, N), directions, one for each number that may change, and
-    the slopes there.
+    """Return states at looks (looks+1, 2, N), directions, one for each number that
+    may change, and the slopes there.
 
     Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a
     change.

@@ -1,5 +1,5 @@
-"""The propagator of the linear chain: the exponential of its matrix, Bessel functions, sums of
-polynomials.
+"""The propagator of the linear chain: the exponential of its matrix, Bessel
+functions, sums of polynomials.
 """
 
 import mpmath
@@ -94,8 +94,8 @@ def test_a_pulse_stays_within_its_light_cone():
 
 
 def test_the_spent_terms_are_those_that_the_times_need():
-    """Six radians of w = 2 sqrt(2) take a series of 18 terms or so, and three series for three
-    times as far apart.
+    """Six radians of w = 2 sqrt(2) take a series of 18 terms or so, and three
+    series for three times as far apart.
     """
     chains = [
         Propagator(np.ones(31), np.ones(30), 0.0, np.zeros(30), np.eye(30)[15]) for _ in range(3)

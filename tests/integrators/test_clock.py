@@ -54,8 +54,8 @@ LONG = [
 
 @pytest.mark.parametrize(("integrator", "reach", "adaptive"), LONG)
 def test_the_clock_does_not_drift(integrator, reach, adaptive):
-    """Seconds added up a step at a time once drifted by 1e-12 a hundred periods, and companions
-    alike.
+    """Seconds added up a step at a time once drifted by 1e-12 a hundred
+    periods, and companions alike.
     """
     error, floor = phase_error(1000, integrator, reach, adaptive)
     assert error / 3 < floor < 1e-11

@@ -49,8 +49,8 @@ def samples_of(
 
 
 class Ends(NamedTuple):
-    """What `fill_samples` takes of a chain: how it is at both ends of a step, and that nothing
-    drives it.
+    """What `fill_samples` takes of a chain: how it is at both ends of a step,
+    and that nothing drives it.
     """
 
     history: np.ndarray
@@ -172,8 +172,8 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
 
 
 def test_rounding_of_samples_between_short_steps_is_known():
-    """A velocity is a difference of displacements over a step: large displacements and short steps
-    make much of it.
+    """A velocity is a difference of displacements over a step: large displacements
+    and short steps make much of it.
     """
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
     strike = Displacement(displacement=chain.equilibrium_overlap[0], grain=3)

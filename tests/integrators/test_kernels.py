@@ -1,5 +1,5 @@
-"""The compiled loops: forms of the force against high precision and the energy, tiles, and the
-instructions.
+"""The compiled loops: forms of the force against high precision and the
+energy, tiles, and the instructions.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def spread(low: float, high: float, count: int = 400) -> Array:
 def force(
     form: int, exponent: float, r: Array, precompressed: float = 1.0, strength: float = 1.0
 ) -> Array:
-    """Return the force of contacts whose bodies have come closer by r, all of them found in one
-    loop.
+    """Return the force of contacts whose bodies have come closer by r, all
+    of them found in one loop.
     """
     bodies = np.zeros(2 * r.size)
     bodies[::2] = r
@@ -155,8 +155,8 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     "path", sorted(Path(forces.__file__).parent.glob("*.py")), ids=lambda path: path.stem
 )
 def test_kernels_are_compiled_anew_for_nothing_outside_of_their_folder(path: Path):
-    """What they import of ours lies beside them, and is looked at, or in `util`, and is not
-    compiled.
+    """What they import of ours lies beside them, and is looked at, or in
+    `util`, and is not compiled.
     """
     above = re.findall(
         r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE
@@ -184,8 +184,8 @@ def untiled() -> Any:
 
 @pytest.mark.soak  # half a minute of compilation
 def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: pytest.MonkeyPatch):
-    """A wave all over a chain of three tiles, with contacts that open and a wall that only
-    touches.
+    """A wave all over a chain of three tiles, with contacts that open
+    and a wall that only touches.
     """
     chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")
     velocity = 1e-2 * np.random.default_rng(1).normal(size=chain.grains)

@@ -1,5 +1,5 @@
-"""How chains are laid out, where they move at first, and what a contact that opens changes, against
-plain NumPy.
+"""How chains are laid out, where they move at first, and what a contact that
+opens changes, against plain NumPy.
 """
 
 from __future__ import annotations
@@ -366,8 +366,8 @@ def test_threads_know_of_each_other():
 
 @pytest.mark.parametrize("name", ["verlet", "rkn6", "dop853", "gear4"])
 def test_extremes_are_those_of_all_steps(name: str):
-    """The smallest overlap, the nearest approach and the largest motion, seen in samples at every
-    step.
+    """The smallest overlap, the nearest approach and the largest motion,
+    seen in samples at every step.
     """
     chain = chains(**BETWEEN)[0]
     u, v = np.random.default_rng(9).uniform(-1, 1, (2, N))

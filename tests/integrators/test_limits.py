@@ -11,8 +11,8 @@ from lmpchain.integrators.kernels.table import MOST
 
 
 def test_what_twice_the_kinetic_energy_cannot_exceed():
-    """Half as much again as what is put in, and slow motion that nothing puts in; nothing bounds a
-    drive.
+    """Half as much again as what is put in, and slow motion that nothing puts
+    in; nothing bounds a drive.
     """
     chain = Chain(grains=5, diameter=1e-3)
     struck = [
@@ -42,8 +42,8 @@ def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
 
 @pytest.mark.parametrize(("steps", "lost"), [(1, "answer"), (12, "companion"), (64, "nothing")])
 def test_grains_that_come_too_close_are_told_where_answers_are_compared(steps: int, lost: str):
-    """Steps that are far too long let grains through each other; if those of a companion do, the
-    error is infinite.
+    """Steps that are far too long let grains through each other; if those of a
+    companion do, the error is infinite.
     """
     chain = Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.862e-3), duration=4.5e-4, samples=9)

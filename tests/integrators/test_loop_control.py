@@ -141,8 +141,8 @@ def test_a_step_is_cut_where_a_burst_ends_within_it():
 @pytest.mark.parametrize("every", [1, 2, 4])
 @pytest.mark.parametrize("sample", [0, 5, 8])
 def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int):
-    """Those whose number is a multiple, after its begin and up to its end, but not where a step
-    lands.
+    """Those whose number is a multiple, after its begin and up to its end,
+    but not where a step lands.
     """
     chain = windowed(PAD, 2 * PAD)
     chain.state.sample = sample

@@ -1,5 +1,5 @@
-"""What methods say of themselves, schedules of steps, and what acts as a function of its
-numbers.
+"""What methods say of themselves, schedules of steps, and what acts as
+a function of its numbers.
 """
 
 from __future__ import annotations
@@ -205,8 +205,8 @@ def changed(excitation: Drive | Force, place: int, value: float) -> Drive | Forc
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("what", ACTS)
 def test_what_acts_changes_as_differences_say(what: str, order: int):
-    """Back and forth; samples before, between and behind those given, one of which lies on a
-    knot.
+    """Back and forth; samples before, between and behind those given,
+    one of which lies on a knot.
     """
     excitation = ACTS[what]
     course, times = ImposedCourse(excitation), np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5

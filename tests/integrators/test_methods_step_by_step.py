@@ -1,5 +1,5 @@
-"""Every compiled method against the same in plain NumPy, for every law, end and excitation, step by
-step.
+"""Every compiled method against the same in plain NumPy, for every law, end
+and excitation, step by step.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def pressed(**options: Any) -> Chain:
 
 
 def flying(chain: Chain, strains: float, samples: int = 5) -> Scene:
-    """Return a scene in which all grains fly about, contacts by so many overlaps closer or
-    apart.
+    """Return a scene in which all grains fly about, contacts by so many
+    overlaps closer or apart.
     """
     scale = chain.contacts.overlap.max() or 1e-7
     edge = chain.band_edge or np.sqrt(

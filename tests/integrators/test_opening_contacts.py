@@ -1,5 +1,5 @@
-"""Contacts that open and close: steps that shorten there reach the last digits, and leave no other
-trace.
+"""Contacts that open and close: steps that shorten there reach the last
+digits, and leave no other trace.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("integrator", engines.Native.integrators[1:])
 def test_a_grain_that_another_leaves_stays_at_rest(integrator: str, exponent: float):
-    """Whatever the method knows of the time before the strike, grains that only touch part without
-    a force.
+    """Whatever the method knows of the time before the strike, grains that
+    only touch part without a force.
     """
     chain = Chain(
         grains=4, material="steel", diameter=5e-3, gravity=0.0, bottom="free", exponent=exponent
@@ -146,8 +146,8 @@ SHAKEN = [
     ids=["vacuum", "loaded"],
 )
 def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: int):
-    """With steps of twice the length there, estimates of full order were 0.24 and 0.88 of the
-    error.
+    """With steps of twice the length there, estimates of full order were
+    0.24 and 0.88 of the error.
     """
     engine, truth = Native("rkn6"), reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
@@ -162,8 +162,8 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
 def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(name: str):
-    """They cost a quarter less or better, with an estimate of a lower order; after a miss they are
-    short.
+    """They cost a quarter less or better, with an estimate of a lower order;
+    after a miss they are short.
     """
     scene, engine = paper(name, samples=301), Native("rkn6")
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all

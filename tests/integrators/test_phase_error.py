@@ -111,8 +111,8 @@ def test_the_state_is_that_of_plain_numpy(reach: np.ndarray, grain: int, size: f
 
 
 def test_a_contact_that_opens_between_two_times_is_told():
-    """A parabola that comes below the limit for a moment; behind its turn, and not if that is far
-    from here.
+    """A parabola that comes below the limit for a moment; behind its turn, and
+    not if that is far from here.
     """
     u, v = np.zeros((2, TIMES, GRAINS))
     links = Links(STIFFNESS, np.ones(GRAINS + 1), MOBILITY)

@@ -1,5 +1,5 @@
-"""The tangent map against differences of the same steps in plain NumPy, for every law and what
-moves.
+"""The tangent map against differences of the same steps in plain NumPy,
+for every law and what moves.
 """
 
 from typing import Any

@@ -1,5 +1,5 @@
-"""Bands of periodic chains: closed forms, differences, densities, and modes in gaps against exact
-ones.
+"""Bands of periodic chains: closed forms, differences, densities, and
+modes in gaps against exact ones.
 """
 
 import numpy as np
@@ -82,8 +82,8 @@ def test_group_velocity_by_differences(cell: Cell):
 
 @each
 def test_density_of_states(cell: Cell):
-    """1 / (pi |v|) of every branch; the integral over all frequencies up to one counts the modes
-    below it.
+    """1 / (pi |v|) of every branch; the integral over all frequencies up to
+    one counts the modes below it.
     """
     q = np.linspace(0.05, 3.05, 31)
     found = branches(cell, q)
@@ -112,8 +112,8 @@ def test_edges_are_where_a_fine_scan_finds_them(cell: Cell):
 
 
 def test_a_local_resonator_opens_a_gap():
-    """Mass in mass: the gap begins below the frequency sqrt(k/m) of the resonator and ends at q =
-    0, m_eff = 0.
+    """Mass in mass: the gap begins below the frequency sqrt(k/m) of the resonator
+    and ends at q = 0, m_eff = 0.
     """
     ((low, high),) = gaps(Cell([1.0], [1.0], [[0.4, 0.2]]))
     assert low < np.sqrt(0.5) < high
@@ -122,8 +122,8 @@ def test_a_local_resonator_opens_a_gap():
 
 
 def test_a_chain_as_a_cell():
-    """Closed by the contact of its last grain with its first, whether contacts are given or follow
-    from Hertz.
+    """Closed by the contact of its last grain with its first, whether contacts
+    are given or follow from Hertz.
     """
     kinds = {
         "material": ["steel", "ptfe", "glass"],
@@ -196,8 +196,8 @@ def test_how_alike_what_repeats_must_be_and_how_long_it_may_be():
 
 @each
 def test_long_waves_and_edges(cell: Cell):
-    """Sound has the mean mass and compliance of a cell; all other branches are flat at 0 and at
-    pi.
+    """Sound has the mean mass and compliance of a cell; all other
+    branches are flat at 0 and at pi.
     """
     inside = 0.0 if cell.resonators is None else np.sum(cell.resonators, axis=0)[0]
     sound = 1 / np.sqrt((np.sum(cell.masses) + inside) * np.sum(1 / np.array(cell.stiffness)))
@@ -223,8 +223,8 @@ def test_narrow_gaps_are_none():
 
 
 def edges_around(chain: Chain, period: int) -> np.ndarray:
-    """Return frequencies at the wavenumbers 0 and pi of the cells around grains, by dense
-    matrices.
+    """Return frequencies at the wavenumbers 0 and pi of the cells around
+    grains, by dense matrices.
     """
     m, k = chain.masses, chain.linear_stiffness
     edges = np.zeros((chain.grains, period, 2))
@@ -273,8 +273,8 @@ def test_bands_around_a_single_grain_and_in_a_vacuum():
 
 
 def test_a_light_impurity_has_a_mode_above_the_band():
-    """w / w_max = [mu (2 - mu)]^(-1/2) for the mass mu < 1 among equal springs; displacements fall
-    by mu / (2 - mu).
+    """w / w_max = [mu (2 - mu)]^(-1/2) for the mass mu < 1 among equal springs;
+    displacements fall by mu / (2 - mu).
     """
     mu, host = (
         0.5,

@@ -1,5 +1,5 @@
-"""Eqs. (5)-(8), (11), (13) and (19)-(21), against an integrator, mpmath, images and published
-numbers.
+"""Eqs. (5)-(8), (11), (13) and (19)-(21), against an integrator, mpmath,
+images and published numbers.
 """
 
 import mpmath as mp
@@ -69,8 +69,8 @@ def test_free_end_by_the_other_closed_form(n: int, T: float):
     ("n", "T"), [(1, 0.4), (1, 40.0), (3, 7.0), (50, 10.0), (40, 45.0), (200, 3.0)]
 )
 def test_free_end_impulse_by_quadrature(n: int, T: float):
-    """Eq. (13), as small as it may be: the integrand is scaled to 1, for the quadrature has an
-    absolute error.
+    """Eq. (13), as small as it may be: the integrand is scaled to 1, for the
+    quadrature has an absolute error.
     """
     with mp.workdps(25):
         last = mp.besselj(2 * n - 1, 2 * T) if n > T else mp.mpf(1)
@@ -101,8 +101,8 @@ def test_closed_forms_begin_with_the_initial_data():
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 3.0])
 def test_local_and_far_field(delta: float):
-    """Eqs. (7) and (8): the next term of the asymptotic series is (16 n^2 - 1) / (8 x) of the
-    envelope.
+    """Eqs. (7) and (8): the next term of the asymptotic series is (16 n^2 -
+    1) / (8 x) of the envelope.
     """
     for n in (1, 2, 5):
         root = n ** ((1 - 1 / delta) / 2)
@@ -121,8 +121,8 @@ def test_local_and_far_field(delta: float):
 
 
 def test_coefficients_of_a_uniform_chain():
-    """A_n = A_(n+1) = 1 and 0 elsewhere, until the reflection takes 1 away at j = 2N - n and 2N - n
-    + 1.
+    """A_n = A_(n+1) = 1 and 0 elsewhere, until the reflection takes 1 away
+    at j = 2N - n and 2N - n + 1.
     """
     found = bessel.coefficients(np.ones(7), np.arange(1, 8), 1, 15)
     expected = np.zeros((7, 15))
@@ -201,8 +201,8 @@ def test_series_against_modes_over_a_long_time():
 
 
 def test_uniform_series_by_images():
-    """The held grain N and the free end reflect: images of grain 1 at distances 2N - 1, with
-    alternating signs.
+    """The held grain N and the free end reflect: images of grain 1 at distances
+    2N - 1, with alternating signs.
     """
     N, n, T = 12, np.arange(1, 12), np.array([[3.0], [20.0], [80.0]])
     shift = (2 * N - 1) * np.arange(-20, 21)[:, None, None]
@@ -247,8 +247,8 @@ def test_long_time_laws_of_the_top_grain():
 
 
 def test_tables_of_bessel_functions():
-    """J_(2k) and the sums of odd orders, from no argument to large ones and from order 0 to far too
-    high ones.
+    """J_(2k) and the sums of odd orders, from no argument to large ones and from
+    order 0 to far too high ones.
     """
     z = np.array([0.0, 1e-5, 0.5, 3.0, -30.0, 77.7, 1000.3])
     even, integral, column = bessel_series.table("z", z, 700)

@@ -117,8 +117,8 @@ def test_superposition_and_resonant_packet(h: float, tau: float | None, delta: f
 
 @pytest.mark.parametrize("power", [1, 2])
 def test_superposition_along_the_real_axis(power: int):
-    """A = exp(-lambda) and exp(-lambda^2), where the integral needs no rotation; the second allows
-    only a small one.
+    """A = exp(-lambda) and exp(-lambda^2), where the integral needs no rotation; the
+    second allows only a small one.
     """
 
     def integrand(t: mp.mpf) -> mp.mpf:  # lambda = t^5 takes the singularity at 0 away
@@ -137,8 +137,8 @@ def test_superposition_along_the_real_axis(power: int):
 
 
 def test_constants_of_eq_32():
-    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed -2 sin(pi/10) belongs to the
-    imaginary part.
+    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed -2 sin(pi/10)
+    belongs to the imaginary part.
     """
     h, tau = 2.0, np.array([3.0, 6.0])
     chi = continuum.chi(h)
@@ -282,8 +282,8 @@ def relative(found: np.ndarray, exact: np.ndarray) -> float:
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("driven", [False, True])
 def test_solver_is_of_second_order(delta: float, driven: bool):
-    """Against a standing wave between the free top and the held grain: exact, and not smooth in h
-    at the top.
+    """Against a standing wave between the free top and the held grain: exact,
+    and not smooth in h at the top.
     """
     lam = float(modes.quasi_normal(1, 6, delta))
     shape = lambda h: continuum.standing(h, lam, delta)  # noqa: E731
@@ -315,8 +315,8 @@ def test_solver_conserves_momentum():
 
 
 def test_solver_keeps_what_eq_28_keeps():
-    """A tau + B is exact until the held grain is felt, and h^(1/delta) + D rests if its flux is
-    given at the top.
+    """A tau + B is exact until the held grain is felt, and h^(1/delta) + D rests if
+    its flux is given at the top.
     """
     field = continuum.solve([0.0, 5.0], 60, displacement=lambda h: 3.0, velocity=lambda h: 2.0)
     assert field.displacement[1, :30] == pytest.approx(13, rel=1e-14)
@@ -458,8 +458,8 @@ def test_defaults_of_the_solver():
 
 
 def test_steps_of_the_solver(monkeypatch):
-    """Velocity Verlet at 0.9 of the stable step 2 / w_max: so many evaluations from a sample to the
-    next.
+    """Velocity Verlet at 0.9 of the stable step 2 / w_max: so many
+    evaluations from a sample to the next.
     """
     times = []
 

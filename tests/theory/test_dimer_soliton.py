@@ -1,5 +1,5 @@
-"""Solitary waves of dimer chains: the equation itself, what travels, the scan of mass ratios,
-refusals.
+"""Solitary waves of dimer chains: the equation itself, what travels, the
+scan of mass ratios, refusals.
 """
 
 import numpy as np
@@ -51,8 +51,8 @@ def test_equation_of_motion(wave):
 
 @each
 def test_grains_move_as_contacts_close(wave):
-    """Contacts are squeezed by the difference of displacements, and velocities are -c times the
-    slopes.
+    """Contacts are squeezed by the difference of displacements, and
+    velocities are -c times the slopes.
     """
     x = np.array([-9.0, -3.1, -0.8, 0.0, 0.35, 2.0])
     largest = float(wave.displacement(-8.0))
@@ -84,8 +84,8 @@ def test_the_velocity_asked_for_is_the_largest_of_heavy_grains():
 
 @pytest.mark.parametrize("heavy_first", [True, False])
 def test_travels_unchanged(heavy_first: bool):
-    """Four grains on: the same wave, and nothing is left behind; the equation of the chain is that
-    of the engine.
+    """Four grains on: the same wave, and nothing is left behind; the equation of
+    the chain is that of the engine.
     """
     chain = dimer(32, heavy_first)
     start, end = HERTZ.on(chain, 11), HERTZ.on(chain, 15)
@@ -101,8 +101,8 @@ def test_travels_unchanged(heavy_first: bool):
 
 
 def test_the_approximation_is_near_the_wave():
-    """The pulse behind a strike, moved and scaled to speed 1: Newton's method begins within 2 % of
-    its wave.
+    """The pulse behind a strike, moved and scaled to speed 1: Newton's method
+    begins within 2 % of its wave.
     """
     wave = solve(0.35)
     unit = wave.speed ** (2 / (wave.delta - 1))
@@ -132,8 +132,8 @@ def test_newtons_method_needs_few_steps(monkeypatch):
 
 
 def scan(least: float, monkeypatch, **keys) -> tuple[tuple[float, ...], list[float]]:
-    """Return what a scan gives, with searches that end at the next of four ratios, and where these
-    begin.
+    """Return what a scan gives, with searches that end at the next of four
+    ratios, and where these begin.
     """
     begun = []
 

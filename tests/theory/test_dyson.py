@@ -1,5 +1,5 @@
-"""Eqs. (22) and (23): Dyson's distribution against mpmath, its moments, and the sum over the
-column.
+"""Eqs. (22) and (23): Dyson's distribution against mpmath, its moments,
+and the sum over the column.
 """
 
 import mpmath as mp
@@ -54,8 +54,8 @@ def test_moments(function, mean, variance, m: int):
 
 @pytest.mark.parametrize("m", [1, 2, 10])
 def test_printed_form_leaves_the_compliance_alone(m: int):
-    """The mean of 1/kappa is exactly 1 for every m, so disorder does not change the speed of long
-    waves.
+    """The mean of 1/kappa is exactly 1 for every m, so disorder does not
+    change the speed of long waves.
     """
     assert quad(lambda k: dyson.weight(k, m) / k, 0, 60, points=[1])[0] == pytest.approx(
         1, abs=1e-11
@@ -80,8 +80,8 @@ def test_sum_as_printed(column):
 
 
 def test_sum_for_large_m(column):
-    """It diverges as sqrt(m / 2 pi) times the velocity of grain 1, where kappa = 1; normalised it
-    is that velocity.
+    """It diverges as sqrt(m / 2 pi) times the velocity of grain 1, where kappa = 1;
+    normalised it is that velocity.
     """
     kappa, velocity = column
     m = 1e4
@@ -136,8 +136,8 @@ def test_spectrum_by_mpmath(shape: float, rate: float, frequency: float):
 
 @pytest.mark.parametrize("shape", [60, 100])
 def test_spectrum_of_nearly_ordered_chains(shape: float):
-    """By quadrature with many more nodes and further beyond the saddle, from low to high
-    frequencies.
+    """By quadrature with many more nodes and further beyond the saddle,
+    from low to high frequencies.
     """
     w = np.sqrt(shape) * np.array([0.5, 1.5, 1.9, 2.5, 8.0])
     s, weight = np.polynomial.legendre.leggauss(40)
@@ -159,8 +159,8 @@ def test_spectrum_of_nearly_ordered_chains(shape: float):
 
 @pytest.mark.parametrize("shape", [0.05, 1, 100])
 def test_dysons_chain_at_its_ends(shape):
-    """All modes lie below a high frequency; few below a low one, by the singularity psi'(shape) /
-    log^2.
+    """All modes lie below a high frequency; few below a low one, by the
+    singularity psi'(shape) / log^2.
     """
     mean = np.sqrt(shape)
     assert dyson.integrated(mean * 40, shape) == pytest.approx(1, abs=1e-8)

@@ -1,5 +1,5 @@
-"""The front of a strike on the top grain: exponents, absolute amplitude and shape, against the
-chain itself.
+"""The front of a strike on the top grain: exponents, absolute amplitude and
+shape, against the chain itself.
 """
 
 from functools import cache
@@ -95,8 +95,8 @@ def test_profiles_by_quadrature(delta: float, s: float):
 
 
 def test_shape_of_the_front_in_the_chain():
-    """The limit approaches the chain, by 2^(-1/3) or faster for every doubling of n; 2 % off at n =
-    4000.
+    """The limit approaches the chain, by 2^(-1/3) or faster for every
+    doubling of n; 2 % off at n = 4000.
     """
     misses = []
     for n in (500, 4000):

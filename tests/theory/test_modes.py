@@ -1,5 +1,5 @@
-"""Eigenmodes of chains, against mpmath, an integrator, exactly solvable columns and published
-numbers.
+"""Eigenmodes of chains, against mpmath, an integrator, exactly solvable
+columns and published numbers.
 """
 
 import mpmath as mp
@@ -32,8 +32,8 @@ each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 
 
 def exact_squares(chain: Chain, start: np.ndarray) -> list[mp.mpf]:
-    """Return the roots near `start` of det(K - lambda M), by Newton's method on its three-term
-    recurrence in mpmath.
+    """Return the roots near `start` of det(K - lambda M), by Newton's method on its
+    three-term recurrence in mpmath.
     """
     k = [mp.mpf(0), *map(mp.mpf, chain.linear_stiffness.tolist())]
     m = list(map(mp.mpf, chain.masses.tolist()))
@@ -64,8 +64,8 @@ def test_every_frequency_to_the_last_digits(chain: Chain):
 
 
 def test_lowest_frequencies_of_a_long_chain():
-    """Plain diagonalisation has absolute errors, which here cost the lowest frequencies some five
-    digits.
+    """Plain diagonalisation has absolute errors, which here cost the lowest
+    frequencies some five digits.
     """
     chain = springs(gravity_column(1000))
     found = modes.eigenmodes(chain).frequency[:3]
@@ -75,8 +75,8 @@ def test_lowest_frequencies_of_a_long_chain():
 
 
 def test_lowest_shapes_to_the_last_digits():
-    """Plain diagonalisation mixes low modes by ``eps (omega_max / omega)^2``: here 1e-10 of
-    each.
+    """Plain diagonalisation mixes low modes by ``eps (omega_max /
+    omega)^2``: here 1e-10 of each.
     """
     stiffness, masses = 10 ** RNG.uniform(-2, 2, 50), 10 ** RNG.uniform(-2, 2, 50)
     found = modes.eigenmodes(springs(stiffness, np.append(masses, 1.0)))
@@ -152,8 +152,8 @@ def test_uniform_chain():
 
 
 def test_column_of_infinite_exponent():
-    """kappa_n = n: squares of the frequencies are the zeros of the Laguerre polynomial L_M, modes
-    are L_(n-1).
+    """kappa_n = n: squares of the frequencies are the zeros of the Laguerre
+    polynomial L_M, modes are L_(n-1).
     """
     result = modes.eigenmodes(springs(np.arange(1.0, 101)))
     zeros, _ = roots_laguerre(100)
@@ -164,8 +164,8 @@ def test_column_of_infinite_exponent():
 
 @pytest.mark.parametrize("delta", [1.0, 1.2, 1.5, 2.0, 3.0])
 def test_quasi_normal_modes_of_the_continuum(delta: float):
-    """Frequencies by the zeros of J_(-nu), with the depth N - 1/2 for every delta: right to some
-    0.1 (k/M)^2.
+    """Frequencies by the zeros of J_(-nu), with the depth N - 1/2 for every
+    delta: right to some 0.1 (k/M)^2.
     """
     nu, eta = 1 / (1 + delta), 1 + 1 / delta
     k = np.arange(1, 400)
@@ -210,8 +210,8 @@ def test_participation_numbers():
 
 
 def test_wkb_counts_the_modes():
-    """At frequency k it counts k - 1/4 - nu/2 if the mode reaches the top, k - 1/4 if it turns on
-    its way.
+    """At frequency k it counts k - 1/4 - nu/2 if the mode reaches the top, k -
+    1/4 if it turns on its way.
     """
     frequency = modes.eigenmodes(springs(gravity_column(2000))).frequency
     k = np.arange(1, 2001)

@@ -72,8 +72,8 @@ def test_energy_is_conserved_in_long_pieces():
 
 
 def test_a_wave_that_cannot_go_on_comes_back():
-    """Amplitudes with their phases on both sides of the edge of the lead below, where a wave
-    decays.
+    """Amplitudes with their phases on both sides of the edge of the lead
+    below, where a wave decays.
     """
     heavy = Chain(
         grains=9,
@@ -145,8 +145,8 @@ def masses_that_are_transparent(k: float, apart: int) -> float:
 
 @pytest.mark.parametrize("apart", [1, 2, 4])
 def test_masses_of_two_impurities_that_are_transparent(apart: int):
-    """Two point scatterers: (mu - 1) w^2 m / k = 2 sin(k) cot(k d); only those between the bounds
-    are given.
+    """Two point scatterers: (mu - 1) w^2 m / k = 2 sin(k) cot(k d); only those
+    between the bounds are given.
     """
     grains = {1: [5, 6], 2: [5, 7], 4: [4, 8]}[apart]
     numbers = []
@@ -176,8 +176,8 @@ def test_factors_are_searched_between_a_tenth_and_ten(factor: float, count: int)
 
 
 def test_diameter_and_modulus_of_the_factor():
-    """The same grains with contacts and masses written out: K ~ sqrt(R*) E*, k ~ K^(2/3), m ~
-    d^3.
+    """The same grains with contacts and masses written out: K ~ sqrt(R*)
+    E*, k ~ K^(2/3), m ~ d^3.
     """
     for vary in ("diameter", "modulus"):
         factors = transparent(HOST, 0.62 * EDGE, [5, 6], vary)

@@ -1,5 +1,5 @@
-"""Solitary waves of the lattice: the equation itself, conservation laws, limits, published numbers,
-refusals.
+"""Solitary waves of the lattice: the equation itself, conservation laws,
+limits, published numbers, refusals.
 """
 
 from dataclasses import replace
@@ -81,8 +81,8 @@ def test_energy_and_momentum_are_those_at_any_instant(wave: Soliton):
     "wave", [LOADED[i] for i in (0, 1, 3)], ids=lambda w: f"{w.delta}, {w.speed:.3g}"
 )
 def test_exponential_tail(wave: Soliton):
-    """sinh(kappa/2) = c kappa/2 of linear waves, far from the middle; complex roots decay nearly as
-    slowly at 8 c.
+    """sinh(kappa/2) = c kappa/2 of linear waves, far from the middle; complex roots
+    decay nearly as slowly at 8 c.
     """
     kappa = -np.log(float(wave.overlap(wave.reach - 0.5) / wave.overlap(wave.reach - 1.5)))
     assert np.sinh(kappa / 2) / (kappa / 2) == pytest.approx(wave.speed, rel=1e-9)
@@ -90,8 +90,8 @@ def test_exponential_tail(wave: Soliton):
 
 @pytest.mark.parametrize("wave", VACUUM, ids=lambda w: f"{w.delta}")
 def test_double_exponential_tail(wave: Soliton):
-    """log r(x + 1) / log r(x) tends to delta, here with the curvature that the equation leaves of
-    the overlap.
+    """log r(x + 1) / log r(x) tends to delta, here with the curvature that the
+    equation leaves of the overlap.
     """
     x = 0.8 * wave.reach
     log = np.log([float(wave.overlap(x + s)) for s in (-1e-4, 0, 1e-4)])
@@ -263,8 +263,8 @@ def test_residual_between_the_points(wave: Soliton):
     ],
 )
 def test_how_soon_a_wave_is_found(arguments, solutions: int, terms: int, monkeypatch):
-    """Linear systems until Newton's method ends, its derivatives right, and coefficients that
-    suffice.
+    """Linear systems until Newton's method ends, its derivatives right, and
+    coefficients that suffice.
     """
     systems = []
     solve_linear = np.linalg.solve
@@ -288,8 +288,8 @@ def test_a_wave_that_no_series_resolves(monkeypatch):
 
 
 def test_where_a_wave_fits_a_chain():
-    """From where its overlap is 1e-10 of the largest, one grain more, to as far from the other
-    end.
+    """From where its overlap is 1e-10 of the largest, one grain more, to
+    as far from the other end.
     """
     wave = VACUUM[1]
     far = 1 + brentq(lambda x: float(wave.overlap(x) / wave.overlap(0.0)) - 1e-10, 1, wave.reach)

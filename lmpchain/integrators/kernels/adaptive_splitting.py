@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, fma, inlined
+from .contact_forces import compiled_march, fma, inlined
 from .dense_output import Rates, fill_jerk, fill_samples, keep, passes
 from .layout import PAD, RESOLUTION, Rows
 from .openings import bound_nearness, shorten
@@ -76,7 +75,8 @@ def _advance(chain, method, work, clock, span, out):
     stages = drifts.size
     t = span.begin + state.done
     recall(chain, t)
-    impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
+    # before the forces, like all that is imposed
+    impose_velocity(chain, w, PAD, t)
     beyond = _finish_kick(chain, stages + 1, rates)
     filled = _fill_passed(chain, rates, clock, span, out, beyond)
     watch(chain)
@@ -88,15 +88,18 @@ def _advance(chain, method, work, clock, span, out):
         span.length - state.done,
         ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step),
     )
+    # steps of one length up to the next landing or corner, but for openings
     h = clock.step * shorten(chain, y, w, pull, openings, nearest)
     done = end_of_step(chain, span, remaining, h)
     h = done - state.done
     if clock.dense > 0:
         if passes(chain, clock, span, state.done, done) > 0:
+            # those of the step before hold, unless what is imposed has a corner here
             if chain.imposed.acts or not filled:
                 fill_jerk(chain, first, last, rates, beyond, imposed_rate(chain, t, t))
             keep(chain, first, last, rates)
-            meet(chain.team)  # before the grains next to these move
+            # before the grains next to these move
+            meet(chain.team)
         state.step_begin = state.done
     hold(chain, w)
     if chain.imposed.acts:
@@ -110,6 +113,7 @@ def _advance(chain, method, work, clock, span, out):
         rows.kick[stage] = kicks[stage + 1] * h
         rows.drift[stage] = drifts[stage + 1] * h
     sweep(chain, rows)
+    # the last kick waits for the forces that the next step begins with
     state.done = done
     state.pending = kicks[stages] * h
     impose(chain, y, span.begin + state.done, span.begin + state.done)
@@ -128,7 +132,7 @@ def _land(chain, method, work, clock, span, out):
 _march = sample_loop(_advance, False, _land)
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
+@compiled_march()
 def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by a splitting with an adaptive step size.
 

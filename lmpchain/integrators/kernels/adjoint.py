@@ -43,7 +43,8 @@ from .window import watch, widen
 
 # rows between two updates of the window, but on the way forth as many as there is room for
 BURST = 32
-INNER_TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
+# bodies that stay in the nearest cache while the rows of a burst pass over them
+INNER_TILE = 384
 
 
 class Pieces(NamedTuple):
@@ -69,7 +70,7 @@ class Pieces(NamedTuple):
 
 
 class Path(NamedTuple):
-    """What is imposed in each row, and the derivatives by that.
+    """The imposed motion or force in each row, and derivatives with respect to it.
 
     `body` is the one that is driven, or less than 0 the one that is pushed; 0 if none is.
     """
@@ -131,6 +132,8 @@ class Tile(NamedTuple):
 @loop
 def _tile(first, last, number, touching):
     """Return the tile of this number of the contacts first ... last-1."""
+    # every row of a tile lies a cache line above the one before, so that it needs nothing of the
+    # tile below; the last tile takes what would be too short for one
     single = last - first <= 2 * INNER_TILE
     begin = first + number * INNER_TILE
     top = number == 0
@@ -152,6 +155,7 @@ def _forward(chain, steps, room, path, stretch, looks):
             kick=room[0, :burst], drift=room[1, :burst], carried=room[2, :burst], path=imposed
         )
         fill_rows(steps, look, row, rows.kick, rows.drift)
+        # each row reaches one grain further
         widen(chain, burst + 1)
         sweep(chain, rows)
         row += burst
@@ -282,7 +286,9 @@ def _back_push(body, kick, index, path, memory):
 def _back_top(law, kick, index, memory):
     """Take adjoints back through the kick by a contact with the top wall that only touches."""
     adjoint = memory.adjoint
-    y, p, f = kick * adjoint.pull[PAD + 1], memory.tops[0, index], memory.tops[1, index]
+    p = memory.tops[0, index]
+    f = memory.tops[1, index]
+    y = kick * adjoint.pull[PAD + 1]
     g = (law.less + 1.0) * law.touching * p * y
     adjoint.x[PAD + 1] -= g
     adjoint.x[PAD] += g
@@ -318,6 +324,7 @@ def _back_tile(law, path, memory, rows, tile, span):
     width = memory.powers.shape[1] if law.way > Way.UNDONE_SHORT else 0
     body = path.body
     last, burst = span
+    # a call for all rows costs less, but leaves no moment at which to add a push
     single = body != 0 or tile.touches
     for turn in range(0, burst, 1 if single else burst):
         row = burst - 1 - turn
@@ -395,11 +402,14 @@ def backward(law, steps, pieces, numbers, looks, path, memory):
         drift = drift_before(steps, back.look, back.row) if undone else 0.0
         for n in range(width):
             v[n + 1] = state_v[n]
-            if undone:  # momenta
+            # momenta, of which a row that is undone takes its impulses back as they are
+            if undone:
                 v[n + 1] = state_v[n] / im[n + 1] if im[n + 1] > 0.0 else 0.0
+        # a row begins with a drift on the way back: the one before the checkpoint is undone first
         for n in range(width):
             x[n + 1] = state_x[n] - drift * state_v[n]
-        first, last = pieces.windows[piece, 0], pieces.windows[piece, 1]
+        first = pieces.windows[piece, 0]
+        last = pieces.windows[piece, 1]
         # the contact below the last body is one of them, unless that is held
         contacts = first, last + PAD if im[last] > 0.0 else last
         rows = slice(begin, begin + count)

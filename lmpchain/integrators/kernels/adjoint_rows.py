@@ -76,7 +76,7 @@ class Above(NamedTuple):
 
 
 class Adjoint(NamedTuple):
-    """What an answer depends on, body by body and contact by contact.
+    """Derivatives of an answer, body by body and contact by contact.
 
     Attributes
     ----------
@@ -169,6 +169,7 @@ def at(typing: Any, array: Any, n: Any) -> Any:
 @loop
 def hertz_power(s, c):
     """Return p for delta = 3/2, with the digits that 1 + s loses."""
+    # one step of Newton's method for the root
     p = math.sqrt(c + s) - c
     return p + 0.5 * c * ((s - 2.0 * p) - p * p)
 
@@ -176,6 +177,7 @@ def hertz_power(s, c):
 @loop
 def power(s, c, less):
     """Return p for any delta; `less` is delta - 1."""
+    # the logarithm of 0 is none
     shut = c + s > 1e-90
     inside = s if shut else 1.0 - c
     y = c + inside
@@ -337,7 +339,8 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
             drift = rows.drifts[row]
             f_before = rows.impulses[row]
             g_before = rows.slopes[row]
-            if span.top:  # nothing moves what is outside
+            # nothing moves what is outside
+            if span.top:
                 adjoint.pull[first] = 0.0
                 f_before = 0.0
                 g_before = 0.0
@@ -357,7 +360,8 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
                     f = kept.forces[begin + n] if force else 0.0
                     f, g = recall(p, f, kick, impulse, at_rest, closer, law.pressed)
                     push = f_before - f
-                if not vacuum:  # where no force at rest asks for a sum over p
+                # in the vacuum no force at rest asks for a sum over p
+                if not vacuum:
                     adjoint.power[n] += at_rest * p
                 adjoint.force[n] += closer * f
                 adjoint.mass[n] += adjoint.pull[n] * push
@@ -366,6 +370,7 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
                 adjoint.pull[n] += drift * inverse_mass[n] * by_x
                 f_before = f
                 g_before = g
+            # where the tile below goes on in this row
             rows.impulses[row] = f_before
             rows.slopes[row] = g_before
             first -= span.sooner

@@ -60,6 +60,7 @@ def _evaluate(x, law, above, response):
     last = x.size
     for n in range(PAD, last):
         s = (x[n - 1] - x[n]) * above.inverse_length[n]
+        # an open contact is one that is just closed: p = -c, and no slope
         s = s if s > -c else -c
         p = hertz_power(s, c) if law.less == 0.5 else power(s, c, law.less)
         response.power[n] = p
@@ -70,6 +71,7 @@ def _evaluate(x, law, above, response):
         response.power[PAD] = p
         response.force[PAD] = f
         response.slope[PAD] = (law.less + 1.0) * law.touching * p
+    # df/dK = (f - c F p) / K, see `adjoint`
     for n in range(PAD, last):
         off = response.force[n] - response.at_rest[n] * response.power[n]
         response.soften[n] = off * response.inverse_constant[n]
@@ -93,6 +95,7 @@ def _change(bodies, response, change, kick, drift):
     x, v, inverse_mass = bodies
     power, force, slope, soften = response
     by_mass, by_constant, by_force = change
+    # the first body has no contact above it
     above = 0.0
     f_above = 0.0
     for n in range(v.size):
@@ -112,13 +115,14 @@ def _change_row(im, response, change, path, index, kick, drift):
     body = path.body
     contacts = slice(first, last)
     bodies = slice(first - 1, last - 1)
-    parts = (
+    of_contacts = (
         response.power[contacts],
         response.force[contacts],
         response.slope[contacts],
         response.soften[contacts],
     )
     for d in range(change.x.shape[0]):
+        # a body that is driven is where its path is; a push gives way as the mass grows
         if body > 0:
             change.x[d, body] = change.path[d, index]
         elif body < 0:
@@ -126,7 +130,7 @@ def _change_row(im, response, change, path, index, kick, drift):
             change.v[d, -body] += kick * im[-body] * push
         moved = Bodies(change.x[d, first - 1 : last], change.v[d, bodies], im[bodies])
         causes = change.mass[d, bodies], change.constant[d, contacts], change.force[d, contacts]
-        _change(moved, parts, causes, kick, drift)
+        _change(moved, of_contacts, causes, kick, drift)
 
 
 @compiled_gradient()
@@ -153,6 +157,7 @@ def tangent(bodies, law, steps, stretch, path, memory, change, looks):
             if body > 0:
                 x[body] = path.imposed[index]
             _evaluate(x, law, above, response)
+            # deviations before bodies: both take the forces that the row begins with
             _change_row(im, response, change, path, index, kick[n], drift[n])
             if body < 0:
                 v[-body] += kick[n] * im[-body] * path.imposed[index]

@@ -29,7 +29,7 @@ SPAN = 10.0  # w t for which one series serves all times in between
 
 
 class Limits(NamedTuple):
-    """What makes no difference to a series, and how much of it is held.
+    """Limits below which a series does not change, and its storage.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def _largest(x):
 
 @compiled_series()
 def terms(z):
-    """Return how many polynomials are needed for ``w t = z``; what is left out is below 1e-16."""
+    """Return the number of polynomials for ``w t = z``, whose sum is right to 1e-16."""
     return math.ceil(z / 2 + 5.4 * z ** (1 / 3) + 6)
 
 
@@ -120,7 +120,8 @@ def bessel(z, orders):
             above[i] = current[i]
             current[i] = below
             largest = max(largest, abs(below))
-        if largest > 1e250:  # the recurrence grows without bounds: only ratios count
+        # the recurrence grows without bounds: only ratios count
+        if largest > 1e250:
             for i in range(z.size):
                 if abs(current[i]) > 1e200:
                     above[i] *= 1e-250
@@ -154,10 +155,10 @@ def series(x, chain, scale, of_t, of_w, reach):
     tiny = LIMITS.motion * _largest(x)
     double = np.empty(grains)  # 2 T_k x
     total = np.zeros(grains + 2)  # W_k x between two grains that stand still
-    held = min(orders, LIMITS.chunk)
+    chunk = min(orders, LIMITS.chunk)
     pull = np.empty(grains)
-    ts = np.zeros((held, grains))
-    ws = np.zeros((held, grains))
+    ts = np.zeros((chunk, grains))
+    ws = np.zeros((chunk, grains))
     for n in range(grains):
         double[n] = 2 * x[n]
         total[n + 1] = ts[0, n] = ws[0, n] = x[n]
@@ -165,14 +166,16 @@ def series(x, chain, scale, of_t, of_w, reach):
     sum_t = np.zeros((of_t.shape[0], grains))
     sum_w = np.zeros((of_w.shape[0], grains))
     for k in range(orders):
-        row = k % held
+        row = k % chunk
         if k > 0:
             # one grain further, but not beyond all motion, where numbers are so small that they are
             # slow
             first = max(first - 1, 0)
             last = min(last + 1, grains)
             double[0] -= 4 * chain.oscillator / (scale * scale) * total[1]
-            d, w, t = double[first:last], total[first : last + 2], ts[row, first:last]
+            d = double[first:last]
+            w = total[first : last + 2]
+            t = ts[row, first:last]
             p = pull[first:last]
             q = chain.stiffness[first : last + 1]
             for n in range(d.size):
@@ -188,7 +191,8 @@ def series(x, chain, scale, of_t, of_w, reach):
             while last > first and abs(double[first]) < tiny and abs(total[first + 1]) < tiny:
                 double[first] = total[first + 1] = 0.0
                 first += 1
-        if row == held - 1 or k == orders - 1:
+        # products of matrices are faster than sums of one polynomial at a time
+        if row == chunk - 1 or k == orders - 1:
             sum_t += np.ascontiguousarray(of_t[:, k - row : k + 1]) @ ts[: row + 1]
             if of_w.shape[0]:
                 sum_w += np.ascontiguousarray(of_w[:, k - row : k + 1]) @ ws[: row + 1]
@@ -200,13 +204,13 @@ def series(x, chain, scale, of_t, of_w, reach):
 @compiled_series()
 def moving(u, v):
     """Put grains that hardly move to rest; return the first other one, and that behind the last."""
-    least_u = LIMITS.motion * _largest(u)
-    least_v = LIMITS.motion * _largest(v)
+    still_u = LIMITS.motion * _largest(u)
+    still_v = LIMITS.motion * _largest(v)
     first = 0
     last = u.size
-    while first < last and abs(u[first]) <= least_u and abs(v[first]) <= least_v:
+    while first < last and abs(u[first]) <= still_u and abs(v[first]) <= still_v:
         first += 1
-    while last > first and abs(u[last - 1]) <= least_u and abs(v[last - 1]) <= least_v:
+    while last > first and abs(u[last - 1]) <= still_u and abs(v[last - 1]) <= still_v:
         last -= 1
     u[:first] = 0.0
     v[:first] = 0.0
@@ -221,6 +225,7 @@ def _weights(scale, times, now):
 
     The first are those in phi and, below these, those in v; the second are in phi.
     """
+    # the times ascend: the last one takes the most terms
     z = np.empty(times.size)
     for i in range(times.size):
         z[i] = scale * (times[i] - now)
@@ -230,17 +235,17 @@ def _weights(scale, times, now):
         orders > 4 and max(_largest(table[orders - 2]), _largest(table[orders - 1])) < LIMITS.weight
     ):
         orders -= 2
-    many = times.size
-    of_t = np.empty((2 * many, orders // 2))
-    of_w = np.empty((many, orders // 2))
+    count = times.size
+    of_t = np.empty((2 * count, orders // 2))
+    of_w = np.empty((count, orders // 2))
     for k in range(orders // 2):
-        for i in range(many):
+        for i in range(count):
             of_t[i, k] = table[2 * k, i]
             of_w[i, k] = 2 / scale * table[2 * k + 1, i]
             if k == 0:
-                of_t[many + i, k] = -scale * table[1, i]
+                of_t[count + i, k] = -scale * table[1, i]
             else:
-                of_t[many + i, k] = scale / 2 * (table[2 * k - 1, i] - table[2 * k + 1, i])
+                of_t[count + i, k] = scale / 2 * (table[2 * k - 1, i] - table[2 * k + 1, i])
     return of_t, of_w
 
 
@@ -253,8 +258,12 @@ def _march(u, v, chain, squares, reach, times, answers):
     begin = 0
     spent = 0
     while begin < times.size:
-        a, b, end, scale = first, last, begin, -1.0
-        while b > a:  # a wider reach may hold stiffer contacts, which take more terms
+        a = first
+        b = last
+        end = begin
+        scale = -1.0
+        # a wider reach may hold stiffer contacts, which take more terms
+        while b > a:
             needed = max(math.sqrt(_largest(squares[a:b])), 1e-300)
             if needed <= scale:
                 break
@@ -264,13 +273,15 @@ def _march(u, v, chain, squares, reach, times, answers):
                 end += 1
             of_t, of_w = _weights(scale, times[begin:end], now)
             count = of_w.shape[1] - 1
-            a, b = max(first - count, 0), min(last + count, u.size)
+            a = max(first - count, 0)
+            b = min(last + count, u.size)
         if b == a:
             return spent
         oscillator = chain.oscillator if a == 0 else 0.0
         links = LinearChain(chain.stiffness[a : b + 1], chain.mobility[a:b], oscillator)
         moves = first - a, last - a
         new_v, new_u = series(v[a:b], links, scale, of_t[: end - begin], of_w, moves)
+        # right after a strike nothing is displaced
         if _largest(u[first:last]) > 0.0:
             summand, _ = series(u[a:b], links, scale, of_t, of_w[:0], moves)
             for i in range(end - begin):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from typing import Any, NamedTuple
 
 import numba
@@ -19,11 +20,14 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from ...util.compilation import compiled_once
+
 # no reordering and no contraction but the explicit fma: every blocking of the loops gives the same
 # bits
 STRICT = {"nnan", "ninf", "nsz"}
-# what is compiled when the native engine runs for the first time, and about how long that takes, s
-NEWS = "the native engine", 20
+# functions that are called from Python, and kept for later processes
+compiled_engine = partial(compiled_once, "the native engine", 20, error_model="numpy")
+compiled_march = partial(compiled_engine, nogil=True, fastmath=STRICT)
 llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
 # without numba's runtime: such functions make no arrays and count no references, which would take
@@ -91,9 +95,10 @@ BITS = Bits()
 @compiled
 def logarithm(y, rest):
     """Return log(y + rest) of y > 0 and a tiny rest, by the series of artanh, without a branch."""
-    held = bits(y)
-    power = number(BITS.power_bits | (held >> 52)) - BITS.power_zero
-    m = number((held & BITS.mantissa) | BITS.one)
+    pattern = bits(y)
+    power = number(BITS.power_bits | (pattern >> 52)) - BITS.power_zero
+    m = number((pattern & BITS.mantissa) | BITS.one)
+    # the mantissa around 1, from sqrt(1/2) to sqrt(2), where the series is shortest
     high = m > 1.4142135623730951
     m = 0.5 * m if high else m
     power = power + 1.0 if high else power
@@ -107,6 +112,7 @@ def logarithm(y, rest):
 @compiled
 def exponential(t, less):
     """Return exp(t) - less, less = 0 or 1, |t| < 700, by powers of two and a Taylor series."""
+    # t = power ln 2 + r, |r| < ln 2 / 2, by 1 / ln 2
     power = fma(t, 1.4426950408889634, BITS.shift)
     scale = number((bits(power) - BITS.shift_bits + 1023) << 52)
     power -= BITS.shift
@@ -131,7 +137,8 @@ def _corrected(r, inverse_length, strength, precompressed, coefficients):
     s = r * inverse_length
     s = s if s > -1.0 else -1.0
     u = math.sqrt(1.0 + s) - 1.0
-    u = fma(0.5, fma(-u, u, fma(-2.0, u, s)), u)  # gives back the digits that 1 + s lost
+    # one step of Newton's method gives back the digits that 1 + s lost
+    u = fma(0.5, fma(-u, u, fma(-2.0, u, s)), u)
     return (strength * u) * fma(u, 3.0 + u, 3.0)
 
 
@@ -156,18 +163,21 @@ def _spring(r, inverse_length, strength, precompressed, coefficients):
 def _power(r, inverse_length, strength, precompressed, coefficients):
     """Any delta without cancellation."""
     s = r * inverse_length
+    # an open contact is computed as one at rest and its value thrown away: a branch would keep the
+    # compiler from making vector instructions
     inside = s if s > -1.0 else 0.0
     y = 1.0 + inside
-    held = exponential(coefficients[7] * logarithm(y, inside - (y - 1.0)), 1.0)
-    return strength * (held if s > -1.0 else -1.0)
+    change = exponential(coefficients[7] * logarithm(y, inside - (y - 1.0)), 1.0)
+    return strength * (change if s > -1.0 else -1.0)
 
 
 @compiled
 def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients):
     """Any delta where nothing is pressed."""
+    # the logarithm of 0 is none, and so small an overlap gives no force that matters
     y = r if r > 1e-90 else 1.0
-    held = exponential(coefficients[7] * logarithm(y, 0.0), 0.0)
-    return strength * held if r > 1e-90 else 0.0
+    power = exponential(coefficients[7] * logarithm(y, 0.0), 0.0)
+    return strength * power if r > 1e-90 else 0.0
 
 
 def _roots(quarters: int) -> Callable[..., Any]:
@@ -180,14 +190,14 @@ def _roots(quarters: int) -> Callable[..., Any]:
     def force(r, inverse_length, strength, precompressed, coefficients):
         y = fma(r, inverse_length, precompressed)
         y = y if y > 0.0 else 0.0
-        held = strength
+        product = strength
         for _ in range(factors):
-            held = held * y
+            product = product * y
         root = math.sqrt(y) if half + quarter > 0 else 1.0
-        rest = root if half > 0 else 1.0
+        fraction = root if half > 0 else 1.0
         if quarter > 0:
-            rest = rest * math.sqrt(root)
-        return fma(held, rest, -(strength * precompressed))
+            fraction = fraction * math.sqrt(root)
+        return fma(product, fraction, -(strength * precompressed))
 
     return force
 
@@ -227,6 +237,7 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
         for row in range(rows.kick.size):
             kick = rows.kick[row]
             drift = rows.drift[row]
+            # the one that is pushed may lie in another tile
             if rows.path.size > 0:
                 if forced:
                     if 1 <= body <= v.size:
@@ -241,6 +252,7 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
                     above = force(x[0] - x[1], il[0], st[0], pressed, coefficients)
                 if links.uncompressed > 0.0:
                     above += touching(x[0] - x[1], links.uncompressed, coefficients)
+            # a kick takes the forces at one time: a grain moves when both of its contacts are known
             for n in range(v.size):
                 below = force(x[n + 1] - x[n + 2], il[n + 1], st[n + 1], pressed, coefficients)
                 faster = fma(kick, inverse_mass[n] * (above - below), v[n])

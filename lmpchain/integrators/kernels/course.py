@@ -75,6 +75,7 @@ def fill_rows(steps, look, row, kick, drift):
     step = begun[look] + row // stages
     stage = row % stages
     for n in range(kick.size):
+        # the last kick before a look stands alone
         if step == begun[look + 1]:
             kick[n] = kicks[stages] * lengths[step - 1]
             drift[n] = 0.0
@@ -101,5 +102,5 @@ def drift_before(steps, look, row):
 
 @loop
 def count_rows(steps, look):
-    """Return how many rows there are from a look to the next."""
+    """Return the number of rows from a look to the next."""
     return steps.drifts.size * (steps.begun[look + 1] - steps.begun[look]) + 1

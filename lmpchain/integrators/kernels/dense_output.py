@@ -58,9 +58,10 @@ def fill_jerk(chain, first, last, rates, beyond, imposed):
     for n in range(first - 1, last):
         y = (x[n] - x[n + 1]) * chain.links.inverse_length[n] + pressed
         # the force is K y^delta
-        held = (force[n - beyond] + chain.links.strength[n] * pressed) / (y if y > 0.0 else 1.0)
+        total = force[n - beyond] + chain.links.strength[n] * pressed
+        secant = total / (y if y > 0.0 else 1.0)
         rate[n] = (
-            delta * held * chain.links.inverse_length[n] * (v[n] - v[n + 1]) if y > 0.0 else 0.0
+            delta * secant * chain.links.inverse_length[n] * (v[n] - v[n + 1]) if y > 0.0 else 0.0
         )
     if first == PAD and chain.links.uncompressed > 0.0:
         r = x[PAD - 1] - x[PAD]
@@ -98,13 +99,16 @@ def fill_samples(chain, clock, span, first, last, rates, out):
     v_1 = chain.v[first:last]
     a_1 = rates.pull[first:last]
     j_1 = rates.jerk[first:last]
-    h, sample, interval = end - begin, passes(chain, clock, span, begin, end), clock.interval
+    h = end - begin
+    interval = clock.interval
+    sample = passes(chain, clock, span, begin, end)
     while sample > 0 and sample * interval <= end and sample * interval < span.length:
         s = (sample * interval - begin) / h
         q = 1.0 - s
         s3 = s * s * s
         q3 = q * q * q
-        # of u at the beginning; 1 less that at the end
+        # weights of u, v, a and j at the beginning (0) and the end (1) of the step, for u: that of
+        # u at the end is 1 less `along`, so that grains at rest stay there
         along = q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
         v0 = h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s))
         v1 = -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q))
@@ -112,6 +116,7 @@ def fill_samples(chain, clock, span, first, last, rates, out):
         a1 = h * h / 2 * q * q * s3 * s * (1.0 + 4.0 * q)
         j0 = h * h * h / 6 * s3 * q3 * q
         j1 = -h * h * h / 6 * q3 * s3 * s
+        # and those of the rate: its degree is 6
         rise = 140.0 / h * s3 * q3
         w0 = q3 * (1.0 + s * (3.0 + s * (6.0 - 70.0 * s)))
         w1 = s3 * (1.0 + q * (3.0 + q * (6.0 - 70.0 * q)))
@@ -123,13 +128,15 @@ def fill_samples(chain, clock, span, first, last, rates, out):
         u_row = out.u[number - out.first, first - PAD :]
         v_row = out.v[number - out.first, first - PAD :]
         grains = min(last - first, u_row.size)
-        for n in range(grains):  # one row at a time, for then the compiler makes vectors of it
+        # one row at a time, for then the compiler makes vectors of it
+        for n in range(grains):
             u = fma(along, u_0[n] - u_1[n], u_1[n])
             u = fma(v0, v_0[n], fma(v1, v_1[n], u))
             u_row[n] = fma(j0, j_0[n], fma(j1, j_1[n], fma(a0, a_0[n], fma(a1, a_1[n], u))))
         for n in range(grains):
             v = fma(w0, v_0[n], fma(w1, v_1[n], rise * (u_1[n] - u_0[n])))
             v_row[n] = fma(k0, j_0[n], fma(k1, j_1[n], fma(b0, a_0[n], fma(b1, a_1[n], v))))
+        # longer rows are made as zeros, of which those outside the window cost no memory
         if out.u.shape[1] <= WHOLE_ROWS:
             u_rest = out.u[number - out.first]
             v_rest = out.v[number - out.first]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, inlined
+from .contact_forces import compiled_march, inlined
 from .layout import PAD, RESOLUTION
 from .openings import bound_nearness, shorten
 from .right_hand_side import accelerate, ahead, impose, impose_velocity
@@ -25,13 +24,14 @@ def _advance(chain, method, work, clock, span, out):
     widen(chain, stages + 2)
     first = state.first
     last = state.last
-    own = slice(first, last)
+    window = slice(first, last)
     now = span.begin + state.done
     remaining = min(
         span.length - state.done,
         ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step),
     )
-    # the first stage is at the begin of the step: how near an opening is follows from its accelerations
+    # the first stage is at the begin of the step: how near an opening is follows from its
+    # accelerations
     for n in range(first - 1, last + 1):
         z[n] = y[n]
     # of what is imposed, by the law behind a corner on which the step may begin
@@ -43,15 +43,16 @@ def _advance(chain, method, work, clock, span, out):
         h = clock.step * shorten(chain, z, w, slopes[0], openings, nearest)
     done = end_of_step(chain, span, remaining, h)
     h = done - state.done
-    grains = y[own]
-    speeds = w[own]
-    stage_grains = z[own]
+    grains = y[window]
+    speeds = w[window]
+    stage_grains = z[window]
     for stage in range(1, stages):
         for n in range(grains.size):
             stage_grains[n] = grains[n] + nodes[stage] * h * speeds[n]
         for earlier in range(stage):
             weight = inner[stage, earlier] * h * h
-            slope = slopes[earlier, own]
+            slope = slopes[earlier, window]
+            # many are 0
             if weight != 0.0:
                 for n in range(grains.size):
                     stage_grains[n] += weight * slope[n]
@@ -62,7 +63,7 @@ def _advance(chain, method, work, clock, span, out):
     for stage in range(stages):
         weight_x = weights[0, stage] * h * h
         weight_v = weights[1, stage] * h
-        slope = slopes[stage, own]
+        slope = slopes[stage, window]
         for n in range(grains.size):
             grains[n] += weight_x * slope[n]
             speeds[n] += weight_v * slope[n]
@@ -76,12 +77,12 @@ def _advance(chain, method, work, clock, span, out):
 _march = sample_loop(_advance, False)
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
+@compiled_march()
 def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by DOP853.
 
-    `method` is nodes c (12,), inner weights A^2 (12, 12) and weights (2, 12) of a step in displacement
-    and velocity; `layout.Shortening`; and whether steps are shorter near openings.
+    `method` is nodes c (12,), inner weights A^2 (12, 12) and weights (2, 12) of a step in
+    displacement and velocity; `layout.Shortening`; and whether steps are shorter near openings.
     """
     width = chains.x.shape[1]
     slopes = np.zeros((method[0][0].size, width))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, compiled, inlined
+from .contact_forces import compiled, compiled_march, inlined
 from .layout import PAD, RESOLUTION
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
@@ -18,17 +17,22 @@ def _touch_alike(chain, y, z, first, last):
     il = chain.links.inverse_length
     opening = -chain.links.precompressed
     for n in range(first - 1, last):
-        shut = (y[n] - y[n + 1]) * il[n] > opening, (z[n] - z[n + 1]) * il[n] > opening
-        if chain.links.strength[n] > 0.0 and shut[0] != shut[1]:
+        shut_y = (y[n] - y[n + 1]) * il[n] > opening
+        shut_z = (z[n] - z[n + 1]) * il[n] > opening
+        if chain.links.strength[n] > 0.0 and shut_y != shut_z:
             return False
-    above = y[PAD - 1] > y[PAD], z[PAD - 1] > z[PAD]
-    return not (first == PAD and chain.links.uncompressed > 0.0 and above[0] != above[1])
+    # a wall that only touches
+    shut_y = y[PAD - 1] > y[PAD]
+    shut_z = z[PAD - 1] > z[PAD]
+    return not (first == PAD and chain.links.uncompressed > 0.0 and shut_y != shut_z)
 
 
 @inlined
 def _move(chain, z, begin, h, side):
     """Put into z the bodies, and what is imposed, `side` steps h from the begin of a step."""
-    y, accelerations, state = chain.x, chain.history[0], chain.state
+    y = chain.x
+    accelerations = chain.history[0]
+    state = chain.state
     z[state.first - 1] = y[state.first - 1]
     z[state.last] = y[state.last]
     for n in range(state.first, state.last):
@@ -44,7 +48,9 @@ def _begin(chain, work, now, h):
     is no part of the motion: half a step after stands for it.
     """
     force, pull, z = work
-    y, derivatives, state = chain.x, chain.history, chain.state
+    y = chain.x
+    derivatives = chain.history
+    state = chain.state
     first = state.first
     last = state.last
     state.step_size = h
@@ -62,10 +68,9 @@ def _begin(chain, work, now, h):
             if side == 1.0:
                 derivatives[1, n] = pull[n]
             elif smooth:
-                derivatives[1, n], derivatives[2, n] = (
-                    (derivatives[1, n] - pull[n]) * h * h / 12,
-                    pull[n] + derivatives[1, n] - 2.0 * derivatives[0, n],
-                )
+                ahead = derivatives[1, n]
+                derivatives[1, n] = (ahead - pull[n]) * h * h / 12
+                derivatives[2, n] = pull[n] + ahead - 2.0 * derivatives[0, n]
             else:
                 slope = 4.0 * pull[n] - derivatives[1, n] - 3.0 * derivatives[0, n]
                 bend = 4.0 * (derivatives[1, n] - 2.0 * pull[n] + derivatives[0, n])
@@ -81,9 +86,13 @@ def _begin(chain, work, now, h):
 def _step(chain, corrections, work, now, then, h):
     """Take one step: predict by the Taylor series, evaluate the force once, correct."""
     force, pull, _ = work
-    y, w, derivatives, state = chain.x, chain.v, chain.history, chain.state
+    y = chain.x
+    w = chain.v
+    derivatives = chain.history
+    state = chain.state
     first = state.first
     last = state.last
+    # its history is scaled with the step: a step of another length begins anew
     if state.step_size != h:
         _begin(chain, work, now, h)
     for n in range(first, last):
@@ -105,7 +114,8 @@ def _step(chain, corrections, work, now, then, h):
         derivatives[2, n] += corrections[4] * off
     impose(chain, y, then, then)
     hold(chain, w)
-    if chain.inverse_mass[PAD] == 0.0:  # its derivatives are imposed, too
+    # the derivatives of a grain that is driven are imposed, too
+    if chain.inverse_mass[PAD] == 0.0:
         derivatives[0, PAD] = 0.0
         derivatives[1, PAD] = 0.0
         derivatives[2, PAD] = 0.0
@@ -120,15 +130,15 @@ def _advance(chain, method, work, clock, span, out):
     widen(chain, 4)
     now = span.begin + state.done * h
     then = span.begin + (state.done + 1) * h
-    first = cut(chain, now, h)
-    corner = now + first if first > 0.0 else then
+    to_corner = cut(chain, now, h)
+    corner = now + to_corner if to_corner > 0.0 else then
     for begin, end, length in (
-        (now, corner, first if first > 0.0 else h),
-        (corner, then, h - first),
+        (now, corner, to_corner if to_corner > 0.0 else h),
+        (corner, then, h - to_corner),
     ):
         if begin < end:
             _step(chain, corrections, work, begin, end, length)
-    if first > 0.0:
+    if to_corner > 0.0:
         state.step_size = 0.0
     watch(chain)
     look(chain, clock, state.steps + 1, then, 1.0)
@@ -139,16 +149,14 @@ def _advance(chain, method, work, clock, span, out):
 _march = sample_loop(_advance, True)
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
+@compiled_march()
 def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by Gear's method of five values.
 
-    `method` is its coefficients (5,). `chains.history`
-    holds the second, third and fourth derivatives of the displacements, times h^k / k!.
+    `method` is its coefficients (5,). `chains.history` holds the second, third and fourth
+    derivatives of the displacements, times h^k / k!.
     """
     width = chains.x.shape[1]
-    force = np.zeros(width)
-    pull = np.zeros(width)
-    moved = np.zeros(width)
-    work = force, pull, moved
+    # forces, accelerations, and bodies a step before or after
+    work = np.zeros(width), np.zeros(width), np.zeros(width)
     return _march(chains, method, work, clocks, fields, goal)

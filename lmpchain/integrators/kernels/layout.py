@@ -16,7 +16,8 @@ from ...util.arrays import Array
 
 PAD = 8  # doubles in a cache line
 
-RESOLUTION = 1e-9  # of a step: nearer to its ends what is imposed has no corner
+# of a step: nearer to its ends what is imposed has no corner
+RESOLUTION = 1e-9
 
 # What is imposed on a chain after t = 0: a sine, also one with an envelope, or a cubic spline.
 WAVE = np.dtype(
@@ -62,11 +63,13 @@ STATE = np.dtype(
         ("step_size", "f8"),  # s: of the last step, with which Gear scales its history
         ("step_begin", "f8"),  # s after the last sample: where the last adaptive step began
     ],
-    align=True,  # compiled loops read aligned numbers faster
+    # compiled loops read aligned numbers faster
+    align=True,
 )
 
 EDGES = 128  # more than there are rows in a `sweep`
-GIVEN_UP = PAD  # in a gate: on a cache line of its own
+# in a gate: on a cache line of its own
+GIVEN_UP = PAD
 # grains of a thread; of this many, what it waits for others is a tenth of the time
 LEAST_SHARE = 4096
 # grains, a page: of no more, samples are written whole; of more, only as far as the wave has come
@@ -130,7 +133,7 @@ class Links(NamedTuple):
 
 
 class Imposed(NamedTuple):
-    """What acts on R chains after t = 0, or on one: then without the first axis of the arrays.
+    """Motions and forces imposed on R chains after t = 0; for one without the first axis.
 
     Attributes
     ----------
@@ -276,7 +279,7 @@ class Fields(NamedTuple):
 
 
 class Row(NamedTuple):
-    """The same of one chain: (B, N) arrays."""
+    """Where samples of one chain go: (B, N) arrays, from the sample `first` on."""
 
     u: Array
     v: Array

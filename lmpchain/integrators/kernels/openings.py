@@ -1,4 +1,4 @@
-"""How much shorter steps are near contacts that open or close, compiled.
+"""Shorter steps near contacts that open or close, compiled.
 
 A method of order p needs p derivatives of the force, which goes like t^delta where a contact opens
 or closes; steps that shorten like the distance to that time to the power 9/14 keep the error of
@@ -18,7 +18,8 @@ from .layout import PAD
 from .right_hand_side import slice_links
 from .team import largest, share
 
-GROUP = 16  # contacts that are looked at together
+# contacts that are looked at together: as many as a few vector registers hold
+GROUP = 16
 
 
 class Near(NamedTuple):
@@ -56,7 +57,8 @@ def _score(gap, rate, bend, weight, omega, nearest):
     size = inside if inside > 0.0 else -inside
     root = math.sqrt(size)
     modulus = math.sqrt(rate * rate + size)
-    towards = abs(rate) if gap > 0.0 else rate  # behind a contact that has just opened lies nothing
+    # behind a contact that has just opened lies nothing
+    towards = abs(rate) if gap > 0.0 else rate
     fast = towards + root if inside > 0.0 else modulus
     comes = gap if gap > inside else inside
     fast = fast if comes > 0.0 else 0.0
@@ -71,13 +73,14 @@ def _score(gap, rate, bend, weight, omega, nearest):
 
 @inlined
 def _may_matter(y, rates, bends, links, reach, close):
-    """Say whether any of these contacts may be near enough to an opening to shorten the step.
+    """Return whether any of these contacts may be so near to opening that it shortens the step.
 
     That is so from a score of shortened^14 on. In `_score` fast^2 is at most q and `size` at most q
     / 2, so that no root and no quotient is needed: with reach = weight^(1/3) / (sqrt(2) (2
     omega)^3) and close = shortened^(-14/3) no score is as large while q^2 reach close < |gap|^3.
     """
-    largest = -1  # as bits, see `window.watch`
+    # as bits, see `window.watch`
+    largest = -1
     for n in range(reach.size):
         il = links.inverse_length[n]
         gap = abs(links.precompressed + (y[n] - y[n + 1]) * il)
@@ -91,6 +94,7 @@ def _may_matter(y, rates, bends, links, reach, close):
 @inlined
 def _find_nearness(y, rates, bends, links, near):
     """Return the largest score of all contacts between the bodies y; 0 if none is near."""
+    # as bits, too
     largest = 0
     size = near.weight.size
     for begin in range(0, size, GROUP):
@@ -111,14 +115,15 @@ def _find_nearness(y, rates, bends, links, near):
             rate = (rt[n] - rt[n + 1]) * il[n]
             bend = (bt[n] - bt[n + 1]) * il[n]
             largest = max(bits(_score(gap, rate, bend, wt[n], near.omega, near.nearest)), largest)
-    most = number(largest)
+    nearness = number(largest)
+    # a wall that only touches, whose overlap is the displacement itself
     if links.uncompressed > 0.0:
         gap = y[0] - y[1]
         rate = rates[0] - rates[1]
         bend = bends[0] - bends[1]
         score = _score(gap, rate, bend, near.weight[0], near.omega, near.nearest)
-        most = score if score > most else most
-    return most
+        nearness = score if score > nearness else nearness
+    return nearness
 
 
 @inlined
@@ -138,7 +143,7 @@ def bound_nearness(chains, clocks, openings):
 
 @inlined
 def shorten(chain, y, w, pull, openings, nearest):
-    """Return how long the next step is, over that of the schedule, for the contact that matters most.
+    """Return the next step over that of the schedule, for the contact that matters most.
 
     Parameters
     ----------

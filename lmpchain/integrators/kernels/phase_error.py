@@ -88,7 +88,7 @@ class Evaluations(NamedTuple):
 
 
 class Imposed(NamedTuple):
-    """What acts on a chain at these times.
+    """Motion of the top wall, and acceleration of a grain, that are imposed at these times.
 
     Attributes
     ----------
@@ -158,6 +158,7 @@ def _fill(bodies, i, links, solution, imposed):
         below = links.stiffness[n + 1] * (x[n - first + 1] - x[n - first + 2])
         a[n - first + 1] = (above - below) * links.inverse_mass[n]
         above = below
+    # a force on a grain
     if first <= imposed.grain < last:
         a[imposed.grain - first + 1] += imposed.acceleration[i]
 
@@ -172,6 +173,7 @@ def _strain(bodies, inverse_overlap, law):
         strain = (x[n] - x[n + 1]) * inverse_overlap[n]
         rate = (v[n] - v[n + 1]) * inverse_overlap[n]
         bend = (a[n] - a[n + 1]) * inverse_overlap[n]
+        # a contact may open and close again between two times
         lowest = strain
         if bend > 0 and abs(rate) < law.near * bend:
             lowest -= rate * rate / (2 * bend)
@@ -190,6 +192,7 @@ def _pull(x, links, first):
     for n in range(x.size - 1):
         contact = first + n
         below = 0.0
+        # linear theory goes on to pull where an open contact does nothing
         if (x[n] - x[n + 1]) * links.inverse_overlap[contact] < -1.0:
             apart = x[n + 1] - x[n] - 1 / links.inverse_overlap[contact]
             below = links.stiffness[contact] * apart
@@ -212,6 +215,7 @@ def accumulate(state, links, solution, imposed, law):
         if opened >= 0 and np.isnan(now.opened):
             now.opened = first + opened
         pull = 0.0 if np.isnan(now.opened) else _pull(bodies[0], links, first)
+        # by the trapezoidal rule
         span = solution.time[i] - now.time
         now.shift += law.lead * (now.strain + strain) / 2 * span
         now.squared_strain += (now.strain**2 + strain**2) / 2 * span
@@ -227,6 +231,7 @@ def accumulate(state, links, solution, imposed, law):
         now.displacement = max(now.displacement, displacement)
         now.velocity = max(now.velocity, velocity)
         now.acceleration = max(now.acceleration, acceleration)
+        # a shift in time is an error by the rate
         if solution.recorded[i]:
             shift = abs(now.shift)
             now.displacement_error = max(now.displacement_error, shift * velocity)

@@ -1,4 +1,4 @@
-"""How large an answer is and how far other runs are from it, compiled."""
+"""Largest motion of an answer, and its distance from other runs, compiled."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import MAGNITUDE, Array
-from ...util.compilation import compiled_once
-from .contact_forces import NEWS, bits, number
+from .contact_forces import bits, compiled_engine, number
 
 SOUND, TOO_FAST, NOT_A_NUMBER = range(3)
-_exact = numba.njit(error_model="numpy")
-_total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
+_in_order = numba.njit(error_model="numpy")
+# a sum of many numbers in any order, that is several at a time
+_in_any_order = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
 
 class Runs(NamedTuple):
@@ -36,16 +36,19 @@ class Runs(NamedTuple):
     strides: NDArray[np.int64]
 
 
-@_exact
+@_in_order
 def _farthest(a, b):
-    """Return the largest distance of a and b; no number, whose bits are above all others, if any is none."""
+    """Return the largest distance of a and b; no number if any is none.
+
+    The bits of what is no number are above all others.
+    """
     largest = 0
     for n in range(a.size):
         largest = max(bits(a[n] - b[n]) & MAGNITUDE, largest)
     return number(largest)
 
 
-@_total
+@_in_any_order
 def _kinetic(v, masses):
     """Return twice the kinetic energy, J."""
     total = 0.0
@@ -54,7 +57,7 @@ def _kinetic(v, masses):
     return total
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
+@compiled_engine(nogil=True)
 def compare(
     u: Array,
     v: Array,
@@ -78,15 +81,16 @@ def compare(
     allowed : (R,) array
         Bound on twice the kinetic energy, J.
     differences : (S, T, R, 2) array
-        Takes the largest differences over the grains where the others stop; no number where that is none.
+        Takes the largest differences over the grains where the others stop; no number where that
+        is none.
     peaks : (R, 2) array
         Takes the largest displacement and speed, where they are larger than what it holds.
 
     Returns
     -------
     int
-        `SOUND`, `TOO_FAST` if any sample has more energy than there is, or `NOT_A_NUMBER` if a displacement or velocity
-        is none; the last of these.
+        `SOUND`, `TOO_FAST` if any sample has more energy than there is, or `NOT_A_NUMBER` if a
+        displacement or velocity is none; the last of these.
     """
     final = differences.shape[1] - 1
     rest = np.zeros(u.shape[2])
@@ -101,6 +105,7 @@ def compare(
             if not (np.isfinite(energy) and np.isfinite(farthest)):
                 verdict = NOT_A_NUMBER
                 continue
+            # contacts never hold less than at rest: so much speed is that of a run that breaks down
             if energy > allowed[real]:
                 verdict = max(verdict, TOO_FAST)
             peaks[real, 0] = max(peaks[real, 0], farthest)

@@ -23,7 +23,7 @@ TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over th
 
 @compiled
 def _course(chain, t, order, inside):
-    """Return what is imposed at time t, or its rate (order 1), by the law of time `inside`.
+    """Return the imposed motion or force at time t, or its rate (order 1), by the law at `inside`.
 
     It is a sine, also one with an envelope, or a cubic spline.
     """
@@ -45,7 +45,10 @@ def _course(chain, t, order, inside):
     pieces = chain.imposed.pieces
     piece = min(max(np.searchsorted(knots, t, "right") - 1, 0), knots.size - 2)
     s = t - knots[piece]
-    a, b, c, d = pieces[0, piece], pieces[1, piece], pieces[2, piece], pieces[3, piece]
+    a = pieces[0, piece]
+    b = pieces[1, piece]
+    c = pieces[2, piece]
+    d = pieces[3, piece]
     return ((a * s + b) * s + c) * s + d if order == 0 else (3 * a * s + 2 * b) * s + c
 
 
@@ -60,7 +63,8 @@ def ahead(chain, t, end, resolution):
             return knots[following] - t
     elif chain.imposed.acts and t + resolution < wave.end < end - resolution:
         return wave.end - t
-    return 1e300  # infinity would be none under the flags of the compiler
+    # infinity would be none under the flags of the compiler
+    return 1e300
 
 
 @inlined
@@ -80,7 +84,7 @@ def forced(chain):
 
 @inlined
 def imposed(chain, t):
-    """Return what is imposed at time t, for a row of `sweep`: a displacement, or a force."""
+    """Return the displacement or force that is imposed at time t, for a row of `sweep`."""
     return _course(chain, t, 0, t)
 
 
@@ -121,7 +125,7 @@ def place(chain, t, u_row, v_row):
 
 @inlined
 def imposed_speed(chain, t):
-    """Return how fast grain 1 is at time t if it is driven, else 0."""
+    """Return the speed of grain 1 at time t if it is driven, else 0."""
     return (
         abs(_course(chain, t, 1, t))
         if chain.imposed.acts and chain.imposed.wave.body == PAD
@@ -137,11 +141,11 @@ def hold(chain, v):
 
 
 @inlined
-def slice_links(links, some, uncompressed):
+def slice_links(links, contacts, uncompressed):
     """Return some of the contacts, the first of which touches with this constant besides."""
     return Links(
-        inverse_length=links.inverse_length[some],
-        strength=links.strength[some],
+        inverse_length=links.inverse_length[contacts],
+        strength=links.strength[contacts],
         uncompressed=uncompressed,
         form=links.form,
         precompressed=links.precompressed,
@@ -150,13 +154,13 @@ def slice_links(links, some, uncompressed):
 
 
 @inlined
-def slice_rows(rows, some):
+def slice_rows(rows, numbers):
     """Return some of the rows of a sweep."""
     return Rows(
-        kick=rows.kick[some],
-        drift=rows.drift[some],
-        carried=rows.carried[some],
-        path=rows.path[some],
+        kick=rows.kick[numbers],
+        drift=rows.drift[numbers],
+        carried=rows.carried[numbers],
+        path=rows.path[numbers],
     )
 
 
@@ -164,7 +168,10 @@ def slice_rows(rows, some):
 def accelerate(chain, y, first, last, force, pull):
     """Fill pull (W,) with accelerations of bodies first ... last-1 of y (W,), and force (W,)."""
     near = slice(first - 1, last)
-    f, im, a = force[: last - first + 1], chain.inverse_mass[first:last], pull[first:last]
+    # slices, whose bounds the compiler knows: then it makes vectors of the loop
+    f = force[: last - first + 1]
+    im = chain.inverse_mass[first:last]
+    a = pull[first:last]
     links = chain.links
     contact_forces(links.form, f, y[first - 1 : last + 1], slice_links(links, near, 0.0))
     if first == PAD and links.uncompressed > 0.0:
@@ -180,7 +187,8 @@ def accelerate(chain, y, first, last, force, pull):
 def _sweep_rows(chain, a, b, rows):
     """Kick and drift the grains a ... b-1 once for each of some rows."""
     pushed = forced(chain)
-    top = a == chain.state.first  # none of the window is above
+    # none of the window is above
+    top = a == chain.state.first
     touches = chain.links.uncompressed if top and a == PAD else 0.0
     body = pushed if pushed > 0 else chain.imposed.wave.body
     kick_and_drift(
@@ -212,6 +220,7 @@ def _close(chain, end, rows):
     x = chain.x
     edges = chain.team.edges[chain.team.part + 1]
     for row in range(rows.kick.size):
+        # the grain below is further on by now: for this row it is put back where it was in it
         b = end + PAD * (row + 1)
         now = x[b]
         x[b] = edges[row]

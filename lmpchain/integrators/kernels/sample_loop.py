@@ -66,7 +66,7 @@ def _row(fields, real, schedule):
 
 @inlined
 def _leave(chain, method, work, clock, span, out):
-    """Do nothing at a landing, where displacements and velocities are complete."""
+    """Leave a landing as it is, where displacements and velocities are complete."""
 
 
 @inlined
@@ -79,9 +79,9 @@ def end_of_step(chain, span, remaining, step):
     done = chain.state.done
     # 1e-9: what fits into so many steps but for rounding is not cut into one more
     steps = max(1, math.ceil(remaining / max(step, SHORTEST * span.length) - 1e-9))
-    return (
-        span.length if steps == 1 and remaining == span.length - done else done + remaining / steps
-    )
+    # the clock lands on the sample itself, not a rounding beside it
+    lands = steps == 1 and remaining == span.length - done
+    return span.length if lands else done + remaining / steps
 
 
 def sample_loop(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, inlined
+from .contact_forces import compiled_march, inlined
 from .layout import PAD, Rows
 from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
 from .sample_loop import sample_loop
@@ -32,8 +31,9 @@ def _fill_step(chain, method, work, row, origin, before, h):
 
 @inlined
 def _burst(chain, span, stages):
-    """Return how many steps are made between two updates of the window."""
+    """Return the number of steps between two updates of the window."""
     state = chain.state
+    # rows of a burst are swept together, which pays where the window need not grow, or is long
     full = state.first == PAD and state.last == chain.x.size - PAD
     wide = stages == 1 or full or state.last - state.first > TILE
     return min(span.steps - int(state.done), max(1, ROWS // stages) if wide else 1)
@@ -50,7 +50,8 @@ def _advance(chain, method, work, clock, span, out):
     state = chain.state
     stages = drifts.size
     h = span.step
-    missing = kicks[stages] * clock.step * chain.omega  # of a speed, without the last kick
+    # of a speed, without the last kick
+    missing = kicks[stages] * clock.step * chain.omega
     complete = 1.0 / (1.0 + 0.5 * missing * missing)
     burst = _burst(chain, span, stages)
     begun = span.begin + state.done * h
@@ -58,7 +59,8 @@ def _advance(chain, method, work, clock, span, out):
     halved = burst
     for step in range(burst):
         begin = begun + step * h
-        corner = cut(chain, begin, h) if stages > 1 else 0.0  # which leaves an order of 2 as it is
+        # a corner leaves an order of 2 as it is
+        corner = cut(chain, begin, h) if stages > 1 else 0.0
         if corner > 0.0:
             halved = step
             _fill_step(chain, method, work, filled, begin, 0, corner)
@@ -68,12 +70,14 @@ def _advance(chain, method, work, clock, span, out):
             _fill_step(chain, method, work, filled, begun, step, h)
         filled += stages
     widen(chain, filled + 1)
-    step, before = 0, state.steps
+    step = 0
+    steps_before = state.steps
     while step < burst:
-        end = min(burst, max(step + 1, state.next_look - before))
-        some = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
-        sweep(chain, slice_rows(rows, some))
-        look(chain, clock, before + end, begun + end * h, complete)
+        # up to the next look; the step with a corner has rows for two
+        end = min(burst, max(step + 1, state.next_look - steps_before))
+        until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
+        sweep(chain, slice_rows(rows, until_look))
+        look(chain, clock, steps_before + end, begun + end * h, complete)
         step = end
     watch(chain)
     state.done += burst
@@ -95,7 +99,7 @@ def _land(chain, method, work, clock, span, out):
 _march = sample_loop(_advance, True, _land)
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
+@compiled_march()
 def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by a splitting; `method` is `layout.Stages`."""
     size = ROWS + 2 * method[1].size

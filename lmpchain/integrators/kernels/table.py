@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
-from .contact_forces import NEWS
+from .contact_forces import compiled_engine
 from .layout import PAD, STATE, Links
 
-MOST = 1e300  # J, where nothing bounds the energy
+UNBOUNDED = 1e300  # J, where nothing bounds the energy
 _compiled = numba.njit(error_model="numpy")
 
 
@@ -40,10 +39,31 @@ class AtRest(NamedTuple):
     compressed: bool
 
 
-@compiled_once(*NEWS, error_model="numpy")
-def lay_out(
-    at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int]
-) -> tuple[Array, ...]:
+class Layout(NamedTuple):
+    """R chains laid out for the compiled loops.
+
+    Attributes
+    ----------
+    inverse_length, strength, inverse_mass : (R, W) arrays
+        1 / length and strength of the contact below each body, see `layout.Links`, and 1/kg.
+    uncompressed, omega, scale : (R,), (R,) and (R, 2) arrays
+        See `layout.Links` and `layout.Chains`.
+    units, allowed : (R, 2) and (R,) arrays
+        See `ChainBatch`.
+    """
+
+    inverse_length: Array
+    strength: Array
+    inverse_mass: Array
+    uncompressed: Array
+    omega: Array
+    scale: Array
+    units: Array
+    allowed: Array
+
+
+@compiled_engine()
+def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int]) -> Layout:
     """Lay R chains out.
 
     Parameters
@@ -59,17 +79,14 @@ def lay_out(
 
     Returns
     -------
-    table : (3, R, W) array
-        1 / length and strength of the contact below each body, and its inverse mass.
-    uncompressed, omega, scale : (R,), (R,) and (R, 2) arrays
-        See `layout.Links` and `layout.Chains`.
-    units, allowed : (R, 2) and (R,) arrays
-        See `ChainBatch`.
+    Layout
     """
     batch, grains = masses.shape
     overlap, force, constant, stiffness, compressed = at_rest
     first, stop = free
-    table = _rows(3 * batch, grains).reshape((3, batch, -1))
+    inverse_length, strength, inverse_mass = _rows(3 * batch, grains).reshape((3, batch, -1))
+    # the force of a contact in units of that at rest; where nothing is pressed, of K and 1 m
+    carried = force if compressed else constant
     uncompressed = np.zeros(batch)
     omega = np.empty(batch)
     scale = np.empty((batch, 2))
@@ -79,14 +96,13 @@ def lay_out(
         for n in range(grains + 1):
             length = overlap[real, n] if compressed else 1.0
             if length > 0.0:
-                table[0, real, PAD - 1 + n] = 1.0 / length
-                strength = force if compressed else constant
-                table[1, real, PAD - 1 + n] = strength[real, n]
+                inverse_length[real, PAD - 1 + n] = 1.0 / length
+                strength[real, PAD - 1 + n] = carried[real, n]
         weight = 0.0
         for n in range(grains):
             weight += masses[real, n]
             if first <= n < stop:
-                table[2, real, PAD + n] = 1.0 / masses[real, n]
+                inverse_mass[real, PAD + n] = 1.0 / masses[real, n]
         if compressed and force[real, 0] == 0.0:
             uncompressed[real] = constant[real, 0]
         fastest, energy, farthest, speed = strikes[real]
@@ -94,17 +110,20 @@ def lay_out(
         omega[real] = fastest
         scale[real, 0] = speed / fastest
         scale[real, 1] = speed
+        # a single grain has a contact with the wall above it, or one with that below
         below = 1 if constant[0, 1] > 0.0 else 0
         length = overlap[real, below]
         unit = length * math.sqrt(stiffness[real, below] / masses[real, 0])
         units[real, 0] = length
         units[real, 1] = unit
         # half as much again may be rounded, and slow motion that nothing puts in
-        allowed[real] = min(3.0 * energy + weight * (1e-3 * unit) ** 2, MOST)
-    return table, uncompressed, omega, scale, units, allowed
+        allowed[real] = min(3.0 * energy + weight * (1e-3 * unit) ** 2, UNBOUNDED)
+    return Layout(
+        inverse_length, strength, inverse_mass, uncompressed, omega, scale, units, allowed
+    )
 
 
-@compiled_once(*NEWS, error_model="numpy")
+@compiled_engine()
 def place_bodies(
     u: Array,
     v: Array,
@@ -151,6 +170,7 @@ def place_bodies(
         if first > last:
             first = width
             last = 0
+        # whatever moves or is out of place belongs to the window
         for n in range(grains):
             x[row, PAD + n] = u[copy, real, n]
             if n >= driven:
@@ -161,6 +181,7 @@ def place_bodies(
         if first > last:
             first = PAD
             last = PAD
+        # to follow the wave costs more than so few grains
         if width <= longest:
             first = PAD
             last = width - PAD - 1
@@ -172,11 +193,11 @@ def place_bodies(
     return x, w, state
 
 
-@compiled_once(*NEWS, error_model="numpy")
+@compiled_engine()
 def opening_weights(
     links: Links, inverse_mass: Array, omega: Array, scale: Array
 ) -> tuple[Array, Array]:
-    """Return how much each contact changes the motion as it opens or closes.
+    """Return the effect of each contact on the motion as it opens or closes.
 
     Parameters
     ----------
@@ -186,7 +207,7 @@ def opening_weights(
     Returns
     -------
     weight, reach : (R, W) arrays
-        The square of that, and how near to it no step is shorter; see
+        The square of that effect, and how near to it no step is shorter; see
         `adaptive_splitting._may_matter`.
     """
     batch, width = inverse_mass.shape

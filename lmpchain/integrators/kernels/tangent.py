@@ -1,4 +1,4 @@
-"""The map of a kick-drift splitting and its tangent, compiled: how deviations of a state grow.
+"""The map of a kick-drift splitting and its tangent, by which deviations grow, compiled.
 
 The map is that of the native engine, so its tangent is exact for the steps taken, and symplectic.
 """
@@ -94,6 +94,7 @@ def _evaluate(links, x, lost, response):
         r = x[first] - x[PAD]
         force[0] += touching(r, links.uncompressed, links.coefficients)
         stiffness[0] += _stiffness(r, links.uncompressed, delta)
+    # to first order, the force at the displacement that was not rounded
     for n in range(force.size):
         force[n] += stiffness[n] * (lost[first + n] - lost[PAD + n])
 
@@ -101,6 +102,7 @@ def _evaluate(links, x, lost, response):
 @inlined
 def _add(row, lost, n, change):
     """Add a change to an element of a row, and keep what rounding takes off for the next one."""
+    # exact for any two numbers, which needs that the compiler reorders nothing
     old = row[n]
     change += lost[n]
     new = old + change
@@ -117,6 +119,7 @@ def _kick(inverse_mass, kick, motion, lost, deviations, response):
     grains, columns = dx.shape
     for n in range(grains):
         push = kick * inverse_mass[PAD + n]
+        # one that is held or driven
         if push == 0.0:
             continue
         change = push * (force[n] - force[n + 1])

@@ -20,7 +20,7 @@ from .layout import GIVEN_UP, LEAST_SHARE, PAD
 
 # looks for the others, some microseconds, before the core is offered to whoever wants it
 LOOKS_BEFORE_YIELD = 4000
-_WHOLE = ir.IntType(64)
+_INT64 = ir.IntType(64)
 
 
 def _place(context: Any, builder: Any, kind: Any, gate: Any, index: Any) -> Any:
@@ -32,8 +32,8 @@ def _count_in(typing: Any, gate: Any) -> Any:
     """Add 1 to gate[0] and return what it was, at once for all threads."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        place = _place(context, builder, signature.args[0], args[0], ir.Constant(_WHOLE, 0))
-        return builder.atomic_rmw("add", place, ir.Constant(_WHOLE, 1), "seq_cst")
+        place = _place(context, builder, signature.args[0], args[0], ir.Constant(_INT64, 0))
+        return builder.atomic_rmw("add", place, ir.Constant(_INT64, 1), "seq_cst")
 
     return types.int64(gate), generate
 
@@ -44,7 +44,7 @@ def _seen(typing: Any, gate: Any, index: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         place = _place(context, builder, signature.args[0], args[0], args[1])
-        return builder.load_atomic(place, "seq_cst", 8, typ=_WHOLE)
+        return builder.load_atomic(place, "seq_cst", 8, typ=_INT64)
 
     return types.int64(gate, types.int64), generate
 
@@ -54,6 +54,7 @@ def _stand_back(typing: Any) -> Any:
     """Offer the core to other threads."""
 
     def generate(context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
+        # Windows has none: there the thread goes on looking
         if hasattr(os, "sched_yield"):
             kind = ir.FunctionType(ir.IntType(32), [])
             builder.call(cgutils.get_or_insert_function(builder.module, kind, "sched_yield"), [])
@@ -65,6 +66,7 @@ def _stand_back(typing: Any) -> Any:
 @compiled
 def _wait(team):
     """Wait until all threads are here, or one has given up."""
+    # arrivals are never reset: the goal is the next multiple of the number of threads
     goal = (_count_in(team.gate) // team.parts + 1) * team.parts
     looks = 0
     while _seen(team.gate, 0) < goal and _seen(team.gate, GIVEN_UP) == 0:
@@ -87,10 +89,10 @@ def largest(team, value):
         return value
     team.nearness[team.part, 0] = value
     meet(team)
-    most = team.nearness[0, 0]
+    value = team.nearness[0, 0]
     for part in range(1, team.parts):
-        most = max(most, team.nearness[part, 0])
-    return most
+        value = max(value, team.nearness[part, 0])
+    return value
 
 
 @inlined
@@ -104,6 +106,7 @@ def share(chain):
     team = chain.team
     if team.parts == 1:
         return first, last
+    # threads beyond that would wait longer than they work
     shares = max(1, min(team.parts, (last - first) // LEAST_SHARE))
     part = min(team.part, shares)
     lines = (last - first) // PAD

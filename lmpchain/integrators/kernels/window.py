@@ -27,13 +27,13 @@ class Looks(NamedTuple):
         omega t between the first looks: of one period of the fastest at most 12 % is missed.
     settled : int
         Later looks are this part of the steps apart: what is new is rare then.
-    most : float
+    longest : float
         Steps between two looks at most, which whole numbers hold.
     """
 
     radians: float = 1.0
     settled: int = 32
-    most: float = 2.0**30
+    longest: float = 2.0**30
 
 
 LOOKS = Looks()
@@ -50,14 +50,16 @@ def widen(chain, margin):
     last = state.last
     end = x.size - PAD
     if last < end:
-        n, inner = last - 1, max(PAD, chain.imposed.reach[1])
+        n = last - 1
+        inner = max(PAD, chain.imposed.reach[1])
         while n > inner and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n -= 1
         # whole cache lines, so that threads and tiles do not share one
         state.last = min(end, max(last, (n + 1 + margin + PAD - 1) // PAD * PAD))
     first = state.first
     if first > PAD:
-        n, inner = first, min(end - 1, chain.imposed.reach[0])
+        n = first
+        inner = min(end - 1, chain.imposed.reach[0])
         while n < inner and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n += 1
         state.first = max(PAD, min(first, (n - margin) // PAD * PAD))
@@ -96,7 +98,7 @@ def look(chain, clock, steps, t, complete):
     state = chain.state
     if steps < state.next_look or not clock.looks:
         return
-    interval = int(min(max(LOOKS.radians / (clock.step * chain.omega), 1.0), LOOKS.most))
+    interval = int(min(max(LOOKS.radians / (clock.step * chain.omega), 1.0), LOOKS.longest))
     state.next_look = steps + interval + steps // LOOKS.settled
     first, last = share(chain)
     x = chain.x[first:last]
