@@ -152,7 +152,7 @@ class ChainBatch:
         size = len(self.scenes)
         if not self.scenes[0].excitation.does_work:
             # the last body that is acted on lies before the first
-            none = np.tile([PAD - 1 + self.grains, PAD], (size, 1))
+            none = np.array([[PAD - 1 + self.grains, PAD]] * size)
             knots = np.zeros((size, 0))
             return Imposed(False, none, np.zeros(size, WAVE), knots, np.zeros((size, 4, 0)))
         reach = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck]))
