@@ -99,6 +99,7 @@ class Splitting:
         # samples between steps are interpolated by the adaptive march alone
         if not (schedule.adaptive or schedule.dense > 0):
             return March(splitting.march, self._stages, shared=True)
+        assert not (schedule.dense and batch.imposed.acts), "see kernels.dense_output"
         openings = shorten_steps(self.order, batch, schedules)
         history = DENSE_ROWS if schedule.dense else 0
         return March(adaptive_splitting.march, (self._stages, openings), history, shared=True)

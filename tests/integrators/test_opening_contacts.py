@@ -13,7 +13,7 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.native import companion_run, step_choice
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
@@ -161,13 +161,16 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
-def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(name: str):
+def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
     """They cost a quarter less or better, with an estimate of a lower order;
     after a miss they are short.
     """
     scene, engine = paper(name, samples=301), Native("rkn6")
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
-    engine.dense = False  # nor are samples interpolated
+    # nor are samples interpolated
+    monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
     candidate, truth, costs = engine.candidate(scene, 1e-4), reference(scene), []
     assert candidate.coarse_openings
     for proposed in (candidate, candidate._replace(coarse_openings=False)):
@@ -186,12 +189,14 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     )
 
 
-def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too():
+def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too(
+    monkeypatch: pytest.MonkeyPatch,
+):
     scene = paper("fig5 g", samples=101)
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))
     springs = scene.replace(chain=scene.chain.replace(exponent=1.0))
     engine = Native("rkn6")
-    engine.dense = False
+    monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
     assert engine.candidate(scene, 1e-2).coarse_openings
     assert not Native("rkn6").candidate(scene, 1e-12).coarse_openings
     assert not Native("rkn6").candidate(springs, 1e-2).coarse_openings

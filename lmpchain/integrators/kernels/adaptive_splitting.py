@@ -18,7 +18,6 @@ from .right_hand_side import (
     impose,
     impose_velocity,
     imposed,
-    imposed_rate,
     recall,
     sweep,
 )
@@ -56,9 +55,7 @@ def _fill_passed(chain, rates, clock, span, out, beyond):
     first, last = share(chain)
     if clock.dense == 0 or passes(chain, clock, span, state.step_begin, state.done) == 0:
         return False
-    # of what is imposed, by the law before a corner on which the step may have ended
-    changes = imposed_rate(chain, span.begin + state.done, span.begin + state.step_begin)
-    fill_jerk(chain, first, last, rates, beyond, changes)
+    fill_jerk(chain, first, last, rates, beyond)
     fill_samples(chain, clock, span, first, last, rates, out)
     return True
 
@@ -94,9 +91,8 @@ def _advance(chain, method, work, clock, span, out):
     h = done - state.done
     if clock.dense > 0:
         if passes(chain, clock, span, state.done, done) > 0:
-            # those of the step before hold, unless what is imposed has a corner here
-            if chain.imposed.acts or not filled:
-                fill_jerk(chain, first, last, rates, beyond, imposed_rate(chain, t, t))
+            if not filled:
+                fill_jerk(chain, first, last, rates, beyond)
             keep(chain, first, last, rates)
             # before the grains next to these move
             meet(chain.team)

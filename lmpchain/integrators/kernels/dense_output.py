@@ -2,7 +2,8 @@
 
 The polynomial of degree 7 in time has the displacement u, the velocity v, the acceleration a and
 the jerk j at both ends of a step; its error falls like h^8, that of its rate like h^7, faster than
-what the steps leave.
+what the steps leave. Where something is imposed, whose corners a polynomial does not know, steps end
+on every sample instead.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from typing import NamedTuple
 from ...util.arrays import Array
 from .contact_forces import fma, inlined
 from .layout import PAD, WHOLE_ROWS
-from .right_hand_side import forced, place
 
 
 class Rates(NamedTuple):
@@ -41,20 +41,16 @@ def passes(chain, clock, span, begin, end):
 
 
 @inlined
-def fill_jerk(chain, first, last, rates, beyond, imposed):
+def fill_jerk(chain, first, last, rates, beyond):
     """Fill jerk of the bodies first ... last-1 from the forces.
 
-    `force` holds that of the contact below body n at n - beyond, less what it carries at rest;
-    `imposed` is how fast what is imposed changes.
+    `force` holds that of the contact below body n at n - beyond, less what it carries at rest.
     """
     x = chain.x
     v = chain.v
     pressed = chain.links.precompressed
     delta = chain.links.coefficients[7]
     force, _, rate, jerk = rates
-    pushed = forced(chain)
-    if chain.imposed.acts and pushed == 0 and chain.team.part == 0:
-        v[chain.imposed.wave.body] = imposed
     for n in range(first - 1, last):
         y = (x[n] - x[n + 1]) * chain.links.inverse_length[n] + pressed
         # the force is K y^delta
@@ -70,8 +66,6 @@ def fill_jerk(chain, first, last, rates, beyond, imposed):
         )
     for n in range(first, last):
         jerk[n] = chain.inverse_mass[n] * (rate[n - 1] - rate[n])
-    if first <= pushed < last:
-        jerk[pushed] += chain.inverse_mass[pushed] * imposed
 
 
 @inlined
@@ -144,6 +138,4 @@ def fill_samples(chain, clock, span, first, last, rates, out):
             v_rest[: first - PAD] = 0.0
             u_rest[last - PAD :] = 0.0
             v_rest[last - PAD :] = 0.0
-        if first == PAD:
-            place(chain, number * interval, u_row, v_row)
         sample += clock.dense

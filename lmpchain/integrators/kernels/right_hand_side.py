@@ -110,20 +110,6 @@ def impose_velocity(chain, v, grain_1, t):
 
 
 @inlined
-def imposed_rate(chain, t, inside):
-    """Return the rate of what is imposed at time t, by the law of `inside`; 0 if nothing is."""
-    return _course(chain, t, 1, inside) if chain.imposed.acts else 0.0
-
-
-@inlined
-def place(chain, t, u_row, v_row):
-    """Put grain 1, if it is driven, into a row of samples (N,) where it is at time t."""
-    if chain.imposed.acts and chain.team.part == 0 and chain.imposed.wave.body == PAD:
-        u_row[0] = _course(chain, t, 0, t)
-        v_row[0] = _course(chain, t, 1, t)
-
-
-@inlined
 def imposed_speed(chain, t):
     """Return the speed of grain 1 at time t if it is driven, else 0."""
     return (
