@@ -13,7 +13,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 
 Field = Literal["velocity", "displacement"]
-FEWEST_SAMPLES = 16  # least for tracking a front or a spectrum
+FEWEST_SAMPLES = 16  # for a front or a spectrum
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
@@ -31,28 +31,22 @@ def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
     (N+2,) array of int
     """
     column = np.full(size + 2, UNKNOWN)
-    column[[0, -1]] = STILL
+    # the wall above; below, grains that are held and the other wall
+    column[0] = STILL
     column[movable + 1 :] = STILL
     column[grains] = np.arange(grains.size)
     return column
 
 
 def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
-    """Return which grains ever leave rest, (G,).
-
-    Of a long chain most do not, and need not be looked at.
+    """Return which grains ever leave rest, (G,): of a long chain often a few.
 
     Parameters
     ----------
     displacement, velocity : (T, G) arrays
     """
-    for sampled in (slice(-1, None), slice(None)):  # in the end: what has moved is seldom at rest
-        moves = np.logical_or(
-            displacement[sampled].any(axis=0), velocity[sampled].any(axis=0), dtype=bool
-        )
-        if moves.all():
-            break
-    return moves
+    # exactly 0: the engines keep grains that no wave has reached at rest
+    return np.logical_or(displacement.any(axis=0), velocity.any(axis=0))
 
 
 def check_field(field: Field) -> None:

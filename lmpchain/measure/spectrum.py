@@ -63,8 +63,7 @@ class Spectrum(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over frequency and depth, with the local bands; returns the axes."""
         ax = axes_in_units(ax, "Hz", "")
-        label = f"{self.field} ({UNITS_OF_FIELDS[self.field]} per Hz)"
-        _draw_logarithmic(ax, self.frequency, self.grain, self.amplitude.T, label)
+        _draw_logarithmic(ax, self.frequency, self.grain, self.amplitude.T, self.field)
         if self.cut_off.any():
             ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
             for number, edge in enumerate(self.bands[:, :-1, 1].T):
@@ -115,8 +114,7 @@ class Dispersion(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over wavenumber and frequency with the relation; returns the axes."""
         ax = axes_in_units(ax, "", "Hz")
-        label = f"{self.field} ({UNITS_OF_FIELDS[self.field]} per Hz)"
-        _draw_logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, label)
+        _draw_logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, self.field)
         styles = (":", "-", "--")
         for number, relation, style in zip(self.grain, self.relation, styles, strict=True):
             if relation.any():
@@ -340,13 +338,14 @@ def _window(name: str, size: int) -> Array:
         ) from None
 
 
-def _draw_logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:
+def _draw_logarithmic(ax: Axes, x: Array, y: Array, values: Array, field: Field) -> None:
     """Draw values (Y, X) as colours over three decades, with their bar."""
     from matplotlib.colors import LogNorm
 
+    # a chain at rest has no logarithm
     largest = values.max() or 1.0
     smallest = largest / 1e3
     scale = LogNorm(smallest, largest)
     values = np.maximum(values, smallest)
     mesh = ax.pcolorfast(edges(x), edges(y), values, norm=scale, cmap="cividis")
-    colour_bar(ax, mesh, label, extend="min")
+    colour_bar(ax, mesh, f"{field} ({UNITS_OF_FIELDS[field]} per Hz)", extend="min")

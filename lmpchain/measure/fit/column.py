@@ -218,6 +218,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
     clock = np.broadcast_to(tau[:, None], behind.shape)[behind]
     grain = np.broadcast_to(trajectory.grains, behind.shape)[behind]
     values = trajectory.displacement[behind] / (strike * chain.time_scale)
+    # for unit strike and unit amplitude
     shape = peaked(grain - 0.5, clock, 0.0, 1.0, 0.0, delta)
 
     def regress(chosen: np.ndarray) -> tuple[float, float]:

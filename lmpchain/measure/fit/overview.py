@@ -39,8 +39,8 @@ class Row:
     fit: str
     quantity: str
     value: float
-    error: float
-    expected: float
+    error: float = math.nan
+    expected: float = math.nan
     unit: str = ""
 
 
@@ -148,10 +148,10 @@ def _modes(trajectory: Trajectory) -> list[Row]:
     share = f"share of mode {mode + 1}, the strongest"
     frequency = float(fit.frequency[mode] / (2 * np.pi))
     return [
-        Row("modes", "energy of all modes", total, math.nan, scene.energy, "J"),
-        Row("modes", share, fit.share[mode], fit.share_error[mode], math.nan),
-        Row("modes", "its frequency", frequency, math.nan, math.nan, "Hz"),
-        Row("modes", "residual of the linear motion", float(fit.residual.max()), math.nan, 0.0),
+        Row("modes", "energy of all modes", total, expected=scene.energy, unit="J"),
+        Row("modes", share, fit.share[mode], fit.share_error[mode]),
+        Row("modes", "its frequency", frequency, unit="Hz"),
+        Row("modes", "residual of the linear motion", float(fit.residual.max()), expected=0.0),
     ]
 
 
@@ -170,7 +170,7 @@ def _bessel(trajectory: Trajectory) -> list[Row]:
             values.items(), fit.error, fit.expected, strict=True
         )
     ]
-    return [*rows, Row("bessel", "residual", fit.residual, math.nan, 0.0)]
+    return [*rows, Row("bessel", "residual", fit.residual, expected=0.0)]
 
 
 def _continuum(trajectory: Trajectory) -> list[Row]:
@@ -178,12 +178,12 @@ def _continuum(trajectory: Trajectory) -> list[Row]:
     rows = [Row("continuum", "amplitude C of Eq. (35)", fit.amplitude, fit.error, fit.expected)]
     if fit.front:
         law = fit.front
-        (exponent, factor) = fit.front.expected.tolist()
+        exponent, factor = law.expected.tolist()
         rows += [
             Row("continuum", "exponent of the front", law.exponent, float(law.error[0]), exponent),
             Row("continuum", "factor of the front", law.factor, float(law.error[1]), factor),
         ]
-    return [*rows, Row("continuum", "residual", fit.residual, math.nan, 0.0)]
+    return [*rows, Row("continuum", "residual", fit.residual, expected=0.0)]
 
 
 def _exponents(trajectory: Trajectory) -> list[Row]:
@@ -196,14 +196,15 @@ def _exponents(trajectory: Trajectory) -> list[Row]:
 
 def _soliton(trajectory: Trajectory) -> list[Row]:
     fit = fit_soliton(trajectory)
-    unknown = math.nan
     _, speed, width = fit.expected.tolist()
+    errors = fit.error.tolist()
     formula = "speed by the long-wave formula"
     return [
-        Row("soliton", "largest velocity", fit.amplitude, float(fit.error[0]), unknown, "m/s"),
-        Row("soliton", "speed", fit.speed, float(fit.error[1]), speed, "grains/s"),
-        Row("soliton", "width", fit.width, float(fit.error[2]), width, "grains"),
-        Row("soliton", formula, fit.formula, unknown, speed, "grains/s"),
+        # the height is that of the exact wave, with which the others are compared
+        Row("soliton", "largest velocity", fit.amplitude, errors[0], unit="m/s"),
+        Row("soliton", "speed", fit.speed, errors[1], speed, "grains/s"),
+        Row("soliton", "width", fit.width, errors[2], width, "grains"),
+        Row("soliton", formula, fit.formula, expected=speed, unit="grains/s"),
     ]
 
 
