@@ -26,7 +26,8 @@ def main() -> None:
     picture = figure(12, 4.6)
     states, localised, spread = picture.subplots(1, 3)
 
-    fine, points = np.geomspace(0.02, 4.5, 150), np.geomspace(0.03, 4, 15)
+    fine = np.geomspace(0.02, 4.5, 150)
+    points = np.geomspace(0.03, 4, 15)
     for (m, mark), colour in zip(MARKS.items(), SHADES, strict=False):
         found = density_of_states(
             points, ratios=gamma(m, scale=1 / m), grains=length, chains=8, seed=1
@@ -73,7 +74,8 @@ def main() -> None:
         "top": "wall",
         "bottom": "wall",
     }
-    chain, middle = lmpchain.Chain(**line, exponent=1.0), {"grain": grains // 2}
+    chain = lmpchain.Chain(**line, exponent=1.0)
+    middle = {"grain": grains // 2}
     ways = {
         "strike": (lmpchain.Impulse(velocity=1e-9, **middle), 1.5, SHADES[0]),
         "displacement": (lmpchain.Displacement(displacement=1e-12, **middle), 0.5, SHADES[5]),
@@ -86,7 +88,8 @@ def main() -> None:
             samples=91,
         )
         found = spreading(scene, 3, chains, seed=3, law="paper")
-        tau, moment = scene.time[1:] / chain.time_scale, found.second_moment[1:]
+        tau = scene.time[1:] / chain.time_scale
+        moment = found.second_moment[1:]
         growth, error = found.growth(scene.time[45])
         say(f"power of the second moment after a {name}", growth)
         say(f"participation after a {name}", found.participation[45:].mean(), "grains")

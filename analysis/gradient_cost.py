@@ -39,11 +39,13 @@ def costs(wave: str, grains: int, steps: int, integrator: str) -> tuple[float, f
     velocity = np.append(speed * np.random.default_rng(1).standard_normal(grains - 1), 0.0)
     chain = Chain(grains=grains, diameter=1e-3, **options)
     scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-5)
-    method, turn = SPLITTINGS[integrator], 0.2 if integrator == "verlet" else 1.0
+    method = SPLITTINGS[integrator]
+    turn = 0.2 if integrator == "verlet" else 1.0
     per = steps // (SAMPLES - 1)
     step = turn / scene.highest_frequency
     scene = scene.replace(duration=step * per * (SAMPLES - 1), samples=SAMPLES)
-    bare, gradient = [], []
+    bare = []
+    gradient = []
     for _ in range(REPEATS):
         began = time.process_time()
         run = NativeStepper(ChainBatch([scene]), method, StepSchedule(per, 1, step, False), {})

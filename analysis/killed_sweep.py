@@ -113,11 +113,13 @@ def main() -> None:
     arguments = parser.parse_args()
     rng = random.Random(arguments.seed)
     with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
-        source, out = Path(name, "sweep.toml"), Path(name, "out")
+        source = Path(name, "sweep.toml")
+        out = Path(name, "out")
         source.write_text(SWEEP.format(scenes=arguments.scenes), encoding="utf-8")
         began = time.perf_counter()
         _, memory = swept(source, out, arguments.workers + 1)
-        seconds, found = time.perf_counter() - began, digests(out)
+        seconds = time.perf_counter() - began
+        found = digests(out)
         total = shards(out)
         rate = f"{seconds:.0f} s, {arguments.scenes / seconds:.0f} scenes a second"
         print(

@@ -38,7 +38,8 @@ def main() -> None:
     say("residual of the breather", breather.residual)
     most = 1.1 if given.quick else 1.35
     near = orbits.follow(breather, "period", (1.01 if given.quick else 1.0005) * period)
-    far, here = [], breather
+    far = []
+    here = breather
     # short pieces, so that two events that undo each other seldom lie within one step
     for longer in np.geomspace(breather.period, most * period, 2 if given.quick else 41)[1:]:
         far.append(orbits.follow(here, "period", longer))

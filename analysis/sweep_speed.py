@@ -48,7 +48,8 @@ def share(realisations: int) -> tuple[float, float]:
     estimate.
     """
     inside = [0.0]
-    blocks, errors = CompanionRun.blocks, CompanionRun.errors
+    blocks = CompanionRun.blocks
+    errors = CompanionRun.errors
 
     def timed(run: Run) -> Iterator[Block]:
         parts = blocks(run)  # type: ignore[arg-type]
@@ -87,9 +88,11 @@ def main() -> None:
     each = f"{1e3 * spent / arguments.scenes:.3f} ms of CPU a scene"
     print(f"one process: {each}, {100 * part:.1f} % of it integration and estimate")
     with tempfile.TemporaryDirectory() as folder:
-        before, began = cpu(), time.perf_counter()
+        before = cpu()
+        began = time.perf_counter()
         lmpchain.sweep(asked(arguments.scenes), folder, workers=arguments.workers)
-        seconds, used = time.perf_counter() - began, cpu() - before
+        seconds = time.perf_counter() - began
+        used = cpu() - before
         files = sum(path.is_file() for path in Path(folder).rglob("*"))
     done = f"{arguments.scenes} scenes in {seconds:.1f} s ({used:.1f} s of CPU)"
     print(

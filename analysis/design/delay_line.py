@@ -25,8 +25,12 @@ from lmpchain.integrators.adjoint import DifferentiableRun
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.util.plotting import figure
 
-BEADS, PIECE, END = 100, slice(25, 45), 60
-SIZE, LOAD, DELAY = 1e-2, 100.0, 10.0
+BEADS = 100
+PIECE = slice(25, 45)
+END = 60
+SIZE = 1e-2
+LOAD = 100.0
+DELAY = 10.0
 CHAIN = Chain(
     grains=BEADS,
     diameter=np.full(BEADS, SIZE),
@@ -43,7 +47,8 @@ SCENE = Scene(
     duration=105 * UNIT,
     samples=106,
 )
-LOW, HIGH = np.full(BEADS, SIZE), np.full(BEADS, SIZE)
+LOW = np.full(BEADS, SIZE)
+HIGH = np.full(BEADS, SIZE)
 LOW[PIECE], HIGH[PIECE] = 0.8 * SIZE, 1.8 * SIZE
 PRECISION = 0.1  # of the delay, in UNIT: what matters as much as all of the peak
 
@@ -64,9 +69,12 @@ class Late:
 
     def __call__(self, seen: Seen) -> Slopes:
         """Return the sum and its derivatives."""
-        late, peak = self.arrival(seen), self.peak(seen)
-        off, lost = (late.value - self.at) / (PRECISION * UNIT), 1 - (peak.value - LOAD) / self.rise
-        by_late, by_peak = 2 * off / (PRECISION * UNIT), -2 * lost / self.rise
+        late = self.arrival(seen)
+        peak = self.peak(seen)
+        off = (late.value - self.at) / (PRECISION * UNIT)
+        lost = 1 - (peak.value - LOAD) / self.rise
+        by_late = 2 * off / (PRECISION * UNIT)
+        by_peak = -2 * lost / self.rise
         parts = (by_late * a + by_peak * b for a, b in zip(late[1:], peak[1:], strict=True))
         return Slopes(off**2 + lost**2, *parts)
 
@@ -110,7 +118,8 @@ def main() -> None:
     plain = seen_at_the_end(SCENE)
     threshold = ArrivalTime(END, 0.5 * float(plain.velocity[:, 0].max()))
     peak = PeakForce(END, sharpness=1e4)  # of a pulse of 2 N beside the load
-    begin, rise = threshold(plain).value, peak(plain).value - LOAD
+    begin = threshold(plain).value
+    rise = peak(plain).value - LOAD
     wanted = Late(threshold, peak, begin + DELAY * UNIT, rise)
     equal = changed(SCENE, {"diameters": of_delay(np.ones(20))})
     began = time.process_time()
@@ -141,7 +150,8 @@ def main() -> None:
         cases.items(), ("0.5", "#009E73", "#E69F00", "#0072B2"), strict=True
     ):
         seen = seen_at_the_end(scene)
-        late, left = (threshold(seen).value - begin) / UNIT, (peak(seen).value - LOAD) / rise
+        late = (threshold(seen).value - begin) / UNIT
+        left = (peak(seen).value - LOAD) / rise
         kind = name.split(",")[0]
         if scene is not SCENE:
             say(f"delay over that wanted, {kind}", late / DELAY)

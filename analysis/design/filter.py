@@ -22,16 +22,23 @@ from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.theory import bands, scattering
 from lmpchain.util.plotting import figure
 
-GRAINS, FIRST, CELL, CELLS = 500, 230, 3, 12
-STOP, PASS, WIDTH, GRAIN, LEAST, MOST = 0.45, 0.8, 16.0, 130, 0.25, 3.0
+GRAINS = 500
+FIRST = 230
+CELL = 3
+CELLS = 12
+STOP = 0.45
+PASS = 0.8
+WIDTH = 16.0
+GRAIN = 130
+LEAST = 0.25
+MOST = 3.0
 PLAIN = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=1.0)
-MASS, STIFFNESS = float(PLAIN.masses[0]), float(PLAIN.linear_stiffness[0])
+MASS = float(PLAIN.masses[0])
+STIFFNESS = float(PLAIN.linear_stiffness[0])
 EDGE = 2 * np.sqrt(STIFFNESS / MASS)
 # points of a spectrum, to resolve what resonates in the cells
-LAST, FINE = (
-    FIRST + CELL * CELLS,
-    2**14,
-)
+LAST = FIRST + CELL * CELLS
+FINE = 2**14
 
 
 def with_cells(factors: np.ndarray) -> Chain:
@@ -88,7 +95,8 @@ class Way:
 def main() -> None:
     """Find the masses both ways, and draw what passes, and the gap."""
     given = arguments(__file__, __doc__)
-    stop, through = Way(STOP), Way(PASS)
+    stop = Way(STOP)
+    through = Way(PASS)
     history = []
 
     def value(factors: np.ndarray) -> tuple[float, np.ndarray]:
@@ -96,7 +104,8 @@ def main() -> None:
         history.append((low, high))
         return low - high, by_low - by_high
 
-    begin, box = np.array([0.6, 1.0, 1.4]), [(LEAST, MOST)] * CELL
+    begin = np.array([0.6, 1.0, 1.4])
+    box = [(LEAST, MOST)] * CELL
     options = {"maxfun": 60}
     found = minimize(value, begin, jac=True, bounds=box, method="L-BFGS-B", options=options).x
     formula = minimize(

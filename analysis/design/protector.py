@@ -39,12 +39,14 @@ from lmpchain.integrators.adjoint import DifferentiableRun
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.util.plotting import figure
 
-BEADS, SIZE = 20, 1e-2
+BEADS = 20
+SIZE = 1e-2
 CHAIN = Chain(
     grains=BEADS, diameter=np.full(BEADS, SIZE), material="steel", gravity=0.0, bottom="wall"
 )
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1.0), duration=1.5e-3, samples=151)
-LOW, HIGH = np.full(BEADS, 0.5 * SIZE), np.full(BEADS, 1.5 * SIZE)
+LOW = np.full(BEADS, 0.5 * SIZE)
+HIGH = np.full(BEADS, 1.5 * SIZE)
 LOW[0] = HIGH[0] = SIZE
 PEAK = PeakForce(BEADS)
 
@@ -115,7 +117,8 @@ def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
 
 def every_order() -> None:
     """Print the least peak of all orders of equal beads, and that of the family."""
-    count, some = 2 ** (BEADS - 1), 2**12
+    count = 2 ** (BEADS - 1)
+    some = 2**12
     pieces = [range(first, first + some) for first in range(0, count, some)]
     with ProcessPoolExecutor() as workers:
         least, order = min(workers.map(best_of_numbers, pieces))
@@ -142,7 +145,9 @@ def evolution(seconds: float) -> tuple[float, Scene, int]:
     """Return the least peak that an evolutionary algorithm finds in so many seconds of the
     processor, and its runs.
     """
-    best, tried, end = (np.inf, SCENE), 0, time.process_time() + seconds
+    best = (np.inf, SCENE)
+    tried = 0
+    end = time.process_time() + seconds
 
     def peak(genes: np.ndarray) -> float:
         nonlocal best, tried
@@ -265,10 +270,8 @@ def main() -> None:
     below[1].set_aspect("equal")
     for scene, y in ((found.scene, 22), (mixed.scene, 0), (both.scene, -22)):
         diameters = 1e3 * scene.chain.diameters
-        centre, soft = (
-            np.cumsum(diameters) - diameters / 2,
-            scene.chain.masses < 5000 * np.pi / 6 * scene.chain.diameters**3,
-        )
+        centre = np.cumsum(diameters) - diameters / 2
+        soft = scene.chain.masses < 5000 * np.pi / 6 * scene.chain.diameters**3
         for x, d, light in zip(centre, diameters, soft, strict=True):
             below[1].add_patch(Circle((x, y), d / 2, fc="w" if light else "#56B4E9", ec="0.3"))
         below[1].plot([diameters.sum()] * 2, [y - 9, y + 9], color="0.3", lw=3)

@@ -20,14 +20,18 @@ from lmpchain.design import KineticEnergy, optimise
 from lmpchain.theory import scattering
 from lmpchain.util.plotting import figure
 
-GRAINS, PAIR, FACTOR, START = 400, [200, 201], 1.5, 2.2
+GRAINS = 400
+PAIR = [200, 201]
+FACTOR = 1.5
+START = 2.2
 
 
 def main() -> None:
     """Find both masses and draw what passes."""
     given = arguments(__file__, __doc__)
     plain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=1.0)
-    m, k = float(plain.masses[0]), float(plain.linear_stiffness[0])
+    m = float(plain.masses[0])
+    k = float(plain.linear_stiffness[0])
     omega = np.sqrt(2 * k / (FACTOR * m))
     packet = Packet(
         frequency=omega / (2 * np.pi), width=20.0, grain=125, amplitude=1e-5 * plain.length_scale
@@ -40,7 +44,8 @@ def main() -> None:
     scene = Scene(
         chain=chain, excitation=Profile(displacement=u, velocity=v), duration=150 / speed, samples=2
     )
-    low, high = masses.copy(), masses.copy()
+    low = masses.copy()
+    high = masses.copy()
     for n in PAIR:
         low[n - 1], high[n - 1] = 1.35 * m, 3 * m
     back = KineticEnergy(list(range(1, PAIR[0])))

@@ -1,4 +1,4 @@
-"""Gradients of what a run gives with respect to what a chain is."""
+"""Gradients of the answer of a run with respect to the parameters of a chain."""
 
 from ..util.lazy import attributes, listed
 

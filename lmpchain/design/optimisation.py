@@ -68,9 +68,9 @@ class Optimum:
         # the value is the least or the largest of all runs, but for its error
         lowest = min(values.min() for values in self.history)
         highest = max(values.max() for values in self.history)
-        less = abs(self.value - lowest) <= abs(self.value - highest)
+        minimised = abs(self.value - lowest) <= abs(self.value - highest)
         for number, values in enumerate(self.history, 1):
-            best = (np.minimum if less else np.maximum).accumulate(values)
+            best = (np.minimum if minimised else np.maximum).accumulate(values)
             ax.plot(np.arange(1, best.size + 1), best, lw=1, label=f"start {number}")
         ax.set_xlabel("runs")
         ax.set_ylabel("best value")

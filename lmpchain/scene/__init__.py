@@ -1,4 +1,4 @@
-"""What happens: the excitation of a chain, what is recorded, scene files, and the light cone."""
+"""Scenes: the excitation of a chain, its recording, scene files, and the light cone."""
 
 from ..util.lazy import attributes, listed
 

@@ -59,8 +59,8 @@ class _Acting(Excitation):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         values = self.strength[1]
-        given = {key for key, value in self if value is not None} - {"grain", "start"}
-        if given not in self._ways(values):
+        fields = {key for key, value in self if value is not None} - {"grain", "start"}
+        if fields not in self._ways(values):
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
         elif self.times is not None:
             yield from self._point_faults(values, getattr(self, values))
@@ -68,7 +68,7 @@ class _Acting(Excitation):
             # a burst of few cycles or a short push is fast by its envelope: that is to blame then
             key = "frequency"
             if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
-                key = "cycles" if "cycles" in given else "duration"
+                key = "cycles" if "cycles" in fields else "duration"
             frequency = f"makes for {self.waveform.fastest:.2g} rad/s"
             yield key, f"{frequency}, too fast to compute with: use SI units"
 
@@ -89,8 +89,8 @@ class _Acting(Excitation):
         steps = np.diff(self.times)
         # the spline of points that lie much closer than others overflows
         if self.times[0] != 0 or not (steps > LIMITS.spacing * self.times[-1]).all():
-            least = f"{LIMITS.spacing:g} of the last"
-            yield "times", f"must begin with 0 and increase, each by more than {least}"
+            spacing = f"{LIMITS.spacing:g} of the last"
+            yield "times", f"must begin with 0 and increase, each by more than {spacing}"
         elif (steps < 1 / LIMITS.frequency).any():
             apart = f"are {steps.min():.2g} s apart"
             yield "times", f"{apart}, too little to compute with: use SI units"
@@ -214,11 +214,11 @@ class Drive(_Acting):
         return scaled if self.start is None else scaled.replace(start=self.start.scaled(factor))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
-        """Return displacement, m, and velocity, m/s, of what is driven at these times, s."""
+        """Return displacement, m, and velocity, m/s, of the driven body at these times, s."""
         return self.waveform.at(t), self.waveform.at(t, 1)
 
     def acceleration(self, t: Array) -> Array:
-        """Return the acceleration of what is driven at these times, m/s2."""
+        """Return the acceleration of the driven body at these times, m/s2."""
         return self.waveform.at(t, 2)
 
     def energy_norm(self, chain: Chain, duration: float) -> float:

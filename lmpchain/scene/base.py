@@ -75,7 +75,7 @@ class Excitation(Checked):
 
     @property
     def waveform(self) -> Waveform | None:
-        """Course of what acts after t = 0: motion of grain 1 or of the top wall, m; a force, N."""
+        """Course after t = 0 of the motion of grain 1 or of the top wall, m, or of a force, N."""
         return None
 
     @property
@@ -149,8 +149,8 @@ class Excitation(Checked):
 
     def scaled(self, factor: float) -> Self:
         """Return the excitation, so many times as strong."""
-        given = self.given()
-        return self.replace(**{key: factor * given[key] for key in self.strength if key in given})
+        fields = self.given()
+        return self.replace(**{key: factor * fields[key] for key in self.strength if key in fields})
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E), J^(1/2), of the energy E that it puts into the linearised chain."""
@@ -180,7 +180,7 @@ class OneGrain(Excitation):
     grain: Number
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield what this chain does not allow."""
+        """Yield a fault if the chain has no such grain, or holds it."""
         if self.grain > chain.grains:
             yield "grain", f"there is no grain {self.grain}: the chain has {chain.grains}"
         elif self.grain > chain.movable:

@@ -76,7 +76,7 @@ class Packet(Excitation):
     amplitude: Real
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield what this chain does not allow."""
+        """Yield a fault if the packet does not fit into the chain, or cannot travel there."""
         if self.grain > chain.movable:
             yield "grain", f"must be one that moves, 1 to {chain.movable} (got {self.grain})"
         elif not chain.compressed:

@@ -28,7 +28,7 @@ class Profile(Excitation):
             yield "displacement", cure
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield what this chain does not allow."""
+        """Yield the faults of arrays that do not fit the chain."""
         for key, values in self.given().items():
             if len(values) != chain.grains:
                 yield key, f"must have one entry a grain, {chain.grains}, not {len(values)}"

@@ -78,7 +78,7 @@ class Recording(Checked):
     quantities: Annotated[tuple[str, ...], BeforeValidator(_quantities)] = ()
 
     def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        """Yield what this chain does not allow."""
+        """Yield the faults of times, grains and contacts that the chain does not allow."""
         if self.duration / (self.samples - 1) < sys.float_info.min:
             samples = f"{self.samples} samples in {self.duration:g} s"
             fault = f"{samples} are too close for numbers of full precision"

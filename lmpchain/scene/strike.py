@@ -1,4 +1,4 @@
-"""How hard an excitation squeezes the contacts at first, and whether Hertz's law holds there."""
+"""Strength of a strike: overlaps of the contacts at first, and whether Hertz's law holds there."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def strike_faults(excitation: Excitation, squeeze: Squeeze) -> Iterator[tuple[st
 def strike_remarks(
     chain: Chain, excitation: Excitation, around: Surroundings, compression: float
 ) -> Iterator[str]:
-    """Yield what is hardly meant: overlaps beyond Hertz's law, grains faster than sound in them."""
+    """Yield remarks on overlaps beyond Hertz's law, and on grains faster than sound in them."""
     limit = LIMITS.hertz_compression
     # a chain that is squeezed so at rest says it of itself
     if chain.exponent == 1.5 and compression > limit > chain.equilibrium.compression.max():

@@ -71,7 +71,7 @@ def _section(
     make: Callable[[dict[str, Any]], Any],
     faults: list[tuple[str, str]],
 ) -> Any:
-    """Return what a section describes, or None and its faults added to the others."""
+    """Return the object that a section describes, or None, its faults added to the others."""
     table = data.get(section)
     if not isinstance(table, dict):
         return None
@@ -89,7 +89,7 @@ def _misfits(
     excitation: Excitation | None,
     recording: Recording | None,
 ) -> Iterator[tuple[str, str]]:
-    """Yield what the chain does not allow the excitation and the recording."""
+    """Yield the faults of an excitation and a recording that do not fit the chain."""
     # where the chain has faults of its own, its length and ends may still be sound
     stand_in = chain or _of_this_length(data.get("chain"))
     if not stand_in:
@@ -118,7 +118,7 @@ def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _misplaced(key: str) -> str:
-    """Return what to do about something that is no section."""
+    """Return the cure for a key that is no section."""
     of_excitations = [key for kind in EXCITATIONS.values() for key in kind.arguments]
     fields: dict[str, Iterable[str]] = {
         "recording": Recording.arguments,
@@ -223,8 +223,8 @@ def _fill(keys: dict[str, Any], kind: type[Excitation], folder: Path | None) -> 
     return keys
 
 
-def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]:
-    """Return known columns of a CSV file: lists of numbers, of words for `material`."""
+def _csv(folder: Path | None, name: Any, names: Sequence[str]) -> dict[str, Any]:
+    """Return columns of these names from a CSV file: lists of numbers, of words for `material`."""
     if not isinstance(name, str):
         raise InputError.at("file", "must be the name of a CSV file")
     if folder is None:
@@ -233,8 +233,8 @@ def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]
     path = folder / name
     header, rows = _read_table(path)
     # where a row is a grain, and no instant, a column may count the grains
-    counters = set() if "time" in known else {"grain"}
-    _check_table(path, header, rows, known, counters)
+    _check_header(path, header, names, set() if "time" in names else {"grain"})
+    _check_rows(path, rows, len(header))
     columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True))
     for key in columns.keys() - {"material"}:
         try:
@@ -264,22 +264,23 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def _check_table(
-    path: Path,
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    known: Sequence[str],
-    counters: set[str],
+def _check_header(
+    path: Path, header: Sequence[str], names: Sequence[str], counters: set[str]
 ) -> None:
-    """Raise `InputError` unless a table has known columns and full rows."""
-    names = set(header)
-    if names - {*known, *counters} or not names & {*known} or len(names) < len(header):
-        message = f"{path} must have a header with some of {', '.join(known)}"
+    """Raise `InputError` unless a header has some of these names, counters, and nothing else."""
+    columns = set(header)
+    strange = columns - {*names, *counters}
+    if strange or columns.isdisjoint(names) or len(columns) < len(header):
+        message = f"{path} must have a header with some of {', '.join(names)}"
         raise InputError.at("file", message)
+
+
+def _check_rows(path: Path, rows: Sequence[Sequence[str]], length: int) -> None:
+    """Raise `InputError` unless there are rows, all of this length."""
     # lines are counted from 1, and the header is the first
     for line, row in enumerate(rows, 2):
-        if len(row) != len(header):
-            message = f"{path}, line {line}: must have {len(header)} values, as the header has"
+        if len(row) != length:
+            message = f"{path}, line {line}: must have {length} values, as the header has"
             raise InputError.at("file", message)
     if not rows:
         raise InputError.at("file", f"{path} has a header and nothing below it")

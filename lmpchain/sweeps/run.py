@@ -249,9 +249,9 @@ class _Work:
         self.scenes = layout.count - missing
 
     def do(
-        self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int
+        self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, limit: int
     ) -> list[str]:
-        """Do all tasks, at most so many at a time; return the faults that prevented some."""
+        """Do all tasks, at most `limit` at a time; return the faults that prevented some."""
         faults: list[str] = []
         deaths: Counter[Task | int] = Counter()
         pending: dict[Future, Task | int] = {}
@@ -259,19 +259,19 @@ class _Work:
             for shard in [shard for shard, firsts in self._missing.items() if not firsts]:
                 self._submit(executor, shard, pending)
             while True:
-                for task in islice(tasks, max(most - len(pending), 0)):
+                for task in islice(tasks, max(limit - len(pending), 0)):
                     self._submit(executor, task, pending)
                 if not pending:
                     return faults
                 for future in wait(pending, return_when=FIRST_COMPLETED).done:
                     job = pending.pop(future)
                     error = _find_error(future)
-                    if isinstance(error, BrokenExecutor):
-                        # the cause may pass, as a lack of memory does
-                        deaths[job] += 1
-                        if deaths[job] < TASKS.deaths:
-                            self._submit(executor, job, pending)
-                            continue
+                    died = isinstance(error, BrokenExecutor)
+                    deaths[job] += died
+                    # the cause may pass, as a lack of memory does
+                    if died and deaths[job] < TASKS.deaths:
+                        self._submit(executor, job, pending)
+                        continue
                     if error is not None:
                         faults.append(_describe(error))
                     if isinstance(job, Task):

@@ -17,7 +17,8 @@ def numbers(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> dict[str, float]:
     """Run the script of this name and return the numbers that it prints."""
-    path, picture = str(DESIGN / f"{request.param}.py"), tmp_path / "picture.png"
+    path = str(DESIGN / f"{request.param}.py")
+    picture = tmp_path / "picture.png"
     monkeypatch.setattr(sys, "argv", [path, "--quick", "-o", str(picture)])
     figures.PRINTED_NUMBERS.clear()
     runpy.run_path(path, run_name="__main__")
@@ -49,10 +50,8 @@ def test_a_filter_is_that_of_transfer_matrices_and_stops_in_its_gap(numbers: dic
             numbers[f"mass {mass} by transfer matrices"], rel=0.01
         )
     for packet in ("stopped", "passing"):
-        by_run, by_formula = (
-            numbers[f"{packet} packet, share that passes"],
-            f"{packet} packet, share by transfer matrices",
-        )
+        by_run = numbers[f"{packet} packet, share that passes"]
+        by_formula = f"{packet} packet, share by transfer matrices"
         assert by_run == pytest.approx(numbers[by_formula], abs=0.005)
     assert (
         numbers["stopped packet, share that passes"]

@@ -33,7 +33,8 @@ def guess(velocity: float = 0.02) -> Scene:
 
 
 def test_what_made_a_trace_is_found_again():
-    late, offsets = 5e-6, np.array([3e-4, -2e-4])
+    late = 5e-6
+    offsets = np.array([3e-4, -2e-4])
     traces = Traces(SCENE.time, LOOKED_AT, measured(late=late) + offsets, trigger=True, offset=True)
     found = fit(
         traces,
@@ -160,9 +161,11 @@ def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndar
     squared distance.
     """
     run = simulate(SCENE, engine="lammps", tolerance=1e-8)
-    clean, rng = run.velocity[:, [grain - 1 for grain in LOOKED_AT]], np.random.default_rng(1)
+    clean = run.velocity[:, [grain - 1 for grain in LOOKED_AT]]
+    rng = np.random.default_rng(1)
     start = guess(0.0196).replace(chain=guess().chain.replace(top_load=0.51))
-    off, squares = [], []
+    off = []
+    squares = []
     for _ in range(draws):
         noisy = clean + sigma * rng.standard_normal(clean.shape)
         traces = Traces(SCENE.time, LOOKED_AT, noisy, noise=sigma, trigger=True)

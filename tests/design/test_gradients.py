@@ -21,7 +21,8 @@ from lmpchain.design.gradients import at_step
 from lmpchain.integrators.adjoint import DifferentiableRun, economised
 from lmpchain.integrators.splittings import SPLITTINGS
 
-LOOKS, STEPS = 6, 4
+LOOKS = 6
+STEPS = 4
 DIFFERENCE = np.longdouble(1e-7)  # relative, of central differences in extended precision
 
 
@@ -93,7 +94,8 @@ def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np
     """
     base = extended.parameters(scene)
     u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
-    forces, weight = scene.chain.contacts.force, scene.chain.masses.sum()
+    forces = scene.chain.contacts.force
+    weight = scene.chain.masses.sum()
     least = forces[forces > 0].min(initial=np.inf)
     scales = {
         "displacement": np.abs(u).max(),
@@ -213,7 +215,8 @@ def propagator(
     """Return the generator of the linear chain and that of u, v -> u, v over the duration, (2N,
     2N).
     """
-    chain, n = scene.chain, masses.size
+    chain = scene.chain
+    n = masses.size
     carried = chain.top_load + chain.gravity * np.cumsum(masses)[:-1]
     k = chain.exponent * constants ** (1 / chain.exponent) * carried ** (1 - 1 / chain.exponent)
     stiffness = np.diag(np.append(k, 0)) + np.diag(np.append(0, k)) - np.diag(k, 1) - np.diag(k, -1)
@@ -303,7 +306,8 @@ def test_adjoints_of_long_chains_agree_with_tangents(
     """Through windows that grow or tiles, and several pieces, for every law by which these are
     undone or made again.
     """
-    rng, start = np.random.default_rng(1), np.zeros(900)
+    rng = np.random.default_rng(1)
+    start = np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
     scene = Scene(
         chain=Chain(grains=900, diameter=1e-3, **options),
@@ -332,10 +336,8 @@ def test_adjoints_of_long_chains_agree_with_tangents(
 @pytest.mark.parametrize("exponent", [0.05, 0.5, 0.75, 1.0, 1.5, 2.0])
 @pytest.mark.parametrize(("reach", "terms"), [(0.0, 4), (1e-5, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)])
 def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float, terms: int):
-    found, s = (
-        economised(exponent, reach),
-        np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15),
-    )
+    found = economised(exponent, reach)
+    s = np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15)
     true = np.expm1(exponent * np.log1p(s)) / s
     assert found.size == terms or exponent in (1.0, 2.0)  # which fewer make exactly
     assert np.abs(np.polynomial.polynomial.polyval(s, found) - true).max() < 3e-16 * exponent
@@ -346,7 +348,9 @@ def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
     """Against very many steps of one length, of which four times as many are at least fifty times
     as far off.
     """
-    scene, objective, names = drawn(seed), Momentum([2]), ["masses", "contact_constants"]
+    scene = drawn(seed)
+    objective = Momentum([2])
+    names = ["masses", "contact_constants"]
     step = 1 / scene.highest_frequency
     true = at_step(scene, objective, names, SPLITTINGS["rkn6"], step / 16384)[1]
 
@@ -361,7 +365,8 @@ def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
 
 
 def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothing():
-    scene, names = drawn(3), ["masses"]
+    scene = drawn(3)
+    names = ["masses"]
     found = gradient(scene, Momentum([2]), names, 1e-6, adaptive=True)
     true = at_step(scene, Momentum([2]), names, SPLITTINGS["rkn6"], 1e-4 / scene.highest_frequency)[
         1
@@ -388,7 +393,8 @@ def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str
         bottom="wall",
         exponent=exponent,
     )
-    velocity, middle = np.zeros(grains), grains // 2
+    velocity = np.zeros(grains)
+    middle = grains // 2
     velocity[[middle - 1, middle + 1]] = 1e-3, -1e-3
     still = Profile(displacement=np.zeros(grains), velocity=velocity)
     objective = Momentum([middle + 1]) if name == "top_load" else KineticEnergy([5])
@@ -420,7 +426,9 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
         duration=7.837051229587563e-6,
         samples=3,
     )
-    step, names, method = 0.4 / scene.highest_frequency, ["masses"], SPLITTINGS["rkn6"]
+    step = 0.4 / scene.highest_frequency
+    names = ["masses"]
+    method = SPLITTINGS["rkn6"]
     found = gradient(scene, Momentum([1]), names, integrator="rkn6", step=step)
     twice = at_step(scene, Momentum([1]), names, method, 2 * found.step_s)[1]["masses"]
     true = at_step(scene, Momentum([1]), names, method, step / 1024)[1]["masses"]
@@ -432,7 +440,8 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
 def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
-    scene, rng = drawn(seed), np.random.default_rng(seed)
+    scene = drawn(seed)
+    rng = np.random.default_rng(seed)
     while scene.chain.exponent == 1.0:  # of which derivatives converge at first order only
         scene = drawn(seed := seed + 1000)
     contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))

@@ -48,7 +48,8 @@ def test_a_linear_fit_is_that_of_the_normal_equations(known: bool):
     began.
     """
     offset = (0.3 * WEAK, -0.2 * WEAK)
-    values, matrix = noisy(1, offset), columns()
+    values = noisy(1, offset)
+    matrix = columns()
     if not known:
         matrix = matrix * np.tile(NOISE, 61)[:, None]
     scale = NOISE if known else 1.0
@@ -163,7 +164,8 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
         "offset 1 5",
         "offset 2 3",
     ]
-    m, largest = CHAIN.masses[0], np.abs(noisy(1)).max()
+    m = CHAIN.masses[0]
+    largest = np.abs(noisy(1)).max()
     second = 4 * np.abs(noisy(1)[5:, 0]).max()
     origin = [m, m, 0.0, 0.5, 2e-3, WEAK, 0, 0, 0, 0, 0, 0.0, 1.0, 0.0, 0.0, 0.0]
     units = [m, m, 1.0, 0.5, 2e-3, *[WEAK] * 6, 6e-5, 1.0, largest, largest, second]
@@ -206,10 +208,13 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
 @pytest.mark.parametrize("field", ["velocity", "displacement", "force", "contact"])
 def test_traces_are_what_another_integrator_says(field: str):
     """Late by a trigger, times a gain, beyond an offset; before the strike nothing moves."""
-    chain, late, gain = CHAIN.replace(top_load=0.05), 7.3e-6, 1.3
+    chain = CHAIN.replace(top_load=0.05)
+    late = 7.3e-6
+    gain = 1.3
     scene = SCENE.replace(chain=chain, excitation=Impulse(velocity=0.02), samples=601)
     run = simulate(scene, engine=Native(integrator="dop853"), tolerance=1e-10)
-    u, law = run.displacement, chain.contacts
+    u = run.displacement
+    law = chain.contacts
     closer = -np.diff(u, axis=1, prepend=0.0, append=0.0)
     force = law.constant * np.maximum(law.overlap + closer, 0.0) ** 1.5 - law.force
     places = [1, 4, 6] if field != "contact" else [0, 3, 6]

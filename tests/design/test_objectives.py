@@ -66,7 +66,8 @@ OBJECTIVES = {
 def test_objectives_have_the_derivatives_that_differences_show(case: str):
     scene, objective = OBJECTIVES[case]
     names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene is DRIVEN)
-    method, chain = SPLITTINGS["rkn4"], scene.chain
+    method = SPLITTINGS["rkn4"]
+    chain = scene.chain
     _, gradients, _ = at_step(scene, objective, names, method, 2e-7)
     step = 1e-5
     rng = np.random.default_rng(5)
@@ -159,7 +160,8 @@ def test_a_peak_is_a_peak():
 
 
 def test_checkpoints_change_nothing(monkeypatch: pytest.MonkeyPatch):
-    method, names = SPLITTINGS["rkn4"], ["masses", "contact_constants"]
+    method = SPLITTINGS["rkn4"]
+    names = ["masses", "contact_constants"]
     _, whole, run = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
     small = CHECKPOINTS._replace(kept_bytes=0)
     monkeypatch.setattr("lmpchain.integrators.adjoint.CHECKPOINTS", small)

@@ -65,7 +65,8 @@ def test_what_was_finished_is_not_done_again(tmp_path: Path, monkeypatch: pytest
 
     from lmpchain.design import optimisation
 
-    descend, done = optimisation._descend, []
+    descend = optimisation._descend
+    done = []
 
     def two_of_them(*arguments):
         if len(done) == 2:

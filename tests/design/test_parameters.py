@@ -125,7 +125,8 @@ def test_inputs_follow_what_acts(acting: str, names: list[str]):
 
 def test_inputs_are_masses_constants_and_forces_at_rest():
     made = scene("walls of their grains", "profile")
-    chain, inputs = made.chain, parameters.inputs(made)
+    chain = made.chain
+    inputs = parameters.inputs(made)
     weight = 9.81 * np.concatenate(([0.0], np.cumsum(chain.masses)))
     np.testing.assert_allclose(inputs.forces, 0.2 + weight, rtol=1e-12)
     np.testing.assert_array_equal(inputs.masses, chain.masses)

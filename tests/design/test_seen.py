@@ -47,7 +47,8 @@ def test_sums_with_corrected_ends_integrate_polynomials(size: int):
     they have room.
     """
     corrections = min(5, (size - 1) // 2)
-    x, weight = np.arange(size) / (size - 1), quadrature(size) / (size - 1)
+    x = np.arange(size) / (size - 1)
+    weight = quadrature(size) / (size - 1)
     np.testing.assert_allclose(weight, weight[::-1], rtol=1e-14)
     for degree in range(2 * (corrections // 2) + 2):
         assert weight @ x**degree == pytest.approx(1 / (degree + 1), rel=1e-13)
@@ -60,14 +61,16 @@ def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(contact: 
     """
     chain = Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=0.02, exponent=1.7)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5, samples=6)
-    rng, eps = np.random.default_rng(1), chain.contacts.overlap.max()
+    rng = np.random.default_rng(1)
+    eps = chain.contacts.overlap.max()
     grains = np.array([1, 2, 3, 4])
     u = 0.4 * eps * rng.normal(size=(6, 4))
     u[5] = eps * np.array([9.0, 6.0, 9.0, -9.0])  # open
     seen = Seen(scene, scene.time, grains, u, u)
     force, stiffness, by_force, by_constant, ends = contact_force(seen, contact)
     closer = -np.diff(u, axis=1, prepend=0.0, append=0.0)[:, contact]
-    constant, carried = chain.contacts.constant[contact], chain.contacts.force[contact]
+    constant = chain.contacts.constant[contact]
+    carried = chain.contacts.force[contact]
 
     def hertz(r: np.ndarray, k: float, f: float) -> np.ndarray:
         return k * np.maximum((f / k) ** (1 / 1.7) + r, 0.0) ** 1.7
@@ -166,7 +169,8 @@ def test_an_oscillator_has_its_energy_and_momentum_at_the_nearest_sample(at: flo
     """m v0 cos(w t) and m v0^2 / 2 cos^2(w t); their sum with the potential is what the strike
     gave.
     """
-    scene, m = swinging(1.3, 9), ONE.masses[0]
+    scene = swinging(1.3, 9)
+    m = ONE.masses[0]
     time = None if at is None else at * scene.duration
     sample = -1 if at is None else round(8 * at)
     cosine = np.cos(2 * np.pi * 1.3 * np.arange(9) / 8)[sample]
@@ -220,7 +224,8 @@ def test_an_arrival_near_the_end_or_the_begin_is_found_by_the_last_or_first_four
 
 
 def test_a_misfit_is_half_the_sum_of_squares():
-    scene, scale = swinging(1.3, 9), 0.2 * WEAK
+    scene = swinging(1.3, 9)
+    scale = 0.2 * WEAK
     cosine = np.cos(2 * np.pi * 1.3 * np.arange(9) / 8)
     traces = WEAK * np.linspace(0, 1, 9)[:, None]
     expected = (((WEAK * cosine - traces[:, 0]) / scale) ** 2).sum() / 2
@@ -236,11 +241,13 @@ def test_the_work_of_a_drive_is_that_of_its_force():
     integrator.
     """
     chain = Chain(grains=3, diameter=1e-3, top_load=0.02)
-    amplitude, frequency = 0.3 * chain.length_scale, 2e4
+    amplitude = 0.3 * chain.length_scale
+    frequency = 2e4
     drive = Drive(amplitude=amplitude, frequency=frequency)
     scene = Scene(chain=chain, excitation=drive, duration=3.3e-5, samples=1001)
     run = simulate(scene, engine=Native(integrator="dop853"), tolerance=1e-10)
-    u, v = run.displacement, run.velocity[:, 0]
+    u = run.displacement
+    v = run.velocity[:, 0]
     law = chain.contacts
     force = law.constant[1] * (law.overlap[1] + u[:, 0] - u[:, 1]) ** 1.5 - law.force[1]
     weight = np.ones(1001)
@@ -288,7 +295,8 @@ def test_the_error_of_gradients_is_some_ten_times_the_true_one_where_the_order_h
     """Of Verlet with steps h, 2h and 1.5h: 2.5 (3 + 1.25) = 10.6 times the error of order h^2."""
     chain = Chain(grains=6, diameter=1e-3, top_load=0.05)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=2)
-    names, step = ["masses", "contact_constants"], 2.5e-9
+    names = ["masses", "contact_constants"]
+    step = 2.5e-9
     rough = gradient(scene, Momentum([2]), names, integrator="verlet", step=step)
     true = gradient(scene, Momentum([2]), names, 1e-10, integrator="rkn6")
     assert rough.step_s == pytest.approx(step, rel=1e-2)

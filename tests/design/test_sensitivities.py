@@ -35,7 +35,8 @@ def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
 
 @pytest.mark.slow
 def test_an_uncertainty_is_the_scatter_of_random_chains():
-    share, rng = 1e-4, np.random.default_rng(3)
+    share = 1e-4
+    rng = np.random.default_rng(3)
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_moduli": share})
     answers = []
     for _ in range(200):
@@ -50,8 +51,10 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [1e-3, 3e-3])
 def test_drawn_chains_tell_what_the_first_order_leaves_out(share: float):
-    found, rng = sensitivity(VACUUM, "peak_force:6", {"diameters": share}), np.random.default_rng(4)
-    diameters, answers = values(VACUUM, "diameters"), []
+    found = sensitivity(VACUUM, "peak_force:6", {"diameters": share})
+    rng = np.random.default_rng(4)
+    diameters = values(VACUUM, "diameters")
+    answers = []
     for _ in range(600):
         other = changed(VACUUM, {"diameters": diameters * (1 + share * rng.standard_normal(12))})
         answers.append(
@@ -66,7 +69,8 @@ def test_drawn_chains_tell_what_the_first_order_leaves_out(share: float):
 @pytest.mark.slow
 def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     simulate(VACUUM, tolerance=1e-6).save(tmp_path / "run.nc")
-    picture, numbers = tmp_path / "along.png", tmp_path / "numbers.json"
+    picture = tmp_path / "along.png"
+    numbers = tmp_path / "numbers.json"
     wanted = ["sensitivity", str(tmp_path / "run.nc"), "--of", "energy:3-9", "--diameter", "0.01"]
     assert main([*wanted, "-o", str(picture), "--json", str(numbers)]) == 0
     said = capsys.readouterr().out

@@ -59,7 +59,8 @@ def test_scatter_and_shift_are_those_of_a_cubic_answer(share: float):
     assert answer.shift == pytest.approx(weight @ cubic + 8, rel=0.5)
     draws = np.random.default_rng(0).standard_normal((16, 2))[:, 0]
     up, down = (-8 * (1 + side * share * draws) ** 3 for side in (1, -1))
-    odd, even = (up - down) / 2, (up + down) / 2 + 8
+    odd = (up - down) / 2
+    even = (up + down) / 2 + 8
     slope = (24 * share) ** 2 * (odd**2).sum() / ((24 * share * draws) ** 2).sum()
     assert answer.scatter == pytest.approx(np.sqrt(slope + even.var(ddof=1)), rel=1e-6)
     assert answer.shift == pytest.approx(even.mean(), rel=1e-6)

@@ -55,7 +55,8 @@ def test_moments_of_the_factors(m, law, shape):
 
     (23) as printed 1 + 1/m and (m+1)/m^2; within 5 standard errors.
     """
-    size, k = 400_000, shape(m)
+    size = 400_000
+    k = shape(m)
     zeta = factors(m, size, generator(), law)
     mean, variance = {"dyson": (1, 1 / m), "paper": (1 + 1 / m, (m + 1) / m**2)}[law]
     assert zeta.mean() == pytest.approx(mean, rel=0, abs=5 * np.sqrt(variance / size))
@@ -218,7 +219,9 @@ def test_mean_and_standard_error(engine, count):
 
 def test_first_moments_of_a_motion_just_begun():
     """phi_1' = v0 (1 - zeta_1 tau^2 / 2) at first, so its mean and spread are those of zeta_1."""
-    tau, m, count = 0.02, 4, 400
+    tau = 0.02
+    m = 4
+    count = 400
     found = ensemble(column(grains=4, tau=tau, speed=1.0e-12), m, count, seed=3, engine="modes")
     lost = (1 - found.velocity[-1, 0] / 1e-12) / (tau**2 / 2)
     error = found.velocity_error[-1, 0] / 1e-12 / (tau**2 / 2)
@@ -268,7 +271,8 @@ def test_order_is_the_limit_of_large_m(law):
 
 def test_weak_strikes_are_linear_and_strong_ones_are_not():
     """The same chains by Eq. (3) and by Eq. (1)."""
-    weak, strong = column(grains=20, tau=6.0, speed=1e-12), column(grains=20, tau=6.0, speed=2e-5)
+    weak = column(grains=20, tau=6.0, speed=1e-12)
+    strong = column(grains=20, tau=6.0, speed=2e-5)
     linear, full = (ensemble(weak, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native"))
     off = relative_error(full.displacement, full.velocity, linear.displacement, linear.velocity)
     assert off < linear.model_error + 3e-6
@@ -343,7 +347,8 @@ class Watched(engines.Native):
 
 def test_a_longer_series_begins_with_the_shorter_one():
     """Also where the step is found for a batch: the same chains at the same steps."""
-    short, long = Watched(), Watched()
+    short = Watched()
+    long = Watched()
     scene = column(grains=12, tau=4.0, speed=1e-6)
     ensemble(scene, 1, 3, seed=2, engine=short, tolerance=1e-9)
     ensemble(scene, 1, 18, seed=2, engine=long, tolerance=1e-9)
@@ -499,7 +504,8 @@ def keys(said: Any) -> list[str]:
 
 
 def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
-    numbers, picture = saved.with_suffix(".json"), saved.with_suffix(".png")
+    numbers = saved.with_suffix(".json")
+    picture = saved.with_suffix(".png")
     orders = ",".join(f"{m:g}" for m in SUMS)
     options = ["--m", orders, "--realisations", "12", "--json", str(numbers), "-o", str(picture)]
     assert main(["dyson", str(saved), *options]) == 0
@@ -582,7 +588,8 @@ def test_dyson_of_what_it_cannot_do(saved: Path, capsys: pytest.CaptureFixture[s
     simulate(vacuum, "native").save(saved)
     assert main(["dyson", str(saved), "--m", "1"]) == 2
     assert keys(capsys.readouterr()) == ["gravity"]
-    none, folder = str(saved.with_name("none.nc")), str(saved.parent)
+    none = str(saved.with_name("none.nc"))
+    folder = str(saved.parent)
     assert main(["dyson", none, "--m", "1,x", "--json", folder, "-o", "p.txt"]) == 2
     assert set(keys(capsys.readouterr())) == {none, "m", folder, "p.txt"}
 

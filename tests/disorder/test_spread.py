@@ -70,7 +70,8 @@ def test_an_ordered_chain_that_is_displaced():
 def power(time: np.ndarray, moment: np.ndarray, begin: float, end: float) -> float:
     """Return the slope of log moment over log time from the normal equations, all octaves alike."""
     within = (time >= begin) & (time <= end)
-    x, y = np.log(time[within]), np.log(moment[within])
+    x = np.log(time[within])
+    y = np.log(moment[within])
     weight = np.gradient(x)
     mean = (weight * x).sum() / weight.sum()
     return float((weight * (x - mean) * y).sum() / (weight * (x - mean) ** 2).sum())
@@ -79,7 +80,8 @@ def power(time: np.ndarray, moment: np.ndarray, begin: float, end: float) -> flo
 @pytest.mark.parametrize("of", ["stiffness", "constant", "mass", "diameter", "modulus"])
 def test_means_and_errors(of):
     """Against the energies of every chain, each answered by itself by the nonlinear engine."""
-    case, count = scene(grains=21, tau=6.0), 19
+    case = scene(grains=21, tau=6.0)
+    count = 19
     found = spreading(case, 6, count, 5, "native", of=of, tolerance=1e-9)
     alone = [
         shares(simulate(realisation(case, 6, 5, i, of=of), "native", 1e-10)).of_grain
@@ -99,7 +101,8 @@ def test_means_and_errors(of):
             each.std(0, ddof=1) / np.sqrt(count), rel=1e-5, abs=1e-7
         )
     groups = np.array([moment[first::16].sum(0) for first in range(16)])
-    begin, end = case.time[1], case.time[4]
+    begin = case.time[1]
+    end = case.time[4]
     left_out = [power(case.time, groups.sum(0) - group, begin, end) for group in groups]
     error = np.sqrt(15 / 16 * np.square(left_out - np.mean(left_out)).sum())
     exact = power(case.time, moment.mean(0), begin, end), error
@@ -188,7 +191,8 @@ def test_picture_of_spreading():
     axes = found.plot()
     names = ("second_moment", "participation")
     for line, band, name in zip(axes.lines, axes.collections, names, strict=True):
-        mean, error = getattr(found, name)[1:], getattr(found, f"{name}_error")[1:]
+        mean = getattr(found, name)[1:]
+        error = getattr(found, f"{name}_error")[1:]
         assert line.get_xdata().tolist() == found.time[1:].tolist()
         assert line.get_ydata().tolist() == mean.tolist()
         (path,) = band.get_paths()

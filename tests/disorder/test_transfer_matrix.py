@@ -15,8 +15,11 @@ def test_an_ordered_chain():
     """In the band nothing grows and the modes are those of sin; above, waves decay as
     arcosh says.
     """
-    k, m, edge = 2.0, 0.5, 4.0
-    below, above = edge * np.array([1e-3, 0.1, 0.5, 0.99]), edge * np.array([1.01, 2.0, 30.0])
+    k = 2.0
+    m = 0.5
+    edge = 4.0
+    below = edge * np.array([1e-3, 0.1, 0.5, 0.99])
+    above = edge * np.array([1.01, 2.0, 30.0])
     found = density_of_states([*below, *above], k, m, grains=200_000, chains=2)
     assert found.integrated[: below.size] == pytest.approx(
         2 / np.pi * np.arcsin(below / edge), abs=2e-5
@@ -62,14 +65,18 @@ def growth_and_nodes(
 
     The ratios k_n / m_n and k_n / m_(n+1) are `above` and `below`; the force is kept over the mass.
     """
-    u, force, logarithm, nodes = 1.0, w**2, 0.0, 0
+    u = 1.0
+    force = w**2
+    logarithm = 0.0
+    nodes = 0
     for n in range(k.size):
         ahead = u - force / above[n]
         force = force * below[n] / above[n] + w**2 * ahead
         if n >= passed:
             logarithm += np.log(abs(ahead / u))
             nodes += ahead / u < 0
-        u, force = ahead / abs(ahead), force / abs(ahead)
+        u = ahead / abs(ahead)
+        force = force / abs(ahead)
     return logarithm / (k.size - passed), nodes / (k.size - passed)
 
 
@@ -80,10 +87,14 @@ def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatc
     draws.
     """
     monkeypatch.setattr(transfer_matrix, "PIECE", piece)
-    rng, chains, grains = np.random.default_rng(4), 3, 150
+    rng = np.random.default_rng(4)
+    chains = 3
+    grains = 150
     w = np.array([0.0, 0.3, 1.1, 2.5, 40.0])
-    k, m = rng.uniform(0.5, 2, (chains, grains)), rng.uniform(0.5, 2, (chains, grains + 1))
-    above, below = k / m[:, :-1], k / m[:, 1:]
+    k = rng.uniform(0.5, 2, (chains, grains))
+    m = rng.uniform(0.5, 2, (chains, grains + 1))
+    above = k / m[:, :-1]
+    below = k / m[:, 1:]
     if kind == "ratios":
         below = rng.uniform(0.5, 2, (chains, grains))
         rows = []

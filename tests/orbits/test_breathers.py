@@ -15,7 +15,8 @@ from lmpchain.orbits import Orbit
 LOADED = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
 WALLS = {"top": "wall", "bottom": "wall"}
 RIGID = Material(density=1e3, youngs_modulus=1e30, poissons_ratio=0.0)
-LIGHT, HEAVY = 1e-3, 3e-3
+LIGHT = 1e-3
+HEAVY = 3e-3
 
 
 @cache
@@ -121,13 +122,12 @@ def test_a_dark_breather_swings_with_its_background():
     band.
     """
     orbit = dark()
-    chain, swing = orbit.chain, np.ptp(orbit.motion()[1], axis=0) / 2
+    chain = orbit.chain
+    swing = np.ptp(orbit.motion()[1], axis=0) / 2
     overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)
     # less than at rest: grains at the dip take more room
-    eps, k = (
-        overlap[10:12].mean(),
-        chain.contact_constants[0],
-    )
+    eps = overlap[10:12].mean()
+    k = chain.contact_constants[0]
 
     def period(amplitude: float) -> float:
         def potential(x: float) -> float:

@@ -37,7 +37,9 @@ def test_a_driven_grain_folds_where_a_multiplier_passes_1():
     assert np.sum(turns[1:] != turns[:-1]) == 2
     # beyond a fold in the period of the drive: independent integration
     orbit = family[len(family) // 2]
-    k, eps, m = CHAIN.contact_constants, CHAIN.length_scale, CHAIN.masses[0]
+    k = CHAIN.contact_constants
+    eps = CHAIN.length_scale
+    m = CHAIN.masses[0]
 
     def rate(t: float, y: np.ndarray) -> list[float]:
         push = k[0] * max(eps + orbit.drive.motion(t)[0] - y[0], 0.0) ** 1.5
@@ -54,7 +56,10 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
     """Where the trace of the tangent map of the one grain that moves is -2, by an independent
     integration.
     """
-    k, eps, m, w = CHAIN.contact_constants, CHAIN.length_scale, CHAIN.masses[0], 1.95 * OMEGA
+    k = CHAIN.contact_constants
+    eps = CHAIN.length_scale
+    m = CHAIN.masses[0]
+    w = 1.95 * OMEGA
     drive = Drive(amplitude=0.02 * eps, frequency=w / (2 * np.pi))
     family = orbits.follow(orbits.find(CHAIN, drive=drive), "amplitude", 0.4 * eps)
     (event,) = family.events[:1]
@@ -67,7 +72,8 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
         """
 
         def rate(t: float, y: np.ndarray) -> np.ndarray:
-            above, below = max(1 + amplitude * np.sin(t) - y[0], 0.0), max(1 + y[0], 0.0)
+            above = max(1 + amplitude * np.sin(t) - y[0], 0.0)
+            below = max(1 + y[0], 0.0)
             pull = (k[0] * above**1.5 - k[1] * below**1.5) * eps**0.5 / m / w**2
             stiff = 1.5 * (k[0] * above**0.5 + k[1] * below**0.5) * eps**0.5 / m / w**2
             return np.array([y[1], pull, y[3], -stiff * y[2], y[5], -stiff * y[4]])
@@ -172,14 +178,18 @@ def growth(orbit: orbits.Orbit) -> float:
     """Return the largest Floquet multiplier, by an independent integration of the chain and its
     variations.
     """
-    chain, n = orbit.chain, orbit.chain.grains
-    constant, overlap = np.array(chain.contacts.constant), np.array(chain.contacts.overlap)
-    unit, clock = chain.length_scale, orbit.period / (2 * np.pi)
+    chain = orbit.chain
+    n = orbit.chain.grains
+    constant = np.array(chain.contacts.constant)
+    overlap = np.array(chain.contacts.overlap)
+    unit = chain.length_scale
+    clock = orbit.period / (2 * np.pi)
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
         u, v = y.reshape(2, n, n * 2 + 1)
         squeezed = np.maximum(overlap + np.diff(-u[:, 0] * unit, prepend=0.0, append=0.0), 0.0)
-        force, stiff = constant * squeezed**1.5 / unit, 1.5 * constant * squeezed**0.5
+        force = constant * squeezed**1.5 / unit
+        stiff = 1.5 * constant * squeezed**0.5
         pull = np.empty_like(u)
         pull[:, 0] = force[:-1] - force[1:]
         change = -stiff[:, None] * np.diff(u[:, 1:], axis=0, prepend=0.0, append=0.0)

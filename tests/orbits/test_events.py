@@ -27,7 +27,8 @@ def located(
         taken.append(way)
         return at(way)
 
-    here, there = at(0.0), at(1.0)
+    here = at(0.0)
+    there = at(1.0)
     assert here is not None
     assert there is not None
     event = locate(kind, here, there, counted)

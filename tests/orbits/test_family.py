@@ -100,7 +100,9 @@ def test_a_family_that_is_stable_throughout_has_one_line_and_no_title():
 
 def test_bands_of_a_dimer_are_those_of_two_masses_on_springs():
     """w^2 = 0 to 2K/M and 2K/m to 2K (1/m + 1/M)."""
-    k, light, heavy = DIMER.linear_stiffness[0], 1e-3, 3e-3
+    k = DIMER.linear_stiffness[0]
+    light = 1e-3
+    heavy = 3e-3
     squares = [[0, 2 * k / heavy], [2 * k / light, 2 * k * (1 / light + 1 / heavy)]]
     edges = bands(family(DIMER).plot())
     np.testing.assert_allclose(edges, np.sqrt(squares) / (2 * np.pi), rtol=1e-12, atol=1e-9)
@@ -123,7 +125,8 @@ def test_of_a_chain_that_does_not_repeat_the_span_of_its_modes_is_drawn(kind: st
         chain = chain.replace(masses=[1e-3, 1e-3, 1e-3, 2e-3, 1e-3])
     else:
         chain = chain.replace(contact_constants=chain.contact_constants * [1, 1, 2, 1])
-    k, m = chain.linear_stiffness, chain.masses[:4]
+    k = chain.linear_stiffness
+    m = chain.masses[:4]
     matrix = np.diag(np.append(0, k[:3]) + k) - np.diag(k[:3], 1) - np.diag(k[:3], -1)
     frequency = np.sqrt(np.sort(np.linalg.eigvals(matrix / m[:, None]).real)) / (2 * np.pi)
     edges = bands(family(chain).plot())

@@ -14,7 +14,8 @@ def test_multipliers_are_those_of_the_matrix_in_exact_pairs(size: int):
     turn = np.kron([[0, 1], [-1, 0]], np.eye(size))
     matrix = expm(0.3 * turn @ (symmetric + symmetric.T))
     assert floquet.inverse(matrix) @ matrix == pytest.approx(np.eye(2 * size), abs=1e-12)
-    found, exact = floquet.multipliers(floquet.means(matrix), False), np.linalg.eigvals(matrix)
+    found = floquet.multipliers(floquet.means(matrix), False)
+    exact = np.linalg.eigvals(matrix)
     assert np.abs(found[:, None] - exact).min(1).max() < 1e-10
     assert np.abs(exact[:, None] - found).min(1).max() < 1e-10
     assert found[::2] * found[1::2] == pytest.approx(np.ones(size), abs=1e-14)

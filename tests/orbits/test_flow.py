@@ -28,7 +28,8 @@ LOADED = Chain(
     grains=4, diameter=1e-3, masses=MASSES, top_load=1.0, gravity=500.0, top="wall", bottom="wall"
 )
 EPS = LOADED.contacts.overlap[1]
-RATE, PERIOD = 1.3e5, 2e-5
+RATE = 1.3e5
+PERIOD = 2e-5
 U = EPS * np.array([0.3, -0.2, 0.5, 0.1])
 V = EPS * RATE * np.array([-0.1, 0.4, 0.2, -0.3])
 
@@ -102,7 +103,8 @@ def test_direction_and_energy_are_those_of_the_equation():
 @pytest.mark.parametrize("grain", [None, 1, 0])
 def test_a_period_is_that_of_an_independent_integration(grain: int | None):
     """Uneven steps; the drive has two cycles in a period, and moves grain 1 or the top wall."""
-    period, size = PERIOD, 0.2 * EPS
+    period = PERIOD
+    size = 0.2 * EPS
     drive = None if grain is None else Drive(amplitude=size, frequency=2 / period, grain=grain)
     flow = Flow(LOADED, RATE, drive, 2) if drive else Flow(LOADED, RATE)
     assert (flow.held, flow.size) == ((1, 3) if grain == 1 else (0, 4))
@@ -156,7 +158,8 @@ def test_equations_have_the_derivatives_that_differences_show(
     start[:, 0] *= flow.held == 0
     state = flow.canonical(*start)
     equations = Equations(flow_at, reversible, 0.7 * np.abs(state).max(), scale, 1.7e-5)
-    point, steps = Point(state, PERIOD, value), np.full(120, 1 / 120)
+    point = Point(state, PERIOD, value)
+    steps = np.full(120, 1 / 120)
     unknown = equations.pack(point)
     again = equations.unpack(unknown)
     np.testing.assert_allclose(again.state, state, rtol=1e-14)

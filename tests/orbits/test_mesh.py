@@ -52,7 +52,8 @@ def test_very_long_periods_have_no_more_steps_than_fit_in_memory():
 
 def moving(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return displacement and velocity (K, 5) of a motion in which some contacts open; period 1."""
-    turn, n = 2 * np.pi * time[:, None], np.arange(5)
+    turn = 2 * np.pi * time[:, None]
+    n = np.arange(5)
     u = EPS[1] * (1.3 * np.sin(turn + n) * (n > 1) + 0.3 * np.sin(2 * turn) * (n == 0))
     v = EPS[1] * 2 * np.pi * (1.3 * np.cos(turn + n) * (n > 1) + 0.6 * np.cos(2 * turn) * (n == 0))
     return u, v
@@ -77,7 +78,9 @@ def test_openings_are_where_overlaps_pass_0():
 def test_a_contact_that_never_closes_does_not_open():
     """Nor one that touches by round-off; in a chain without load."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
-    flow, steps, size = Flow(chain, 1e6), np.full(4, 0.25), 1e-7
+    flow = Flow(chain, 1e6)
+    steps = np.full(4, 0.25)
+    size = 1e-7
     u = size * np.array([[1.0, -0.5], [0.9, -0.4], [0.8, -0.3], [0.9, -0.4], [1.0, -0.5]])
     passage = Passage(u, np.zeros((5, 2)), np.zeros(0))
     assert mesh.openings(flow, passage, 1.0, steps).size == 0
@@ -94,7 +97,8 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
     """About 0.35 of the time to the nearest opening, which counts mirrored and a period
     later too.
     """
-    rest, times = np.zeros((1, 5)), np.array([0.13, 0.31, 0.62])
+    rest = np.zeros((1, 5))
+    times = np.array([0.13, 0.31, 0.62])
     highest = mesh.highest_frequency(FLOW, rest)
     period = turns / highest
     steps = mesh.graded(FLOW, period, rest, times, reach)
@@ -105,7 +109,8 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
     every = np.array([0.13, 0.31, 0.38, 0.62, 0.69, 0.87])
     ends = np.concatenate(([0.0], np.cumsum(steps)))
     distance = np.abs((ends[1:] + ends[:-1])[:, None] / 2 - every).min(1)
-    least, grading = 1e-4 / turns, 0.35 * reach / 0.3
+    least = 1e-4 / turns
+    grading = 0.35 * reach / 0.3
     wanted = np.clip(grading * distance, least, even[0])
     smooth = (np.abs(grading * distance - least) > 0.5 * least) & (distance > steps)
     assert (steps <= even[0] * (1 + 1e-9)).all()
@@ -131,7 +136,8 @@ def test_without_openings_steps_are_uniform():
 
 
 def test_very_many_openings_have_no_more_steps_than_fit_in_memory():
-    rest, times = np.zeros((1, 5)), np.linspace(0.01, 0.49, 400)
+    rest = np.zeros((1, 5))
+    times = np.linspace(0.01, 0.49, 400)
     period = 4e3 / mesh.highest_frequency(FLOW, rest)
     steps = mesh.graded(FLOW, period, rest, times)
     assert steps.size == 20_000

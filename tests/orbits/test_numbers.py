@@ -109,7 +109,8 @@ def test_an_unstable_direction_grows_by_its_multiplier():
     u, v = one.direction()
     assert np.abs(u).max() == pytest.approx(1, rel=1e-12)
     x = one.flow.canonical(u, v).ravel()
-    growth, turned = one.unstable[0], one.monodromy @ x
+    growth = one.unstable[0]
+    turned = one.monodromy @ x
     # x, M x and M^2 x of the real part of an eigenvector
     expected = 2 * growth.real * turned - np.abs(growth) ** 2 * x
     assert np.abs(one.monodromy @ turned - expected).max() < 1e-6 * np.abs(x).max()
@@ -142,7 +143,8 @@ def test_a_linear_mode_has_the_strain_asked_for():
         change = np.diff(u) / CHAIN.contacts.overlap[1:4]
         assert np.abs(change).max() == pytest.approx(strain, rel=1e-12)
     assert np.abs(orbits.linear_mode(CHAIN, 2)[0] - u / 200).max() < 1e-12 * np.abs(u).max()
-    k, m = CHAIN.linear_stiffness, CHAIN.masses[0]
+    k = CHAIN.linear_stiffness
+    m = CHAIN.masses[0]
     matrix = np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)
     assert 2 * np.pi / period == pytest.approx(
         np.sqrt(np.linalg.eigvalsh(matrix / m)[1]), rel=1e-10
@@ -221,7 +223,8 @@ def test_a_guess_is_taken_in_every_form_and_turns_of_the_drive_are_counted():
     assert orbits.find(CHAIN, one).period == one.period
     loaded = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1.0)
     sine = Drive(amplitude=0.01 * loaded.length_scale, frequency=2e4)
-    once, twice = orbits.find(loaded, drive=sine), orbits.find(loaded, drive=sine, period=1e-4)
+    once = orbits.find(loaded, drive=sine)
+    twice = orbits.find(loaded, drive=sine, period=1e-4)
     assert (once.period, twice.period) == pytest.approx((5e-5, 1e-4), rel=1e-12)
     assert twice.velocity == pytest.approx(once.velocity, rel=1e-9)
     assert twice.drive is not None
@@ -240,7 +243,8 @@ def test_a_light_grain_alone_has_the_amplitude_of_its_period():
     masses = [3e-3, 1e-3, 3e-3]
     walls = {"top": "wall", "bottom": "wall"}
     chain = Chain(grains=3, diameter=1e-2, gravity=0.0, top_load=20.0, masses=masses, **walls)
-    k, eps = chain.contact_constants[0], chain.contacts.overlap[1]
+    k = chain.contact_constants[0]
+    eps = chain.contacts.overlap[1]
 
     def period(amplitude: float) -> float:
         def potential(x: float) -> float:

@@ -55,8 +55,10 @@ def test_the_tangent_map_is_that_of_the_native_engine_and_symplectic(load: float
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=load, top="wall", bottom="wall")
     scale = chain.length_scale or 1e-7
     u, v = rng.normal(size=(2, 12)) * [[scale], [scale * 1e6]]
-    flow, size = Flow(chain, 1e6), 24
-    mesh, period = rng.uniform(0.5, 1.5, 40) / 40, 1e-5
+    flow = Flow(chain, 1e6)
+    size = 24
+    mesh = rng.uniform(0.5, 1.5, 40) / 40
+    period = 1e-5
     passage = flow.run(flow.canonical(u, v), period, mesh, np.eye(size).reshape(2, 12, size))
     overlap = chain.contacts.overlap + chain.contacts.closer(passage.displacement)
     assert overlap.min() < -scale / 10  # contacts open
@@ -84,12 +86,10 @@ def scene_of(chain: Chain, u: np.ndarray, v: np.ndarray, duration: float):
 
 def pi_mode_period(chain: Chain, amplitude: float) -> float:
     """Neighbours in antiphase between rigid walls: one oscillator, by quadrature."""
-    m, k, eps, power = (
-        chain.masses[0],
-        chain.contact_constants[0],
-        chain.contacts.overlap[1],
-        chain.exponent + 1,
-    )
+    m = chain.masses[0]
+    k = chain.contact_constants[0]
+    eps = chain.contacts.overlap[1]
+    power = chain.exponent + 1
 
     def potential(x: float) -> float:
         return k / (2 * power) * (max(eps + 2 * x, 0.0) ** power + max(eps - 2 * x, 0.0) ** power)
@@ -121,12 +121,10 @@ def test_a_grain_that_flies_far_between_short_contacts():
     compensated.
     """
     chain = Chain(grains=1, diameter=1e-3, bottom="wall")
-    m, k, eps, g = (
-        chain.masses[0],
-        chain.wall_constants[1],
-        chain.contacts.overlap[1],
-        chain.gravity,
-    )
+    m = chain.masses[0]
+    k = chain.wall_constants[1]
+    eps = chain.contacts.overlap[1]
+    g = chain.gravity
     orbit = orbits.normal_mode(chain, 1, 3e3 * m * g * eps)
     touching = orbit.energy - 0.6 * m * g * eps  # kinetic, where it begins to
     deepest = brentq(
@@ -181,12 +179,13 @@ def test_small_orbits_have_the_multipliers_of_the_linear_chain():
 @pytest.mark.parametrize("exponent", [1.5, 2.5])
 def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent: float):
     chain = Chain(grains=2, diameter=1e-3, exponent=exponent)
-    k, m, eps, d = chain.contact_constants[0], chain.masses[0], chain.length_scale, exponent
-    w, second, third = (
-        np.sqrt(k * d * eps ** (d - 1) / m),
-        k * d * (d - 1) / 2 * eps ** (d - 2) / m,
-        k * d * (d - 1) * (d - 2) / 6 * eps ** (d - 3) / m,
-    )
+    k = chain.contact_constants[0]
+    m = chain.masses[0]
+    eps = chain.length_scale
+    d = exponent
+    w = np.sqrt(k * d * eps ** (d - 1) / m)
+    second = k * d * (d - 1) / 2 * eps ** (d - 2) / m
+    third = k * d * (d - 1) * (d - 2) / 6 * eps ** (d - 3) / m
     energy = 0.5 * m * w**2 * (eps * np.array([1e-2, 2e-2])) ** 2
     # Landau and Lifshitz, section 28
     shift = (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)
@@ -197,7 +196,9 @@ def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent:
 def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
     chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1.0)
     modes = eigenmodes(Chain(grains=7, diameter=1e-3, gravity=0.0, top_load=1.0))
-    w, k, m = 0.9 * modes.frequency[0], chain.linear_stiffness[0], chain.masses[0]
+    w = 0.9 * modes.frequency[0]
+    k = chain.linear_stiffness[0]
+    m = chain.masses[0]
     amplitude = 1e-6 * chain.length_scale
     orbit = orbits.find(chain, drive=Drive(amplitude=amplitude, frequency=w / (2 * np.pi)))
     q = 2 * np.arcsin(w / 2 * np.sqrt(m / k))  # between the drive and grain 6, which is held
@@ -272,10 +273,8 @@ def test_what_cannot_be_is_said_in_one_line():
         Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load) for load in (0.0, 1.0)
     )
     long = Profile(displacement=np.ones(6))
-    burst, other = (
-        Drive(times=[0, 1], displacement=[0, 1e-9]),
-        Drive(amplitude=1e-9, frequency=1.5e4),
-    )
+    burst = Drive(times=[0, 1], displacement=[0, 1e-9])
+    other = Drive(amplitude=1e-9, frequency=1.5e4)
     wrong = {
         "chain: carries no force at rest": lambda: orbits.normal_mode(vacuum, 1, 1e-9),
         "chain: flies apart": lambda: at_rest(free, np.array([1e-9, 0, 0, 0, 0]), 1e-4),

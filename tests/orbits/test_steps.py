@@ -31,7 +31,8 @@ def amplitudes(until: float, **given: Any) -> tuple[Family, np.ndarray]:
 def test_steps_grow_with_the_orbit_to_a_share_of_it(events: bool):
     """The first is a fifth of its size; easy ones double, to 0.4 of it."""
     family, sizes = amplitudes(12.0, events=events)
-    expected, length = [1.0], 0.2
+    expected = [1.0]
+    length = 0.2
     while True:
         length = min(length, 0.4 * expected[-1])
         if expected[-1] + length > 12.0:
@@ -54,7 +55,8 @@ def test_steps_go_down_as_well():
 def test_a_family_that_is_cut_short_says_where():
     family, sizes = amplitudes(12.0, points=3)
     assert sizes == pytest.approx([1.0, 1.2, 1.6], rel=1e-4)
-    energy, period = family.energy[-1], family.period[-1]
+    energy = family.energy[-1]
+    period = family.period[-1]
     assert family.ended == f"its first 3 orbits end at energy {energy:.6g} (period {period:.6g} s)"
     heavier = orbits.follow(
         small(), lambda m: CHAIN.replace(masses=m * CHAIN.masses), 2.0, start=1.0, points=1
@@ -92,7 +94,8 @@ def test_the_linear_mode_follows_what_changes(name: str):
     assert (family.value[0], family.value[-1]) == pytest.approx((start, 1.3 * start), rel=1e-10)
     assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
     end = family[-1].chain
-    k, m = end.linear_stiffness, end.masses[:3]
+    k = end.linear_stiffness
+    m = end.masses[:3]
     matrix = (np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)) / np.sqrt(
         np.outer(m, m)
     )

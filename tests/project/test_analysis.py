@@ -290,7 +290,8 @@ def test_every_picture_says_which_commit_and_command_drew_it():
     for path in paths:
         with Image.open(path) as picture:
             assert picture.mode in ("RGB", "RGBA"), "no palette"
-            commit, command = picture.info["Commit"], picture.info["Command"]
+            commit = picture.info["Commit"]
+            command = picture.info["Command"]
         assert re.fullmatch(r"[0-9a-f]{40}", commit), (
             f"{path.stem}: draw it with all changes committed"
         )
@@ -316,7 +317,8 @@ def whole_history() -> set[str] | None:
 @pytest.mark.slow
 @pytest.mark.parametrize("script", AGAIN)
 def test_pictures_are_those_that_the_code_draws(script: str, command: Command):
-    found, before = numbers(command, script), json.loads(kept(script)["Numbers"])
+    found = numbers(command, script)
+    before = json.loads(kept(script)["Numbers"])
     assert found.keys() == before.keys()
     for label, number in before.items():
         assert found[label] == pytest.approx(number, rel=1e-2, abs=1e-12), label
@@ -373,7 +375,8 @@ def test_eq_7_does_not_approximate_eq_3():
 
     (7) from the exact solution after a displacement of the top grain.
     """
-    n, kappa = np.arange(1, 120), np.arange(1, 120) ** (1 / 3)
+    n = np.arange(1, 120)
+    kappa = np.arange(1, 120) ** (1 / 3)
     for tau, known in {2.0: 0.78, 5.0: 0.58, 10.0: 1.24, 20.0: 1.245}.items():
         exact = bessel.finite(kappa, n, 1, tau)
         off = np.linalg.norm(bessel.local(n, tau) - exact) / np.linalg.norm(exact)

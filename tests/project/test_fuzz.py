@@ -268,7 +268,8 @@ def call(*words: object) -> tuple[int, str]:
     """Run a command; return its exit code and what it printed, once it is clear that it said what
     is wrong, if so.
     """
-    out, err = StringIO(), StringIO()
+    out = StringIO()
+    err = StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = main([str(word) for word in words])
     said = err.getvalue().split("\n")[:-1]
@@ -443,7 +444,8 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a scene, its answer in a file, in a run folder, in one that was stopped,
     and as a dump.
     """
-    folder, tables = tmp_path_factory.mktemp("answers"), deepcopy(SCENE)
+    folder = tmp_path_factory.mktemp("answers")
+    tables = deepcopy(SCENE)
     tables["recording"] |= {"duration": 2e-5, "samples": 41}
     (folder / "scene.toml").write_bytes(toml(tables))
     scene = Scene.from_toml(folder / "scene.toml")

@@ -85,7 +85,8 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with an answer in a file, in a run folder, in one that was stopped, and as a
     dump.
     """
-    folder, scene = tmp_path_factory.mktemp("originals"), Scene.from_dict(SCENE)
+    folder = tmp_path_factory.mktemp("originals")
+    scene = Scene.from_dict(SCENE)
     simulate(scene, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
@@ -100,7 +101,8 @@ def spoilt(tree: Any, turn: random.Random) -> Any:
     """Return tables and lists with one to three values replaced, lost or doubled, at any depth."""
     tree = deepcopy(tree)
     for _ in range(turn.choice([1, 1, 1, 2, 3])):
-        holder, key = [tree], 0
+        holder = [tree]
+        key = 0
         while isinstance(holder[key], dict | list) and holder[key] and turn.random() < 0.8:
             holder = holder[key]
             key = turn.choice(list(holder) if isinstance(holder, dict) else range(len(holder)))
@@ -120,7 +122,8 @@ def damaged(content: bytes, turn: random.Random) -> bytes:
     """Return the bytes of a file with some changed, lost, doubled or put in."""
     found = bytearray(content)
     for _ in range(turn.choice([1, 1, 2, 10])):
-        place, length = turn.randrange(len(found) or 1), turn.choice([1, 4, 30, 300])
+        place = turn.randrange(len(found) or 1)
+        length = turn.choice([1, 4, 30, 300])
         how = turn.choice(["flip", "drop", "double", "insert", "cut", "swap"])
         if how == "flip" and found:
             found[place] ^= 1 << turn.randrange(8)
@@ -143,7 +146,8 @@ def examine(case: Callable[[random.Random], object], count: int) -> None:
     """Try so many cases; each gives a value or an error in words, of one short line a fault, in
     little memory.
     """
-    before, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, 0
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    refused = 0
     longest = 0
     for seed in range(count):
         try:
@@ -248,7 +252,8 @@ def test_checkpoints_and_tasks_with_the_right_hash(originals: Path, tmp_path: Pa
 
 @fuzzed(50, 15_000)
 def test_dumps(originals: Path, tmp_path: Path, count: int):
-    content, scene = (originals / "deck" / "column.lammpstrj").read_bytes(), Scene.from_dict(SCENE)
+    content = (originals / "deck" / "column.lammpstrj").read_bytes()
+    scene = Scene.from_dict(SCENE)
 
     def case(turn: random.Random) -> None:
         (tmp_path / "dump").write_bytes(damaged(content, turn))

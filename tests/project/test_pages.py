@@ -119,7 +119,8 @@ def test_the_reference_lists_what_is_public():
 
 def listed_names() -> list[str]:
     """Return what the reference lists, with dotted names; it must be there."""
-    found, package = [], ""
+    found = []
+    package = ""
     for line in (DOCS / "api.md").read_text(encoding="utf-8").splitlines():
         if line.startswith(".. currentmodule:: "):
             package = line.split()[-1]
@@ -215,7 +216,8 @@ def test_commands(
                 check=False,
                 timeout=PATIENCE,
             )
-            code, fault = done.returncode, done.stderr
+            code = done.returncode
+            fault = done.stderr
         assert code == wanted, f"{line}\n{fault}"
         assert "Traceback" not in fault
         said += fault
@@ -408,7 +410,8 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     the soak.
     """
     pytest.importorskip("sphinxarg", reason="Sphinx and its extensions come with lmpchain[docs]")
-    copy, build = tmp_path / "docs", tmp_path / "built"
+    copy = tmp_path / "docs"
+    build = tmp_path / "built"
     shutil.copytree(DOCS, copy, ignore=shutil.ignore_patterns("build", "api", "measurements"))
     for name in ("analysis", "CITATION.cff"):
         (tmp_path / name).symlink_to(ROOT / name)

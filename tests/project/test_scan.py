@@ -15,7 +15,8 @@ from project.test_fuzz import EXCITATIONS, SCENE, Tables, places, toml
 
 from lmpchain.cli.command_line import main
 
-NAN, INF = float("nan"), float("inf")
+NAN = float("nan")
+INF = float("inf")
 STRANGE: list[Any] = [NAN, INF, -INF, -1, 0, 5e-324, 1e308, True, "x", [], {}]
 LONGEST = 400  # letters of a line; no value that it repeats has more than 80
 ALL: list[Tables] = [
@@ -94,7 +95,8 @@ def bases() -> Iterator[tuple[str, Tables, tuple[str, ...]]]:
 
 def said(command: str, scene: str) -> tuple[int, list[str]]:
     """Return the exit code of a command on a scene, and the errors that it printed."""
-    out, err = StringIO(), StringIO()
+    out = StringIO()
+    err = StringIO()
     options = REFUSED[command]
     with redirect_stdout(out), redirect_stderr(err):
         code = main(
@@ -120,7 +122,8 @@ def test_strange_numbers(
     wrong: list[str] = []
     for way, value in cases:
         Path("scene.toml").write_bytes(toml(spoilt(tables, way, value)))
-        name, before = f"{'.'.join(map(str, way))} = {value!r}", None
+        name = f"{'.'.join(map(str, way))} = {value!r}"
+        before = None
         for command in REFUSED:
             if before is not None and before[0] != 2 and command not in DONE:
                 break

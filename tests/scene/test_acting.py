@@ -42,7 +42,9 @@ Array = NDArray[np.float64]
 every = pytest.mark.parametrize("integrator", sorted(METHODS))
 LOADED = Chain(grains=8, diameter=1e-3, gravity=0.0, top_load=1e-3)
 WALLED = Chain(**LOADED.given() | {"top": "wall"})
-UNIT, LENGTH, LOAD = LOADED.time_scale, LOADED.length_scale, LOADED.top_load
+UNIT = LOADED.time_scale
+LENGTH = LOADED.length_scale
+LOAD = LOADED.top_load
 POINTS = np.append(0.0, np.random.default_rng(3).normal(size=11))
 TIMES = np.append(0.0, np.cumsum(np.random.default_rng(4).uniform(0.4, 1, 11)))
 TIMES *= 8.5 * UNIT / TIMES[-1]
@@ -95,7 +97,8 @@ def course(given: Any) -> Any:
         return lambda t: (
             given.amplitude * np.sin(np.pi * t / given.duration) if t < given.duration else 0.0
         )
-    f, cycles = given.frequency, given.cycles
+    f = given.frequency
+    cycles = given.cycles
 
     def value(t: float) -> float:
         hann = (
@@ -110,7 +113,8 @@ def course(given: Any) -> Any:
 
 def duhamel(given: Any, strength: float, times: Array, corners: list[float]) -> tuple[Array, Array]:
     """Return x and x' of x'' = -OWN^2 x + strength f(t), at rest to begin with, by quadrature."""
-    f, found = course(given), []
+    f = course(given)
+    found = []
     largest = max(abs(f(t)) for t in np.linspace(0, times[-1], 101))
     for t in times:
         inside = [c for c in corners if 0 < c < t] or None
@@ -144,7 +148,8 @@ def test_one_grain_on_a_spring(kind: str, where: str):
     is moved.
     """
     given = ON_A_SPRING[kind]
-    chain, strength = SPRING, 1 / 2e-6
+    chain = SPRING
+    strength = 1 / 2e-6
     if where == "wall":
         if kind == "half-sine":
             return
@@ -188,7 +193,8 @@ def test_a_wall_that_moves_in_linear_engines(name: str):
             with pytest.raises(InputError, match=r"excitation: .* (native|modes)"):
                 simulate(scene, name)
             continue
-        t, truth = simulate(scene, name), reference(scene)
+        t = simulate(scene, name)
+        truth = reference(scene)
         assert (
             relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
         )
@@ -202,7 +208,8 @@ def test_forces_in_modes():
             with pytest.raises(InputError, match="by points"):
                 simulate(scene, "modes")
             continue
-        t, truth = simulate(scene, "modes"), reference(scene)
+        t = simulate(scene, "modes")
+        truth = reference(scene)
         assert (
             relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
         )
@@ -243,7 +250,8 @@ def test_order_of_convergence(integrator: str, kind: str):
     """
     scene = scene_of(*ACTING[kind])
     u, v, own = gentle(kind)
-    errors, counts = [], COUNTS[integrator]
+    errors = []
+    counts = COUNTS[integrator]
     for count in counts:
         t = simulate(
             scene, engine=engines.Native(integrator=integrator, step=scene.duration / count)
@@ -427,7 +435,8 @@ def test_work_and_impulse_are_accounted_for(kind: str):
 def test_the_force_of_a_driver():
     scene = scene_of(WALLED, drives(0.5)["burst"], samples=401)
     t = simulate(scene, "native", 1e-9)
-    wall, u = scene.excitation.motion(t.time)[0], t.displacement[:, 0]
+    wall = scene.excitation.motion(t.time)[0]
+    u = t.displacement[:, 0]
     overlap = WALLED.contacts.overlap[0] + wall - u
     assert contact.drive_force(t) == pytest.approx(
         WALLED.wall_constants[0] * overlap**1.5, rel=1e-9
@@ -435,7 +444,8 @@ def test_the_force_of_a_driver():
     assert contact.wall_force(t, "top") == pytest.approx(contact.drive_force(t), rel=1e-12)
     below = scene_of(WALLED, drives(0.5, 1)["burst"], samples=401)
     alone = scene_of(LOADED, drives(0.5, 1)["burst"], samples=401)
-    t, free = simulate(below, "native", 1e-9), simulate(alone, "native", 1e-9)
+    t = simulate(below, "native", 1e-9)
+    free = simulate(alone, "native", 1e-9)
     # a wall above a driven grain moves nothing
     assert np.array_equal(t.displacement, free.displacement)
     squeezed = contact.contacts(t, [0]).change[:, 0]
@@ -566,7 +576,8 @@ def test_random_scenes(seed: int):
             t = simulate(scene, engine, tolerance, on_miss="warn", **options)
         except (RunFailed, ToleranceNotMet):
             continue
-        true, estimate = err(t, truth), t.error_estimate.total
+        true = err(t, truth)
+        estimate = t.error_estimate.total
         assert (true - truth.error) / 3 <= estimate
         assert true <= tolerance or estimate > tolerance or engine not in ("native", "auto")
 
@@ -589,7 +600,8 @@ def test_knots_that_cut_the_steps_of_all_companions_hide_no_error(integrator: st
     duration = 20 / chain.band_edge
     drive = Drive(times=1.05 * duration * times, displacement=shape)
     scene = Scene(chain=chain, excitation=drive, duration=duration, samples=2)
-    found, truth = simulate(scene, engines.Native(integrator), 1e-2), reference(scene)
+    found = simulate(scene, engines.Native(integrator), 1e-2)
+    truth = reference(scene)
     pairs = (found.displacement, truth.displacement), (found.velocity, truth.velocity)
     error = max(
         float(np.abs(a - b).max()) / size for (a, b), size in zip(pairs, truth.scale, strict=True)

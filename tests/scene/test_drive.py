@@ -80,7 +80,8 @@ def test_grain_1_follows_a_sine(integrator: str):
     chain = loaded(bottom="wall")
     scene = scene_of(chain, sine(chain, 0.3, slower=0.5), samples=41)
     t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / 320))
-    a, omega = 0.3 * chain.length_scale, 2 / chain.time_scale
+    a = 0.3 * chain.length_scale
+    omega = 2 / chain.time_scale
     assert t.displacement[:, 0] == pytest.approx(
         a * np.sin(omega * scene.time), rel=0, abs=3e-15 * a
     )
@@ -118,7 +119,8 @@ def test_two_points_make_a_piston():
 
 
 def test_grain_1_is_followed_whatever_its_mass():
-    chain, runs = loaded(), []
+    chain = loaded()
+    runs = []
     for mass in (1e-9, 1.0):
         heavy = loaded(impurity=[{"grain": 1, "mass": mass}])
         scene = Scene(
@@ -168,7 +170,8 @@ def check_order(scene: Scene, integrator: str) -> None:
     method.
     """
     u, v, own = exact(scene.to_text())
-    errors, counts = [], COUNTS[integrator]
+    errors = []
+    counts = COUNTS[integrator]
     for count in counts:
         t = simulate(
             scene, engine=engines.Native(integrator=integrator, step=scene.duration / count)
@@ -182,7 +185,8 @@ def check_order(scene: Scene, integrator: str) -> None:
     )
 
 
-LOADED, COLUMN = loaded(), Chain(grains=20, diameter=1e-3, bottom="wall")
+LOADED = loaded()
+COLUMN = Chain(grains=20, diameter=1e-3, bottom="wall")
 VACUUM = loaded(top_load=0.0, bottom="wall", grains=5)
 DRIVEN = {
     "a gentle path": scene_of(LOADED, path(LOADED), samples=5),
@@ -277,7 +281,8 @@ def test_springs_against_their_modes(kind: str, bottom: str):
         top_load=1e-3,
         bottom=bottom,
     )
-    size, unit = 1e-2 * chain.length_scale, chain.time_scale
+    size = 1e-2 * chain.length_scale
+    unit = chain.time_scale
     if kind == "sine":
         drive = Drive(amplitude=size, frequency=0.15 / unit)
         mode = sine_mode(drive.amplitude, drive.frequency)
@@ -499,7 +504,9 @@ def test_a_start_that_does_not_fit():
 
 @pytest.mark.parametrize("cycles", [None, 2.3])
 def test_derivatives_of_a_waveform_are_limits_of_differences(cycles):
-    wave, t, h = Waveform.sine(2.0, 3.0, cycles), np.linspace(0.01, 0.7, 30), 1e-5
+    wave = Waveform.sine(2.0, 3.0, cycles)
+    t = np.linspace(0.01, 0.7, 30)
+    h = 1e-5
     for order in range(3):
         difference = (wave.at(t + h, order) - wave.at(t - h, order)) / (2 * h)
         assert wave.at(t, order + 1) == pytest.approx(

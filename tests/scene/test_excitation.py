@@ -54,7 +54,8 @@ def test_energy_is_kept_unless_work_is_done(excitation: Excitation) -> None:
 
 def test_what_a_harmonic_drive_puts_in_is_bounded() -> None:
     """Contacts and the grains that are not driven never hold more."""
-    stiffness, masses = CHAIN.contacts.stiffness, CHAIN.masses
+    stiffness = CHAIN.contacts.stiffness
+    masses = CHAIN.masses
     for sign in (1, -1):
         for frequency in (2e3, 3e4, CHAIN.band_edge / 8):
             drive = Drive(amplitude=sign * 1e-13, frequency=frequency)

@@ -36,7 +36,8 @@ def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
     over the band.
     """
     chain = uniform()
-    omega, width = 2 / chain.time_scale * np.sin(q / 2), 20.0
+    omega = 2 / chain.time_scale * np.sin(q / 2)
+    width = 20.0
     packet = Packet(
         frequency=omega / (2 * np.pi), width=width, grain=140, amplitude=1e-6 * chain.length_scale
     )
@@ -58,7 +59,8 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
     its envelope.
     """
     chain = uniform(460)
-    omega, amplitude = 2 / chain.time_scale * np.sin(q / 2), 1e-6 * chain.length_scale
+    omega = 2 / chain.time_scale * np.sin(q / 2)
+    amplitude = 1e-6 * chain.length_scale
     packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=230, amplitude=amplitude)
     u, v = packet.initial(chain)
     x = np.arange(1, 461) - 230.0
@@ -127,7 +129,9 @@ def test_reflection_and_transmission(engine: str):
     """A grain of another mass lets |T|^2 = 1 / (1 + (dm/m)^2 tan^2(q/2)) through, here averaged
     over the packet.
     """
-    q0, width, odd = 1.2, 16.0, 300
+    q0 = 1.2
+    width = 16.0
+    odd = 300
     plain = uniform(600)
     chain = uniform(600, impurity=[{"grain": odd, "mass": 1.8 * plain.masses[0]}])
     omega = 2 / plain.time_scale * np.sin(q0 / 2)
@@ -139,7 +143,8 @@ def test_reflection_and_transmission(engine: str):
     )
     found = energy.shares(simulate(scene, engine, 1e-6))
     whole = found.part(1, 600)[0]
-    through, back = found.part(odd + 10, 600)[-1] / whole, found.part(1, odd - 10)[-1] / whole
+    through = found.part(odd + 10, 600)[-1] / whole
+    back = found.part(1, odd - 10)[-1] / whole
     q = q0 + np.linspace(-8, 8, 2001) / width
     weight = np.exp(-((width * (q - q0)) ** 2))
     expected = (weight / (1 + 0.8**2 * np.tan(q / 2) ** 2)).sum() / weight.sum()
@@ -152,21 +157,23 @@ def test_energy_flows_evenly_through_an_uneven_chain():
     at its phase.
     """
     x = np.linspace(-1, 1, 400)
-    masses, constants = 1e-6 * np.exp(0.5 * x), 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)
+    masses = 1e-6 * np.exp(0.5 * x)
+    constants = 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)
     chain = Chain(
         **SPRINGS
         | {"grains": 400, "masses": masses, "contact_constants": constants, "top_load": 1e-2}
     )
-    omega, width, middle, amplitude = 3e4, 20.0, 190, 1e-9
+    omega = 3e4
+    width = 20.0
+    middle = 190
+    amplitude = 1e-9
     packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=middle, amplitude=amplitude)
     u, v = packet.initial(chain)
     place = np.linspace(1, 400, 399 * 20 + 1)
     across = (place - 200.5) / 199.5
     local = np.sqrt(1e3 * np.exp(-0.8 * across) / (1e-6 * np.exp(0.5 * across)))
-    number, group = (
-        2 * np.arcsin(omega / (2 * local)),
-        local * np.sqrt(1 - (omega / (2 * local)) ** 2),
-    )
+    number = 2 * np.arcsin(omega / (2 * local))
+    group = local * np.sqrt(1 - (omega / (2 * local)) ** 2)
     at = 20 * (middle - 1)
     phase, late = (np.append(0, np.cumsum((y[1:] + y[:-1]) / 40)) for y in (number, 1 / group))
     envelope = np.exp(-(((late - late[at]) * group[at] / width) ** 2) / 2)

@@ -586,7 +586,8 @@ def test_a_changed_number_makes_another_scene(file: Path):
 
 
 def test_a_profile_is_read_from_a_csv_file(file: Path):
-    u, v = np.arange(20) * 1e-11, np.cos(np.arange(20.0)) * 1e-6
+    u = np.arange(20) * 1e-11
+    v = np.cos(np.arange(20.0)) * 1e-6
     u[-1] = v[-1] = 0
     rows = [f"{n},{float(a)!r},{float(b)!r}" for n, a, b in zip(range(1, 21), u, v, strict=True)]
     (file.parent / "profile.csv").write_text(
@@ -693,7 +694,8 @@ def test_a_faulty_chain_file_is_refused(
 
 
 def test_a_drive_is_read_from_a_csv_file(file: Path):
-    times, u = np.arange(12) * 1e-6, np.sin(np.arange(12.0)) * 1e-9
+    times = np.arange(12) * 1e-6
+    u = np.sin(np.arange(12.0)) * 1e-9
     rows = [f"{float(a)!r},{float(b)!r}" for a, b in zip(times, u, strict=True)]
     table = file.with_name("drive.csv")
     table.write_text("\n".join(["time,displacement", *rows]) + "\n")

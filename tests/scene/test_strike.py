@@ -68,7 +68,8 @@ def chain_of(ends: dict[str, Any]) -> Chain:
 
 def one_by_one(chain: Chain, strike: Any) -> list[float]:
     """Return the largest first overlap of each contact, m, from the two bodies beside it."""
-    contacts, delta = chain.contacts, chain.exponent
+    contacts = chain.contacts
+    delta = chain.exponent
     (u, begun), (_, v) = strike.initial(chain), strike.largest(chain)
     deepest = []
     for n in range(chain.grains + 1):
@@ -83,7 +84,8 @@ def one_by_one(chain: Chain, strike: Any) -> list[float]:
         closer = (u[n - 1] if n >= 1 else 0) - (u[n] if n < chain.grains else 0)
         speed = (v[n - 1] if n >= 1 else 0) - (v[n] if n < chain.grains else 0)
         if strike.does_work:
-            closer, speed = abs(closer), abs(speed)
+            closer = abs(closer)
+            speed = abs(speed)
         if n == 0 and strike.kind == "drive" and strike.grain == 0:
             speed = 2 * np.pi * strike.frequency * abs(strike.amplitude) + max(-begun[0], 0)
         energy = max(speed, 0) ** 2 / 2 / gives_way if gives_way else 0.0

@@ -11,7 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from lmpchain.scene.waveform import Waveform
 
-AMPLITUDE, FREQUENCY = -2.5, 3.0
+AMPLITUDE = -2.5
+FREQUENCY = 3.0
 CYCLES = [None, 0.5, 0.9, 2.3, 7.0]
 KNOTS = np.array([0.0, 0.3, 0.4, 0.9, 1.5, 1.7])
 VALUES = np.array([0.5, -1.0, 2.0, 0.3, -0.7, 0.1])
@@ -60,7 +61,8 @@ def test_a_half_sine_ends_where_it_is_0_again() -> None:
 
 
 def test_a_spline_is_that_through_its_points() -> None:
-    wave, spline = Waveform.through(KNOTS, VALUES), CubicSpline(KNOTS, VALUES)
+    wave = Waveform.through(KNOTS, VALUES)
+    spline = CubicSpline(KNOTS, VALUES)
     times = np.linspace(0, 1.7, 1001)
     for order in range(4):
         assert np.array_equal(wave.at(times, order), spline(times, order))

@@ -257,8 +257,10 @@ def test_what_a_push_is_made_of() -> None:
     rng = np.random.default_rng(1)
     force, rate = rng.normal(size=(2, 3, 10))
     velocity = rng.normal(size=(3, 9))
-    w, a = 2 * np.pi * 3e4, 1e-12
-    speed, bend = a * w * np.cos(w * time), -a * w**2 * np.sin(w * time)
+    w = 2 * np.pi * 3e4
+    a = 1e-12
+    speed = a * w * np.cos(w * time)
+    bend = -a * w**2 * np.sin(w * time)
     wall = Drive(**WAVE, grain=0).push(LOADED, time, force, rate, velocity)
     for field, expected in zip(wall[:4], (force[:, 0], rate[:, 0], speed, bend), strict=True):
         assert field == pytest.approx(expected, rel=1e-12)
@@ -417,8 +419,11 @@ def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
 
 def test_every_kind_says_what_it_is() -> None:
     packet = Packet(frequency=1e3, width=0.5, grain=5, amplitude=1e-13)
-    impulse, moved = Impulse(velocity=-2e-3, grain=2), Displacement(displacement=1e-9)
-    profile, drive, force = Profile(velocity=np.zeros(9)), Drive(**WAVE), Force(**WAVE)
+    impulse = Impulse(velocity=-2e-3, grain=2)
+    moved = Displacement(displacement=1e-9)
+    profile = Profile(velocity=np.zeros(9))
+    drive = Drive(**WAVE)
+    force = Force(**WAVE)
     kinds = (impulse, moved, profile, packet, drive, force)
     assert tuple(EXCITATIONS) == ("impulse", "displacement", "profile", "packet", "drive", "force")
     assert [kind.label for kind in kinds] == [

@@ -67,7 +67,8 @@ def test_cases_have_as_many_values_each():
 
 
 def test_a_hypercube_is_that_of_its_seed():
-    low, high = {"low": 1.0, "high": 3.0}, {"mean": 5.0, "deviation": 0.5}
+    low = {"low": 1.0, "high": 3.0}
+    high = {"mean": 5.0, "deviation": 0.5}
     table = {"draws": 40, "seed": 3, "chain.gravity": low, "excitation.velocity": high}
     (axis,) = make_axes({"random": table})
     assert (axis.name, axis.length, axis.drawn) == ("draw", 40, True)
@@ -137,7 +138,8 @@ def test_keys_are_those_of_a_scene_and_swept_once():
     assert fault == ("chian.gravity", f"is no key of a scene (did you mean 'chain'?); {keys}")
     (fault,) = faults({"grid": {"disorder.m": [1.0]}})
     assert fault[0] == "disorder.m"
-    grid, cases = {"chain.gravity": [1.0]}, {"chain.gravity": [2.0]}
+    grid = {"chain.gravity": [1.0]}
+    cases = {"chain.gravity": [2.0]}
     assert faults({"grid": grid, "list": cases}) == [("chain.gravity", "is swept twice")]
     overlap = faults(
         {"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}}
@@ -156,7 +158,8 @@ PARTS = np.array([1e-6, 0.1, 0.5, 0.9, 1 - 1e-6])
 
 
 def test_laws_are_those_of_scipy():
-    uniform, normal = Uniform(low=2.0, high=5.0), Normal(mean=3.0, deviation=0.5)
+    uniform = Uniform(low=2.0, high=5.0)
+    normal = Normal(mean=3.0, deviation=0.5)
     assert uniform.at(PARTS) == pytest.approx(stats.uniform.ppf(PARTS, 2.0, 3.0), rel=1e-14)
     assert normal.at(PARTS) == pytest.approx(stats.norm.ppf(PARTS, 3.0, 0.5), rel=1e-13)
     even = Uniform(low=2.0, high=5.0, log=True)

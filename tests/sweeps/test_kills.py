@@ -37,12 +37,13 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
     Returns how often something was killed, and how often it was the process that leads. A part
     below 0 is of the time before the first scene.
     """
-    scratch, mark, out, counts = folder / "scratch", f"MARK={folder}", folder / "out", [0, 0]
+    scratch = folder / "scratch"
+    mark = f"MARK={folder}"
+    out = folder / "out"
+    counts = [0, 0]
     scratch.mkdir(parents=True)
-    path, environment = (
-        long_sweep(folder, SCENES),
-        os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)},
-    )
+    path = long_sweep(folder, SCENES)
+    environment = os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)}
     words = ["sweep", path, "-o", out, "--workers"]
     for part in parts:
         process = Fork(
@@ -93,7 +94,8 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("piece", range(5))
 def test_killed_at_random(piece: int, tmp_path: Path, serial: Path):
     """Ten kills, some of them of the same sweep."""
-    rng, count = random.Random(f"sweep {piece}"), 0
+    rng = random.Random(f"sweep {piece}")
+    count = 0
     for again in itertools.count():
         parts = sorted(rng.uniform(-0.2, 1) for _ in range(rng.choice([1, 2, 3, 4])))
         kills, leaders = killed(tmp_path / str(again), parts, rng)

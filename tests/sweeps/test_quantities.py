@@ -172,7 +172,8 @@ def test_laws_and_times_are_labelled(tmp_path: Path):
     found = sweep(
         {"scene": SCENE.to_dict(), "keep": ["wall_force"], "disorder": disorder}, tmp_path
     )
-    masses, constants = found["chain.masses"], found["chain.contact_constants"]
+    masses = found["chain.masses"]
+    constants = found["chain.contact_constants"]
     assert masses.shape == (2, 12)
     assert constants.shape == (2, 11)
     assert masses.attrs == {"units": "1", "long_name": "drawn for every grain"}
@@ -206,7 +207,8 @@ def test_what_happens_between_far_samples_is_kept(bottom: str, tmp_path: Path):
             "peak_displacement": np.abs(best.displacement).max(0),
         }
         for name, truth in truths.items():
-            value, error = row[name].values, row[f"{name}_error"].values
+            value = row[name].values
+            error = row[f"{name}_error"].values
             # the grain that is held has no motion to be accurate about
             assert np.atleast_1d(error <= 0.1 * np.abs(value))[:last].all()
             # 1e-5: what the largest of 6001 samples misses

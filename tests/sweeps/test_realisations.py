@@ -144,7 +144,8 @@ def test_scenes_made_together_are_those_made_alone(chain: str, excitation: str, 
     together = scenes(plan, 0, 5, together=True)
     for number, scene in enumerate(together):
         alone = plan.scene((number,))
-        ours, theirs = numbers(scene), numbers(alone)
+        ours = numbers(scene)
+        theirs = numbers(alone)
         assert [name for name in ours if not alike(ours[name], theirs[name])] == []
         assert np.array_equal(scene.time, alone.time)
 

@@ -83,7 +83,8 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
     made = Layout(4000, 4, laid(1, 1, velocity=(128, 64), peak=()).columns)
     store.create(tmp_path, made, {}, {"case": 4000})
     group = zarr.open_group(tmp_path / "results.zarr", mode="r")
-    velocity, peak = group["velocity"], group["peak"]
+    velocity = group["velocity"]
+    peak = group["peak"]
     assert dict(group.attrs) == {"batch": 4, "swept": {"case": 4000}}
     assert velocity.chunks == (4, 128, 64)  # 64 kB a scene
     assert velocity.shards == (made.shard, 128, 64)
@@ -280,7 +281,8 @@ def test_places_follow_the_last_axis_first():
 def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
     base = {"scene": SCENE, "grid": {"chain.gravity": [1.0, 2.0]}}
     other_scene = SCENE | {"excitation": {"kind": "impulse", "velocity": 2e-4}}
-    names, keys = set(), set()
+    names = set()
+    keys = set()
     changes: list[dict[str, Any]] = [
         {},
         {"tolerance": 1e-5},

@@ -142,7 +142,8 @@ def test_draws_fill_a_latin_hypercube(tmp_path):
     }
     found = sweep(asked, tmp_path / "a")
     assert found.peak_velocity.dims == ("draw", "grain")
-    gravity, speed = found["chain.gravity"].values, found["excitation.velocity"].values
+    gravity = found["chain.gravity"].values
+    speed = found["excitation.velocity"].values
     assert sorted(np.floor(gravity - 1).astype(int)) == list(range(20))
     assert sorted(np.floor(np.log10(speed * 1e6) * 5).astype(int)) == list(range(20))
     # nothing is faster than the strike

@@ -237,7 +237,8 @@ def test_parts_hold_plain_numbers(tmp_path, whole, how):
     shutil.copytree(whole, tmp_path / "sweep")
     mine = results(tmp_path / "sweep")
     shutil.rmtree(mine / "results.zarr" / "reason" / "c")
-    mark, force = tmp_path / "mark", np.array([1.0, 2.0, 3.0])
+    mark = tmp_path / "mark"
+    force = np.array([1.0, 2.0, 3.0])
     parts: dict[str, Any] = {
         "reason": np.array(["", "", ""]),
         "wall_force": force,
