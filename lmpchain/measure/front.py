@@ -28,6 +28,14 @@ FEWEST = 6  # grains for a power law with its correction
 UNITS_OF_FRONTS = {"time": "s", "width": "s", "speed": "m/s"}
 
 
+class DepthProfile(NamedTuple):
+    """Depths h = n - 1/2 in grains, the size of a quantity there, (K,) each, and its label."""
+
+    depth: Array
+    values: Array
+    label: str
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Front(Shown):
     """The wave front as it passes P grains: arrival, height and width.
@@ -84,8 +92,8 @@ class Front(Shown):
         inside = (self.grain >= first) & (self.grain <= last)
         return replace(self, **{key: x[inside] for key, x in vars(self).items() if key != "field"})
 
-    def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
-        """Return depths h = n - 1/2 and sizes of a quantity where it is finite, (K,); its label."""
+    def against_depth(self, quantity: Quantity) -> DepthProfile:
+        """Return the size of a quantity over depth, where it is finite."""
         if quantity not in get_args(Quantity):
             raise InputError.at(
                 "quantity",
@@ -95,7 +103,7 @@ class Front(Shown):
         finite = np.isfinite(values)
         unit = UNITS_OF_FRONTS.get(quantity, UNITS_OF_FIELDS[self.field])
         label = f"{quantity} of the front ({unit})"
-        return self.grain[finite] - 0.5, values[finite], label
+        return DepthProfile(self.grain[finite] - 0.5, values[finite], label)
 
     def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Axes:
         """Draw a quantity against depth, both logarithmic; returns the axes."""
@@ -123,13 +131,8 @@ class Exponents(Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the exponents with their confidence intervals against depth; returns the axes."""
-        return _draw(
-            ax,
-            self.depth,
-            self.exponent,
-            f"local exponent of the {self.quantity}",
-            error=self.error,
-        )
+        label = f"local exponent of the {self.quantity}"
+        return _draw(ax, self.depth, self.exponent, label, error=self.error)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,7 +171,10 @@ class PowerLaw(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw values and law against depth, both logarithmic; returns the axes."""
         law = f"exponent {self.exponent:.4f} ± {self.error[0]:.4f}, corrected for finite depth"
-        return _draw(ax, self.depth, self.values, self.label, **{law: self(self.depth)})
+        ax = _draw(ax, self.depth, self.values, self.label)
+        ax.plot(self.depth, self(self.depth), label=law)
+        legend(ax)
+        return ax
 
 
 def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
@@ -390,17 +396,12 @@ def asymptotic(
     )
 
 
-def _draw(
-    ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array
-) -> Axes:
-    """Draw values against depth, logarithmic unless they have errors, with fitted laws."""
+def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None) -> Axes:
+    """Draw values against depth, logarithmic unless they have errors."""
     from matplotlib.ticker import LogLocator
 
     ax = axes_in_units(ax, "", "")
     ax.errorbar(h, y, yerr=error, fmt=".", markersize=4, elinewidth=1)
-    for name, values in laws.items():
-        ax.plot(h, values, label=name)
-        legend(ax)
     ax.set(
         xscale="log",
         yscale="log" if error is None else "linear",
