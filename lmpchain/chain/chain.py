@@ -111,8 +111,8 @@ class Chain(AtRest, Checked):
         """Yield forces whose squares are no numbers."""
         for key in ("gravity", "top_load"):
             if 0 < getattr(self, key) < LIMITS.least_force:
-                least = f"must be 0, or at least {LIMITS.least_force:g} in SI units"
-                yield key, f"{least}: below, squares of overlaps underflow"
+                bound = f"must be 0, or at least {LIMITS.least_force:g} in SI units"
+                yield key, f"{bound}: below, squares of overlaps underflow"
 
     def _extremes(self) -> Iterator[tuple[str, str]]:
         """Yield numbers that cannot be computed with, and contacts compressed too much."""
@@ -121,9 +121,9 @@ class Chain(AtRest, Checked):
         # before gigabytes of arrays are made of a column that could not stand
         if self._kinds:
             weights = (self.top_load, self.gravity, self.exponent)
-            least = least_compression(self._kinds, self.grains, *weights)
-            if least > LIMITS.compression:
-                contact = f"a contact is compressed by at least {least:.2g}"
+            bound = least_compression(self._kinds, self.grains, *weights)
+            if bound > LIMITS.compression:
+                contact = f"a contact is compressed by at least {bound:.2g}"
                 yield "diameter", too_compressed(contact)
                 return
         # numbers that overflow are faults
@@ -232,7 +232,7 @@ class Chain(AtRest, Checked):
         masses = spread(drawn.get("masses", self.given_masses), self.grains)
         constants = drawn.get("contact_constants", self.given_contact_constants)
         materials: list[Any] = [self.top_material, self.bottom_material]
-        given = self.given_wall_constants
+        wall_constants = self.given_wall_constants
         return Grains(
             diameters=with_impurities(diameters, self.impurity, "diameter"),
             densities=of_material("density"),
@@ -241,7 +241,7 @@ class Chain(AtRest, Checked):
             contact_constants=spread(constants, self.grains - 1),
             walls=(self.top == "wall", self.bottom == "wall"),
             wall_moduli=[wall.plane_strain_modulus if wall else np.nan for wall in materials],
-            wall_constants=(np.nan, np.nan) if given is None else given,
+            wall_constants=(np.nan, np.nan) if wall_constants is None else wall_constants,
             top_load=self.top_load,
             gravity=self.gravity,
             exponent=self.exponent,

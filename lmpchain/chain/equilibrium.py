@@ -135,8 +135,8 @@ def _contact_constants(grains: Grains, lengths: Array) -> Array:
     radius = pair_value(_with_ends(grains.diameters / 2, math.inf, math.inf))
     # Hertz's constants, which given ones replace
     natural = hertz_constant(modulus, radius, lengths, grains.exponent)
-    given = grains.contact_constants
-    between = np.where(np.isnan(given), natural[..., 1:-1], given)
+    fixed = grains.contact_constants
+    between = np.where(np.isnan(fixed), natural[..., 1:-1], fixed)
     ends: list[Any] = []
     for wall, constant, end in zip(grains.walls, grains.wall_constants, (0, -1), strict=True):
         if wall and math.isnan(constant):

@@ -9,16 +9,16 @@ from ..util.arrays import Array
 
 
 def misfits(
-    ends: Sequence[str], materials: Sequence[Any], given: Array | None
+    ends: Sequence[str], materials: Sequence[Any], constants: Array | None
 ) -> Iterator[tuple[str, str]]:
     """Yield the faults of materials and constants of the walls at these ends."""
     for name, end, material in zip(("top", "bottom"), ends, materials, strict=True):
         if material is not None and end != "wall":
             yield f"{name}_material", f'is that of a wall; there is none unless {name} = "wall"'
-    if given is None:
+    if constants is None:
         return
-    if len(given) != 2 or any(
-        k < 0 or (k > 0) != (end == "wall") for k, end in zip(given, ends, strict=True)
+    if len(constants) != 2 or any(
+        k < 0 or (k > 0) != (end == "wall") for k, end in zip(constants, ends, strict=True)
     ):
         yield (
             "wall_constants",

@@ -381,15 +381,15 @@ class DifferentiableRun:
         by_power = np.divide(by_power, stiffness, out=np.zeros(grains + 1), where=stiffness > 0)
         # at a fixed force at rest, see `kernels.adjoint`
         by_constant = by_force - contacts.force * by_power
-        held = self._mobility[PAD : PAD + grains] == 0
+        fixed = self._mobility[PAD : PAD + grains] == 0
         return Inputs(
             masses=-by_mass / chain.masses,
             constants=np.divide(
                 by_constant, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists
             ),
             forces=np.where(contacts.pressed, by_power, 0.0),
-            displacement=np.where(held, 0.0, x),
-            velocity=np.where(held, 0.0, v),
+            displacement=np.where(fixed, 0.0, x),
+            velocity=np.where(fixed, 0.0, v),
             drive=by_course,
         )
 
@@ -410,13 +410,13 @@ class DifferentiableRun:
             wide[PAD : PAD + grains + 1] = rows
             return wide
 
-        held = self._mobility[PAD : PAD + grains] == 0
+        fixed = self._mobility[PAD : PAD + grains] == 0
         inverse = np.divide(1.0, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists)
         power, force, slope, soften = np.zeros((4, width))
         response = Response(power, force, slope, soften, links(inverse), links(contacts.force))
         changes = Change(
-            x=bodies(np.where(held, 0.0, change.displacement)),
-            v=bodies(np.where(held, 0.0, change.velocity)),
+            x=bodies(np.where(fixed, 0.0, change.displacement)),
+            v=bodies(np.where(fixed, 0.0, change.velocity)),
             mass=bodies(change.masses / chain.masses),
             constant=bodies(change.constants),
             force=bodies(np.where(contacts.pressed, change.forces, 0.0)),

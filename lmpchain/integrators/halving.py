@@ -58,5 +58,5 @@ def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]
             break
         attempt = solve(halvings)
         # round-off may make the last one worse than those before
-        best = min(best, attempt, key=lambda one: one.excess)
+        best = min(best, attempt, key=lambda attempt: attempt.excess)
     return best

@@ -128,7 +128,8 @@ def _symmetric(half: list[float], count: int) -> tuple[float, ...]:
 def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Kicks and drifts of velocity Verlet steps of these lengths, one after another."""
     padded = (0.0, *substeps, 0.0)
-    kicks = tuple((before + after) / 2 for before, after in pairwise(padded))
+    # half a kick of the step that ends, and half of the one that begins
+    kicks = tuple((ending + beginning) / 2 for ending, beginning in pairwise(padded))
     return kicks, substeps
 
 

@@ -147,11 +147,11 @@ class NativeStepper:
         march = method.march(chains, self._schedules)
         self._march = march.run
         # threads share chains out; a chain each, or each chain if there are too few of them
-        parts = 1
+        sharing = 1
         if march.shared and self._size < threads:
-            parts = min(threads, chains.grains // LEAST_SHARE)
-        shares = min(threads, self._size) if parts < 2 else 1
-        self._teams = team(parts) if parts > 1 else [ALONE]
+            sharing = min(threads, chains.grains // LEAST_SHARE)
+        shares = min(threads, self._size) if sharing < 2 else 1
+        self._teams = team(sharing) if sharing > 1 else [ALONE]
         # each thread that shares a chain has a state of its own, in which only extremes differ
         self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
         # the thread that asks is one of them
@@ -211,7 +211,7 @@ class NativeStepper:
                 self._pool.submit(self._move, work, fields, until, max_steps)
                 for work in self._work[1:]
             ]
-            done = [
+            steps = [
                 self._move(self._work[0], fields, until, max_steps),
                 *(other.result() for other in others),
             ]
@@ -220,13 +220,13 @@ class NativeStepper:
             self._teams[0].gate[GIVEN_UP] = 1
             raise
         if len(self._teams) == 1:
-            return sum(done)
+            return sum(steps)
         # each has looked at its own grains; all have made the same steps
         strains = [state["least_strain"] for state in self._states]
         self._state["least_strain"] = np.min(strains, axis=0)
         for name in ("largest_approach", "largest_displacement", "largest_speed"):
             self._state[name] = np.max([state[name] for state in self._states], axis=0)
-        return done[0]
+        return steps[0]
 
     def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
         """Move the chains of one thread."""

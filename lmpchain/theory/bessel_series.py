@@ -56,25 +56,25 @@ def coefficients(
     kappa = _constants(kappa)
     n = whole("n", n, 1)
     terms = int(whole("terms", terms, 1))
-    held = kappa.size + 1
+    last = kappa.size + 1
     above = np.append(0.0, kappa[:-1])
     scale = float(kappa.max()) if scale is None else scale
     large = scale >= (above + kappa).max() / 2
     require(
-        ("n", n < held, f"must be below {held}, the grain that is held"),
-        ("k", 1 <= k < held, f"must be 1 or more and below {held}, the grain that is held"),
+        ("n", n < last, f"must be below {last}, the grain that is held"),
+        ("k", 1 <= k < last, f"must be 1 or more and below {last}, the grain that is held"),
         ("scale", large, "must be larger, for no frequency may lie above 2 sqrt(scale)"),
     )
     coefficients = np.empty((*n.shape, terms))
     # T_(j-1) and T_j of the matrix, applied to the displacement of grain k
-    before, now = np.zeros((2, kappa.size))
-    now[int(whole("k", k)) - 1] = 1.0
+    previous, current = np.zeros((2, kappa.size))
+    current[int(whole("k", k)) - 1] = 1.0
     for j in range(terms):
-        coefficients[..., j] = now[n - 1] * (2 if j else 1)
-        stretch = np.diff(now, append=0.0) * kappa
-        ahead = 2 * now + np.diff(stretch, prepend=0.0) / scale - before
-        before = now
-        now = ahead if j else ahead / 2
+        coefficients[..., j] = current[n - 1] * (2 if j else 1)
+        stretch = np.diff(current, append=0.0) * kappa
+        following = 2 * current + np.diff(stretch, prepend=0.0) / scale - previous
+        previous = current
+        current = following if j else following / 2
     return coefficients
 
 
@@ -170,18 +170,18 @@ def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, N
     start = _start(size)
     count = count or int(start.max()) // 2 + 1
     even, integral = np.zeros((2, count, values.size))
-    above, now, norm, odd = np.zeros((4, values.size))
+    higher, current, norm, odd = np.zeros((4, values.size))
     # each z begins at its own order; above it, its column stays 0
     for order in range(int(start.max()), -1, -1):
-        below = 2 * (order + 1) / size * now - above
-        above = now
-        now = np.where(order == start, np.exp(-DECAY), below)
+        lower = 2 * (order + 1) / size * current - higher
+        higher = current
+        current = np.where(order == start, np.exp(-DECAY), lower)
         if order % 2:
-            odd += now
+            odd += current
             continue
-        norm += 2 * now if order else now
+        norm += 2 * current if order else current
         if order // 2 < count:
-            even[order // 2] = now
+            even[order // 2] = current
             integral[order // 2] = odd
     return even / norm, integral * np.sign(values) / norm, column.reshape(z.shape)
 

@@ -22,12 +22,12 @@ def real(value: ArrayLike) -> Array:
     return np.asarray(value, dtype=float)
 
 
-def whole(key: str, value: ArrayLike, least: int | None = None) -> NDArray[np.int64]:
-    """Return whole numbers as int64; raise `InputError` for others and for those below `least`."""
+def whole(key: str, value: ArrayLike, lowest: int | None = None) -> NDArray[np.int64]:
+    """Return whole numbers as int64; raise `InputError` for others and for those below `lowest`."""
     number = real(value)
     require((key, np.isfinite(number) & (number == np.round(number)), "must be whole numbers"))
-    if least is not None:
-        require((key, number >= least, f"must be {least} or more"))
+    if lowest is not None:
+        require((key, number >= lowest, f"must be {lowest} or more"))
     return number.astype(np.int64)
 
 

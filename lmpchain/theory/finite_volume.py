@@ -108,9 +108,9 @@ def solve(
     speed = begin(velocity)
     record = np.zeros((2, tau.size, grains))
 
-    def hold(now: float) -> None:
+    def hold(time: float) -> None:
         if drive is not None:
-            phi[middle], speed[middle] = drive(now)
+            phi[middle], speed[middle] = drive(time)
 
     def push() -> Array:
         return np.diff(rate * np.diff(phi, append=0.0), prepend=0.0)

@@ -103,8 +103,9 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
     n = whole("n", n, 1)
     tau = real(tau)
     require(("tau", tau >= 0, "must be 0 or more"))
+    # the two parameters of the incomplete beta function
     order = 1 / eta
-    other = 1 - xi / (2 * eta)
+    complement = 1 - xi / (2 * eta)
 
     def below(h: Array) -> tuple[Array, Array]:
         """Return the integral of both over depths above h."""
@@ -112,8 +113,13 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
         x = np.divide(travel, time, out=np.where(travel > 0, np.inf, 0.0), where=time > 0)
         # the slope is infinite on the light cone itself
         inside = np.minimum(x, np.nextafter(1.0, 0.0))
-        share = np.where(x < 1, betainc(order, other, inside**2), 1.0)
-        slope = 2 * inside ** (2 * order) * (1 - inside**2) ** (other - 1) / beta(order, other)
+        share = np.where(x < 1, betainc(order, complement, inside**2), 1.0)
+        slope = (
+            2
+            * inside ** (2 * order)
+            * (1 - inside**2) ** (complement - 1)
+            / beta(order, complement)
+        )
         return tau * share, share - np.where(x < 1, slope, 0.0)
 
     phi, speed = below(real(n))
