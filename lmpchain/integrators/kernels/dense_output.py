@@ -2,8 +2,8 @@
 
 The polynomial of degree 7 in time has the displacement u, the velocity v, the acceleration a and
 the jerk j at both ends of a step; its error falls like h^8, that of its rate like h^7, faster than
-what the steps leave. Where something is imposed, whose corners a polynomial does not know, steps end
-on every sample instead.
+what the steps leave. Where something is imposed, whose corners a polynomial does not know, steps
+end on every sample instead.
 """
 
 from __future__ import annotations
