@@ -71,6 +71,9 @@ def _refuse(scene: Scene, name: str) -> str:
             return "is that of a sine or a burst that drives or pushes, which this scene has not"
         case "drive" | "force" if course is None or course.kind != name or course.times is None:
             return f"is the samples of a {name} along points, which this scene has not"
+        case "drive" | "force" if course and course.interpolation == "pchip":
+            cure = 'use interpolation = "linear" or "spline"'
+            return f"has no derivative everywhere where a curve is kept monotone: {cure}"
     return "" if name in UNITS else not_among(name, tuple(UNITS))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene.acting import Drive, Force
+from ..scene.waveform import curve_through
 from ..util.arrays import Array
 
 
@@ -25,15 +26,14 @@ class ImposedCourse:
     def __init__(self, excitation: Drive | Force):
         self.waveform = excitation.waveform
         self.frequency = excitation.frequency
-        self.size = 2 if self.waveform.spline is None else len(self.waveform.spline.x)
+        self.excitation = excitation
+        self.size = 2 if excitation.times is None else len(excitation.times)
 
     @cached_property
     def _basis(self) -> Any:
-        """The spline through 1 at one sample and 0 at the others, for each of them."""
-        from scipy.interpolate import CubicSpline
-
-        assert self.waveform.spline is not None
-        return CubicSpline(self.waveform.spline.x, np.eye(self.size))
+        """The curve through 1 at one sample and 0 at the others, for each of them."""
+        drive = self.excitation
+        return curve_through(drive.times, np.eye(self.size), drive.interpolation, drive.holds)
 
     def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:
         """Return the piece of the spline at each time, and powers for its coefficients, (4, T)."""
@@ -65,7 +65,8 @@ class ImposedCourse:
             return self._sine(time, order) @ weight
         piece, powers = self._pieces(time, order)
         # summed by pieces first: of coefficients there are as many as samples squared
-        by_piece = np.array([np.bincount(piece, weight * power, self.size - 1) for power in powers])
+        count = self._basis.x.size - 1
+        by_piece = np.array([np.bincount(piece, weight * power, count) for power in powers])
         return np.tensordot(by_piece, self._basis.c, 2)
 
     def push(self, time: Array, change: Array, order: int) -> Array:

@@ -15,7 +15,7 @@ from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
 from .base import Excitation, Number, OneGrain, Push
 from .profile import Profile
-from .waveform import Waveform
+from .waveform import Interpolation, Waveform
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,15 @@ class WaveformLimits:
         Largest displacement or force, m or N.
     spacing : float
         Least time between two points over the time of the last one.
+    overshoot : float
+        By how much a spline may leave the range of its points, over that range: what it makes of a
+        step or of noise has nothing to do with what was measured.
     """
 
     frequency: float = 1e20
     value: float = 1e100
     spacing: float = 1e-12
+    overshoot: float = 0.1
 
 
 LIMITS = WaveformLimits()
@@ -49,17 +53,21 @@ class _Acting(Excitation):
         frequency: Positive
         cycles: Positive
         times: Vector
+    interpolation: Interpolation = "pchip"
+    holds: ClassVar[bool]
 
     @cached_property
     def waveform(self) -> Waveform:
         """Its course over time."""
         if self.times is not None:
-            return Waveform.through(self.times, getattr(self, self.strength[1]))
+            values = getattr(self, self.strength[1])
+            return Waveform.through(self.times, values, self.interpolation, self.holds)
         return Waveform.sine(self.amplitude, self.frequency, self.cycles)
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         values = self.strength[1]
-        fields = {key for key, value in self if value is not None} - {"grain", "start"}
+        others = {"grain", "start", "interpolation"}
+        fields = {key for key, value in self if value is not None} - others
         if fields not in self._ways(values):
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
         elif self.times is not None:
@@ -81,25 +89,33 @@ class _Acting(Excitation):
         return f"amplitude and frequency, with or without cycles, or times and {values}"
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
-        """Yield the faults of points that a spline is to go through."""
+        """Yield the faults of points that a curve is to go through."""
         if (np.abs(values) > LIMITS.value).any():
             yield key, f"must be at most {LIMITS.value:g} in size"
+            return
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
+            return
         steps = np.diff(self.times)
-        # the spline of points that lie much closer than others overflows
-        if self.times[0] != 0 or not (steps > LIMITS.spacing * self.times[-1]).all():
-            spacing = f"{LIMITS.spacing:g} of the last"
-            yield "times", f"must begin with 0 and increase, each by more than {spacing}"
+        # the curve through points that lie much closer than others overflows
+        if self.times[0] < 0 or not (steps > LIMITS.spacing * self.times[-1]).all():
+            smallest = f"{LIMITS.spacing:g} of the last"
+            yield "times", f"must be 0 or more and increase, each by more than {smallest}"
         elif (steps < 1 / LIMITS.frequency).any():
             apart = f"are {steps.min():.2g} s apart"
             yield "times", f"{apart}, too little to compute with: use SI units"
+        elif self.interpolation == "spline":
+            yield from self._overshoot(values)
 
-    def _too_short(self, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield a fault of points that end before the recording."""
-        if self.times is not None and self.times[-1] < duration:
-            end = f"end at {self.times[-1]:g} s"
-            yield "times", f"{end}, before the recording does at {duration:g} s"
+    def _overshoot(self, values: Array) -> Iterator[tuple[str, str]]:
+        """Yield a fault of a spline that leaves the range of its points."""
+        low, high = self.waveform.range
+        slack = LIMITS.overshoot * np.ptp(values)
+        if low < values.min() - slack or high > values.max() + slack:
+            span = f"goes from {low:.3g} to {high:.3g}"
+            points = f"through points from {values.min():.3g} to {values.max():.3g}"
+            cure = 'use interpolation = "pchip" or "linear"'
+            yield "interpolation", f"the spline {span} {points}: {cure}"
 
 
 class Drive(_Acting):
@@ -113,8 +129,11 @@ class Drive(_Acting):
         with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and rest
         afterwards; or else
     times, displacement : arrays
-        s and m: the cubic spline (not-a-knot) through these points; two of them make a piston of
-        constant speed.
+        s and m: a curve through these points; two of them make a piston of constant speed. Before
+        the first of them it rests, after the last it holds still.
+    interpolation : "pchip", "linear" or "spline"
+        The curve: monotone from point to point (SciPy's PCHIP), straight lines, or a cubic spline
+        (not-a-knot), which is refused if it leaves the range of its points by more than a tenth.
     grain : 0 or 1
         0 moves the top wall, of a chain with ``top = "wall"``.
     start : Profile, optional
@@ -132,6 +151,7 @@ class Drive(_Acting):
     """
 
     kind: ClassVar[str] = "drive"
+    holds: ClassVar[bool] = True
     strength: ClassVar[tuple[str, ...]] = ("amplitude", "displacement")
     columns: ClassVar[dict[str, str]] = {"time": "times", "displacement": "displacement"}
     amplitude: Real = NOT_GIVEN
@@ -154,7 +174,6 @@ class Drive(_Acting):
             yield "grain", f"0 moves the top wall, and there is none: {cure}"
         if self.grain == 1 and chain.movable < 2:
             yield "kind", "with grain 1 driven nothing is left to move: use more grains"
-        yield from self._too_short(duration)
         if self.start is not None:
             yield from self._start_faults(chain, duration)
 
@@ -253,7 +272,10 @@ class Force(OneGrain, _Acting):
         "half-sine": ``A sin(pi t / duration)``, N and s, as of a hammer, and nothing afterwards; or
         else
     times, force : arrays
-        s and N: the cubic spline (not-a-knot) through these points.
+        s and N: a curve through these points. Before the first of them there is no force; after the
+        last it falls to 0 within the time between the last two.
+    interpolation : "pchip", "linear" or "spline"
+        See `Drive`.
 
     Examples
     --------
@@ -263,6 +285,7 @@ class Force(OneGrain, _Acting):
     """
 
     kind: ClassVar[str] = "force"
+    holds: ClassVar[bool] = False
     of_chain: ClassVar[bool] = True
     strength: ClassVar[tuple[str, ...]] = ("amplitude", "force")
     columns: ClassVar[dict[str, str]] = {"time": "times", "force": "force"}
@@ -287,11 +310,6 @@ class Force(OneGrain, _Acting):
         if self.shape is not None:
             return Waveform.half_sine(self.amplitude, self.duration)
         return super().waveform
-
-    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults that it has on this chain for so long, s."""
-        yield from super().faults(chain, duration)
-        yield from self._too_short(duration)
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0: all of them rest."""

@@ -83,10 +83,9 @@ class Excitation(Checked):
         """Motion of the top wall, m; None if it stands still."""
         return None
 
-    @property
-    def smooth(self) -> bool:
-        """Whether its third derivative jumps only where a step can end, as at knots of a spline."""
-        return self.waveform is None or self.waveform.smooth
+    def smooth_until(self, duration: float) -> bool:
+        """Return whether its third derivative in time jumps up to then only where a step can end."""
+        return self.waveform is None or self.waveform.smooth_until(duration)
 
     @property
     def knot_spacing(self) -> float:

@@ -1,21 +1,86 @@
-"""Waveforms of forces and motions: a sine, a Hann tone burst, a half-sine, or a cubic spline."""
+"""Waveforms of forces and motions: a sine, a Hann tone burst, a half-sine, or a curve through points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from ..util.arrays import Array
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import PPoly
+
+Interpolation = Literal["pchip", "linear", "spline"]
+ROUNDED = 1e-12  # of a time, by which sample times may be off
+
+
+def curve_through(times: Array, values: Array, interpolation: Interpolation, holds: bool) -> PPoly:
+    """Return the piecewise cubic through points, and what comes before and after them.
+
+    Before the first point it is 0; if that lies above 0, it gets there within the time to the second
+    point, or since t = 0. After the last point a motion holds still, and a force falls to 0 within
+    the time between the last two points.
+
+    Parameters
+    ----------
+    times : (P,) array
+        s, from 0 on, increasing.
+    values : (P, ...) array
+    interpolation : "pchip", "linear" or "spline"
+        Monotone from point to point (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 238 (1980)), by
+        straight lines, or a cubic spline (not-a-knot), which may leave the range of the points.
+    holds : bool
+        Whether it holds its last value.
+    """
+    from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
+
+    if interpolation == "linear":
+        curve = _straight(times, values)
+    else:
+        make = PchipInterpolator if interpolation == "pchip" else CubicSpline
+        curve = make(times, values)
+    # a sample at the last point is one of the curve, though rounding may have made it a little later
+    behind = times[-1] * (1 + ROUNDED)
+    last = curve(behind)[None]
+    # the last piece goes on for ever, so that it is constant
+    ends = behind + (times[-1] - times[-2]) * np.arange(2 if holds else 3)
+    rest = [last, last] if holds else [last, 0 * last, 0 * last]
+    pieces = [
+        *_rise(times, values),
+        PPoly(curve.c, np.append(times[:-1], behind)),
+        _straight(ends, np.concatenate(rest)),
+    ]
+    begins = np.concatenate([piece.x[:-1] for piece in pieces])
+    coefficients = np.concatenate([piece.c for piece in pieces], axis=1)
+    return PPoly(coefficients, np.append(begins, ends[-1]))
+
+
+def _rise(times: Array, values: Array) -> list[PPoly]:
+    """Return what comes before a first point that is later than t = 0: rest, and a rise to it."""
+    if times[0] == 0:
+        return []
+    begin = max(2 * times[0] - times[1], 0.0)
+    first = values[:1]
+    if begin == 0:
+        return [_straight(np.array([0.0, times[0]]), np.concatenate([0 * first, first]))]
+    path = np.concatenate([0 * first, 0 * first, first])
+    return [_straight(np.array([0.0, begin, times[0]]), path)]
+
+
+def _straight(times: Array, values: Array) -> PPoly:
+    """Return the straight lines through points as cubics."""
+    from scipy.interpolate import PPoly
+
+    gaps = np.diff(times).reshape(-1, *[1] * (values.ndim - 1))
+    slopes = np.diff(values, axis=0) / gaps
+    return PPoly(np.array([0 * slopes, 0 * slopes, slopes, values[:-1]]), times)
 
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
-    """A function of time: ``A sin(w t) sin(e t)^2`` up to its end, or a cubic spline.
+    """A function of time: ``A sin(w t) sin(e t)^2`` up to its end, or a piecewise cubic.
 
     Attributes
     ----------
@@ -25,15 +90,15 @@ class Waveform:
         w and e, rad/s; without an envelope, 0, the second factor is left out.
     end : float
         s; infinite if it goes on.
-    spline : CubicSpline, optional
-        In place of all that.
+    spline : PPoly, optional
+        In place of all that, a piecewise cubic.
     """
 
     amplitude: float = 0.0
     omega: float = 0.0
     envelope: float = 0.0
     end: float = np.inf
-    spline: CubicSpline | None = None
+    spline: PPoly | None = None
 
     @classmethod
     def sine(cls, amplitude: float, frequency: float, cycles: float | None = None) -> Waveform:
@@ -49,11 +114,11 @@ class Waveform:
         return cls(amplitude, np.pi / duration, 0.0, duration)
 
     @classmethod
-    def through(cls, times: Array, values: Array) -> Waveform:
-        """Return the cubic spline (not-a-knot) through points."""
-        from scipy.interpolate import CubicSpline
-
-        return cls(end=float(times[-1]), spline=CubicSpline(times, values))
+    def through(
+        cls, times: Array, values: Array, interpolation: Interpolation, holds: bool
+    ) -> Waveform:
+        """Return the waveform of `curve_through`."""
+        return cls(spline=curve_through(times, values, interpolation, holds))
 
     def at(self, t: float | Array, order: int = 0) -> Array:
         """Return its values at these times, s, or its derivatives of order 1 to 3."""
@@ -102,11 +167,9 @@ class Waveform:
             return tuple(self.spline.x.tolist())
         return () if np.isinf(self.end) else (self.end,)
 
-    @property
-    def smooth(self) -> bool:
-        """Whether it has no corners but one at which a step can end."""
-        # a not-a-knot spline through four points is one cubic
-        return self.spline is None or len(self.spline.x) <= 4
+    def smooth_until(self, duration: float) -> bool:
+        """Return whether it has no corners up to a time, s, but one at which a step can end."""
+        return self.spline is None or bool(self.spline.x[1] >= duration)
 
     @property
     def fastest(self) -> float:
@@ -126,6 +189,12 @@ class Waveform:
         if self.spline is not None:
             return float(np.abs(self.at(self._dense, order)).max())
         return float(abs(self.amplitude) * (self.omega + self.envelope) ** order)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Smallest and largest value of a curve through points, nearly."""
+        values = self.at(self._dense)
+        return float(values.min()), float(values.max())
 
     @property
     def gained(self) -> float:

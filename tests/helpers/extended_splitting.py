@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from helpers.independent_integrators import Curve
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from lmpchain import Scene
 from lmpchain.integrators.splittings import Splitting
@@ -116,11 +116,8 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
             )
 
         return wave
-    knots, basis = (
-        excitation.times.astype(WIDE),
-        CubicSpline(excitation.times, np.eye(len(excitation.times))),
-    )
-    pieces = basis.c.astype(WIDE) @ now[excitation.kind]
+    curve = Curve(excitation, now[excitation.kind], WIDE)
+    knots, pieces = curve.knots, curve.pieces[::-1]
 
     def spline(t: Any) -> tuple[Any, Any]:
         at = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), knots.size - 2)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 if TYPE_CHECKING:
     from lmpchain import Scene
@@ -198,18 +198,44 @@ class Sine:
         return abs(self.amplitude), abs(self.amplitude) * self.omega
 
 
-class Spline:
-    """The cubic (not-a-knot) spline through points: their slopes from SciPy, its
-    pieces in the precision `kind`.
+class Curve:
+    """The curve through points, what comes before and after them, in the precision `kind`.
+
+    The slopes at the points are SciPy's; from point to point there is the cubic with these slopes,
+    or a straight line.
     """
 
-    def __init__(self, times: Array, values: Array, kind: type[np.floating[Any]]):
-        slopes = CubicSpline(times, values)(times, 1)
-        self.knots, y, slope = (np.asarray(a, dtype=kind) for a in (times, values, slopes))
-        length, mean = np.diff(self.knots), np.diff(y) / np.diff(self.knots)
+    def __init__(self, given: Any, values: Array, kind: type[np.floating[Any]]):
+        times = given.times
+        straight = given.interpolation == "linear"
+        slopes = 0 * np.asarray(values, dtype=kind)
+        if given.interpolation == "pchip":
+            slopes = PchipInterpolator(times, np.asarray(values, dtype=float))(times, 1)
+        elif given.interpolation == "spline":
+            # linear in the values, which may have more digits than a double
+            slopes = CubicSpline(times, np.eye(len(times)))(times, 1) @ np.asarray(values, kind)
+        knots, y, slope = (np.asarray(a, dtype=kind) for a in (times, values, slopes))
+        length = np.diff(knots)
+        mean = np.diff(y) / length
         bend = (3 * mean - 2 * slope[:-1] - slope[1:]) / length
         twist = (slope[:-1] + slope[1:] - 2 * mean) / length**2
-        self.pieces, self.unit = np.array([y[:-1], slope[:-1], bend, twist]), length.min()
+        rates = (mean, 0 * mean, 0 * mean) if straight else (slope[:-1], bend, twist)
+        pieces = (y[:-1], *rates)
+        # a force falls to 0 in the time between the last two points, a drive holds still
+        fall = -y[-1] / length[-1] if given.kind == "force" else kind(0)
+        rest = y[-1] if given.kind == "drive" else kind(0)
+        behind = np.array([[y[-1], fall, 0, 0], [rest, 0, 0, 0]], dtype=kind).T
+        self.pieces = np.append(np.array(pieces), behind, axis=1)
+        # the last point is one of the curve, also where its time is rounded up
+        begins = np.append(knots[:-1], knots[-1] * (1 + kind(1e-12)))
+        self.knots = np.append(begins, begins[-1] + length[-1] * np.arange(1, 3))
+        if knots[0] > 0:
+            begin = max(knots[0] - length[0], kind(0))
+            rise = [[0, y[0] / (knots[0] - begin), 0, 0]]
+            before = [*([[0, 0, 0, 0]] if begin > 0 else []), *rise]
+            self.pieces = np.append(np.array(before, dtype=kind).T, self.pieces, axis=1)
+            self.knots = np.append(([kind(0)] if begin > 0 else []) + [begin], self.knots)
+        self.unit = np.diff(self.knots).min()
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
         """Return displacement, m, and velocity, m/s."""
@@ -227,15 +253,14 @@ class Spline:
         return u, v
 
 
-def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Spline | None, int]:
+def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Curve | None, int]:
     """Return what acts after t = 0, if anything does, and the body: 0 is the wall above grain 1."""
     given = scene.excitation
     if given.kind not in ("drive", "force"):
         return None, 0
     if given.times is not None:
-        return Spline(
-            given.times, given.force if given.kind == "force" else given.displacement, kind
-        ), given.grain
+        values = given.force if given.kind == "force" else given.displacement
+        return Curve(given, values, kind), given.grain
     half = given.kind == "force" and given.shape == "half-sine"
     frequency = 0.5 / given.duration if half else given.frequency
     return Sine(given.amplitude, frequency, kind, given.cycles, half), given.grain

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
+from helpers.independent_integrators import Curve
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
-from scipy.interpolate import CubicSpline
 
 from lmpchain import Scene
 from lmpchain.integrators.splittings import Splitting
@@ -71,8 +71,11 @@ def course_of(excitation: Any, drive: Array) -> Course | None:
     if not excitation.does_work:
         return None
     if excitation.times is not None:
-        basis = CubicSpline(excitation.times, np.eye(len(excitation.times)))
-        knots, pieces = basis.x.astype(WIDE), np.tensordot(drive, basis.c.astype(WIDE), (-1, 2))
+        rows = drive.reshape(-1, drive.shape[-1])
+        curves = [Curve(excitation, row, WIDE) for row in rows]
+        knots = curves[0].knots
+        pieces = np.array([curve.pieces[::-1] for curve in curves])
+        pieces = pieces.reshape(*drive.shape[:-1], 4, knots.size - 1)
 
         def spline(t: Any, order: int, inside: Any = None) -> Any:
             piece = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), knots.size - 2)

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from helpers.independent_integrators import Curve
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 if TYPE_CHECKING:
     from lmpchain import Scene
@@ -168,8 +168,8 @@ def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
     place = excitation.grain if excitation.kind == "force" else excitation.grain - 1
     if excitation.times is not None:
         values = excitation.force if excitation.kind == "force" else excitation.displacement
-        pieces = CubicSpline(excitation.times, values).c[::-1].T.astype(wide)
-        return 2, place, none[2], none[3], np.asarray(excitation.times, dtype=wide), pieces
+        curve = Curve(excitation, values, wide)
+        return 2, place, none[2], none[3], curve.knots, curve.pieces.T.copy()
     size, pi = wide(excitation.amplitude), 4 * np.arctan(wide(1))
     if getattr(excitation, "shape", None):  # half a sine
         return (

@@ -252,7 +252,9 @@ def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | 
     if course == "spline":
         times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(2, 30))))
         path = np.append(0, rng.normal(size=times.size - 1)) * strength
-        values = {"force" if kind == "force" else "displacement": path}
+        values: dict[str, Any] = {"force" if kind == "force" else "displacement": path}
+        # a spline through points so uneven would mostly be refused
+        values["interpolation"] = "linear" if path[-1] > path[1] else "pchip"
         return acts(times=times * (duration * rng.uniform(1, 1.2) / times[-1]), **values, **where)
     cycles = {} if course == "sine" else {"cycles": _log(rng, 0.6, 20)}
     return acts(amplitude=strength, frequency=frequency, **cycles, **where)

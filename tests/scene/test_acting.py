@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_scenes import acted_scene
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import Curve, extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump
 from helpers.whole_runs import blocks_of
 from numpy.typing import NDArray
 from scipy.integrate import quad
-from scipy.interpolate import CubicSpline
 
 from lmpchain import (
     Chain,
@@ -90,9 +89,9 @@ OWN = 5000.0  # rad/s: sqrt(50 / 2e-6)
 def course(given: Any) -> Any:
     """Return what is imposed as a function of time, from its definition."""
     if given.times is not None:
-        return CubicSpline(
-            given.times, given.force if given.kind == "force" else given.displacement
-        )
+        values = given.force if given.kind == "force" else given.displacement
+        curve = Curve(given, values, np.float64)
+        return lambda t: curve(t)[0]
     if getattr(given, "shape", None):
         return lambda t: (
             given.amplitude * np.sin(np.pi * t / given.duration) if t < given.duration else 0.0
@@ -427,7 +426,8 @@ def test_work_and_impulse_are_accounted_for(kind: str):
     assert np.abs(ledger.drift).max() <= ledger.drive_error + 1e-8 * ledger.total.max()
     largest = np.abs(ledger.momentum).max()
     assert np.abs(ledger.momentum_drift).max() <= ledger.impulse_error + 1e-8 * largest
-    assert ledger.drive_error < 1e-5 * ledger.total.max()
+    # at the points of a curve the force on the driver bends
+    assert ledger.drive_error < (2e-5 if "points" in kind else 1e-5) * ledger.total.max()
     parts = ledger.kinetic + ledger.contact + ledger.gravity + ledger.load
     assert parts == pytest.approx(ledger.total, rel=0, abs=1e-9 * np.abs(ledger.contact).max())
 
@@ -463,7 +463,11 @@ FAULTS = {
     ),
     "shape: must be": lambda: Force(amplitude=1.0, shape="square", duration=1.0),
     "force: must have one entry": lambda: Force(times=[0.0, 1.0], force=[1.0]),
-    "times: must begin with 0": lambda: Force(times=[0.5, 1.0], force=[1.0, 2.0]),
+    "times: must be 0 or more and increase": lambda: Force(times=[-0.5, 1.0], force=[1.0, 2.0]),
+    "interpolation: the spline goes from": lambda: Force(
+        times=[0, 2e-5, 4e-5, 4e-4], force=[0.0, 10.0, 0.0, 0.0], interpolation="spline"
+    ),
+    "interpolation: must be": lambda: Force(times=[0, 1], force=[0, 1], interpolation="cubic"),
     "times: are 4.9e-324 s apart": lambda: Drive(times=[0.0, 5e-324], displacement=[0.0, 1e-10]),
     "times: are 1e-21 s apart": lambda: Force(times=[0.0, 1e-21, 1e-10], force=[1.0, 2.0, 1.0]),
     "displacement: must begin with 0, where the wall": lambda: Drive(
@@ -472,7 +476,6 @@ FAULTS = {
     "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),
     "grain: 0 moves the top wall": lambda: scene_of(LOADED, drives(1.0)["sine"]),
     "cycles: must be above 0": lambda: Drive(amplitude=1.0, frequency=1.0, cycles=0.0),
-    "times: end at": lambda: scene_of(LOADED, forces(1.0)["points"], units=9.0),
     "grain: there is no grain 9": lambda: scene_of(LOADED, forces(1.0, 9)["sine"]),
     "grain: grain 8 is held": lambda: scene_of(LOADED, forces(1.0, 8)["sine"]),
     "kind: squeezes contact": lambda: scene_of(LOADED, forces(1e9)["sine"]),

@@ -15,7 +15,7 @@ from helpers.independent_integrators import extended_reference, relative_error, 
 from helpers.whole_runs import blocks_of
 from numpy.typing import NDArray
 from scipy.integrate import simpson
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.engines.native import companion_run
@@ -54,7 +54,7 @@ def sine(chain: Chain, strength: float = 1e-3, slower: float = 1.0) -> Drive:
 
 
 def path(chain: Chain, strength: float = 1e-2, points: int = 12, seed: int = 1) -> Drive:
-    """Return a path through random points, a little longer than 8 units of time."""
+    """Return a path through random points, a little longer than 8 units of time, by PCHIP."""
     rng = np.random.default_rng(seed)
     apart = rng.uniform(0.4, 1, points)
     times = np.append(0, np.cumsum(apart)) * (8.5 * chain.time_scale / apart.sum())
@@ -69,7 +69,8 @@ def cubic(chain: Chain) -> tuple[Drive, Array]:
     times = np.array([0, 0.3, 1.1, 3.0, 4.2, 7.0, 9.0]) * chain.time_scale
     coefficients = np.array([1.0, -12.0, 30.0, 0.0]) * 1e-4 * chain.length_scale
     coefficients /= chain.time_scale ** np.array([3, 2, 1, 0])
-    return Drive(times=times, displacement=np.polyval(coefficients, times)), coefficients
+    values = np.polyval(coefficients, times)
+    return Drive(times=times, displacement=values, interpolation="spline"), coefficients
 
 
 # --- the motion of grain 1
@@ -92,17 +93,15 @@ def test_grain_1_follows_a_sine(integrator: str):
 
 @every
 def test_grain_1_follows_a_path(integrator: str):
-    """Through points of a cubic it is that cubic; through any others, what SciPy's B-splines make
-    of them.
-    """
+    """The spline through points of a cubic is that cubic; through any others goes SciPy's curve."""
     chain = loaded()
     drive, coefficients = cubic(chain)
     crooked = path(chain, 0.1)
-    spline = make_interp_spline(crooked.times, crooked.displacement, k=3)
+    curve = PchipInterpolator(crooked.times, crooked.displacement)
     slope = np.polyder(coefficients)
     for given, u, v in (
         (drive, lambda t: np.polyval(coefficients, t), lambda t: np.polyval(slope, t)),
-        (crooked, spline, spline.derivative()),
+        (crooked, curve, curve.derivative()),
     ):
         scene = scene_of(chain, given, samples=41)
         t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / 320))

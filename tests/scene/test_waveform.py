@@ -40,7 +40,7 @@ def test_values_and_derivatives_are_those_of_the_definition(cycles: float | None
             assert not wave.at(np.array([wave.end, 2 * wave.end]), order).any()
     assert wave.end == (np.inf if cycles is None else cycles / FREQUENCY)
     assert wave.corners == (() if cycles is None else (wave.end,))
-    assert wave.smooth
+    assert wave.smooth_until(1e3)
     assert wave.knot_spacing == np.inf
     sum_of_sines = sum(a * np.sin(w * times) for a, w in wave.sines)
     assert sum_of_sines == pytest.approx(wave.at(times), rel=0, abs=1e-14 * abs(AMPLITUDE))
@@ -54,28 +54,26 @@ def test_a_half_sine_ends_where_it_is_0_again() -> None:
     assert wave.at(times) == pytest.approx(expected, rel=1e-12, abs=0)
     slope = AMPLITUDE * np.pi / 0.4 * np.cos(np.pi * times / 0.4) * (times < 0.4)
     assert wave.at(times, 1) == pytest.approx(slope, rel=1e-12, abs=1e-12)
-    assert (wave.end, wave.corners, wave.smooth) == (0.4, (0.4,), True)
+    assert (wave.end, wave.corners, wave.smooth_until(1e3)) == (0.4, (0.4,), True)
     assert wave.fastest == pytest.approx(np.pi / 0.4, rel=1e-15)
     assert wave.gained == pytest.approx(-AMPLITUDE * 0.8 / np.pi, rel=1e-15)
     assert wave.area(1.0) == pytest.approx(-AMPLITUDE * 0.8 / np.pi, rel=1e-14)
 
 
 def test_a_spline_is_that_through_its_points() -> None:
-    wave = Waveform.through(KNOTS, VALUES)
+    wave = Waveform.through(KNOTS, VALUES, "spline", holds=True)
     spline = CubicSpline(KNOTS, VALUES)
     times = np.linspace(0, 1.7, 1001)
     for order in range(4):
         assert np.array_equal(wave.at(times, order), spline(times, order))
         assert wave.largest(order) == pytest.approx(np.abs(spline(times, order)).max(), rel=0.02)
-    assert wave.corners == tuple(KNOTS)
-    assert wave.end == 1.7
+    assert wave.corners[:-1] == pytest.approx(KNOTS, rel=1e-11)
     assert wave.knot_spacing == pytest.approx(0.1, rel=1e-12)
     assert wave.fastest == pytest.approx(10.0, rel=1e-12)
-    assert [Waveform.through(KNOTS[:n], VALUES[:n]).smooth for n in (2, 4, 5)] == [
-        True,
-        True,
-        False,
-    ]
+    line = Waveform.through(KNOTS[:2], VALUES[:2], "spline", holds=True)
+    assert line.smooth_until(KNOTS[1])
+    assert not line.smooth_until(1.01 * KNOTS[1])
+    assert not wave.smooth_until(1.0)
     integral = [
         quad(spline, 0, t, points=[k for k in KNOTS if k < t], limit=200)[0]
         for t in np.linspace(0, 1.7, 171)

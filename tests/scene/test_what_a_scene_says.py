@@ -318,13 +318,13 @@ REFUSED = {
         {"kind": "drive", "times": [0.0, 1e-4], "displacement": [0.0]},
         ("displacement", "must have one entry for each of two or more times, not 1"),
     ),
-    "late": (
-        {"kind": "drive", "times": [1e-9, 1e-4], "displacement": [0.0, 0.0]},
-        ("times", "must begin with 0 and increase, each by more than 1e-12 of the last"),
+    "before the strike": (
+        {"kind": "drive", "times": [-1e-9, 1e-4], "displacement": [0.0, 0.0]},
+        ("times", "must be 0 or more and increase, each by more than 1e-12 of the last"),
     ),
     "too close": (
         {"kind": "drive", "times": [0.0, 0.99e-16, 1e-4], "displacement": [0.0, 0.0, 0.0]},
-        ("times", "must begin with 0 and increase, each by more than 1e-12 of the last"),
+        ("times", "must be 0 or more and increase, each by more than 1e-12 of the last"),
     ),
     "in other units": (
         {"kind": "drive", "times": [0.0, 0.9e-20], "displacement": [0.0, 0.0]},
@@ -371,16 +371,6 @@ def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
             Drive(**WAVE),
             one,
             ("kind", "with grain 1 driven nothing is left to move: use more grains"),
-        ),
-        (
-            Drive(**POINTS),
-            COLUMN,
-            ("times", "end at 0.0001 s, before the recording does at 0.00011 s"),
-        ),
-        (
-            Force(times=[0.0, 1e-4], force=[0.0, 1e-9]),
-            COLUMN,
-            ("times", "end at 0.0001 s, before the recording does"),
         ),
         (
             Impulse(velocity=1e-6, grain=10),
@@ -443,7 +433,7 @@ def test_every_kind_says_what_it_is() -> None:
         [0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14
     )
     assert [kind.knot_spacing for kind in kinds] == [np.inf] * 6
-    assert Drive(**POINTS).knot_spacing == 1e-4
+    assert Drive(**POINTS).knot_spacing == pytest.approx(1e-4, rel=1e-11)
     assert not Drive(**POINTS).linear
     assert [kind.smooth for kind in kinds] == [True] * 6
     assert impulse.energy(COLUMN) == pytest.approx(2e-6 * COLUMN.masses[1], rel=1e-15)

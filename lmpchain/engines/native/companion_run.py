@@ -324,7 +324,7 @@ class CompanionRun(Run):
         scene = self._scenes[real]
         companions = self._companions
         opens = motion.lowest <= OPENINGS.near
-        order = companions.order(opens, scene.excitation.smooth)
+        order = companions.order(opens, scene.excitation.smooth_until(scene.duration))
         truncation = companions.truncation(real, distances[self._twin :], order, opens)
         roundoff = self._round(real, motion, opens)
         amplified = np.zeros(0)

@@ -8,7 +8,7 @@ from .contact_forces import compiled_march, inlined
 from .layout import PAD, Rows
 from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
 from .sample_loop import sample_loop
-from .window import look, watch, widen
+from .window import LOOKS, look, watch, widen
 
 
 @inlined
@@ -36,7 +36,11 @@ def _burst(chain, span, stages):
     # rows of a burst are swept together, which pays where the window need not grow, or is long
     full = state.first == PAD and state.last == chain.x.size - PAD
     wide = stages == 1 or full or state.last - state.first > TILE
-    return min(span.steps - int(state.done), max(1, ROWS // stages) if wide else 1)
+    steps = max(1, ROWS // stages) if wide else 1
+    if chain.imposed.acts:
+        # it may press grains together at any time, and contacts are watched after each burst
+        steps = min(steps, max(1, int(LOOKS.radians / (span.step * chain.omega))))
+    return min(span.steps - int(state.done), steps)
 
 
 @inlined
@@ -54,11 +58,12 @@ def _advance(chain, method, work, clock, span, out):
     missing = kicks[stages] * clock.step * chain.omega
     complete = 1.0 / (1.0 + 0.5 * missing * missing)
     burst = _burst(chain, span, stages)
-    begun = span.begin + state.done * h
+    # counted from the landing, so that times do not depend on how steps are shared out over bursts
+    made = state.done
     filled = 0
     halved = burst
     for step in range(burst):
-        begin = begun + step * h
+        begin = span.begin + (made + step) * h
         # a corner leaves an order of 2 as it is
         corner = cut(chain, begin, h) if stages > 1 else 0.0
         if corner > 0.0:
@@ -67,7 +72,7 @@ def _advance(chain, method, work, clock, span, out):
             filled += stages
             _fill_step(chain, method, work, filled, begin + corner, 0, h - corner)
         else:
-            _fill_step(chain, method, work, filled, begun, step, h)
+            _fill_step(chain, method, work, filled, span.begin, made + step, h)
         filled += stages
     widen(chain, filled + 1)
     step = 0
@@ -77,7 +82,7 @@ def _advance(chain, method, work, clock, span, out):
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, slice_rows(rows, until_look))
-        look(chain, clock, steps_before + end, begun + end * h, complete)
+        look(chain, clock, steps_before + end, span.begin + (made + end) * h, complete)
         step = end
     watch(chain)
     state.done += burst
