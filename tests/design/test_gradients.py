@@ -73,7 +73,7 @@ def draw(rng: np.random.Generator) -> Scene:
         shape = 2 * scale * np.sin(np.linspace(0, 3, 6)) ** 2
         sampled = rng.random() < 0.5
         what: Any = (
-            Drive(times=time, displacement=shape)
+            Drive(times=time, displacement=shape, interpolation="linear")
             if sampled
             else Drive(amplitude=2 * scale, frequency=omega / 10)
         )
@@ -178,11 +178,16 @@ ACTING = {
     "sine force": Force(grain=3, amplitude=0.05, frequency=2e5),
     "burst of force": Force(grain=2, amplitude=0.1, frequency=4e5, cycles=3),
     "half-sine force": Force(grain=1, shape="half-sine", amplitude=0.1, duration=7e-6),
-    "sampled force": Force(grain=6, times=KNOTS, force=0.1 * np.sin(np.arange(5.0)) ** 2),
+    "sampled force": Force(
+        grain=6, times=KNOTS, force=0.1 * np.sin(np.arange(5.0)) ** 2, interpolation="linear"
+    ),
     "burst of grain 1": Drive(amplitude=1e-7, frequency=4e5, cycles=3),
     "sine of the wall": Drive(grain=0, amplitude=2e-7, frequency=2e5),
     "samples of the wall": Drive(
-        grain=0, times=KNOTS, displacement=2e-7 * np.sin(np.arange(5.0)) ** 2
+        grain=0,
+        times=KNOTS,
+        displacement=2e-7 * np.sin(np.arange(5.0) / 4) ** 2,
+        interpolation="spline",
     ),
 }
 

@@ -42,7 +42,11 @@ STRUCK = Scene(
     samples=9,
 )
 DRIVEN = STRUCK.replace(
-    excitation=Drive(times=np.linspace(0, 2e-5, 6), displacement=2e-8 * np.sin(np.arange(6)) ** 2),
+    excitation=Drive(
+        times=np.linspace(0, 2e-5, 6),
+        displacement=2e-8 * np.sin(np.arange(6)) ** 2,
+        interpolation="linear",
+    ),
 )
 OBJECTIVES = {
     "peak force": (STRUCK, PeakForce(3)),
@@ -80,9 +84,7 @@ def test_objectives_have_the_derivatives_that_differences_show(case: str):
         for sign in (-2, -1, 1, 2):
             changed: Any = base + sign * step * along
             if name == "drive":
-                other = scene.replace(
-                    excitation=Drive(times=scene.excitation.times, displacement=changed)
-                )
+                other = scene.replace(excitation=scene.excitation.replace(displacement=changed))
             else:
                 other = scene.replace(
                     chain=chain.replace(

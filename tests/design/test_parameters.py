@@ -42,8 +42,8 @@ ACTING = {
     "strike": Impulse(velocity=1e-3),
     "profile": Profile(displacement=1e-9 * REST, velocity=1e-3 * REST),
     "sine": Drive(amplitude=1e-8, frequency=1e5),
-    "points": Drive(times=KNOTS, displacement=1e-8 * np.arange(5.0) ** 2),
-    "force": Force(grain=2, times=KNOTS, force=1e-3 * np.arange(5.0)),
+    "points": Drive(times=KNOTS, displacement=1e-8 * np.arange(5.0) ** 2, interpolation="spline"),
+    "force": Force(grain=2, times=KNOTS, force=1e-3 * np.arange(5.0), interpolation="linear"),
     "sine force": Force(grain=2, amplitude=1e-3, frequency=1e5),
 }
 

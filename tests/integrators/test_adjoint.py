@@ -73,12 +73,14 @@ HELD, OVERLAP = float(ACTED.contacts.force.max()), float(ACTED.contacts.overlap.
 CYCLES = 0.6 * FREQUENCY * DURATION
 ACTS = {
     "sine of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY),
-    "samples of grain 1": Drive(times=KNOTS, displacement=OVERLAP * BUMP),
+    "samples of grain 1": Drive(times=KNOTS, displacement=OVERLAP * BUMP, interpolation="linear"),
     "burst of the wall": Drive(amplitude=OVERLAP, frequency=FREQUENCY, cycles=CYCLES, grain=0),
-    "samples of the wall": Drive(times=KNOTS, displacement=OVERLAP * BUMP, grain=0),
+    "samples of the wall": Drive(
+        times=KNOTS, displacement=OVERLAP * BUMP, grain=0, interpolation="linear"
+    ),
     "sine on grain 3": Force(amplitude=HELD, frequency=FREQUENCY, grain=3),
     "half-sine on grain 1": Force(shape="half-sine", amplitude=HELD, duration=0.43 * DURATION),
-    "samples on grain 6": Force(times=KNOTS, force=HELD * BUMP, grain=6),
+    "samples on grain 6": Force(times=KNOTS, force=HELD * BUMP, grain=6, interpolation="linear"),
 }
 
 

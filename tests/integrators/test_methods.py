@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scipy.integrate import DOP853
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from lmpchain import Chain, Drive, Force, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
@@ -190,7 +190,12 @@ ACTS = {
     "sine": Drive(amplitude=2e-8, frequency=3e4),
     "burst": Force(amplitude=0.2, frequency=6e4, cycles=1.7),
     "half-sine": Force(shape="half-sine", amplitude=0.2, duration=3e-5),
-    "samples": Drive(times=TIMES, displacement=np.array([0, 1, -2, 3, 1]) * 1e-8),
+    "linear": Drive(
+        times=TIMES, displacement=np.array([0, 1, -2, 3, 1]) * 1e-8, interpolation="linear"
+    ),
+    "spline": Drive(
+        times=TIMES, displacement=np.array([0, 1, 3, 4, 5]) * 1e-8, interpolation="spline"
+    ),
 }
 
 
@@ -217,8 +222,9 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
     assert course.size == base.size
     slopes = np.zeros((base.size, times.size))
     for place in range(base.size):
-        if samples:  # a spline is linear in its samples
-            slopes[place] = CubicSpline(TIMES, np.eye(5)[place])(times, order)
+        if samples:  # both curves are linear in their samples
+            degree = 1 if what == "linear" else 3
+            slopes[place] = make_interp_spline(TIMES, np.eye(5)[place], degree)(times, order)
         elif place == 0:
             slopes[place] = excitation.waveform.at(times, order) / excitation.amplitude
         elif excitation.frequency:
