@@ -44,8 +44,8 @@ STRUCK = Scene(
 DRIVEN = STRUCK.replace(
     excitation=Drive(
         times=np.linspace(0, 2e-5, 6),
-        displacement=2e-8 * np.sin(np.arange(6)) ** 2,
-        interpolation="linear",
+        displacement=2e-8 * np.sin(np.arange(6) / 4) ** 2,
+        interpolation="spline",
     ),
 )
 OBJECTIVES = {

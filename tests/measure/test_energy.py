@@ -139,7 +139,9 @@ DRIVES = {
     "weak": Drive(amplitude=1e-17, frequency=1e5),
     "piston": Drive(times=[0, 4e-5], displacement=[0, 2e-8]),
     "sampled": Drive(
-        times=np.linspace(0, 4e-5, 9), displacement=1e-8 * np.sin(np.linspace(0, 3, 9)) ** 2
+        times=np.linspace(0, 4e-5, 9),
+        displacement=1e-8 * np.sin(np.linspace(0, 3, 9)) ** 2,
+        interpolation="spline",
     ),
 }
 

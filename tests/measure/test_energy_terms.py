@@ -31,11 +31,20 @@ GIVEN = {
     ),
     "a wall that moves": (
         Chain(**UNEVEN, top="wall"),
-        Drive(times=[0, 1e-5, 2e-5, 3e-5, 4e-5], displacement=[0, 3e-9, 9e-9, 4e-9, 8e-9], grain=0),
+        Drive(
+            times=[0, 1e-5, 2e-5, 3e-5, 4e-5],
+            displacement=[0, 1e-9, 4e-9, 7e-9, 8e-9],
+            interpolation="spline",
+            grain=0,
+        ),
     ),
     "grain 1 that moves": (
         Chain(**UNEVEN, bottom="wall"),
-        Drive(times=[0, 1e-5, 2e-5, 3e-5, 4e-5], displacement=[0, 3e-9, 9e-9, 4e-9, 8e-9]),
+        Drive(
+            times=[0, 1e-5, 2e-5, 3e-5, 4e-5],
+            displacement=[0, 1e-9, 4e-9, 7e-9, 8e-9],
+            interpolation="spline",
+        ),
     ),
 }
 

@@ -435,7 +435,7 @@ def test_every_kind_says_what_it_is() -> None:
     assert [kind.knot_spacing for kind in kinds] == [np.inf] * 6
     assert Drive(**POINTS).knot_spacing == pytest.approx(1e-4, rel=1e-11)
     assert not Drive(**POINTS).linear
-    assert [kind.smooth for kind in kinds] == [True] * 6
+    assert [kind.smooth_until(1.0) for kind in kinds] == [True] * 6
     assert impulse.energy(COLUMN) == pytest.approx(2e-6 * COLUMN.masses[1], rel=1e-15)
     assert impulse.strongest(COLUMN) == (0.0, 2e-3)
     assert moved.strongest(COLUMN) == (1e-9, 0.0)

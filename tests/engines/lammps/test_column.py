@@ -205,7 +205,7 @@ def test_formulas_of_lammps_give_the_motion_and_the_force(name):
 def test_only_pieces_that_begin_in_the_run_are_told():
     points = ACTS["points"]
     assert [end for end, _ in drive.pieces(points, 2e-5)] == pytest.approx(
-        points.times[1:], rel=1e-15
+        points.times[1:], rel=1e-11
     )
     assert len(drive.pieces(points, 1e-5)) == 3
     assert drive.pieces(ACTS["sine"], 1e-5) == []
