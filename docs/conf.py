@@ -1,4 +1,6 @@
-"""Sphinx configuration: hand-written pages in Markdown, the API from the docstrings, the gallery from scripts."""
+"""Sphinx configuration: hand-written pages in Markdown, the API from the docstrings, the gallery
+from scripts.
+"""
 
 import sys
 from importlib.metadata import version as installed_version

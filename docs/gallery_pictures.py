@@ -1,4 +1,6 @@
-"""The pictures of a gallery script: every figure or axes that a name of the script stands for, once."""
+"""The pictures of a gallery script: every figure or axes that a name of the script stands for,
+once.
+"""
 
 from typing import Any
 

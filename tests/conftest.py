@@ -34,9 +34,11 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have all loops compiled that a machine compiles once, so that no test waits for it or reads of it.
+    """Have all loops compiled that a machine compiles once, so that no test waits for it or reads
+    of it.
 
-    It is done before `-n` starts its workers, which then find them compiled, and half of it in a process beside.
+    It is done before `-n` starts its workers, which then find them compiled, and half of it in a
+    process beside.
     Commands that tests start obey Ctrl-C, also where a shell has started these in the background.
     """
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # which processes would inherit

@@ -1,10 +1,13 @@
 """Mutation testing: change the code at random places and see whether the tests of the room notice.
 
     python tests/mutants.py theory measure --number 20 --seed 7
-    python tests/mutants.py lmpchain/theory/scattering.py:226:12 --tests tests/theory/test_scattering.py
+    python tests/mutants.py lmpchain/theory/scattering.py:226:12 --tests
+    tests/theory/test_scattering.py
 
-A mutant turns a comparison round, swaps an operator, changes a number by one or by a fifth, or drops
-a statement. Each is tried in a copy of the project by the default tests of its room, `tests/ROOM` and
+A mutant turns a comparison round, swaps an operator, changes a number by one or by a fifth, or
+drops
+a statement. Each is tried in a copy of the project by the default tests of its room, `tests/ROOM`
+and
 the doctests of `lmpchain/ROOM`, which must pass without it. Compiled kernels are compiled anew. The
 rate by room comes last. A survivor may be equivalent: it changes nothing that anybody can see.
 """
@@ -62,7 +65,9 @@ OPPOSITES = {
 
 @dataclass(frozen=True)
 class Mutant:
-    """A node of a program, where it begins and ends (line, byte of the line), and what replaces it."""
+    """A node of a program, where it begins and ends (line, byte of the line), and what replaces
+    it.
+    """
 
     path: str
     begin: tuple[int, int]
@@ -116,7 +121,9 @@ def mutate(node: ast.AST) -> str | None:
 
 
 def walk(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes that run: no annotations, and nothing in an f-string, whose places Python 3.11 does not know."""
+    """Yield the nodes that run: no annotations, and nothing in an f-string, whose places Python
+    3.11 does not know.
+    """
     yield node
     for name, value in ast.iter_fields(node):
         if name not in ("annotation", "returns", "decorator_list") and not isinstance(
@@ -161,7 +168,9 @@ def draw(places: list[str], number: int, seed: int) -> list[Mutant]:
 
 
 def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
-    """Run tests in a copy of the project with a mutant; return whether they pass, and the line that says why not."""
+    """Run tests in a copy of the project with a mutant; return whether they pass, and the line
+    that says why not.
+    """
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder, "lmpchain")
         # with the times of files: compiled code stays valid

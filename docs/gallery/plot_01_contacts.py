@@ -26,7 +26,8 @@ print(
 )
 
 # %%
-# The force on the floor, and what a piezo inside grain 20 reads: the mean of the forces on both sides of it.
+# The force on the floor, and what a piezo inside grain 20 reads: the mean of the forces on both
+# sides of it.
 print(f"largest force on the floor {contact.wall_force(t).max():.1f} N")
 signal = contact.sensor(t, 20)
 picture_of_sensor = signal.plot()

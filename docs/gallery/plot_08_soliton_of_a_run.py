@@ -2,7 +2,8 @@
 Is the pulse a solitary wave?
 =============================
 
-A strike on a chain without load makes Nesterenko's pulse; its speed and shape against the exact solitary wave.
+A strike on a chain without load makes Nesterenko's pulse; its speed and shape against the exact
+solitary wave.
 """
 
 import lmpchain
@@ -14,6 +15,7 @@ scene = lmpchain.Scene(
 )
 found = fit.fit_soliton(lmpchain.simulate(scene, "native"))
 print(
-    f"{found.amplitude:.5f} m/s high, {found.speed:.0f} grains/s fast, {found.width:.3f} grains wide"
+    f"{found.amplitude:.5f} m/s high, {found.speed:.0f} grains/s fast, "
+    f"{found.width:.3f} grains wide"
 )
 picture = found.plot()

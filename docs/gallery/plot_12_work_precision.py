@@ -2,7 +2,8 @@
 Speed against accuracy
 ======================
 
-Every engine and integrator at ever shorter steps, in eight seconds; give it a minute for a smooth chart.
+Every engine and integrator at ever shorter steps, in eight seconds; give it a minute for a smooth
+chart.
 """
 
 import lmpchain

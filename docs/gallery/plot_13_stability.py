@@ -2,7 +2,8 @@
 Where methods fail on a scene
 =============================
 
-The longest stable steps, the smallest error in double precision, the predictability time, the error of linear theory.
+The longest stable steps, the smallest error in double precision, the predictability time, the
+error of linear theory.
 """
 
 import lmpchain

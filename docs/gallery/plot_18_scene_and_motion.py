@@ -2,7 +2,8 @@
 A chain, a scene, a plan and a motion
 =====================================
 
-What a notebook shows of each: overlaps and sizes, the strike, the engines to choose from, and the motion over time and
+What a notebook shows of each: overlaps and sizes, the strike, the engines to choose from, and the
+motion over time and
 depth.
 """
 

@@ -2,7 +2,8 @@
 Sensitivity, a fit and an optimum
 =================================
 
-What the force at a contact depends on, grain by grain; gravity found again from a noisy trace; and the ball between
+What the force at a contact depends on, grain by grain; gravity found again from a noisy trace; and
+the ball between
 two others that passes most of the motion on.
 """
 

@@ -84,7 +84,7 @@ class Excitation(Checked):
         return None
 
     def smooth_until(self, duration: float) -> bool:
-        """Return whether its third derivative in time jumps up to then only where a step can end."""
+        """Return whether its third derivative jumps up to a time, s, only where a step can end."""
         return self.waveform is None or self.waveform.smooth_until(duration)
 
     @property

@@ -1,4 +1,4 @@
-"""Waveforms of forces and motions: a sine, a Hann tone burst, a half-sine, or a curve through points."""
+"""Waveforms of forces and motions: sine, Hann tone burst, half-sine, curve through points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROUNDED = 1e-12  # of a time, by which sample times may be off
 def curve_through(times: Array, values: Array, interpolation: Interpolation, holds: bool) -> PPoly:
     """Return the piecewise cubic through points, and what comes before and after them.
 
-    Before the first point it is 0; if that lies above 0, it gets there within the time to the second
+    Before the first point it is 0; if that is no 0, it gets there within the time to the second
     point, or since t = 0. After the last point a motion holds still, and a force falls to 0 within
     the time between the last two points.
 
@@ -41,7 +41,7 @@ def curve_through(times: Array, values: Array, interpolation: Interpolation, hol
     else:
         make = PchipInterpolator if interpolation == "pchip" else CubicSpline
         curve = make(times, values)
-    # a sample at the last point is one of the curve, though rounding may have made it a little later
+    # a sample at the last point is one of the curve, also where rounding made it a little later
     behind = times[-1] * (1 + ROUNDED)
     last = curve(behind)[None]
     # the last piece goes on for ever, so that it is constant

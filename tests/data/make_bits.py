@@ -1,10 +1,13 @@
-"""Hash the answers to 200 random scenes by every engine, integrator and end: `bits.json` beside this file.
+"""Hash the answers to 200 random scenes by every engine, integrator and end: `bits.json` beside
+this file.
 
     python tests/data/make_bits.py                         # makes the table anew
-    python tests/data/make_bits.py --check [EVERY]         # prints what differs from it; of every 10th scene, say
+    python tests/data/make_bits.py --check [EVERY]   # prints what differs; of every 10th scene, say
 
-The last bits of an answer also rest on the versions of NumPy, SciPy and the compiler and on the processor. The table
-names these; where they are others, `--check` and the tests, `test_bits.py` in `tests/engines/` and `tests/simulation/`,
+The last bits of an answer also rest on the versions of NumPy, SciPy and the compiler and on the
+processor. The table
+names these; where they are others, `--check` and the tests, `test_bits.py` in `tests/engines/` and
+`tests/simulation/`,
 compare engines, steps and error estimates instead of bits.
 """
 
@@ -63,7 +66,8 @@ def digest(*arrays: np.ndarray) -> str:
 def answer(
     scene: Scene, engine: str, tolerance: float, folder: Path | None = None, **options: Any
 ) -> Row:
-    """Return the hash of an answer, its error estimates, engine and steps; or the name of what was raised.
+    """Return the hash of an answer, its error estimates, engine and steps; or the name of what was
+    raised.
 
     With a folder the run is stopped after its first samples and resumed.
     """
@@ -98,7 +102,9 @@ def drawn(number: int) -> tuple[Scene, float]:
 
 
 def engine_cases(number: int) -> Iterator[tuple[str, Row]]:
-    """Yield the name of every case of an engine that is asked for by name, and its answer to one scene."""
+    """Yield the name of every case of an engine that is asked for by name, and its answer to one
+    scene.
+    """
     scene, tolerance = drawn(number)
     loose = max(tolerance, 1e-4)
     velocities = repr(sorted(scene.initial()[1])).encode()
@@ -159,7 +165,9 @@ def planned(scene: Scene, tolerance: float) -> Row:
 
 
 def batches() -> Iterator[tuple[str, Row]]:
-    """Yield the name and the answer of ensembles of random chains and of sweeps, which go in batches."""
+    """Yield the name and the answer of ensembles of random chains and of sweeps, which go in
+    batches.
+    """
     column = Chain(grains=40, diameter=1e-3)
     for velocity in (1e-6, 8.57e-4):
         scene = Scene(chain=column, excitation=Impulse(velocity=velocity), duration=4e-5, samples=5)
@@ -191,9 +199,11 @@ def batches() -> Iterator[tuple[str, Row]]:
 
 
 def alike(one: Row, other: Row) -> bool:
-    """Say whether two rows differ in bits only: engine and failure are the same, numbers agree to 1e-3.
+    """Say whether two rows differ in bits only: engine and failure are the same, numbers agree to
+    1e-3.
 
-    Steps agree to 2 %: last digits decide which steps of an adaptive method are refused (up to 1.7 % of them on two
+    Steps agree to 2 %: last digits decide which steps of an adaptive method are refused (up to
+    1.7 % of them on two
     processors).
     """
 

