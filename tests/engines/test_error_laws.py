@@ -220,10 +220,10 @@ def test_what_interpolated_samples_lose_grows_with_steps_and_distance():
 def test_equal_steps_may_round_to_one_side():
     """A walk of n digits is sqrt(n) long, a drift n, which is longer from some sixty on."""
     assert accumulate(1e8) == pytest.approx(1e4, rel=1e-12)
-    assert accumulate(1e8, drifts=True) == pytest.approx(1e8 / 8, rel=1e-12)
-    assert accumulate(25.0, drifts=True) == 5.0
+    assert accumulate(1e8, flights=1.0) == pytest.approx(1e8 / 8, rel=1e-12)
+    assert accumulate(25.0, flights=1.0) == 5.0
     assert accumulate(1e6, flights=64.0) == pytest.approx(8e3, rel=1e-12)
-    assert native_floor(1e8, 0.0, drifts=True) > 1e3 * native_floor(1e8, 0.0)
+    assert native_floor(1e8, 0.0, flights=1.0) > 1e3 * native_floor(1e8, 0.0)
 
 
 # --- runs that begin nearby

@@ -346,9 +346,8 @@ class CompanionRun(Run):
         radians = scene.highest_frequency * scene.duration
         flights = motion.velocity * scene.duration / motion.displacement
         # grains in contact fly nowhere, and none turns faster than the fastest motion
-        free_flights = max(min(flights, radians), 1.0) if opens else 1.0
-        drifts = opens and not self.candidate.adaptive
-        roundoff = native_floor(motion.evaluations, radians, free_flights, drifts)
+        free_flights = max(min(flights, radians), 1.0) if opens else 0.0
+        roundoff = native_floor(motion.evaluations, radians, free_flights)
         steps = motion.evaluations / self.method.evaluations
         if self._chains.plain[real] and steps:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity

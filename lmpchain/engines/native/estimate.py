@@ -22,9 +22,9 @@ g         gain        error at steps r1 h over that at h, as observed:
                       (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
                       of twice the length
 eps       EPSILON     unit of the last place of 1
-n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n k)
-                      where contacts open: k is how far the fastest grain would fly, over the
-                      largest displacement
+n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n), or
+                      max(sqrt(n k), n / (8 k)) where contacts open, see `round_off`
+k         flights     how far the fastest grain would fly, over the largest displacement
 omega T   radians     phase of the fastest motion in the duration
 A         amplified   what the scene makes of one last digit, see `amplification`
 ========  ==========  =========================================================================

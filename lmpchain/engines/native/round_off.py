@@ -21,7 +21,7 @@ class Rounding:
         Of the phase of the fastest motion, a radian: masses, stiffnesses and fractions of a step
         are rounded.
     drift : float
-        Of a displacement, an evaluation of the force: in free flight equal steps round to one side.
+        Of a motion, an evaluation of the force: in free flight equal steps round to one side.
     plain : float
         Of the force at rest, a step: the plain form of the force subtracts it.
     interpolated : float
@@ -37,20 +37,29 @@ class Rounding:
 ROUNDING = Rounding()
 
 
-def accumulate(evaluations: float, flights: float = 1.0, drifts: bool = False) -> float:
+def accumulate(evaluations: float, flights: float = 0.0) -> float:
     """Return the last digits that the rounding of so many evaluations of the force adds up to.
 
-    It is a random walk. A grain that is pushed for a time t/k and flies freely for t has only the
-    velocity of sqrt(n/k) evaluations off, but comes k times as far with it: sqrt(n k), k being
-    `flights`. Where it `drifts`, at equal steps through free flight, all may round to one side.
+    While grains touch, it is a random walk of n evaluations, sqrt(n). A grain that is pushed for a
+    time t/k and flies freely for t has only the velocity of sqrt(n/k) evaluations off, but comes k
+    times as far with it: sqrt(n k). One that flies for the whole run by steps of one length is
+    rounded to the same side by all of them: drift n, or n/k of a grain that flies so far in a kth
+    of the time.
+
+    Parameters
+    ----------
+    evaluations : float
+        n.
+    flights : float
+        k, how far the fastest grain would come in the whole run, over the largest displacement; 0
+        where no contact opens.
     """
-    walk = math.sqrt(evaluations * flights)
-    return max(walk, ROUNDING.drift * evaluations) if drifts else walk
+    if not flights:
+        return math.sqrt(evaluations)
+    return max(math.sqrt(evaluations * flights), ROUNDING.drift * evaluations / flights)
 
 
-def native_floor(
-    evaluations: float, radians: float, flights: float = 1.0, drifts: bool = False
-) -> float:
+def native_floor(evaluations: float, radians: float, flights: float = 0.0) -> float:
     """Return the round-off of a native run, relative to the largest motion.
 
     Parameters
@@ -60,11 +69,9 @@ def native_floor(
     radians : float
         Phase of the fastest motion.
     flights : float
-        How far the fastest grain would come in the whole run, over the largest displacement.
-    drifts : bool
         See `accumulate`.
     """
-    walk = accumulate(evaluations, flights, drifts)
+    walk = accumulate(evaluations, flights)
     return EPSILON * (2 + walk + ROUNDING.phase * radians)
 
 
