@@ -412,7 +412,7 @@ class Chain(AtRest, Checked):
     def excess_energy(
         self, displacement: Array, velocity: Array, wall: Array | None = None
     ) -> Array:
-        """Energy (...) above that of the chain at rest: kinetic, contacts, load and weight, J.
+        """Return the energy above that at rest, (...) J: kinetic, contacts, load and weight.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 

@@ -41,9 +41,9 @@ class Processes(Executor):
     """
 
     def __init__(self, workers: int):
-        self._own = threading.local()
+        self._local = threading.local()
         self._pools: list[ProcessPoolExecutor] = []
-        self._theirs, self._ours = SPAWN.Pipe(duplex=False)
+        self._child_end, self._parent_end = SPAWN.Pipe(duplex=False)
         # its start unblocks Ctrl-C in the thread that asks for it
         resource_tracker.ensure_running()
         # threads that block Ctrl-C start processes that do: only the main process is to answer it
@@ -57,16 +57,16 @@ class Processes(Executor):
         return self._threads.submit(self._run, function, values, named)
 
     def _run(self, function: Callable[..., Any], values: tuple, named: dict[str, Any]) -> Any:
-        pool = getattr(self._own, "pool", None)
+        pool = getattr(self._local, "pool", None)
         if pool is None:
-            pool = ProcessPoolExecutor(1, SPAWN, _end_with, (self._theirs,))
-            self._own.pool = pool
+            pool = ProcessPoolExecutor(1, SPAWN, _end_with, (self._child_end,))
+            self._local.pool = pool
             self._pools.append(pool)
         try:
             return pool.submit(function, *values, **named).result()
         except BrokenExecutor:
             # the pool is broken for good: the next task of this thread starts another
-            self._own.pool = None
+            self._local.pool = None
             self._pools.remove(pool)
             pool.shutdown()
             raise
@@ -79,12 +79,12 @@ class Processes(Executor):
         """End the processes, in the middle of their tasks if futures are to be cancelled."""
         self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
         if cancel_futures:
-            self._ours.close()
+            self._parent_end.close()
         self._threads.shutdown()
         for pool in self._pools:
             pool.shutdown()
-        self._ours.close()
-        self._theirs.close()
+        self._parent_end.close()
+        self._child_end.close()
 
 
 def _end_with(line: Connection) -> None:

@@ -10,14 +10,39 @@ for as long as they do.
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ...scene.scene import Scene
 from ...util.arrays import Array
 
+if TYPE_CHECKING:
+    from ...theory.modes import Modes
+
 # grains up to which all pairs of waves are gone through; analysis/calibration/linear_openings.py
 FEW = 12
+
+
+class PairForces(NamedTuple):
+    """How P pairs of waves force the M modes of a chain.
+
+    Attributes
+    ----------
+    shape : (G, M) array
+        Modes, orthonormal in mass.
+    frequency : (M,) array
+        Of the modes, rad/s.
+    force : (P, M) array
+        Of a pair on a mode, over the root of its mass.
+    detuning : (P, M) array
+        How far the beat of a pair is from the frequency of a mode, rad/s.
+    """
+
+    shape: Array
+    frequency: Array
+    force: Array
+    detuning: Array
 
 
 class Resonance:
@@ -48,53 +73,60 @@ class Resonance:
         driven = self._scene.excitation.driven
         if not driven < chain.movable <= chain.grains <= FEW or chain.exponent == 1 or time <= 0:
             return np.zeros(2)
-        shape, frequency, force, missed = self._answers
-        lasting = np.minimum(time, 2 / np.maximum(missed, 1 / time))
-        squared = (force * lasting / (2 * frequency)) ** 2  # (P, M)
-        return np.sqrt(
-            [(shape**2 @ (squared * power).sum(0)).max() for power in (1.0, frequency**2)]
-        )
+        pairs = self._pairs
+        # an answer grows for as long as beat and mode are in step
+        lasting = np.minimum(time, 2 / np.maximum(pairs.detuning, 1 / time))
+        squared = (pairs.force * lasting / (2 * pairs.frequency)) ** 2
+        powers = (1.0, pairs.frequency**2)
+        return np.sqrt([(pairs.shape**2 @ (squared * power).sum(0)).max() for power in powers])
 
     @cached_property
-    def _answers(self) -> tuple[Array, Array, Array, Array]:
-        """Modes (G, M), frequencies; by pairs (P, M) forces on modes, and by how much they miss."""
+    def _pairs(self) -> PairForces:
+        """The forces of all pairs of waves on all modes."""
         from ...theory.modes import between
 
         chain = self._scene.chain
         contacts = chain.contacts
-        drive = self._scene.drive
         first = self._scene.excitation.driven
         last = chain.movable
-        free = slice(first, last + 1)  # a wall that moves leaves all grains free
+        # a wall that moves leaves all grains free
+        free = slice(first, last + 1)
         modes = between(contacts.stiffness[free], chain.masses[first:last])
-        squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)  # contacts by modes
-        u, v = (modes.shape.T @ (modes.mass * x[first:last]) for x in self._scene.initial())
-        amplitudes = u - 1j * v / modes.frequency
-        waves = squeezed
-        frequencies = modes.frequency
-        if drive:  # it makes a steady motion, and free waves that are its opposite at t = 0
-            omega = 2 * np.pi * drive.frequency
-            pull = contacts.stiffness[first] * drive.amplitude * modes.shape[0]
-            apart = modes.frequency**2 - omega**2
-            # at resonance an answer grows for no longer than the run lasts
-            narrowest = modes.frequency / self._scene.duration
-            steady = pull / np.copysign(np.maximum(np.abs(apart), narrowest), apart)
-            top = drive.amplitude * (np.arange(len(squeezed)) == 0)
-            amplitudes = np.append(amplitudes + 1j * steady * omega / modes.frequency, 1.0)
-            waves = np.column_stack((waves, squeezed @ steady + top))
-            frequencies = np.append(frequencies, omega)
-        waves = waves * np.abs(amplitudes)
+        # by how much a mode squeezes each contact
+        squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)
+        waves, frequencies = self._waves(modes, squeezed)
         overlap = np.where(contacts.pressed, contacts.overlap, np.inf)[free]
         curvature = contacts.stiffness[free] / overlap
-        pairs = (waves[:, :, None] * waves[:, None]).reshape(len(waves), -1).T
+        products = (waves[:, :, None] * waves[:, None]).reshape(len(waves), -1).T
         # each pair comes twice, as (a, b) and (b, a): twice the force, hence the root of 2
         factor = np.sqrt(2) * (chain.exponent - 1) / 4
-        forces = factor * np.abs(pairs @ (curvature[:, None] * squeezed))
+        forces = factor * np.abs(products @ (curvature[:, None] * squeezed))
         beats = [np.abs(np.add.outer(frequencies, sign * frequencies)).ravel() for sign in (1, -1)]
-        missed = np.abs(np.subtract.outer(beats, modes.frequency))
-        return (
-            modes.shape,
-            modes.frequency,
-            np.tile(forces, (2, 1)),
-            missed.reshape(-1, modes.frequency.size),
+        detuning = np.abs(np.subtract.outer(beats, modes.frequency))
+        return PairForces(
+            shape=modes.shape,
+            frequency=modes.frequency,
+            force=np.tile(forces, (2, 1)),
+            detuning=detuning.reshape(-1, modes.frequency.size),
         )
+
+    def _waves(self, modes: Modes, squeezed: Array) -> tuple[Array, Array]:
+        """Return by how much each wave squeezes each contact, and the frequencies of the waves."""
+        drive = self._scene.drive
+        first = self._scene.excitation.driven
+        last = self._scene.chain.movable
+        u, v = (modes.shape.T @ (modes.mass * x[first:last]) for x in self._scene.initial())
+        amplitudes = u - 1j * v / modes.frequency
+        if not drive:
+            return squeezed * np.abs(amplitudes), modes.frequency
+        # a drive makes a steady motion, and free waves that are its opposite at t = 0
+        omega = 2 * np.pi * drive.frequency
+        pull = self._scene.chain.contacts.stiffness[first] * drive.amplitude * modes.shape[0]
+        apart = modes.frequency**2 - omega**2
+        # at resonance an answer grows for no longer than the run lasts
+        narrowest = modes.frequency / self._scene.duration
+        steady = pull / np.copysign(np.maximum(np.abs(apart), narrowest), apart)
+        top = drive.amplitude * (np.arange(len(squeezed)) == 0)
+        amplitudes = np.append(amplitudes + 1j * steady * omega / modes.frequency, 1.0)
+        waves = np.column_stack((squeezed, squeezed @ steady + top))
+        return waves * np.abs(amplitudes), np.append(modes.frequency, omega)
