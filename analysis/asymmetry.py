@@ -13,7 +13,8 @@ from figures import NATIVE, SHADES, THEORY, apart, arguments, finish, legends, p
 import lmpchain
 from lmpchain.theory import continuum, front
 
-DEEPEST, GRAINS = 300, 600
+DEEPEST = 300
+GRAINS = 600
 
 
 def halves(tau: np.ndarray, motion: np.ndarray) -> tuple[float, float, float]:
@@ -32,10 +33,12 @@ def halves(tau: np.ndarray, motion: np.ndarray) -> tuple[float, float, float]:
 
 def predicted(n: int, largest: float) -> tuple[float, float]:
     """Return rise and fall times of the displacement: Airy front, then causal Eq. (35) to half."""
-    chi, width = float(continuum.chi(n - 0.5)), (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)
+    chi = float(continuum.chi(n - 0.5))
+    width = (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)
     tau = chi + np.linspace(-6, 6, 481) * width
     near = front.displacement(n, tau)
-    top, height = tau[near.argmax()], near.max()
+    top = tau[near.argmax()]
+    height = near.max()
     rise = top - np.interp(height / 2, near[: near.argmax()], tau[: near.argmax()])
     end = np.sqrt(chi**2 + (largest / (2 * continuum.impulse_amplitude())) ** -10)
     return rise, end - top
@@ -67,7 +70,8 @@ def main() -> None:
     )
     picture, ((pulse, below), (width, off)) = page(title, 2, width=12)
     for n, shade in zip(shown, SHADES, strict=False):
-        chi, w = float(continuum.chi(n - 0.5)), (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)
+        chi = float(continuum.chi(n - 0.5))
+        w = (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)
         s = (tau - chi) / w
         height = phi[n].max()
         tail = continuum.impulse_response(n - 0.5, tau) / height

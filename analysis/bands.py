@@ -101,7 +101,8 @@ def main() -> None:
     modes = gap_modes(end, cell)
     place = int(modes.participation.argmin())
     w = modes.frequency[place]
-    n, shape = np.arange(1, end.movable + 1), modes.shape[place] / np.abs(modes.shape[place]).max()
+    n = np.arange(1, end.movable + 1)
+    shape = modes.shape[place] / np.abs(modes.shape[place]).max()
     exact = np.sqrt(end.linear_stiffness[0] * (1 / end.masses[0] + 1 / end.masses[1]))
     say("surface mode, frequency over exact", w / exact)
     say("participation of the surface mode", modes.participation[place], "grains")

@@ -22,7 +22,9 @@ PAPER = {
     "Fig. 5, 0.1 g": 57.8,
     "Fig. 1": 84.8,
 }
-DEEPEST, PER_TAU, WINDOW = 1000, 40, 5
+DEEPEST = 1000
+PER_TAU = 40
+WINDOW = 5
 
 
 def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

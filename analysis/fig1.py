@@ -41,7 +41,8 @@ def main() -> None:
         scene = shorter(scene, 50)
     native = lmpchain.simulate(scene, "native", tolerance=1e-8)
     lammps = lmpchain.simulate(scene, "lammps", tolerance=1e-5 if given.quick else 1e-6)
-    unit, strike = 1e3, scene.excitation.velocity
+    unit = 1e3
+    strike = scene.excitation.velocity
 
     title = (
         "Fig. 1: strike of 8.57 mm/s, 120 glass beads.  "
@@ -65,7 +66,8 @@ def main() -> None:
         say(f"pulse at {label}", summit(v), f"grains, highest {v.max() * unit:.3g} mm/s")
         if moment == MOMENTS[1]:
             angle = np.linspace(-np.pi / 2, np.pi / 2, 101)
-            x, shape = angle / np.sqrt(0.4), v.max() * np.cos(angle) ** 4
+            x = angle / np.sqrt(0.4)
+            shape = v.max() * np.cos(angle) ** 4
             wave.plot(
                 summit(v) + x, shape * unit, ls=":", **THEORY, label="Nesterenko's pulse, 89.8 µs"
             )
@@ -84,7 +86,8 @@ def main() -> None:
 
     squeezed = -np.diff(native.displacement, axis=1) / scene.chain.equilibrium_overlap
     contact = np.arange(1, scene.chain.grains)
-    largest, least = np.abs(squeezed).max(0), squeezed.min(0)
+    largest = np.abs(squeezed).max(0)
+    least = squeezed.min(0)
     label = f"largest |Δφ| / ε: {largest[0]:.0f} at contact 1, {largest[24]:.1f} at 25"
     ratio.semilogy(contact, largest, color=SHADES[0], marker="s", ms=3, lw=1, label=label)
     ratio.axhline(10, color="0.5", ls="--", lw=1, label='the paper: "by 10 times"')

@@ -25,7 +25,8 @@ from figures import (
 import lmpchain
 from lmpchain.theory import bessel
 
-GRAINS, MOVED = 100, 50
+GRAINS = 100
+MOVED = 50
 TAU = (1, 5, 10, 12)
 
 
@@ -46,7 +47,8 @@ def main() -> None:
         measured = phi[tau, :-1]
         uniform = bessel.infinite(n, MOVED, tau * np.sqrt(MOVED ** (1 / 3)))
         exact = bessel.finite(kappa(GRAINS), n, MOVED, tau)
-        off, good = distance(uniform, measured), distance(exact, measured)
+        off = distance(uniform, measured)
+        good = distance(exact, measured)
         wave.plot(n, uniform, **PRINTED, label=f"Eq. (6), κ of grain 50: {100 * off:.2g} % off")
         wave.plot(n, exact, **THEORY, label=f"Eq. (19): {good:.0e}")
         wave.plot(n, measured, **NATIVE, label="native, Eq. (1), weak")

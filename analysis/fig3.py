@@ -10,7 +10,8 @@ from figures import THEORY, arguments, end_of_run, finish, legends, page, say, w
 
 from lmpchain.theory import bessel
 
-GRAINS, TAU = 60, 25
+GRAINS = 60
+TAU = 25
 
 
 def main() -> None:

@@ -26,7 +26,8 @@ from scipy.special import jv
 import lmpchain
 from lmpchain.theory import bessel, modes
 
-GRAINS, TAU = 40, 14
+GRAINS = 40
+TAU = 14
 
 
 def as_printed(grains: int, tau: float) -> np.ndarray:
@@ -35,7 +36,8 @@ def as_printed(grains: int, tau: float) -> np.ndarray:
     """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
     linear = modes.eigenmodes(chain)
-    shape, omega = linear.shape * np.sqrt(linear.mass[:, None]), linear.frequency * chain.time_scale
+    shape = linear.shape * np.sqrt(linear.mass[:, None])
+    omega = linear.frequency * chain.time_scale
     root = grains ** (1 / 6)
     j = np.arange(1, int(root * tau) + 60)
     # phi_i of Eq. (21)

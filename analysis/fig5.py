@@ -42,14 +42,16 @@ def main() -> None:
         scene = lmpchain.Scene.from_toml(HERE / "scenes" / file)
         if given.quick:
             scene = shorter(scene, 60)
-        grains, strike = scene.chain.grains, scene.excitation.velocity
+        grains = scene.chain.grains
+        strike = scene.excitation.velocity
         n = np.arange(1, grains)
         linear = bessel.finite(kappa(grains), n, 1, scene.duration / scene.chain.time_scale)
         native, lammps = (
             lmpchain.simulate(scene, engine, tolerance).velocity[-1, :-1] / strike
             for engine, tolerance in (("native", 1e-8), ("lammps", 1e-5 if given.quick else 1e-6))
         )
-        off, engines = distance(linear, native), np.abs(lammps - native).max()
+        off = distance(linear, native)
+        engines = np.abs(lammps - native).max()
         wave.axhline(0, color="0.85", lw=0.8, zorder=0)
         wave.plot(
             n,

@@ -28,7 +28,8 @@ import lmpchain
 from lmpchain.disorder.averages import ensemble
 from lmpchain.theory import bessel, dyson
 
-GRAINS, TAU = 60, 15
+GRAINS = 60
+TAU = 15
 ORDERS = (1, 2, 5, 20, 100)
 
 
@@ -46,7 +47,8 @@ def main() -> None:
         "Corrected: Eq. (22) is no average; that over columns, right"
     )
     picture, ((weighted, below), (wave, noise)) = page(title, 2, width=12)
-    m, coarse = np.geomspace(1, 1e4, 400), np.geomspace(1, 1e4, 25)
+    m = np.geomspace(1, 1e4, 400)
+    coarse = np.geomspace(1, 1e4, 25)
     for style, label, normalised in (
         (PRINTED, "as printed", False),
         (THEORY, "divided by the weights", True),

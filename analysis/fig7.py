@@ -14,7 +14,9 @@ import lmpchain
 from lmpchain.disorder.averages import ensemble
 from lmpchain.theory import bessel, dyson
 
-GRAINS, TAU, SAMPLES = 60, 30, 61
+GRAINS = 60
+TAU = 30
+SAMPLES = 61
 ORDERS = (1, 1.4, 2, 3, 4, 5, 7, 10, 14, 20, 30, 50, 70, 100)
 
 
@@ -25,7 +27,8 @@ def main() -> None:
     scene = weak_scene(GRAINS, TAU, SAMPLES, 1e-7)
     run = lmpchain.simulate(scene, "native", tolerance=1e-9)
     velocity = run.velocity / scene.excitation.velocity
-    tau, n = scene.time / scene.chain.time_scale, np.arange(1, GRAINS + 1)
+    tau = scene.time / scene.chain.time_scale
+    n = np.arange(1, GRAINS + 1)
     linear = np.zeros((SAMPLES, GRAINS))
     linear[:, :-1] = bessel.finite(kappa(GRAINS), n[:-1], 1, tau[:, None])
 

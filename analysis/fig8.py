@@ -24,7 +24,10 @@ from figures import (
 import lmpchain
 from lmpchain.theory import continuum
 
-LAMBDA, TAU, GRAINS, RAMP = 0.5, 200.0, 450, 60.0
+LAMBDA = 0.5
+TAU = 200.0
+GRAINS = 450
+RAMP = 60.0
 OUT_OF_STEP = 0.2  # of a period after the largest drive: upward and downward waves differ there
 
 
@@ -37,8 +40,10 @@ def main() -> None:
     top = complex(continuum.mode(0.5, LAMBDA).conjugate())
 
     def drive(t: float) -> tuple[float, float]:
-        angle, share = np.pi * min(t / RAMP, 1.0), top * np.exp(1j * LAMBDA * t)
-        slowly, faster = (1 - np.cos(angle)) / 2, np.pi / RAMP * np.sin(angle) / 2
+        angle = np.pi * min(t / RAMP, 1.0)
+        share = top * np.exp(1j * LAMBDA * t)
+        slowly = (1 - np.cos(angle)) / 2
+        faster = np.pi / RAMP * np.sin(angle) / 2
         return float(slowly * share.real), float(
             faster * share.real + slowly * (1j * LAMBDA * share).real
         )
@@ -55,11 +60,13 @@ def main() -> None:
     )
     run = lmpchain.simulate(scene, "native", tolerance=1e-6)
 
-    h, n = field.h, np.arange(1, grains + 1)
+    h = field.h
+    n = np.arange(1, grains + 1)
     mode = continuum.mode(h, LAMBDA)
     wave_in, wave_out = ((u * np.exp(1j * LAMBDA * tau)).real for u in (mode, mode.conjugate()))
     near = continuum.chi(h) < tau - RAMP - 30  # beyond, the drive had not reached its amplitude
-    cells_, grains_ = field.displacement[-1], run.displacement[-1] / unit
+    cells_ = field.displacement[-1]
+    grains_ = run.displacement[-1] / unit
     title = (
         "Fig. 8: the top driven at λ = 0.5.  "
         "Corrected: the wave that runs down is $H^{(2)}$, of order ν"

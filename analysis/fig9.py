@@ -24,7 +24,8 @@ from figures import (
 import lmpchain
 from lmpchain.theory import continuum, front
 
-TAU, GRAINS = 100, 280
+TAU = 100
+GRAINS = 280
 
 
 def main() -> None:
@@ -37,7 +38,8 @@ def main() -> None:
     field = continuum.solve([float(tau)], grains, velocity=lambda h: h < 1, cells=3).displacement[
         0, :-1
     ]
-    n, chi = np.arange(1, grains), continuum.chi(np.arange(1, grains) - 0.5)
+    n = np.arange(1, grains)
+    chi = continuum.chi(np.arange(1, grains) - 0.5)
     causal = continuum.impulse_response(n - 0.5, float(tau))
     printed = continuum.peaked(n - 0.5, float(tau), 0.0, continuum.impulse_amplitude(), 0.0)
     close = chi > tau - 20
@@ -48,8 +50,10 @@ def main() -> None:
         "Corrected: causal, nothing moves ahead of the light cone"
     )
     picture, pairs = page(title, 2, width=12)
-    inside, ahead = chi < 0.5 * tau, chi > 1.1 * tau
-    off, wrong = np.abs(chain[inside] / causal[inside] - 1).max(), printed[ahead].min()
+    inside = chi < 0.5 * tau
+    ahead = chi > 1.1 * tau
+    off = np.abs(chain[inside] / causal[inside] - 1).max()
+    wrong = printed[ahead].min()
     fine = np.linspace(0.01, grains, 4000)  # depths h = n - 1/2
     # left: everything; right: the front
     for (wave, below), limits in zip(pairs, ((0, grains), (0.82, 1.18)), strict=True):

@@ -100,7 +100,8 @@ def end_of_run(
     wave, below = pair
     style, tolerance = {"lammps": (LAMMPS, 1e-6), "native": (NATIVE, 1e-12)}[engine]
     run = lmpchain.simulate(scene, engine, tolerance)
-    n, measured = run.grains[:-1], run.displacement[-1, :-1] / unit
+    n = run.grains[:-1]
+    measured = run.displacement[-1, :-1] / unit
     off = distance(measured, exact)
     wave.plot(n, measured, **style)
     apart(below, n, measured, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
@@ -122,7 +123,9 @@ def random_search(
     """Return the least value, its scene, and how many were drawn in so
     many seconds of the processor.
     """
-    rng, best, tried = np.random.default_rng(2), (np.inf, None), 0
+    rng = np.random.default_rng(2)
+    best = (np.inf, None)
+    tried = 0
     end = time.process_time() + seconds
     while time.process_time() < end:
         tried += 1

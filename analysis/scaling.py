@@ -49,7 +49,8 @@ Row = dict[str, Any]
 def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
     """Return a chain of beads that all move, for so many steps, and their length, s."""
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
-    mass, deepest = chain.masses[0], chain.part(grains - 1, grains)
+    mass = chain.masses[0]
+    deepest = chain.part(grains - 1, grains)
     speed = STRENGTH * chain.equilibrium_overlap * np.sqrt(chain.linear_stiffness / mass)
     random = np.random.default_rng(grains).uniform(-1, 1, grains - 1)
     strike = lmpchain.Profile(velocity=np.append(random * speed, 0.0))  # grain N is held
@@ -123,7 +124,9 @@ def measure(quick: bool) -> dict[str, list[Row]]:
     sizes = [10**k for k in range(2, largest + 1)]
     share, runs, chains = (0.01, 1, 50) if quick else (1.0, RUNS, 1000)
     answer(100), many(1, 100, 2)  # compiles before the timing
-    speeds, answers, ensembles = [], [], []
+    speeds = []
+    answers = []
+    ensembles = []
     for _ in range(runs):
         for grains in sizes:
             for name in ENGINES:

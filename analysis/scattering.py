@@ -15,7 +15,8 @@ from lmpchain.theory.scattering import transmission
 from lmpchain.util.plotting import figure
 
 HOST = {"diameter": 1e-3, "material": "steel", "gravity": 0.0, "top_load": 10.0}
-SINGLE, PAIRS = (0.5, 1.5, 2.0), (0.9, 1.1, 1.5)
+SINGLE = (0.5, 1.5, 2.0)
+PAIRS = (0.9, 1.1, 1.5)
 WIDTH = 16.0
 
 
@@ -39,7 +40,8 @@ def passed(
     """
     odd = list(range(300, 300 + count))
     chain = with_odd(ratio, odd, 600)
-    w, k = edge(chain), 2 * np.arcsin(share)
+    w = edge(chain)
+    k = 2 * np.arcsin(share)
     packet = lmpchain.Packet(
         frequency=share * w / (2 * np.pi),
         width=WIDTH,

@@ -28,7 +28,8 @@ def behind_a_strike(engine: str, tolerance: float) -> tuple[np.ndarray, np.ndarr
         chain=chain, excitation=strike, duration=80 * unit, samples=801, grains=[60]
     )
     run = lmpchain.simulate(scene, engine, tolerance)
-    v, top = run.velocity[:, 0], int(run.velocity[:, 0].argmax())
+    v = run.velocity[:, 0]
+    top = int(run.velocity[:, 0].argmax())
     a, b, c = v[top - 1 : top + 2]
     peak = top + 0.5 * (a - c) / (a - 2 * b + c)
     wave = soliton.solve(velocity=float(b - (a - c) ** 2 / 8 / (a - 2 * b + c)))

@@ -47,7 +47,8 @@ def main() -> None:
         parser.error(f"no map is called {unknown[0]}; there are {', '.join(MAPS)}")
     folder = given.output or (Path() if given.quick else HERE / "pictures")
     for name in given.maps or MAPS:
-        module, kept = import_module(f"maps.{name}"), folder / f"stability_{name}.json"
+        module = import_module(f"maps.{name}")
+        kept = folder / f"stability_{name}.json"
         if given.draw:
             numbers = json.loads(kept.read_text(encoding="utf-8"))
         else:

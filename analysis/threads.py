@@ -44,7 +44,8 @@ def run(
     """Return how long the integration of a scene takes, s, its grain-steps,
     and where the grains are then.
     """
-    method, schedule = METHODS[name], StepSchedule(steps, 1, scene.duration / steps, adaptive)
+    method = METHODS[name]
+    schedule = StepSchedule(steps, 1, scene.duration / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {}, threads)
     u, v = np.zeros((2, 1, 2, scene.chain.grains))
     began = time.perf_counter()

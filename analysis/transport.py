@@ -16,7 +16,8 @@ from lmpchain.theory import continuum, front
 
 DELTAS = (1.0, 1.25, 1.5, 2.0, 2.5)
 FURTHER = (1.1, 1.35, 1.7, 1.85)  # for the exponents alone
-DEEPEST, PER_TAU = 1000, 5
+DEEPEST = 1000
+PER_TAU = 5
 NEXT = 0.34  # of the next order, for Hertz
 
 
@@ -37,7 +38,8 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
     over the energy of the strike.
     """
     now = run.time <= until
-    chain, at = run.scene.chain, int(np.searchsorted(run.grains, grain))
+    chain = run.scene.chain
+    at = int(np.searchsorted(run.grains, grain))
     force = chain.linear_stiffness[grain - 1] * (
         run.displacement[now, at] - run.displacement[now, at + 1]
     )
@@ -49,7 +51,8 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
     """Return the same by `theory.front` for a downward wave: 2 sqrt(kappa)
     times the integral of v^2.
     """
-    n, xi = 100, 1 - 1 / delta
+    n = 100
+    xi = 1 - 1 / delta
     peak = float(front.peak_time(n, delta))
     at = peak + np.linspace(-12, 6, 601) * n ** (1 / 3 - xi / 2)
     v = front.velocity(n, at, delta)
@@ -82,8 +85,10 @@ def main() -> None:
         shade = SHADES[deltas.index(delta)]
         unit = run.scene.chain.time_scale
         rows = np.searchsorted(passed.grain, depths)
-        v, t = passed.amplitude[rows] / run.scene.excitation.velocity, passed.time[rows] / unit
-        theory_v, theory_t = front.peak_velocity(depths, delta), front.peak_time(depths, delta)
+        v = passed.amplitude[rows] / run.scene.excitation.velocity
+        t = passed.time[rows] / unit
+        theory_v = front.peak_velocity(depths, delta)
+        theory_t = front.peak_time(depths, delta)
         behind = [
             run.time[(run.time > at) & (run.velocity[:, np.searchsorted(run.grains, n)] <= 0)][0]
             for n, at in zip(depths, passed.time[rows], strict=True)

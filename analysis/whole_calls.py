@@ -60,7 +60,8 @@ def rate_of(law: Callable[[float], float]) -> Callable[..., None]:
 
     @numba.njit(fastmath=True)
     def rate(y, dy, strength, length):  # type: ignore[no-untyped-def]
-        grains, above = y.size // 2, 0.0
+        grains = y.size // 2
+        above = 0.0
         for n in range(grains):  # all but the last, which is held
             below = y[n + 1] if n + 1 < grains else 0.0
             push = strength[n] * law(max((y[n] - below) * length[n], -1.0))
@@ -77,7 +78,9 @@ def column(velocity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Lengths are in units of `velocity` times `UNIT`, times in `UNIT`.
     """
-    grains, d, g = 120, 1e-3, 9.81
+    grains = 120
+    d = 1e-3
+    g = 9.81
     mass = 2426 * np.pi / 6 * d**3
     constant = 62e9 / (1 - 0.2**2) * np.sqrt(d) / 3
     force = mass * g * np.arange(1, grains)
@@ -131,7 +134,8 @@ def numbalsoda_calls(law: Callable[[float], float]) -> Call:
             values[count:],
         )
 
-    address, times = slope.address, np.linspace(0.0, 1e-4, 101) / UNIT
+    address = slope.address
+    times = np.linspace(0.0, 1e-4, 101) / UNIT
 
     def call(velocity: float, tolerance: float) -> Solution:
         start, strength, length = column(velocity)

@@ -70,9 +70,11 @@ def length(
     """
     shipped = getattr(OPENING_STEPS, field)
     usual = {name: looks(cases, name) for name in methods}
-    costs, low = {}, {}
+    costs = {}
+    low = {}
     for value in sorted({*values, shipped}):
-        works, ratios = [], []
+        works = []
+        ratios = []
         with changed(OPENING_STEPS, **{field: value}):
             for name in methods:
                 found = looks(cases, name)
@@ -99,7 +101,8 @@ def least(cases: list[Case], factors: tuple[float, ...]) -> Row:
     """
     engine = Native("kahan-li8")
     shipped = OPENING_STEPS.least_crossing
-    steps, errors = {}, {}
+    steps = {}
+    errors = {}
     for value in (shipped * factor for factor in factors):
         runs = []
         with changed(OPENING_STEPS, least_crossing=value):

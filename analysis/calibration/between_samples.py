@@ -37,7 +37,8 @@ FRACTION = 0.5
 
 def trials(count: int, seed: int) -> Iterator[tuple[Trajectory, Trajectory]]:
     """Yield trajectories with many samples, and the same with few."""
-    rng, found = np.random.default_rng(seed), 0
+    rng = np.random.default_rng(seed)
+    found = 0
     while found < count:
         scene = draw(rng, grains=(2, 3, 5, 12, 30), spans=(2.0, 20.0))
         swift = scene.highest_frequency * scene.duration
@@ -59,7 +60,8 @@ def thin_rows(trajectory: Trajectory, every: int) -> Trajectory:
     """Return a trajectory with every so manieth of its samples."""
     time = trajectory.time[::every]
     scene = Scene(**trajectory.scene.given() | {"samples": time.size})
-    u, v = trajectory.displacement[::every], trajectory.velocity[::every]
+    u = trajectory.displacement[::every]
+    v = trajectory.velocity[::every]
     return replace(trajectory, scene=scene, time=time, displacement=u, velocity=v)
 
 
@@ -82,7 +84,8 @@ def read_off(t: Trajectory, equation: int = 1) -> dict[str, tuple[np.ndarray, np
 
 def ratios(many: Trajectory, few: Trajectory, equation: int = 1) -> dict[str, float]:
     """Return the largest true error over the claimed one of every quantity."""
-    true, seen = read_off(many, equation=1), read_off(few, equation)
+    true = read_off(many, equation=1)
+    seen = read_off(few, equation)
     worst = {}
     for name, (value, claimed) in seen.items():
         size = np.abs(true[name][0])
@@ -100,11 +103,13 @@ def main(quick: bool) -> list[Row]:
         ("RESOLVED", motion, 1, (1.0, 2.0, 3.0, 4.0, 6.0)),
         ("RESOLVED_BY_DIFFERENCES", motion, 0, (0.4, 0.7, 1.0, 1.5, 2.5)),
     ):
-        shipped, holds = float(getattr(module, name)), []
+        shipped = float(getattr(module, name))
+        holds = []
         for value in values:
             with mock.patch.object(module, name, value):
                 worst = np.array([max(ratios(*pair, equation).values()) for pair in pairs])
-            low, above = (worst > 1).mean(), worst.max()
+            low = (worst > 1).mean()
+            above = worst.max()
             says = f"{value:g}: {100 * low:.2g} % above 1, worst {above:.2g}"
             holds.append((value, low <= 0.01 and above <= 3, says))
         good = [value for value, fine, _ in holds if fine]

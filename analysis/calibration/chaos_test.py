@@ -91,7 +91,8 @@ def main(quick: bool = False) -> list[Row]:
     says = f"in {len(can)} scenes that can be answered"
     lost = f"95 % of {len(can)} that can be answered stay below, {given_up} are given up; "
     lost += f"half of {len(cannot)} others come to {hopeless:.2g}"
-    attempts, enough = max(needed), quantile(stalls, 0.95)
+    attempts = max(needed)
+    enough = quantile(stalls, 0.95)
     return [
         Row(label(PATIENCE, "attempts"), PATIENCE.attempts, attempts, attempts, PATIENT, says),
         Row(label(PATIENCE, "stalls"), PATIENCE.stalls, enough, enough, max(stalls) + 2, says),

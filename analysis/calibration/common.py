@@ -25,7 +25,8 @@ from lmpchain.errors import RunFailed, ToleranceNotMet
 from lmpchain.util.provenance import processor
 from lmpchain.util.tables import align
 
-NINE_IN_TEN, ALL_BUT_ONE = 0.9, 0.99
+NINE_IN_TEN = 0.9
+ALL_BUT_ONE = 0.99
 
 
 class Row(NamedTuple):

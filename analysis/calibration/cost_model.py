@@ -72,7 +72,8 @@ def _stepping(
     engine: Engine, sizes: tuple[int, ...], most: float, repeats: int
 ) -> tuple[float, float]:
     """Return seconds a grain and force evaluation, with companions, and the overhead in grains."""
-    features, times = [], []
+    features = []
+    times = []
     for grains in sizes:
         for periods in (2.0, most / grains + 2.0):
             scene = shaken(grains, periods)
@@ -118,10 +119,14 @@ def _features(name: str, scene: Scene) -> tuple[float, ...]:
 
 def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
     """Return the rows of the literals of `work`, and one of how well shipped ones tell times."""
-    rng, features, times, told = np.random.default_rng(81), [], [], []
+    rng = np.random.default_rng(81)
+    features = []
+    times = []
+    told = []
     most = 600 if engine.name == "modes" and not quick else 200 if engine.name == "modes" else 3000
     for _ in range(25 if quick else 120):
-        grains, periods = int(10 ** rng.uniform(0.5, math.log10(most))), 10 ** rng.uniform(0.5, 3)
+        grains = int(10 ** rng.uniform(0.5, math.log10(most)))
+        periods = 10 ** rng.uniform(0.5, 3)
         samples = int(10 ** rng.uniform(0.5, 3))
         scene = struck(grains, periods, samples)
 
@@ -133,7 +138,8 @@ def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
         features.append(_features(engine.name, scene))
         times.append(best(run, 3))
         told.append(engine.work(scene))
-    table, measured = np.array(features, dtype=float), np.array(times)
+    table = np.array(features, dtype=float)
+    measured = np.array(times)
     scaled = table / np.array(told)[:, None]
     own = np.linalg.lstsq(scaled / scaled.max(0), np.ones(len(told)), rcond=None)[0] / scaled.max(0)
     here = _fitted(table, np.maximum(measured - engine.start_up_s / 2, 1e-5), own)
@@ -217,7 +223,8 @@ def main(quick: bool = False) -> list[Row]:
 
 def _formula(quick: bool) -> Row:
     """Return the row of the closed forms: seconds a value."""
-    engine, scene = Bessel(), struck(300, 50.0, 31 if quick else 101)
+    engine = Bessel()
+    scene = struck(300, 50.0, 31 if quick else 101)
     shipped = (engine.work(scene) - Chebyshev().work(scene)) / (scene.samples * scene.chain.grains)
     took = best(lambda: engine.wave(scene, scene.time), 3) / (scene.samples * scene.chain.grains)
     return supported(

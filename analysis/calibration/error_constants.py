@@ -25,10 +25,8 @@ from lmpchain.engines.native import Native
 from lmpchain.integrators.methods import METHODS
 
 # times round-off, and largest error, between which an error falls with the order
-CLEAR, LARGEST = (
-    300.0,
-    3e-3,
-)
+CLEAR = 300.0
+LARGEST = 3e-3
 REACHES = 2.0 ** -np.arange(-2.0, 6.0)  # omega h
 
 
@@ -40,17 +38,17 @@ def paper(velocity: float, gravity: float) -> Scene:
 
 def constants(case: Case, name: str) -> list[float]:
     """Return error / (omega h)^order at omega T = 60, for steps at which that is clear."""
-    method, scene, found = METHODS[name], case.scene, []
+    method = METHODS[name]
+    scene = case.scene
+    found = []
     engine = Native(name, adaptive=False)
     proposed = engine.candidate(scene, 1e-3)
     for reach in REACHES[0.45 * method.stability_limit > REACHES]:
         run = answer(engine, scene, with_reach(scene, proposed, reach))
         if run is None:
             continue
-        error, floor = (
-            case.error(run.motion),
-            1e-16 * (2 + math.sqrt(run.evaluations)) + case.reference.error,
-        )
+        error = case.error(run.motion)
+        floor = 1e-16 * (2 + math.sqrt(run.evaluations)) + case.reference.error
         if CLEAR * floor < error < LARGEST:
             h = run.candidate.step * scene.highest_frequency
             found.append(

@@ -25,11 +25,9 @@ from lmpchain.measure.fit.solitary import SOLITARY
 from lmpchain.theory import soliton
 
 # of the chain; where the middle of a wave is at first and at last
-GRAINS, START, END = (
-    80,
-    20.0,
-    60.0,
-)
+GRAINS = 80
+START = 20.0
+END = 60.0
 TOO_LITTLE = 0.01  # relative error of peak velocities
 DEPTHS = slice(1, 60)
 
@@ -79,7 +77,8 @@ def solitary_waves(quick: bool) -> list[tuple[float, float]]:
 
 def _unit(chain: Chain) -> float:
     """Return what 1 is of speeds in the sonic vacuum, grains/s."""
-    delta, rate = chain.exponent, chain.contact_constants[0] / chain.masses[0]
+    delta = chain.exponent
+    rate = chain.contact_constants[0] / chain.masses[0]
     return float(rate ** (1 / (delta + 1)))
 
 
@@ -101,7 +100,8 @@ def other_waves(quick: bool) -> list[float]:
 
 def weak(quick: bool) -> Row:
     """Return the row of WEAK_STRIKE."""
-    chain, errors = Chain(grains=120, diameter=1e-3), {}
+    chain = Chain(grains=120, diameter=1e-3)
+    errors = {}
     for number in np.geomspace(0.05, 2.0, 5 if quick else 17):
         strike = Impulse(velocity=float(number) * chain.length_scale / chain.time_scale)
         scene = Scene(chain=chain, excitation=strike, duration=2e-4, samples=2001)
@@ -131,7 +131,8 @@ def weak(quick: bool) -> Row:
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    waves, others = solitary_waves(quick), other_waves(quick)
+    waves = solitary_waves(quick)
+    others = other_waves(quick)
     rows = []
     for name, column in (("SOLITARY (height)", 0), ("SOLITARY (speed, width)", 1)):
         low = max(one[column] for one in waves)

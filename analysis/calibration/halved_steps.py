@@ -31,7 +31,8 @@ METHODS = ("verlet", "rkn4", "rkn6", "kahan-li8")
 CHANGE = 1e-5  # relative, of differences of Taylor series
 KNOWN = 1e-6, 0.3  # errors of gradients, between which they are known and obey an order
 COARSE = (1.6, 1.2, 0.8, 0.6)  # omega h of the orbits whose error is to be found
-MARGIN, LOOSE = 1.5, 10.0
+MARGIN = 1.5
+LOOSE = 10.0
 
 
 def momentum(scene: Scene) -> float:
@@ -46,7 +47,8 @@ def true_gradients(scene: Scene) -> dict[str, np.ndarray]:
     for name, values in (("masses", scene.chain.masses), ("velocity", v)):
         slopes = np.zeros(values.size)
         for k in range(scene.chain.movable if values.any() else 0):
-            size, ends = CHANGE * np.abs(values).max(), []
+            size = CHANGE * np.abs(values).max()
+            ends = []
             for sign in (1.0, -1.0):
                 moved = values.copy()
                 moved[k] += sign * size
@@ -63,7 +65,8 @@ def true_gradients(scene: Scene) -> dict[str, np.ndarray]:
 
 def needed(scene: Scene) -> list[float]:
     """Return the factors that claimed errors of gradients of a scene would need."""
-    true, factors = true_gradients(scene), []
+    true = true_gradients(scene)
+    factors = []
     for name in METHODS:
         for reach in REACHES:
             if 2 * reach > SPLITTINGS[name].stability_limit:
@@ -103,14 +106,16 @@ def of_gradients(count: int) -> list[float]:
 
 def of_orbits(count: int) -> list[float]:
     """Return the factors that nonlinear normal modes of random chains need."""
-    rng, factors = np.random.default_rng(173), []
+    rng = np.random.default_rng(173)
+    factors = []
     for _ in range(count):
         grains = int(rng.choice([2, 3, 5, 8]))
         diameter = 1e-3 * rng.uniform(0.8, 1.25, grains)
         load = 10 ** rng.uniform(-2, 1)
         chain = Chain(grains=grains, diameter=diameter, gravity=0.0, top_load=load)
         rest = load * float(chain.equilibrium_overlap[0])
-        mode, energy = int(rng.integers(1, chain.movable + 1)), rest * 10 ** rng.uniform(-3, 0.7)
+        mode = int(rng.integers(1, chain.movable + 1))
+        energy = rest * 10 ** rng.uniform(-3, 0.7)
         try:
             true = normal_mode(chain, mode, energy)
         except LmpchainError:
@@ -136,7 +141,9 @@ def of_orbits(count: int) -> list[float]:
 
 def row(name: str, shipped: float, factors: list[float], what: str) -> Row:
     """Return the row of a factor."""
-    middle, low, most = quantile(factors, 0.5), quantile(factors, ALL_BUT_ONE), max(factors)
+    middle = quantile(factors, 0.5)
+    low = quantile(factors, ALL_BUT_ONE)
+    most = max(factors)
     enough = 100 * np.mean(np.array(factors) <= shipped)
     says = (
         f"{enough:.1f} % of {len(factors)} {what} are bounds; half need {middle:.2g}, 99 % "

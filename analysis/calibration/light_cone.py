@@ -48,10 +48,13 @@ def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:
 
 def _cut(engine: Engine, quick: bool) -> Row:
     """Return the row of CUT.share of the light cone for one engine."""
-    repeats, ratios, periods = (3 if quick else 9), {}, 20.0
+    repeats = 3 if quick else 9
+    ratios = {}
+    periods = 20.0
     needed = struck(3000, periods).reached.chain.grains
     for part in (0.3, 0.7, 0.97) if quick else (0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97):
-        scene, times = struck(math.ceil(needed / part), periods), []
+        scene = struck(math.ceil(needed / part), periods)
+        times = []
         for worth in (1.1, 0.0):  # always, and never
             with mock.patch.object(light_cone, "CUT", dataclasses.replace(CUT, share=worth)):
                 run = partial(fresh, engine, scene)
@@ -85,7 +88,8 @@ def _short(quick: bool) -> Row:
 
     Time with the window over that without, by the number of bodies.
     """
-    ratios, repeats = {}, 5 if quick else 25
+    ratios = {}
+    repeats = 5 if quick else 25
     for bodies in (4, 8, 11, 14, 20, 30, 60):
         scene = struck(max(2, bodies * PAD - 2 * PAD), 12.0)
         candidate = Native().candidate(scene, 1e-6)

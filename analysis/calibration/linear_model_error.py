@@ -107,7 +107,8 @@ def _strays(x: Held) -> Need:
 
 def _factor(name: str, shipped: float, needs: list[Need]) -> Row:
     """Return the row of a factor: fitted on every other scene, held to the rest."""
-    fitted, other = needs[::2], needs[1::2]
+    fitted = needs[::2]
+    other = needs[1::2]
     enough = sum(need.beside <= shipped for need in other)
     return Row(
         name,
@@ -125,7 +126,8 @@ def _bounds(found: list[Held], trains: list[Held]) -> list[Row]:
         factor = getattr(FACTORS, name)
         parts = []
         for x in asking:
-            scattered, steepened = x.found.scattered, x.found.steepens / FACTORS.steepens
+            scattered = x.found.scattered
+            steepened = x.found.steepens / FACTORS.steepens
             unit, instead = (
                 (scattered, x.found.steepens)
                 if name == "doubt"

@@ -32,7 +32,8 @@ from lmpchain.errors import InputError
 
 FINER = 16  # evaluations over those of a look
 # lowest strains, between which a look begins to say that a contact opens
-AROUND, BISECTIONS = (0.96, 1.04), 10
+AROUND = (0.96, 1.04)
+BISECTIONS = 10
 ALL = {"kinds": ("gravity", "load"), "driven": 0.0, "grains": (2, 3, 5, 12)}
 
 
@@ -73,7 +74,9 @@ def _open(scenes: list[Scene]) -> Row:
             parts.append(seen(scene))
         except InputError:  # so strong that a law does not hold
             continue
-    least, one, half = min(parts), quantile(parts, 0.01), quantile(parts, 0.5)
+    least = min(parts)
+    one = quantile(parts, 0.01)
+    half = quantile(parts, 0.5)
     says = (
         f"lowest strain that a look sees over the true one, {len(parts)} scenes: half {half:.4f}, "
         f"1 % {one:.4f}"

@@ -61,7 +61,9 @@ def errors(case: Case, passed: int) -> tuple[float, float, float] | None:
 
 def samples(cases: list[Case]) -> Iterator[Row]:
     """Yield the rows of how far off samples between steps are."""
-    steep, slopes, digits = [], [], []
+    steep = []
+    slopes = []
+    digits = []
     for case in cases:
         found = [each for passed in (3, 8, 25, 50, 75) if (each := errors(case, passed))]
         digits += [ROUNDING.interpolated * law for reach, _, law in found if reach < 0.03]

@@ -83,7 +83,8 @@ def _safe_strain(quick: bool) -> Row:
         run = answer(engine, scene, with_reach(scene, candidate, 0.5)) if candidate else None
         if run and run.lowest <= OPENINGS.near:
             strains.append(scene.largest_strain)
-    low, tenth = min(strains, default=math.nan), quantile(strains, 0.1)
+    low = min(strains, default=math.nan)
+    tenth = quantile(strains, 0.1)
     says = (
         f"bounds on the strain of {len(strains)} scenes that come near: least, one in ten "
         f"{tenth:.2g}"

@@ -72,7 +72,8 @@ def shipped() -> tuple[float, float]:
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    rng, most_scale = np.random.default_rng(71), shipped()
+    rng = np.random.default_rng(71)
+    most_scale = shipped()
     sizes = (6, 12, 36) if quick else (6, 8, 10, 14, 20, 28, 40)
     found = []
     for grains in sizes:
@@ -167,7 +168,8 @@ def _end(name: str, shipped: float, values: tuple[float, ...], scenes: object, u
 
 def _solitary() -> list[Row]:
     """Return the rows of the solitary wave, in an unloaded chain of 80 grains struck at one end."""
-    grains, velocity = (60, 70), 0.01
+    grains = (60, 70)
+    velocity = 0.01
     chain = Chain(grains=100, diameter=1e-3, gravity=0.0, bottom="free")
     gamma = float(chain.contact_constants[0] / chain.masses[0])
     guess = gamma**0.4 * velocity**0.2  # grains a second, nearly
@@ -180,7 +182,8 @@ def _solitary() -> list[Row]:
     )
     run = simulate(scene, Native(), 1e-10)
     peaks = [_peak(run.time, run.velocity[:, column]) for column in (0, 1)]
-    speed, height = (grains[1] - grains[0]) / (peaks[1][0] - peaks[0][0]), peaks[1][1] / velocity
+    speed = (grains[1] - grains[0]) / (peaks[1][0] - peaks[0][0])
+    height = peaks[1][1] / velocity
     # reflection_time = 2 N / (a gamma^0.4 (b v)^0.2): only a b^0.2 is seen from outside
     short = Chain(grains=10, diameter=1e-3)
     here = Scene(chain=short, excitation=Impulse(velocity=velocity), duration=1e-4, samples=2)

@@ -26,7 +26,8 @@ FACTOR = 3.0  # within which a time is supported: machines differ
 
 def solved(scene: Scene) -> tuple[int, float, float, float]:
     """Return the steps of the reference, their mean length, the grains in one, and the time, s."""
-    motion, seen = _Motion(scene), []
+    motion = _Motion(scene)
+    seen = []
     own = _Motion._step
 
     def counted(self: _Motion, x: np.ndarray, *others: object) -> object:
@@ -52,7 +53,10 @@ def main(quick: bool = False) -> list[Row]:
         driven=0.0,
     )
     strong = drawn(count, 96, lambda s: s.strike_number >= 1, strength=(0.0, 3.0), driven=0.0)
-    rows, features, times, told = [], [], [], []
+    rows = []
+    features = []
+    times = []
+    told = []
     for name, shipped, scenes in (
         ("COST.smooth", COST.smooth, weak),
         ("COST.broken", COST.broken, strong),

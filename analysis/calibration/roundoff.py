@@ -109,8 +109,10 @@ def _flight(count: int) -> Row:
 
     The sum of their displacements is that of one at t = 0.
     """
-    lost, rng = [], np.random.default_rng(61)
-    chain, steps = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free"), 10**5
+    lost = []
+    rng = np.random.default_rng(61)
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free")
+    steps = 10**5
     for name in ("verlet", "gear4", "rkn4", "rkn6"):
         for speed in 10 ** rng.uniform(-3, 0, count):
             stiff = chain.contact_constants[0] / (chain.masses[0] * speed**2)
@@ -155,7 +157,8 @@ def _bursts(count: int) -> Row:
 
     What rounding makes of tone bursts in eigenmodes, less the rest.
     """
-    rng, losses = np.random.default_rng(60), []
+    rng = np.random.default_rng(60)
+    losses = []
     while len(losses) < count:
         chain = Chain(
             grains=int(rng.choice([3, 5, 12, 30])), diameter=1e-3, gravity=9.81, exponent=1.0
@@ -183,7 +186,8 @@ def _bursts(count: int) -> Row:
 
 def _plain(count: int) -> list[Row]:
     """Return the rows of ROUNDING.plain and STRONG: what the plain form of the force loses."""
-    lost, strong = [], []
+    lost = []
+    strong = []
     ranges = {"kinds": ("gravity", "load"), "exponents": (1.5,)}
     for scene in gentle(count, 52, strength=(-4.0, -1.0), **ranges):
         if force_form(scene, "plain") not in ROOTS:
@@ -230,7 +234,8 @@ def _headroom(count: int) -> Row:
     """
     needed = []
     for scene in gentle(count, 55, strength=(-2.0, 3.0), kinds=("gravity", "load", "vacuum")):
-        part, engine = Scene(**scene.given() | {"samples": 201}), Native()
+        part = Scene(**scene.given() | {"samples": 201})
+        engine = Native()
         try:
             run = simulate(part, engine, 1e-6)
         except ToleranceNotMet:
@@ -253,7 +258,8 @@ def _linear(count: int) -> list[Row]:
             count, 56, kinds=("gravity", "load"), exponents=(1.0,), strength=(-3.0, 0.0)
         )
     ]
-    rows, engines = [], (Modes(), Chebyshev())
+    rows = []
+    engines = (Modes(), Chebyshev())
     for engine in engines:
         ratios = []
         for case in scenes:

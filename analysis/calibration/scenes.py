@@ -47,7 +47,8 @@ def drawn(
     count: int, seed: int, keep: Callable[[Scene], bool] = lambda scene: True, **ranges: object
 ) -> list[Scene]:
     """Draw so many scenes that are to be kept."""
-    rng, found = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    found = []
     while len(found) < count:
         scene = draw(rng, **ranges)  # type: ignore[arg-type]
         if keep(scene):
@@ -57,7 +58,8 @@ def drawn(
 
 def trains(count: int, seed: int) -> list[Scene]:
     """Return long uniform chains in which a packet or a driven wave makes two passages at most."""
-    rng, found = np.random.default_rng(seed), list[Scene]()
+    rng = np.random.default_rng(seed)
+    found = list[Scene]()
     while len(found) < count:
         try:
             found.append(_train(rng, packet=len(found) % 2 == 0))
@@ -74,7 +76,8 @@ def _train(rng: np.random.Generator, packet: bool) -> Scene:
         top_load=10 ** rng.uniform(-2, 1),
         exponent=rng.choice((1.1, 1.5, 2.0, 3.0)),
     )
-    hop, ratio = np.sqrt(chain.linear_stiffness[0] / chain.masses[0]), 10 ** rng.uniform(-1.5, -0.1)
+    hop = np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
+    ratio = 10 ** rng.uniform(-1.5, -0.1)
     height = 10 ** rng.uniform(-5, -2.5) * chain.equilibrium_overlap[0] / (2 * ratio)
     wave: dict[str, float] = {"frequency": ratio * hop / np.pi, "amplitude": height}
     width = rng.uniform(0.3, 1.0) * chain.grains / 13
@@ -107,9 +110,11 @@ def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, f
     """
     if chain.compressed:
         contact = min(grain, chain.grains - 1) - 1
-        stiffness, mass = chain.linear_stiffness[contact], chain.masses[contact]
+        stiffness = chain.linear_stiffness[contact]
+        mass = chain.masses[contact]
         return float(chain.equilibrium_overlap[contact]), float(np.sqrt(stiffness / mass))
-    speed, delta = 10 ** rng.uniform(-4, -0.5), chain.exponent
+    speed = 10 ** rng.uniform(-4, -0.5)
+    delta = chain.exponent
     length = (chain.masses.mean() * speed**2 / chain.contact_constants.mean()) ** (1 / (delta + 1))
     return float(length), float(speed / length)
 

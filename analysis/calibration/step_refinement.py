@@ -37,7 +37,8 @@ def main(quick: bool = False) -> list[Row]:
     weak = {"strength": (-4.0, -0.3), "spans": (5.0, 30.0)}
     calm = drawn(count, 21, lambda s: s.largest_strain < 0.3, **weak)
     hard = drawn(count, 22, lambda s: s.largest_strain > 1, strength=(0.0, 3.0))
-    high, tight = ("rkn4", "rkn6"), (1e-4, 1e-7, 1e-10)
+    high = ("rkn4", "rkn6")
+    tight = (1e-4, 1e-7, 1e-10)
     off = jobs([*calm, *hard], high, tight, 3.0)
     near = jobs(calm, ("verlet",), (1e-2, 1e-3), 1.2) + jobs([*calm, *hard], high, tight, 1.1)
     far = jobs([*calm, *hard], high, (1e-6, 1e-8, 1e-10), 40.0)

@@ -26,7 +26,8 @@ SHARES = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 SHAPES = (1.0, 3.0, 10.0)
 FREQUENCIES = np.array([0.1, 0.3, 0.7, 1.2])  # over the band edge of the mean chain
 CHAINS = 16
-HARDLY, NEARLY = 0.5, 1.1
+HARDLY = 0.5
+NEARLY = 1.1
 
 
 def main(quick: bool = False) -> list[Row]:
@@ -35,7 +36,8 @@ def main(quick: bool = False) -> list[Row]:
     biases: dict[float, list[float]] = {share: [] for share in SHARES}
     scatters: dict[float, list[float]] = {share: [] for share in SHARES}
     for shape in SHAPES:
-        ratios, frequency = gamma(shape, scale=1 / shape), 2 * FREQUENCIES
+        ratios = gamma(shape, scale=1 / shape)
+        frequency = 2 * FREQUENCIES
         states = dyson.integrated(frequency, shape, shape)
         growth = lyapunov(
             frequency, ratios=ratios, grains=100 * lengths[-1], chains=chains // 50, seed=1

@@ -49,7 +49,8 @@ SCENE = Scene(
 )
 LOW = np.full(BEADS, SIZE)
 HIGH = np.full(BEADS, SIZE)
-LOW[PIECE], HIGH[PIECE] = 0.8 * SIZE, 1.8 * SIZE
+LOW[PIECE] = 0.8 * SIZE
+HIGH[PIECE] = 1.8 * SIZE
 PRECISION = 0.1  # of the delay, in UNIT: what matters as much as all of the peak
 
 
@@ -61,7 +62,10 @@ class Late:
     dense = True
 
     def __init__(self, arrival: ArrivalTime, peak: PeakForce, at: float, rise: float):
-        self.arrival, self.peak, self.at, self.rise = arrival, peak, at, rise
+        self.arrival = arrival
+        self.peak = peak
+        self.at = at
+        self.rise = rise
 
     def grains(self, scene: Scene) -> list[int]:
         """Return the beads of both."""

@@ -61,7 +61,8 @@ class Way:
         u, v = packet.initial(PLAIN)
         q = 2 * np.pi * np.fft.rfftfreq(FINE)[1:-1]
         self.weight = np.abs(np.fft.rfft(v, FINE)[1:-1]) ** 2
-        self.frequency, self.weight = EDGE * np.sin(q / 2), self.weight / self.weight.sum()
+        self.frequency = EDGE * np.sin(q / 2)
+        self.weight = self.weight / self.weight.sum()
         speed = EDGE / 2 * np.sqrt(1 - share**2)
         self.scene = Scene(
             chain=PLAIN,
@@ -100,7 +101,8 @@ def main() -> None:
     history = []
 
     def value(factors: np.ndarray) -> tuple[float, np.ndarray]:
-        (low, by_low), (high, by_high) = stop.passed(factors), through.passed(factors)
+        (low, by_low) = stop.passed(factors)
+        (high, by_high) = through.passed(factors)
         history.append((low, high))
         return low - high, by_low - by_high
 

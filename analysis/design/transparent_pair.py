@@ -47,7 +47,8 @@ def main() -> None:
     low = masses.copy()
     high = masses.copy()
     for n in PAIR:
-        low[n - 1], high[n - 1] = 1.35 * m, 3 * m
+        low[n - 1] = 1.35 * m
+        high[n - 1] = 3 * m
     back = KineticEnergy(list(range(1, PAIR[0])))
     runs = 8 if given.quick else 60
     found = optimise(

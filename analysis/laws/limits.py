@@ -50,7 +50,8 @@ def springs_error(grains: int, excess: ArrayLike) -> Array:
     The exponent of the column is 1 + excess.
     To first order in the excess: Eq. (19) with ``kappa_n = n^excess``.
     """
-    n, small = np.arange(1, grains), 1e-6
+    n = np.arange(1, grains)
+    small = 1e-6
     springs, near = (bessel.finite(n**power, n, 1, TAU) for power in (0.0, small))
     return np.asarray(excess) * np.abs(near - springs).max() / np.abs(springs).max() / small
 
@@ -63,7 +64,8 @@ def period(scene: Scene) -> float:
     bounces on the one below, or flies, at large ones. Stretches end where a contact opens, and
     ``x = turn (1 - s^2)`` takes the root away at the turning points; right to some 1e-12.
     """
-    chain, velocity = scene.chain, scene.initial()[1]
+    chain = scene.chain
+    velocity = scene.initial()[1]
     pattern = velocity / velocity.max()
     mass = float(chain.masses @ pattern**2)
     energy = scene.energy
@@ -71,7 +73,8 @@ def period(scene: Scene) -> float:
     def left(x: float) -> float:
         return energy - float(chain.excess_energy(x * pattern, 0 * pattern))
 
-    contacts, total = chain.contacts, 0.0
+    contacts = chain.contacts
+    total = 0.0
     closer = contacts.closer(pattern)
     opens = (-contacts.overlap[closer != 0] / closer[closer != 0]).tolist()
     for side in (1.0, -1.0):
@@ -96,7 +99,8 @@ def buckling(chain: Chain, gauge: float = 0.0) -> Modes:
     back: ``m x'' = +(F/d) Laplacian``. Alike grains under a load grow by up to
     ``2 sqrt(F / (m d))``. The gauge diameter, or else the physical one, less the overlap is d.
     """
-    contacts, last = chain.contacts, chain.movable
+    contacts = chain.contacts
+    last = chain.movable
     apart = (gauge or chain.contact_lengths) - contacts.overlap
     push = contacts.force / apart
     push[[0, -1]] = 0.0  # load and walls push along the axis
@@ -118,10 +122,8 @@ def front_of_springs(n: ArrayLike) -> Array:
     Abramowitz and Stegun, 9.3.31; right to 1e-15 from n = 500 on.
     """
     nu = 2 * np.asarray(n, dtype=float) - 1
-    a, b = (
-        2 ** (1 / 3) / (3 ** (2 / 3) * gamma(2 / 3)),
-        2 ** (2 / 3) / (3 ** (1 / 3) * gamma(1 / 3)),
-    )
+    a = 2 ** (1 / 3) / (3 ** (2 / 3) * gamma(2 / 3))
+    b = 2 ** (2 / 3) / (3 ** (1 / 3) * gamma(1 / 3))
     return 2 * (
         a * nu ** (-1 / 3) * (1 - 1 / 225 / nu**2)
         - b * nu ** (-5 / 3) * (1 / 70 - 1213 / 1023750 / nu**2)
@@ -206,7 +208,8 @@ def squeezing(strain: float) -> Scene:
     diameters of two beads alone.
     """
     chain = Chain(grains=10, diameter=BEAD)
-    power, overlap = chain.exponent + 1, strain * BEAD
+    power = chain.exponent + 1
+    overlap = strain * BEAD
     speed = math.sqrt(
         4 / power * float(chain.contact_constants[0] / chain.masses[0]) * overlap**power
     )
@@ -219,7 +222,8 @@ def squeezed(scene: Scene) -> tuple[float, float]:
     """Return the largest overlap over the diameter, and the distance of
     LAMMPS from the native engine.
     """
-    native, contacts = simulate(scene, "native", 1e-11), scene.chain.contacts
+    native = simulate(scene, "native", 1e-11)
+    contacts = scene.chain.contacts
     overlap = (
         contacts.overlap + contacts.closer(native.displacement)
     ) / scene.chain.contact_lengths
@@ -241,7 +245,8 @@ def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: in
     still = Scene(
         chain=chain, excitation=Impulse(velocity=0.0), duration=duration, samples=samples + 1
     )
-    column, steps = Column(still, gauge), math.ceil(duration / samples * chain.band_edge / STEADY)
+    column = Column(still, gauge)
+    steps = math.ceil(duration / samples * chain.band_edge / STEADY)
     with tempfile.TemporaryDirectory() as folder, closing(open_lammps()) as lammps:
         deck.write_data(column, data := Path(folder) / "column.data")
         lammps.commands_string(

@@ -21,7 +21,8 @@ def drift(scene: Scene, growth: Callable[[float], float], step: float) -> float:
     `growth` is g of the method, `Method.growth`: 1 for every splitting, above 1 for gear4, below 1
     for dop853.
     """
-    modes, moving = eigenmodes(scene.chain), slice(scene.chain.movable)
+    modes = eigenmodes(scene.chain)
+    moving = slice(scene.chain.movable)
     u, v = ((x[moving] * modes.mass) @ modes.shape for x in scene.initial())
     part = (u * modes.frequency) ** 2 + v**2
     rates = [2 * math.log(growth(omega * step)) / step for omega in modes.frequency]

@@ -37,11 +37,14 @@ def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
         s, standard deviation in grains of a displacement of Gaussian shape; 0 for that of one
         grain.
     """
-    T, s = travelled, width
+    T = travelled
+    s = width
     count = 64 + 8 * int(T + 1)
     k = np.pi * (np.arange(count) + 0.5) / count
-    weight, omega = np.exp(-((s * k) ** 2)), 2 * np.sin(k / 2)
-    sine, cosine = np.sin(omega * T), np.cos(omega * T)
+    weight = np.exp(-((s * k) ** 2))
+    omega = 2 * np.sin(k / 2)
+    sine = np.sin(omega * T)
+    cosine = np.cos(omega * T)
     odd = (np.cos(k / 2) / 4 - omega * s**2 * k / 2) * T * sine + np.sin(k) * T**2 / 4 * cosine
     even = omega * T / 4 * sine
     return float(
@@ -143,7 +146,8 @@ def continuum_width(error: float, tau: float, exponent: float = 1.5) -> float:
 
 def _airy_lag(tau: float, exponent: float) -> float:
     xi, eta, _ = exponents(exponent)
-    power, half = 1 - 1.5 * xi, (1 + xi / eta) / 2
+    power = 1 - 1.5 * xi
+    half = (1 + xi / eta) / 2
     lag = float(depth(tau, exponent)) ** power / (24 * power)
     return float(lag * np.sqrt(half * (half + 1) * (half + 2)))
 

@@ -60,7 +60,8 @@ def linear_error(scene: Scene) -> dict[str, float]:
     Norms over all samples take those of the scene; "peak" is of the deepest grain that the front
     has passed, and left out if there is none.
     """
-    linear, full = theory(scene, "chebyshev"), simulate(scene, "native", 1e-9, on_miss="warn")
+    linear = theory(scene, "chebyshev")
+    full = simulate(scene, "native", 1e-9, on_miss="warn")
     errors = {
         "velocity": _distance(linear.velocity[-1], full.velocity[-1]),
         "displacement": _largest(linear.displacement, full.displacement),
@@ -148,7 +149,8 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
     """
     scene = column(WEAK, tau, int(continuum.depth(1.2 * tau)) + 30)
     scene = Scene(**scene.given() | {"samples": samples})
-    times, h = scene.time / scene.chain.time_scale, real(np.arange(scene.chain.grains) + 0.5)
+    times = scene.time / scene.chain.time_scale
+    h = real(np.arange(scene.chain.grains) + 0.5)
     exact = theory(scene, "chebyshev").displacement / _unit(scene) / scene.chain.time_scale
     inside = continuum.chi(h) < times[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):

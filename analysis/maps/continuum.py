@@ -30,11 +30,10 @@ def measure(quick: bool) -> dict[str, Any]:
     """
     far = 40.0 if quick else 150.0
     times, h, impulse = impulse_error(far, 41 if quick else 76)
-    h, impulse = h[::2], impulse[:, ::2]
-    widths, tau = (
-        np.geomspace(0.8, 12, 5 if quick else 14),
-        np.geomspace(4, 40 if quick else 150, 4 if quick else 9),
-    )
+    h = h[::2]
+    impulse = impulse[:, ::2]
+    widths = np.geomspace(0.8, 12, 5 if quick else 14)
+    tau = np.geomspace(4, 40 if quick else 150, 4 if quick else 9)
     waves = {str(f): phase_velocities(f, 80.0 if quick else 150.0) for f in FREQUENCIES}
     return {
         "time": times.tolist(),
@@ -61,7 +60,8 @@ def draw(data: dict[str, Any]) -> Figure:
 
 def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
     """Draw where Eq. (35) is accurate after a strike on grain 1."""
-    grain, times = np.array(data["h"]) + 0.5, np.array(data["time"])
+    grain = np.array(data["h"]) + 0.5
+    times = np.array(data["time"])
     error = np.array([[np.nan if x is None else x for x in row] for row in data["impulse"]])
     shades = plane.pcolormesh(
         grain, times, error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="nearest"
@@ -94,7 +94,9 @@ def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
 
 
 def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
-    width, tau, error = data["width"], np.array(data["tau"]), np.array(data["spread"]).T
+    width = data["width"]
+    tau = np.array(data["tau"])
+    error = np.array(data["spread"]).T
     shades = plane.pcolormesh(
         width, tau, error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud"
     )

@@ -51,19 +51,24 @@ def hot(grains: int) -> lmpchain.Scene:
 def _runge_kutta(u, v, overlap, force, constant, inverse_mass, h, steps, samples):
     """Return displacement and velocity (samples, N) by the classical Runge-Kutta method."""
     grains = u.size
-    us, vs = np.empty((samples, grains)), np.empty((samples, grains))
-    du, dv = np.zeros((4, grains)), np.zeros((4, grains))
+    us = np.empty((samples, grains))
+    vs = np.empty((samples, grains))
+    du = np.zeros((4, grains))
+    dv = np.zeros((4, grains))
     for sample in range(samples):
-        us[sample], vs[sample] = u, v
+        us[sample] = u
+        vs[sample] = v
         for _ in range(steps if sample < samples - 1 else 0):
             for stage in range(4):
                 part = 0.0 if stage == 0 else (0.5 if stage < 3 else 1.0) * h
-                x, w = u + part * du[stage - 1], v + part * dv[stage - 1]
+                x = u + part * du[stage - 1]
+                w = v + part * dv[stage - 1]
                 above = 0.0
                 for n in range(grains):
                     closer = overlap[n + 1] + x[n] - (x[n + 1] if n + 1 < grains else 0.0)
                     below = constant[n + 1] * max(closer, 0.0) ** 1.5 - force[n + 1]
-                    du[stage, n], dv[stage, n] = w[n], inverse_mass[n] * (above - below)
+                    du[stage, n] = w[n]
+                    dv[stage, n] = inverse_mass[n] * (above - below)
                     above = below
             u = u + h / 6 * (du[0] + 2 * du[1] + 2 * du[2] + du[3])
             v = v + h / 6 * (dv[0] + 2 * dv[1] + 2 * dv[2] + dv[3])
@@ -79,7 +84,8 @@ def runge_kutta(
     scene: lmpchain.Scene, step: float, periods: float, samples: int = 2001
 ) -> EnergyError:
     """Measure the energy error of the classical Runge-Kutta method, as `energy_error` does."""
-    chain, (u, v) = scene.chain, scene.initial()
+    chain = scene.chain
+    (u, v) = scene.initial()
     duration = periods * 2 * math.pi / chain.band_edge
     steps = math.ceil(duration / (samples - 1) / step)
     h = duration / (samples - 1) / steps
@@ -97,7 +103,8 @@ def measure(quick: bool) -> dict[str, Any]:
     their spread against the step.
     """
     scene = hot(4)
-    edge, periods = scene.chain.band_edge, 2e3 if quick else PERIODS
+    edge = scene.chain.band_edge
+    periods = 2e3 if quick else PERIODS
     long: dict[str, Any] = {}
     for name in [*METHODS, "rk4"]:
         step = WORK * (4 if name == "rk4" else METHODS[name].evaluations) / edge
@@ -117,7 +124,8 @@ def measure(quick: bool) -> dict[str, Any]:
                 scene, rk4_growth if name == "rk4" else METHODS[name].growth, record.step
             ),
         }
-    spread, more = {}, hot(8)
+    spread = {}
+    more = hot(8)
     for name, (least, most) in STEPS.items():
         reaches = np.geomspace(least, most, 3 if quick else 7)
         runs = [
@@ -160,8 +168,10 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
     """Draw the largest error so far, labelled at its end, and the predicted drift."""
     ends = {}
     for name, record in data["long"].items():
-        time, error = np.array(record["time"][1:]), np.abs(record["error"][1:])
-        periods, largest = time * data["band_edge"] / (2 * np.pi), np.maximum.accumulate(error)
+        time = np.array(record["time"][1:])
+        error = np.abs(record["error"][1:])
+        periods = time * data["band_edge"] / (2 * np.pi)
+        largest = np.maximum.accumulate(error)
         ax.loglog(periods, largest, color=styles[name]["color"], lw=1.8)
         ends[name] = float(largest[-1])
         if record["predicted"]:
@@ -186,7 +196,8 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
 def _trends(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]]) -> None:
     """Draw the trend over the whole run in units of its fluctuation, with 99 % confidence."""
     for place, (name, record) in enumerate(data["long"].items()):
-        time, error = np.array(record["time"]), np.array(record["error"])
+        time = np.array(record["time"])
+        error = np.array(record["error"])
         unit = (error - record["rate"] * time).std() / time[-1]
         ax.errorbar(
             record["rate"] / unit,

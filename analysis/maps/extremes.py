@@ -84,7 +84,8 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def _overlaps(axes: Axes, data: dict[str, Any]) -> None:
-    strains, squeezed = data["strains"], np.array(data["squeezed"])
+    strains = data["strains"]
+    squeezed = np.array(data["squeezed"])
     axes.plot(
         strains, data["deepest"], color=BLUE, lw=1.2, label="deepest overlap: bound by energy"
     )

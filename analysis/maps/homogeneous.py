@@ -27,8 +27,10 @@ def measure(quick: bool) -> dict[str, Any]:
     travelled = np.geomspace(1, 100, 4 if quick else 25)
     widths = [0.0, *np.geomspace(1, 30, 2 if quick else 7)]
     far = np.geomspace(2, 400, 4 if quick else 24)
-    loads, tau = (0, 10, 100, 1000), np.geomspace(0.5, 10 if quick else 30, 4 if quick else 20)
-    beads, late = (1, 3, 10), np.geomspace(10, 1e5, 5 if quick else 17)
+    loads = (0, 10, 100, 1000)
+    tau = np.geomspace(0.5, 10 if quick else 30, 4 if quick else 20)
+    beads = (1, 3, 10)
+    late = np.geomspace(10, 1e5, 5 if quick else 17)
     local = np.geomspace(1, 60, 4 if quick else 20)
     return {
         "grain": grains.tolist(),
@@ -55,7 +57,9 @@ def draw(data: dict[str, Any]) -> Figure:
     """Draw the map and three cuts."""
     picture = figure(12, 9.6)
     (plane, width), (strike, eight) = picture.subplots(2, 2)
-    grains, travelled, error = data["grain"], data["travelled"], np.array(data["error"])
+    grains = data["grain"]
+    travelled = data["travelled"]
+    error = np.array(data["error"])
     shades = plane.pcolormesh(
         grains, travelled, error, norm=LogNorm(1e-3, 1), cmap="cividis", shading="gouraud"
     )
@@ -85,7 +89,8 @@ def draw(data: dict[str, Any]) -> Figure:
 
 def draw_boundaries(plane: Axes, first: float, last: float, background: str = "white") -> None:
     """Draw how far a wave travels from a grain until Eq. (6) fails, between two grains."""
-    grains, travelled = np.geomspace(first, last, 60), np.geomspace(1, 100, 150)
+    grains = np.geomspace(first, last, 60)
+    travelled = np.geomspace(1, 100, 150)
     law = np.log10([[uniform_law(XI / n, T) for n in grains] for T in travelled])
     plane.contour(
         grains, travelled, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4

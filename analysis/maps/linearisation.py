@@ -32,10 +32,8 @@ NAMES = {
 
 def measure(quick: bool) -> dict[str, Any]:
     """Return errors over v0 and g after 100 us, and over v0* at g."""
-    strikes, gravity = (
-        np.geomspace(1e-8, 1, 5 if quick else 33),
-        EARTH * np.geomspace(1e-3, 1e2, 3 if quick else 11),
-    )
+    strikes = np.geomspace(1e-8, 1, 5 if quick else 33)
+    gravity = EARTH * np.geomspace(1e-3, 1e2, 3 if quick else 11)
     errors = [[linear_error(_scene(v, g))["velocity"] for v in strikes] for g in gravity]
     numbers = np.geomspace(1e-3, 1e3, 4 if quick else 25)
     scenes = [column(v, TAU, GRAINS) for v in numbers]
@@ -73,7 +71,8 @@ def draw(data: dict[str, Any]) -> Figure:
     """Draw the map and, at g, the norms and the package's own estimates."""
     picture = figure(15, 5.6)
     plane, norms, own = picture.subplots(1, 3, width_ratios=(1.15, 1, 1))
-    gravity, error = data["gravity"], np.array(data["error"]).T
+    gravity = data["gravity"]
+    error = np.array(data["error"]).T
     shades = plane.pcolormesh(
         gravity, data["v0"], error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud"
     )
@@ -118,7 +117,8 @@ def draw_boundaries(plane: Axes, least: float, most: float, background: str = "w
     ):
         line = number * strike_unit(gravity)
         plane.loglog(gravity, line, color="black", ls=style, lw=1.4)
-        label, colour = f"{name}: v0* = {number:.2g}", background if number < 1 else "black"
+        label = f"{name}: v0* = {number:.2g}"
+        colour = background if number < 1 else "black"
         start = 1.3 * least, 2.4 * line[0]
         plane.text(
             *start, label, rotation=25, rotation_mode="anchor", color=colour, fontsize="small"
@@ -140,7 +140,8 @@ def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
 
 
 def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
-    numbers, own = data["strike number"], data["estimate"]
+    numbers = data["strike number"]
+    own = data["estimate"]
     axes.plot(numbers, own["most"], color="0.7", label="expected from the strike alone")
     axes.plot(
         numbers, own["look"], "--", color=COLOURS["lammps"], label="bound from the linear solution"

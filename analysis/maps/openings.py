@@ -87,7 +87,8 @@ def draw(data: dict[str, Any]) -> Figure:
         ("Fixed steps", "Adaptive step sizes around openings"),
         strict=True,
     ):
-        reach, errors = data[kind]["reach"], data[kind]["error"]
+        reach = data[kind]["reach"]
+        errors = data[kind]["error"]
         for name, colour, shape in zip(METHODS, SHADES, SHAPES, strict=False):
             if name in errors:
                 label = labelled(name, reach, errors[name])

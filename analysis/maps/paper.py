@@ -95,7 +95,8 @@ def _point(
 
 
 def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
-    depth, frequency = np.geomspace(1, 1000, 60), np.geomspace(0.1, 3, 60)
+    depth = np.geomspace(1, 1000, 60)
+    frequency = np.geomspace(0.1, 3, 60)
     law = np.log10(harmonic_law(frequency[:, None], depth))
     axes.contour(
         depth, frequency, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4

@@ -60,11 +60,9 @@ def draw(data: dict) -> Figure:
     """Draw growth as colours over strike x time, with measured and
     predicted predictability times.
     """
-    panels, velocities, times = (
-        data["panels"],
-        np.array(data["velocities"]),
-        1e3 * np.array(data["times"]),
-    )
+    panels = data["panels"]
+    velocities = np.array(data["velocities"])
+    times = 1e3 * np.array(data["times"])
     picture = figure(4.2 * len(panels) + 1.2, 5.2)
     axes = picture.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for ax, panel in zip(axes, panels, strict=True):
@@ -82,7 +80,8 @@ def draw(data: dict) -> Figure:
     for level, tolerance in zip(levels, TOLERANCES, strict=True):
         end = int(np.argmax(decades[:, -1] > level))
         if end > 0:
-            spot, name = (velocities[-1], times[end]), f"1e{np.log10(tolerance):.0f}"
+            spot = (velocities[-1], times[end])
+            name = f"1e{np.log10(tolerance):.0f}"
             ax.annotate(name, spot, (4, 0), textcoords="offset points", va="center")
     axes[0].set_ylabel("time after the strike (ms)")
     axes[0].plot(

@@ -32,10 +32,8 @@ def struck(number: float) -> lmpchain.Scene:
 
 def vacuum(velocity: float) -> lmpchain.Scene:
     """Return the chain without its load, struck with this velocity in m/s."""
-    chain, impulse = (
-        lmpchain.Chain(**LOADED | {"top_load": 0.0}),
-        lmpchain.Impulse(velocity=velocity),
-    )
+    chain = lmpchain.Chain(**LOADED | {"top_load": 0.0})
+    impulse = lmpchain.Impulse(velocity=velocity)
     frequency = lmpchain.Scene(chain=chain, excitation=impulse, duration=1.0).highest_frequency
     return lmpchain.Scene(chain=chain, excitation=impulse, duration=PERIODS * 2 * np.pi / frequency)
 
@@ -102,7 +100,8 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
-    edge, limit = data["band_edge"], METHODS[name].stability_limit
+    edge = data["band_edge"]
+    limit = METHODS[name].stability_limit
     expected = np.array(data["predicted"][name]) * edge
     ax.axhspan(limit, 20, color="0.92", label="refused: unstable at rest")
     ax.loglog(data["smooth"], expected, **LINE, label="predicted, from the energy of the strike")
@@ -123,7 +122,8 @@ def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
 
 def _vacuum(ax: Any, data: dict[str, Any]) -> None:
     """Draw steps in s against velocities in m/s, for two well separated methods."""
-    speeds, steps = data["speeds"], data["vacuum"]
+    speeds = data["speeds"]
+    steps = data["vacuum"]
     for name, beyond in (("verlet", False), ("rkn6", True)):
         factor = data["steep"][name] / METHODS[name].stability_limit if beyond else 1.0
         expected = np.array(steps["predicted"][name]) * factor

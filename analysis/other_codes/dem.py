@@ -28,7 +28,8 @@ def write_data(scene: Scene, path: Path) -> None:
     """Write a data file (LAMMPS: atom_style sphere, LIGGGHTS: atom_style granular)."""
     chain = scene.chain
     u, v = scene.initial()
-    z, d = heights(scene) - u, chain.diameters
+    z = heights(scene) - u
+    d = chain.diameters
     density = chain.masses / (np.pi / 6 * d**3)
     side = d.max()
     box = ("x", -side, side), ("y", -side, side), ("z", z.min() - side, z.max() + side)
@@ -73,7 +74,8 @@ def run(command: list[str], deck: str, scene: Scene) -> tuple[Array, Array, floa
 
 def solve(command: list[str], deck: str, problem: Problem, step: float) -> Answer:
     """Run a deck of velocity Verlet, with the fields steps, step, gravity and mobile."""
-    chain, steps = problem.scene.chain, round(problem.scene.duration / step)
+    chain = problem.scene.chain
+    steps = round(problem.scene.duration / step)
     text = deck.format(steps=steps, step=step, gravity=chain.gravity, mobile=chain.movable)
     z, v, seconds = run(command, text, problem.scene)
     return Answer(heights(problem.scene) - z, -v, seconds, steps)

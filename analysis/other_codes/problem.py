@@ -92,7 +92,8 @@ class Problem:
     scene: Scene
 
     def __post_init__(self) -> None:
-        chain, scene = self.scene.chain, self.scene
+        chain = self.scene.chain
+        scene = self.scene
         uniform = np.ptp(chain.masses) == 0 and np.ptp(chain.contact_constants) == 0
         if not (
             uniform and chain.exponent == 1.5 and chain.top == "free" and chain.bottom == "fixed"
@@ -192,7 +193,8 @@ def fill_rate(y, rate, table):
         table[2 : 2 + moving], table[2 + moving : 2 + 2 * moving],
         table[2 + 2 * moving : 2 + 3 * moving]
     )  # fmt: skip
-    x, gain = y[:moving], rate[moving:]
+    x = y[:moving]
+    gain = rate[moving:]
     last = moving - 1
     below = x[1:]
     for n in range(last):
@@ -200,7 +202,8 @@ def fill_rate(y, rate, table):
     force[last] = strength[last] * _relative_force(x[last] * closer[last])
     rate[:moving] = y[moving:]
     gain[0] = -force[0]
-    push, inner = force[1:], gain[1:]
+    push = force[1:]
+    inner = gain[1:]
     for n in range(last):
         inner[n] = force[n] - push[n]
 

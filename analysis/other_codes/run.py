@@ -38,20 +38,18 @@ CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
 LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
 # a run above the first is not repeated, one above the second is the last of its code
-LONG_S, LAST_S = (
-    2.0,
-    8.0,
-)
+LONG_S = 2.0
+LAST_S = 8.0
 # shortest chain to cut; displacement over the largest beyond the cut
-LONG_CHAIN, UNTOUCHED = (
-    1000,
-    1e-15,
-)
+LONG_CHAIN = 1000
+UNTOUCHED = 1e-15
 
 
 def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
     """Return the answer with the smallest times of several runs, after one to warm up."""
-    answer, again, begin = code.solve(problem, parameter), [], perf_counter()
+    answer = code.solve(problem, parameter)
+    again = []
+    begin = perf_counter()
     if answer.seconds > LONG_S:
         return answer
     while len(again) < LEAST_RUNS or perf_counter() - begin < LEAST_S:
@@ -62,7 +60,9 @@ def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
 
 def scan(code: Code, problem: Problem, solution: Reference) -> list[dict[str, Any]]:
     """Return one row per parameter, without failed runs, up to the first that is too slow."""
-    begin, rows, gaps = perf_counter(), [], []
+    begin = perf_counter()
+    rows = []
+    gaps = []
     for parameter in code.parameters:
         try:
             answer = fastest(code, problem, parameter)
@@ -98,7 +98,8 @@ def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
     problem = Problem(scene)
     solution = reference(problem.scene)
     cut = cut_of(problem, solution)
-    rows, rows_cut = [], []
+    rows = []
+    rows_cut = []
     versions = {name: version(name) for name in ("lmpchain", "numpy", "numba")} | {
         "python": platform.python_version()
     }

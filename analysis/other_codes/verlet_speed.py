@@ -23,17 +23,14 @@ from lmpchain.engines import Native
 
 GRAINS = 120, 1000, 10_000
 # velocities over eps_1 omega_1: contacts stay closed; weak enough for the polynomial force
-SPEED, FAINT = (
-    0.05,
-    1e-9,
-)
+SPEED = 0.05
+FAINT = 1e-9
 STEP = 0.02  # over the time scale
 # grain-steps of a run, short because a busy machine disturbs long ones
-NATIVE_WORK, DEM_WORK = (
-    2e7,
-    1e6,
-)
-NATIVE_RUNS, DEM_RUNS = 40, 7
+NATIVE_WORK = 2e7
+DEM_WORK = 1e6
+NATIVE_RUNS = 40
+DEM_RUNS = 7
 ROOTS, REPEATS = 1024, 10_000  # numbers, which fit into the L1 cache, and passes over them
 TUNED = "atom_modify map array sort 0 0\nneighbor 1e-4 bin\nneigh_modify once yes"
 

@@ -21,10 +21,8 @@ from problem import Answer, Code, Problem
 from lmpchain import RunFailed
 
 # contacts from the top (three open in the strong scene); 1 + s of the event
-GUARDED, SWITCH = (
-    8,
-    1e-7,
-)
+GUARDED = 8
+SWITCH = 1e-7
 ORDERS = 3, 4, 5, 6, 8, 10, 12, 14, 16, 18
 INLINED_GRAINS = 200  # longer chains would take too long to compile to straight-line code
 # strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances
@@ -45,7 +43,8 @@ def _change(s: Any, careful: bool) -> Any:
 
 @lru_cache(maxsize=1)
 def _integrator(problem: Problem, tolerance: float, guarded: int, inlined: bool) -> Any:
-    closer, strength = problem.closer.tolist(), problem.strength.tolist()
+    closer = problem.closer.tolist()
+    strength = problem.strength.tolist()
     count = len(closer)
     x = [*hy.make_vars(*(f"x{n}" for n in range(count))), 0.0]
     v = hy.make_vars(*(f"v{n}" for n in range(count)))

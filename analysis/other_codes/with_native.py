@@ -37,7 +37,8 @@ def _answer(run: lmpchain.Trajectory, seconds: float, whole: float) -> Answer:
 
 def codes(problem: Problem) -> list[Code]:
     """Return every integrator, and the engine's own choice with and without its error estimate."""
-    steps, own = [problem.scene.duration / count for count in COUNTS], version("lmpchain")
+    steps = [problem.scene.duration / count for count in COUNTS]
+    own = version("lmpchain")
     given = [Code(f"native {name}", own, steps, partial(_at_step, name)) for name in METHODS]
     chosen = {"native to a tolerance, integration alone": False, TO_TOLERANCE: True}
     return given + [

@@ -43,7 +43,8 @@ def _lsoda(y, table, end, tolerance):
 
 
 def _solve(run, problem: Problem, tolerance: float) -> Answer:
-    table, y = problem.table(), problem.start
+    table = problem.table()
+    y = problem.start
     run(np.zeros(2), np.array([1.0, 0.0, 1.0, 1.0, 0.0]), 0.01, 0.1)  # one grain: only compiles
     begin = perf_counter()
     states, success = run(y, table, problem.duration, tolerance)

@@ -37,7 +37,8 @@ def _ode(y, table, end, tolerance):
 
 
 def _solve(run, problem: Problem, tolerance: float) -> Answer:
-    table, y = problem.table(), problem.start
+    table = problem.table()
+    y = problem.start
     _rate(0.0, y, table)  # compiles
     table[1] = 0
     begin = perf_counter()

@@ -12,7 +12,17 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
-from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
+from ..util.validation import (
+    NOT_GIVEN,
+    Checked,
+    OneOrMany,
+    PositiveVector,
+    Real,
+    Vector,
+    Whole,
+    make_unchecked,
+    with_derived,
+)
 from . import walls
 from .bounds import Bounds, bounds
 from .contacts import FEW_GRAINS, Contacts
@@ -354,11 +364,11 @@ class Chain(AtRest, Checked):
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
         # a part of a valid chain is valid
-        piece = Chain._unchecked(**fields)
+        piece = make_unchecked(Chain, **fields)
         # the contacts of a whole chain need no second derivation, which would take as long as the
         # run of a short one
         if first == 1 and last < self.grains <= min(FEW_GRAINS, 8 * last):
-            return piece._with_known(equilibrium=self.equilibrium.above(last))
+            return with_derived(piece, equilibrium=self.equilibrium.above(last))
         return piece
 
     def _force_on(self, grain: int) -> float:

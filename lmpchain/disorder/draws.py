@@ -22,6 +22,7 @@ from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
+from ..util.validation import make_unchecked
 
 Law = Literal["dyson", "paper"]
 Of = Literal["stiffness", "constant", "mass", "diameter", "modulus"]
@@ -146,8 +147,8 @@ def realisation(
     """
     _check_draw(scene.chain, seed, index, of)
     zeta = _draw(scene.chain, m, seed, index, law, of)
-    chain = Chain._unchecked(**_fields(scene.chain, zeta, of))
-    return Scene._unchecked(**(scene.given() | {"chain": chain}))
+    chain = make_unchecked(Chain, **_fields(scene.chain, zeta, of))
+    return make_unchecked(Scene, **(scene.given() | {"chain": chain}))
 
 
 def drawn_constants(

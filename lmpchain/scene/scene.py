@@ -20,6 +20,7 @@ from ..chain.plausible import LIMITS
 from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
+from ..util.validation import make_unchecked
 from . import toml_file
 from .base import Excitation
 from .excitation import Drive
@@ -194,8 +195,12 @@ class Scene(Recording):
     @cached_property
     def _fine(self) -> Scene:
         samples = (self.samples - 1) * self.finer + 1
-        return Scene._unchecked(
-            chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples
+        return make_unchecked(
+            Scene,
+            chain=self.chain,
+            excitation=self.excitation,
+            duration=self.duration,
+            samples=samples,
         )
 
     @property
@@ -310,7 +315,8 @@ class Scene(Recording):
     def part(self, first: int, last: int) -> Scene:
         """Return grains first ... last, all recorded: right until a wave meets their ends."""
         # a part of a valid scene is valid
-        return Scene._unchecked(
+        return make_unchecked(
+            Scene,
             chain=self.chain.part(first, last),
             excitation=self.excitation.part(first, last),
             duration=self.duration,

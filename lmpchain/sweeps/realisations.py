@@ -16,6 +16,7 @@ from ..disorder.draws import OF_CONTACTS, drawn_constants
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.validation import make_unchecked, with_derived
 from .axes import INDEX
 from .file import Place, Sweep
 from .quantities import quantity, with_gathered
@@ -82,7 +83,9 @@ def _wider(scene: Scene, plan: Sweep) -> Scene:
     numbers = {n for grain in scene.recorded.tolist() for n in (grain - 1, grain, grain + 1)}
     numbers |= {last - 1, last} if "wall_force" in keep else set()
     grains = tuple(sorted(numbers - {0, last + 1}))
-    return Scene._unchecked(**scene.given() | {"grains": "all" if len(grains) == last else grains})
+    return make_unchecked(
+        Scene, **scene.given() | {"grains": "all" if len(grains) == last else grains}
+    )
 
 
 def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
@@ -146,7 +149,7 @@ def _chains(chain: Chain, equilibria: Equilibrium, widths: bool) -> list[Chain]:
             fields["diameter"] = equilibrium.diameters
         # what is derived already is handed on, or each chain would derive it again
         derived = {"equilibrium": equilibrium, "band_edge": edge}
-        chains.append(Chain._unchecked(**fields)._with_known(**derived))
+        chains.append(with_derived(make_unchecked(Chain, **fields), **derived))
     return chains
 
 
@@ -154,8 +157,8 @@ def _scene(common: Scene, chain: Chain, checked: bool) -> Scene | None:
     """Return the common scene with another chain; None if it is struck too hard for that."""
     fields = common.given() | {"chain": chain}
     try:
-        scene = Scene(**fields) if checked else Scene._unchecked(**fields)
+        scene = Scene(**fields) if checked else make_unchecked(Scene, **fields)
     except InputError:
         return None
     # as of the first: all of them fit in one batch
-    return scene._with_known(light_cone=None)
+    return with_derived(scene, light_cone=None)

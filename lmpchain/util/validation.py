@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from inspect import Parameter, Signature
-from typing import Annotated, Any, ClassVar, NoReturn, Self
+from typing import Annotated, Any, ClassVar, NoReturn, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -131,30 +131,6 @@ class Checked(Shown, BaseModel):
             cls.__name__, f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one"
         )
 
-    @classmethod
-    def _unchecked(cls, **fields: Any) -> Self:
-        """Return a value of arguments that are known to be right, as they are.
-
-        Pydantic's way takes ten times as long.
-        """
-        values = {cls.arguments[key]: value for key, value in fields.items()}
-        defaults = {
-            name: field.default
-            for name, field in cls.model_fields.items()
-            if name not in values and not field.is_required()
-        }
-        value = object.__new__(cls)
-        object.__setattr__(value, "__dict__", values | defaults)
-        object.__setattr__(value, "__pydantic_fields_set__", set(values))
-        object.__setattr__(value, "__pydantic_extra__", None)
-        object.__setattr__(value, "__pydantic_private__", None)
-        return value
-
-    def _with_known(self, **derived: Any) -> Self:
-        """Return this value with cached properties whose values are known already."""
-        self.__dict__.update(derived)
-        return self
-
     def __setattr__(self, name: str, value: Any) -> None:
         raise InputError.at(
             name, f"cannot be changed: use .replace({name}=...), which returns a checked copy"
@@ -189,6 +165,34 @@ class Checked(Shown, BaseModel):
         )
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside: compare, do not hash
+
+
+Value = TypeVar("Value", bound=Checked)
+
+
+def make_unchecked(kind: type[Value], **fields: Any) -> Value:
+    """Return a value of arguments that are sure to be right, as they are.
+
+    Pydantic's way takes ten times as long.
+    """
+    values = {kind.arguments[key]: value for key, value in fields.items()}
+    defaults = {
+        name: field.default
+        for name, field in kind.model_fields.items()
+        if name not in values and not field.is_required()
+    }
+    value = object.__new__(kind)
+    object.__setattr__(value, "__dict__", values | defaults)
+    object.__setattr__(value, "__pydantic_fields_set__", set(values))
+    object.__setattr__(value, "__pydantic_extra__", None)
+    object.__setattr__(value, "__pydantic_private__", None)
+    return value
+
+
+def with_derived(value: Value, **derived: Any) -> Value:
+    """Return a new value whose cached properties have these values, which follow from others."""
+    value.__dict__.update(derived)
+    return value
 
 
 def _plain(value: Any) -> Any:

@@ -28,7 +28,9 @@ class Given(Bench):
     def __init__(
         self, error: Callable[[int], float], seconds: Callable[[int], float] = lambda _: 0.01
     ):
-        self.clock, self.error, self.seconds = 0.0, error, seconds
+        self.clock = 0.0
+        self.error = error
+        self.seconds = seconds
         self.tried: list[int] = []
         self.tolerances: list[float] = []
         super().__init__(SCENE, TRUTH)
@@ -111,7 +113,8 @@ def test_no_point_begins_that_would_take_longer_than_there_is_time(
 ):
     made = timed(monkeypatch, Given(lambda steps: 0.5 / steps, lambda steps: 1e-3 * steps))
     made.share_s = share
-    spent, before = [], 0.0
+    spent = []
+    before = 0.0
     for _ in made.over_steps("native", "rkn4"):
         spent.append((made.spent_s, before))
         before = made.spent_s
@@ -161,7 +164,8 @@ def test_the_tightest_tolerance_is_of_round_off(monkeypatch: pytest.MonkeyPatch)
     assert sorted(set(made.tolerances)) == pytest.approx(
         [10.0**-k for k in np.arange(14.5, 0.9, -0.5)], rel=1e-9
     )
-    made.share_s, made.tolerances = 0.5, []
+    made.share_s = 0.5
+    made.tolerances = []
     made.seconds = lambda _: 0.1
     list(made.over_tolerances("native"))
     assert len(set(made.tolerances)) == 2

@@ -207,7 +207,8 @@ def test_bars_are_times_to_one_error(panels: Any):
 
 def test_title_and_footer_say_what_was_measured():
     picture = RESULT.plot(others=OTHERS).figure
-    label, number = SCENE.excitation.label, f"{SCENE.strike_number:.2g}"
+    label = SCENE.excitation.label
+    number = f"{SCENE.strike_number:.2g}"
     title = f"8 grains, g = 9.81 m/s², {label} (strike number {number}), at t = 4 µs"
     assert picture._suptitle.get_text() == title
     footer = " ".join(picture._supxlabel.get_text().split())
@@ -291,7 +292,8 @@ def answer(engine: str, scene: Scene, off: float, **cost: Any) -> Trajectory:
 
 
 def wave(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    n, t = np.arange(scene.chain.grains), np.linspace(0, 1, scene.samples)[:, None]
+    n = np.arange(scene.chain.grains)
+    t = np.linspace(0, 1, scene.samples)[:, None]
     bump = np.exp(-((n - 10 - 20 * t) ** 2) / 4)
     return 1e-9 * bump, 1e-3 * bump
 
@@ -320,7 +322,8 @@ def test_the_wave_is_drawn_in_units_of_the_strike():
     comparison, (ax, _, _) = compared(LONG)
     _, v = wave(LONG)
     moving = 1 + np.flatnonzero(v[-1] > 1e-3 * v[-1].max())
-    first, last = moving[0] - 4, moving[-1] + 4
+    first = moving[0] - 4
+    last = moving[-1] + 4
     assert ax.get_xlim() == (first - 0.5, last + 0.5)
     assert ax.get_title(loc="left") == f"Grains {first} to {last} of 200 at t = 5 µs"
     assert ax.get_xlabel() == "grain number, from the top"
@@ -339,7 +342,8 @@ def test_the_wave_is_drawn_in_units_of_the_strike():
         assert lines[name].get_linestyle() == "None"
         assert lines[name].get_markersize() == 7.5 - 3.5 * place
     span = v[-1].max() - v[-1].min()
-    low, high = v[-1].min() - span / 4, v[-1].max() + span / 4
+    low = v[-1].min() - span / 4
+    high = v[-1].max() + span / 4
     assert ax.get_ylim() == pytest.approx((low / 2e-3, high / 2e-3), rel=1e-9)
     assert [text.get_text() for text in ax.texts] == ["partly beyond the scale: lammps"]
     assert not compared(LONG, (1e-3, -0.2))[1][0].texts
@@ -372,7 +376,9 @@ def test_a_wide_wave_is_shown_around_its_fastest_grain():
     assert _window(np.zeros(200)) == (1, 60)
     assert _window(np.zeros(20)) == (1, 20)
     still = np.zeros(200)
-    still[100], still[90], still[80] = 1.0, 1.1e-3, 0.9e-3
+    still[100] = 1.0
+    still[90] = 1.1e-3
+    still[80] = 0.9e-3
     assert _window(still) == (87, 105)
 
 

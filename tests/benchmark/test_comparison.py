@@ -49,7 +49,8 @@ def test_nothing_happens_where_nothing_strikes():
 
 
 def test_a_long_scene_is_expected_to_take_longer():
-    short, long = smooth(), replace_scene(smooth(), duration=1e6 * smooth().duration)
+    short = smooth()
+    long = replace_scene(smooth(), duration=1e6 * smooth().duration)
     large = Scene(
         chain=Chain(grains=10**5, diameter=1e-3),
         excitation=Impulse(velocity=1e-6),

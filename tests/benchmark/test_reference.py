@@ -148,7 +148,8 @@ def test_grains_that_nothing_has_reached_make_no_difference():
     """120 grains and 10 000, for which units of time and length are others too."""
     short = paper("fig5 g", samples=3)
     long = Scene(**short.given() | {"chain": Chain(grains=10_000, diameter=1e-3)})
-    few, many = reference(short), reference(long)
+    few = reference(short)
+    many = reference(long)
     assert many.error < GOOD
     reached = few.displacement.shape[1]
     assert (

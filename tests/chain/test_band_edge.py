@@ -12,7 +12,8 @@ EPSILON = np.finfo(float).eps
 def test_they_are_those_of_lapack():
     rng = np.random.default_rng(1)
     for _ in range(1500):
-        moving, unlike = int(10 ** rng.uniform(0.4, 3)), rng.choice([0.0, 0.1, 1.0, 5.0, 20.0])
+        moving = int(10 ** rng.uniform(0.4, 3))
+        unlike = rng.choice([0.0, 0.1, 1.0, 5.0, 20.0])
         stiffness = np.exp(unlike * rng.normal(size=moving + 1))
         if rng.random() < 0.3:  # under its own weight
             stiffness = np.arange(1.0, moving + 2) ** rng.uniform(0.1, 1)

@@ -13,11 +13,9 @@ from lmpchain.scene.strike import first_overlaps
 @pytest.mark.parametrize("seed", range(40))
 def test_arrays_stay_within_them(seed: int):
     random = np.random.default_rng(seed)
-    materials, top, bottom = (
-        list(MATERIALS),
-        random.choice(["free", "wall"]),
-        random.choice(["fixed", "wall"]),
-    )
+    materials = list(MATERIALS)
+    top = random.choice(["free", "wall"])
+    bottom = random.choice(["fixed", "wall"])
     grains = int(random.integers(2, 60))
     odd = [
         Impurity(
@@ -42,7 +40,9 @@ def test_arrays_stay_within_them(seed: int):
         impurity=odd,
         **({"top_material": "steel"} if top == "wall" and random.random() < 0.5 else {}),
     )
-    known, contacts, masses = chain.bounds, chain.contacts, chain.masses
+    known = chain.bounds
+    contacts = chain.contacts
+    masses = chain.masses
     constants = contacts.constant[contacts.exists]
     assert known.softest <= constants.min() * (1 + 1e-12)
     assert constants.max() <= known.hardest * (1 + 1e-12)

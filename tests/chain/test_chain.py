@@ -61,8 +61,10 @@ def test_contact_constant_for_any_exponent(exponent: float):
         grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent
     )
     for n in (0, 1):
-        one, other = chain.material[n], chain.material[n + 1]
-        r1, r2 = chain.diameters[n] / 2, chain.diameters[n + 1] / 2
+        one = chain.material[n]
+        other = chain.material[n + 1]
+        r1 = chain.diameters[n] / 2
+        r2 = chain.diameters[n + 1] / 2
         soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (
             1 - other.poissons_ratio**2
         ) / other.youngs_modulus
@@ -188,7 +190,9 @@ def test_the_contact_law_and_what_follows_from_it(exponent: float):
     """
     every = Chain(grains=5, diameter=1e-3, exponent=exponent).contacts
     contacts = every.of(np.flatnonzero(every.pressed))
-    o, h, alike = contacts.overlap, 1e-4 * contacts.overlap, np.ones(4)
+    o = contacts.overlap
+    h = 1e-4 * contacts.overlap
+    alike = np.ones(4)
     slope = (contacts.force_at(o + h) - contacts.force_at(o - h)) / (2 * h)
     assert slope == pytest.approx(contacts.stiffness_at(o), rel=1e-7, abs=0)
     assert contacts.force_at(o) == pytest.approx(contacts.force, rel=1e-13, abs=0)
@@ -243,7 +247,9 @@ def test_stiffness_is_the_slope_of_the_force(chain: Chain):
 
 @each_chain
 def test_band_edge_against_a_dense_eigensolver(chain: Chain):
-    k, m, size = chain.linear_stiffness, chain.masses, chain.grains
+    k = chain.linear_stiffness
+    m = chain.masses
+    size = chain.grains
     matrix = np.zeros((size, size))
     for n, stiffness in enumerate(k):
         matrix[n : n + 2, n : n + 2] += stiffness * np.array([[1, -1], [-1, 1]])
@@ -255,7 +261,9 @@ def test_band_edge_against_a_dense_eigensolver(chain: Chain):
 @each_walled
 def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
     """Walls are bodies like the others here, but held; a wall that only touches is no spring."""
-    size, k, delta = chain.grains, chain.contact_constants, chain.exponent
+    size = chain.grains
+    k = chain.contact_constants
+    delta = chain.exponent
     pressed = chain.top_load + chain.gravity * np.cumsum(chain.masses)
     springs = delta * k ** (1 / delta) * pressed[:-1] ** (1 - 1 / delta)
     above, below = chain.wall_constants
@@ -280,13 +288,15 @@ def test_band_edge_between_like_walls():
     in closed form for two grains.
     """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
-    k, m = chain.contact_constants[0], chain.masses[0]
+    k = chain.contact_constants[0]
+    m = chain.masses[0]
     assert chain.band_edge == pytest.approx(np.sqrt((2 + np.sqrt(2)) * k / m), rel=1e-14, abs=0)
 
 
 def test_band_edge_of_a_free_pair_and_of_a_vacuum():
     springs = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, bottom="free")
-    m, k = springs.masses[0], springs.contact_constants[0]
+    m = springs.masses[0]
+    k = springs.contact_constants[0]
     assert springs.movable == 2
     assert springs.band_edge == pytest.approx(np.sqrt(2 * k / m), rel=1e-12, abs=0)
     vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0)
@@ -299,7 +309,9 @@ def contact_energy(chain: Chain, n: int, r: float) -> float:
     """Work done on contact n, 0 that with a wall above, beyond that of its
     force at rest, closer by r, J.
     """
-    eps, force, delta = chain.contacts.overlap[n], chain.contacts.force[n], chain.exponent
+    eps = chain.contacts.overlap[n]
+    force = chain.contacts.force[n]
+    delta = chain.exponent
     if force == 0:
         return quad(
             lambda x: chain.contacts.constant[n] * x**delta,
@@ -312,7 +324,8 @@ def contact_energy(chain: Chain, n: int, r: float) -> float:
     def change(s: float) -> float:  # (1 + s)^delta - 1, without cancellation, -1 where open
         return np.expm1(delta * np.log1p(s)) if s > -1 else -1.0
 
-    total, s = 0.0, r / eps
+    total = 0.0
+    s = r / eps
     edges = [0.0, -1.0, s] if s < -1 else [0.0, s]
     for a, b in pairwise(edges):
         total += quad(change, a, b, epsabs=0, epsrel=1e-13, limit=200)[0]
@@ -343,7 +356,8 @@ def contact_energy(chain: Chain, n: int, r: float) -> float:
 def test_excess_energy_of_one_contact(exponent: float, stretch: float):
     chain = Chain(grains=3, diameter=1e-3, exponent=exponent)
     r = stretch * chain.equilibrium_overlap[0]
-    u, v = np.array([r, 0.0, 0.0]), np.zeros(3)
+    u = np.array([r, 0.0, 0.0])
+    v = np.zeros(3)
     assert chain.excess_energy(u, v) == pytest.approx(contact_energy(chain, 1, r), rel=2e-11, abs=0)
 
 
@@ -399,7 +413,8 @@ def test_excess_energy_in_the_vacuum():
 
 def test_minus_its_slope_is_the_force():
     """-dU/dx from differences is what the integrators push with."""
-    chain, rng = DISORDERED, np.random.default_rng(5)
+    chain = DISORDERED
+    rng = np.random.default_rng(5)
     u = rng.normal(size=30) * chain.length_scale
     overlap = np.maximum(chain.equilibrium_overlap + u[:-1] - u[1:], 0.0)
     contact = chain.contact_constants * overlap**chain.exponent
@@ -416,7 +431,8 @@ def random_scene(rng: np.random.Generator) -> Scene:
     while True:
         grains = int(rng.integers(2, 15))
         exponent = float(rng.choice([1.0, 1.3, 1.5, 2.0]))
-        gravity, load = float(rng.choice([0.0, 9.81, 500.0])), float(rng.choice([0.0, 1e-5, 1e-2]))
+        gravity = float(rng.choice([0.0, 9.81, 500.0]))
+        load = float(rng.choice([0.0, 1e-5, 1e-2]))
         chain = Chain(
             grains=grains,
             diameter=rng.uniform(0.5e-3, 2e-3, grains),

@@ -25,14 +25,17 @@ def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float) -> 
     contacts = Contacts.at_rest(np.full(size, 3e9), np.full(size, 2e-4), exponent)
     r = STRAINS * contacts.overlap
     with mp.workdps(40):
-        k, f, delta = mp.mpf(3e9), mp.mpf(2e-4), mp.mpf(exponent)
+        k = mp.mpf(3e9)
+        f = mp.mpf(2e-4)
+        delta = mp.mpf(exponent)
         eps = (f / k) ** (1 / delta)
         closed = [max(eps + mp.mpf(x), 0) for x in r.tolist()]
         force = [float(k * o**delta - f) for o in closed]
         held = [(k * o ** (delta + 1) - k * eps ** (delta + 1)) / (delta + 1) for o in closed]
         energy = [float(e - f * mp.mpf(x)) for e, x in zip(held, r.tolist(), strict=True)]
     with np.errstate(all="raise"):  # nothing to warn of
-        change, above_rest = contacts.force_change(r), contacts.energy(r)
+        change = contacts.force_change(r)
+        above_rest = contacts.energy(r)
     assert change == pytest.approx(force, rel=2e-14, abs=1e-40)
     assert above_rest == pytest.approx(energy, rel=1e-12, abs=1e-55)
     rows = np.stack((r, 0 * r, 2 * r))
@@ -60,7 +63,8 @@ def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float) -> 
     loose = Contacts.at_rest(np.array([3e9]), np.array([0.0]), exponent).of(0)
     for force in (1e-12, 1e-4, 0.3):
         with mp.workdps(40):
-            k, f = mp.mpf(3e9), mp.mpf(2e-4)
+            k = mp.mpf(3e9)
+            f = mp.mpf(2e-4)
             power = 1 / mp.mpf(exponent)
             closer = float(((f + mp.mpf(force)) / k) ** power - (f / k) ** power)
         assert pressed.squeezed_by(force) == pytest.approx(closer, rel=1e-13)
@@ -71,7 +75,8 @@ def test_energy_bounds_overlaps_and_strains() -> None:
     """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2;
     the lesser of the two counts.
     """
-    constant, force = np.array([1e9, 2e9, 5e8]), np.array([1e-4, 3e-4, 2e-4])
+    constant = np.array([1e9, 2e9, 5e8])
+    force = np.array([1e-4, 3e-4, 2e-4])
     contacts = Contacts.at_rest(constant, force, 1.5)
     for energy in (1e-25, 1e-14, 1e-11, 1e-6):
         loose = (2.5 * energy / constant) ** 0.4
@@ -102,7 +107,8 @@ def test_energy_bounds_overlaps_and_strains() -> None:
 
 def test_contacts_of_many_chains_are_rows() -> None:
     one, other = (Chain(grains=4, diameter=1e-3, gravity=g).contacts for g in (1.0, 9.81))
-    rows, alone = together([one, other]), together([one])
+    rows = together([one, other])
+    alone = together([one])
     for name in ("constant", "force", "overlap", "stiffness"):
         assert np.array_equal(getattr(rows, name), [getattr(one, name), getattr(other, name)])
         assert np.array_equal(getattr(alone, name), [getattr(one, name)])
@@ -118,7 +124,8 @@ def test_contacts_above_a_held_grain() -> None:
 
 def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:
     """Of grains that move, M^(-1/2) K M^(-1/2), written out as the energy of springs has it."""
-    stiffness, masses = np.array([2.0, 3.0, 5.0, 7.0, 11.0]), np.array([1.0, 4.0, 9.0, 16.0])
+    stiffness = np.array([2.0, 3.0, 5.0, 7.0, 11.0])
+    masses = np.array([1.0, 4.0, 9.0, 16.0])
     for moving in (3, 4):
         diagonal, beside = dynamical_matrix(stiffness, masses[:moving])
         matrix = np.zeros((moving, moving))
@@ -145,7 +152,8 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
         exponent=2.0,
         bottom="wall",
     )
-    known, mass = chain.bounds, 8000 * np.pi / 6 * 8e-9
+    known = chain.bounds
+    mass = 8000 * np.pi / 6 * 8e-9
     modulus = 193e9 / (1 - 0.09)
     between = 2 / 3 * modulus * np.sqrt(0.5e-3) * 2e-3**-0.5
     assert known.softest == pytest.approx(between, rel=1e-14)
@@ -196,7 +204,8 @@ def test_depths_and_loads_from_grain_to_grain() -> None:
 
 def test_energy_that_a_moved_wall_puts_in() -> None:
     chain = Chain(grains=3, diameter=1e-3, top="wall", top_load=1e-3)
-    still, wall = np.zeros(3), np.array(2e-9)
+    still = np.zeros(3)
+    wall = np.array(2e-9)
     r = chain.contacts.overlap[0]
     k = chain.contacts.constant[0]
     energy = k / 2.5 * ((r + 2e-9) ** 2.5 - r**2.5) - 1e-3 * 2e-9

@@ -57,7 +57,8 @@ def scene(chain: Chain) -> Scene:
 )
 def test_a_changed_copy_of_a_used_chain_moves_as_a_new_one_does(changed):
     before = used()
-    after, afresh = changed(before), Chain(**before.given() | {"gravity": 98.1})
+    after = changed(before)
+    afresh = Chain(**before.given() | {"gravity": 98.1})
     assert after == afresh
     assert after.band_edge == afresh.band_edge > before.band_edge
     for name in ARRAYS:
@@ -155,10 +156,15 @@ def test_arrays_of_a_chain_cannot_be_written_to(copied):
 
 
 def test_arrays_of_the_user_are_copied():
-    masses, moved, times = np.full(3, 1e-6), np.zeros(3), np.array([0.0, 1e-5])
-    chain, profile = Chain(grains=3, diameter=1e-3, masses=masses), Profile(displacement=moved)
+    masses = np.full(3, 1e-6)
+    moved = np.zeros(3)
+    times = np.array([0.0, 1e-5])
+    chain = Chain(grains=3, diameter=1e-3, masses=masses)
+    profile = Profile(displacement=moved)
     drive = Drive(times=times, displacement=times)
-    masses[1], moved[0], times[1] = 5.0, 1.0, 1.0
+    masses[1] = 5.0
+    moved[0] = 1.0
+    times[1] = 1.0
     assert chain.masses[1] == 1e-6
     assert profile.displacement[0] == 0
     assert drive.times[1] == drive.displacement[1] == 1e-5

@@ -26,7 +26,8 @@ def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
     if (engine == "lammps" and delta == 2.2) or (engine == "modes" and not load):
         return
     rng = np.random.default_rng(5)
-    n, diameters = 6, 1e-3 * rng.uniform(0.8, 1.2, 6)
+    n = 6
+    diameters = 1e-3 * rng.uniform(0.8, 1.2, 6)
     ends = {"gravity": 0.0, "exponent": delta, "top_load": load, "top": "wall"}
     double = Chain(
         grains=2 * n,
@@ -52,7 +53,8 @@ def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
             solver,
         )
 
-    one, two = run(half, speed), run(double, np.append(speed, -speed[::-1]))
+    one = run(half, speed)
+    two = run(double, np.append(speed, -speed[::-1]))
     tolerance = 1e-8 if engine == "lammps" else 1e-12  # round-off of heights
     assert (
         relative_error(one.displacement, one.velocity, two.displacement[:, :n], two.velocity[:, :n])
@@ -69,7 +71,8 @@ def test_wall_constants_take_the_place_of_materials():
     same = Chain(**given, wall_constants=usual.wall_constants)
     assert np.array_equal(same.contacts.constant, usual.contacts.constant)
     assert np.array_equal(same.contacts.overlap, usual.contacts.overlap)
-    below, above = same.part(3, 7), same.part(1, 4)
+    below = same.part(3, 7)
+    above = same.part(1, 4)
     assert below.wall_constants.tolist() == [0.0, usual.wall_constants[1]]
     assert above.wall_constants.tolist() == [usual.wall_constants[0], 0.0]
     for part in (below, above, same):
@@ -146,7 +149,9 @@ def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
 def test_the_bounce_of_one_grain():
     """A grain on a wall in a vacuum of forces: the time of a Hertzian collision by quadrature."""
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall")
-    m, k, v = float(chain.masses[0]), float(chain.wall_constants[1]), 1e-2
+    m = float(chain.masses[0])
+    k = float(chain.wall_constants[1])
+    v = 1e-2
     deepest = (5 * m * v**2 / (4 * k)) ** 0.4
     share, _ = quad(lambda s: 2 * s / np.sqrt(1 - (1 - s**2) ** 2.5), 0, 1, epsabs=0, epsrel=1e-13)
     contact_time = 2 * deepest / v * share

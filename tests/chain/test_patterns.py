@@ -105,8 +105,10 @@ def test_masses_and_contacts_follow_from_the_two_grains(chain: Chain):
             made[n].density * pi * chain.diameters[n] ** 3 / 6, rel=1e-13, abs=0
         )
     for n in range(chain.grains - 1):
-        one, other = made[n], made[n + 1]
-        r, s = chain.diameters[n] / 2, chain.diameters[n + 1] / 2
+        one = made[n]
+        other = made[n + 1]
+        r = chain.diameters[n] / 2
+        s = chain.diameters[n + 1] / 2
         soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (
             1 - other.poissons_ratio**2
         ) / other.youngs_modulus

@@ -73,10 +73,8 @@ def test_a_part_is_as_the_whole_at_rest(chain: Chain):
             assert part.contacts.constant[0] == 0
             assert part.top_load == pytest.approx(chain.contacts.force[first - 1], rel=5e-16, abs=0)
         for what in ("constant", "force", "overlap", "stiffness"):
-            mine, whole = (
-                getattr(part.contacts, what)[kept],
-                getattr(chain.contacts, what)[first - 1 :][kept],
-            )
+            mine = getattr(part.contacts, what)[kept]
+            whole = getattr(chain.contacts, what)[first - 1 :][kept]
             if first == 1 or what == "constant":
                 assert np.array_equal(mine, whole), what
             else:
@@ -122,7 +120,8 @@ def test_a_part_moves_as_the_whole(strike, first: int, last: int):
     small = scene.part(first, last)
     whole, part = (simulate(s, "native", 1e-11) for s in (scene, small))
     for what in ("displacement", "velocity"):
-        one, other = getattr(whole, what), getattr(part, what)
+        one = getattr(whole, what)
+        other = getattr(part, what)
         assert np.abs(one[:, first - 1 : last] - other).max() < 1e-11 * np.abs(one).max()
     beyond = np.delete(whole.velocity, np.s_[first - 1 : last], axis=1)
     assert np.abs(beyond).max() < 1e-11 * np.abs(whole.velocity).max()
@@ -144,7 +143,8 @@ def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():
     assert 0 < scene.strike_number < np.inf
     assert 0 < scene.energy < np.inf
     assert not scene.at_rest
-    top, deep = chain.part(1, 64), chain.part(10**7 - 10, 10**7 + 10)
+    top = chain.part(1, 64)
+    deep = chain.part(10**7 - 10, 10**7 + 10)
     assert deep.contacts.overlap[-2] > top.contacts.overlap[-2] > 0
     assert deep.masses[10] == STEEL.density * np.pi / 6 * 1e-3**3
     assert tracemalloc.get_traced_memory()[1] < 1e6
@@ -175,7 +175,8 @@ def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
     rng = np.random.default_rng(11)
     refused = 0
     for _ in range(300):
-        grains, modulus = int(rng.integers(2, 9)), 10 ** rng.uniform(4, 8)
+        grains = int(rng.integers(2, 9))
+        modulus = 10 ** rng.uniform(4, 8)
         soft = Material(
             density=1000 * 10 ** rng.uniform(-2, 2), youngs_modulus=modulus, poissons_ratio=0.3
         )
@@ -198,12 +199,11 @@ def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
             end: str(rng.choice([kind, "wall"]))
             for end, kind in (("top", "free"), ("bottom", "fixed"))
         }
-        materials, diameters = [soft] * grains, [diameter] * grains
+        materials = [soft] * grains
+        diameters = [diameter] * grains
         for impurity in odd:
-            materials[impurity.grain - 1], diameters[impurity.grain - 1] = (
-                impurity.material,
-                impurity.diameter,
-            )
+            materials[impurity.grain - 1] = impurity.material
+            diameters[impurity.grain - 1] = impurity.diameter
         faults = []
         for how in (
             {"material": soft, "diameter": diameter, "impurity": odd},

@@ -43,7 +43,8 @@ def test_a_notebook_shows_the_units_of_a_chain() -> None:
     chain = Chain(grains=5, diameter=1e-3, material=["glass", "ptfe", "ptfe", "glass", "glass"])
     cells = re.findall(r"<td[^>]*>(.*?)</td>", chain._repr_html_())
     rows = {cells[n]: cells[n + 1 : n + 3] for n in range(0, len(cells) - 2, 3)}
-    glass, ptfe = 2426 * np.pi / 6 * 1e-9, PTFE.density * np.pi / 6 * 1e-9
+    glass = 2426 * np.pi / 6 * 1e-9
+    ptfe = PTFE.density * np.pi / 6 * 1e-9
     soft = 0.96 / 62e9 + (1 - 0.46**2) / 1.46e9
     constant = 4 / 3 / soft * np.sqrt(0.25e-3)
     overlap = (9.81 * glass / constant) ** (2 / 3)

@@ -346,7 +346,8 @@ def test_sigterm_is_handled_as_before_when_it_is_over(scene: Path):
 
 
 def test_compare(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    picture, numbers = tmp_path / "c.png", tmp_path / "c.json"
+    picture = tmp_path / "c.png"
+    numbers = tmp_path / "c.json"
     assert main(["compare", str(scene), "-o", str(picture), "--json", str(numbers)]) == 0
     said = capsys.readouterr()
     assert said.err == ""
@@ -537,7 +538,8 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["run", str(path)]) == 0
     said = dict(re.split(r"  +", line, maxsplit=1) for line in capsys.readouterr().out.splitlines())
     found = Trajectory.load(path.with_suffix(".nc")).gathered
-    force, error = found["peak_force:3"], found["peak_force:3_error"]
+    force = found["peak_force:3"]
+    error = found["peak_force:3_error"]
     assert said["peak_force:3"] == f"{force:.6g} N, off by {error:.2g} at most"
     arrived = np.isfinite(found["arrival_time"])
     assert 0 < arrived.sum() < 20

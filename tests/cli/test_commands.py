@@ -449,7 +449,8 @@ def test_charts_say_what_they_leave_out_and_where_they_are(
 
     monkeypatch.setattr("lmpchain.benchmark.bench.work_precision", work)
     monkeypatch.setattr("lmpchain.stability.find.stability", work)
-    picture, numbers = scene.parent / "c.png", scene.parent / "c.json"
+    picture = scene.parent / "c.png"
+    numbers = scene.parent / "c.json"
     words = [verb, str(scene), "-o", str(picture)]
     assert main(words if verb == "workprec" else [*words, "--json", str(numbers)]) == 0
     printed = capsys.readouterr().out.splitlines()
@@ -524,7 +525,8 @@ def test_pages_are_opened_where_they_are_built(tmp_path: Path, monkeypatch: Any,
 def test_an_orbit_is_told_in_numbers():
     chain = Chain(grains=3, diameter=1e-3)
     family = orbits.follow(orbits.normal_mode(chain, 1, 1e-14), "energy", 2e-14)
-    last, first = family[-1], family[0]
+    last = family[-1]
+    first = family[0]
     told = orbit._describe(family)
     number = r"([\d.e+-]+)"
     period, hertz, linear = re.fullmatch(
@@ -548,7 +550,8 @@ def test_an_orbit_is_told_in_numbers():
             for name in ("period", "energy", "amplitude", "residual", "error")
         }
     )
-    loose.stable, loose.unstable = False, np.array([1.5 + 2j, 1.0])
+    loose.stable = False
+    loose.unstable = np.array([1.5 + 2j, 1.0])
     event = SimpleNamespace(
         kind="period doubling", value=1.5e-14, orbit=SimpleNamespace(period=5e-6)
     )
@@ -705,7 +708,8 @@ def test_a_sensitivity_asks_for_what_it_was_given(scene: Path, monkeypatch: Any,
 def test_a_saved_run_is_evaluated_as_asked(
     scene: Path, answer: Trajectory, monkeypatch: Any, capsys: Any
 ):
-    file, numbers = scene.parent / "run.nc", scene.parent / "n.json"
+    file = scene.parent / "run.nc"
+    numbers = scene.parent / "n.json"
     answer.save(file)
     asked: list[Any] = []
     result = SimpleNamespace(

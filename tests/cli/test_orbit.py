@@ -11,9 +11,11 @@ from lmpchain.cli.command_line import main
 
 def test_orbit(tmp_path: Path):
     chain = Chain(grains=6, diameter=1e-3)
-    scene, energy = tmp_path / "scene.toml", 1e-2 * chain.length_scale * chain.masses[0] * 9.81
+    scene = tmp_path / "scene.toml"
+    energy = 1e-2 * chain.length_scale * chain.masses[0] * 9.81
     Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2).to_toml(scene)
-    picture, numbers = tmp_path / "family.png", tmp_path / "orbit.json"
+    picture = tmp_path / "family.png"
+    numbers = tmp_path / "orbit.json"
     main(
         [
             "orbit",

@@ -160,7 +160,8 @@ def planned(scene: Scene, tolerance: float) -> Row:
         plan = lmpchain.plan(scene, tolerance)
     except FAILURES as error:
         return [type(error).__name__]
-    step, error = repr(float(plan.step)), repr(float(plan.expected_error))
+    step = repr(float(plan.step))
+    error = repr(float(plan.expected_error))
     return [plan.engine, plan.integrator, plan.active_grains, step, error]
 
 
@@ -227,7 +228,8 @@ def differences(key: str, found: Iterable[tuple[str, Row]], some: bool = False) 
     `some` says that these are not all of its cases.
     """
     table = json.loads(TABLE.read_text(encoding="utf-8"))
-    left, bits = table[key], table["made with"] == fingerprint()
+    left = table[key]
+    bits = table["made with"] == fingerprint()
     for name, row in found:
         stored = left.pop(name, [])
         if row != stored and (bits or not alike(row, stored)):

@@ -35,7 +35,9 @@ def noisy(seed: int, offset: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
 def columns() -> np.ndarray:
     """Return the derivatives (R, 3) of all residuals by velocity and both offsets."""
     rows = np.zeros((61, 2, 3))
-    rows[..., 0], rows[:, 0, 1], rows[:, 1, 2] = wave(), 1.0, 1.0
+    rows[..., 0] = wave()
+    rows[:, 0, 1] = 1.0
+    rows[:, 1, 2] = 1.0
     return (rows / NOISE[:, None]).reshape(-1, 3)
 
 

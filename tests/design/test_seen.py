@@ -251,7 +251,8 @@ def test_the_work_of_a_drive_is_that_of_its_force():
     law = chain.contacts
     force = law.constant[1] * (law.overlap[1] + u[:, 0] - u[:, 1]) ** 1.5 - law.force[1]
     weight = np.ones(1001)
-    weight[1:-1:2], weight[2:-1:2] = 4.0, 2.0
+    weight[1:-1:2] = 4.0
+    weight[2:-1:2] = 2.0
     work = (weight * force * v).sum() * scene.duration / 3000
     kinetic = chain.masses[0] * (v[-1] ** 2 - v[0] ** 2) / 2
     assert value(scene.replace(samples=5), DriveWork(), 1e-8) == pytest.approx(

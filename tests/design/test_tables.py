@@ -245,7 +245,9 @@ def test_steps_are_halved_until_two_comparisons_are_enough():
 
     class Run:
         def __init__(self, step: float, steps: int):
-            self.step, self.steps, self.time = step, steps, np.zeros(5)
+            self.step = step
+            self.steps = steps
+            self.time = np.zeros(5)
 
     def solve(step: float, finer: int) -> Answer:
         asked.append((round(step, 12), finer))

@@ -54,7 +54,8 @@ class Given:
 
     def rvs(self, *, size: int, random_state: np.random.Generator) -> np.ndarray:
         self.states.append(str(random_state.bit_generator.seed_seq.entropy))
-        head, self.values = self.values[:size], self.values[size:]
+        head = self.values[:size]
+        self.values = self.values[size:]
         return head
 
 

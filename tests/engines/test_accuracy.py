@@ -115,7 +115,8 @@ def test_gauge_diameter_on_the_weak_scene():
 
     The physical one is refused beforehand, and rightly.
     """
-    scene, reference = SCENES[LONG_AND_WEAK], stored_reference(LONG_AND_WEAK)
+    scene = SCENES[LONG_AND_WEAK]
+    reference = stored_reference(LONG_AND_WEAK)
     check(scene, reference, "lammps", 1e-7)
     with pytest.raises(ToleranceNotMet, match="heights in double precision") as refusal:
         simulate(scene, engine="lammps", tolerance=1e-7, diameter="physical")
@@ -128,7 +129,8 @@ def test_gauge_diameter_on_the_weak_scene():
 
 @pytest.mark.parametrize("seed", range(20))
 def test_random_scenes(seed):
-    scene, reference = SCENES[f"random {seed}"], stored_reference(f"random {seed}")
+    scene = SCENES[f"random {seed}"]
+    reference = stored_reference(f"random {seed}")
     for integrator, tolerance in (("rkn6", 1e-4), ("rkn6", 1e-6), ("rkn6", 1e-9), ("verlet", 1e-6)):
         check(scene, reference, "native", tolerance, integrator=integrator)
 
@@ -162,10 +164,8 @@ def test_springs_whose_contacts_open():
     ],
 )
 def test_random_scenes_in_lammps(seed):
-    scene, reference = (
-        SCENES[f"random for LAMMPS {seed}"],
-        stored_reference(f"random for LAMMPS {seed}"),
-    )
+    scene = SCENES[f"random for LAMMPS {seed}"]
+    reference = stored_reference(f"random for LAMMPS {seed}")
     for integrator in ("rkn6", "verlet"):
         check_or_floor(scene, reference, "lammps", 1e-6, integrator=integrator)
 

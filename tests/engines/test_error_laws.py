@@ -137,7 +137,8 @@ def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
     )
     with mpmath.workdps(40):
         omega = mpmath.sqrt(stiffness / mass)
-        phase, speed = omega * mpmath.mpf(scene.duration), mpmath.mpf(scene.excitation.velocity)
+        phase = omega * mpmath.mpf(scene.duration)
+        speed = mpmath.mpf(scene.excitation.velocity)
         off = velocity / speed - mpmath.cos(phase), displacement * omega / speed - mpmath.sin(phase)
         return float(max(map(abs, off)))
 
@@ -239,7 +240,8 @@ def test_a_nearby_scene_differs_by_a_fraction_of_the_largest_motion(kind):
     }[kind]
     scene = Scene(chain=chain, excitation=excitation, duration=1e-5, samples=5)
     near = perturb(scene, 1e-3)
-    (u, v), (near_u, near_v) = scene.initial(), near.initial()
+    (u, v) = scene.initial()
+    (near_u, near_v) = near.initial()
     turns = np.array([1.0, -1.0, 1.0, -1.0, 0.0])  # the last grain is held
     if kind == "driven":
         assert near.excitation.amplitude == pytest.approx(1.001e-9, rel=1e-12)
@@ -351,7 +353,8 @@ def test_the_next_step_is_neither_much_shorter_nor_hardly_so():
 
 
 def test_a_candidate_is_refined_to_the_steps_that_its_error_asks_for():
-    engine, scene = Native("rkn6"), smooth(samples=6)
+    engine = Native("rkn6")
+    scene = smooth(samples=6)
     candidate = engine.candidate(scene, 1e-9)
     missed = ErrorBudget(64 * 0.7e-9, 0.0, 6)
     better = engine.refine(candidate, missed, 1e-9)
@@ -369,7 +372,8 @@ def test_a_candidate_is_refined_to_the_steps_that_its_error_asks_for():
 
 
 def test_rounding_of_interpolated_samples_is_left_out_by_interpolating_none():
-    engine, scene = Native("rkn6"), smooth(samples=1001)
+    engine = Native("rkn6")
+    scene = smooth(samples=1001)
     candidate = engine.candidate(scene, 1e-6)
     assert candidate.stride > 1
     rounded = engine.refine(candidate, ErrorBudget(0.0, 1e-5, 6), 1e-6)

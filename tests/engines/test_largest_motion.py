@@ -14,7 +14,8 @@ from lmpchain.integrators.methods import METHODS
 
 # grain 2 is fixed: an oscillator
 PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
-OMEGA, SPEED = PAIR.band_edge, 1e-3
+OMEGA = PAIR.band_edge
+SPEED = 1e-3
 LENGTH = SPEED / OMEGA
 
 
@@ -33,7 +34,8 @@ def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
     """
     for excitation in (Impulse(velocity=SPEED), Displacement(displacement=LENGTH)):
         scene = oscillator(excitation, periods, samples)
-        phase, struck = OMEGA * scene.time, excitation.kind == "impulse"
+        phase = OMEGA * scene.time
+        struck = excitation.kind == "impulse"
         t = simulate(scene, engine)
         u, v = (np.sin(phase), np.cos(phase)) if struck else (np.cos(phase), -np.sin(phase))
         true = max(
@@ -50,7 +52,8 @@ def test_a_drive_sampled_at_its_period(frequency):
     chain = Chain(grains=6, diameter=1e-3)
     drive = Drive(amplitude=1e-10, frequency=frequency * chain.band_edge / (2 * np.pi))
     scene = Scene(chain=chain, excitation=drive, duration=6 / drive.frequency, samples=7)
-    t, truth = simulate(scene, "native", 1e-7), reference(scene)
+    t = simulate(scene, "native", 1e-7)
+    truth = reference(scene)
     assert np.abs(t.displacement[:, 0]).max() < 1e-9 * drive.amplitude  # all its samples are nodes
     true = error(t, truth)
     assert true / 3 < t.error_estimate.total <= 1e-7

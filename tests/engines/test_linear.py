@@ -22,7 +22,8 @@ both = pytest.mark.parametrize("engine", ENGINES)
 def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
     """Return a disordered chain with every kind of end, moved all over, or driven."""
     rng = np.random.default_rng(seed)
-    driven, between = bool(rng.random() < 0.4), bool(rng.random() < 0.5)
+    driven = bool(rng.random() < 0.4)
+    between = bool(rng.random() < 0.5)
     chain = Chain(
         grains=grains,
         diameter=1e-3,
@@ -49,7 +50,8 @@ def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
 def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return the linear solution at the end by eigenvectors of a matrix of 40 digits, (N,) each."""
     chain = scene.chain
-    first, last = (1 if scene.drive else 0), chain.movable
+    first = 1 if scene.drive else 0
+    last = chain.movable
     size = last - first
     with mpmath.workdps(40):
         m = [mpmath.mpf(float(x)) for x in chain.masses[first:last]]
@@ -64,7 +66,8 @@ def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         squares, vectors = mpmath.eigsy(matrix)
         u0, v0 = scene.initial()
         t = mpmath.mpf(scene.duration)
-        x, y = [mpmath.mpf(0)] * size, [mpmath.mpf(0)] * size
+        x = [mpmath.mpf(0)] * size
+        y = [mpmath.mpf(0)] * size
         for p in range(size):
             w = mpmath.sqrt(squares[p])
             q = mpmath.fsum(
@@ -83,8 +86,10 @@ def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
             for n in range(size):
                 x[n] += vectors[n, p] * a / mpmath.sqrt(m[n])
                 y[n] += vectors[n, p] * b / mpmath.sqrt(m[n])
-    u, v = np.zeros(chain.grains), np.zeros(chain.grains)
-    u[first:last], v[first:last] = [float(value) for value in x], [float(value) for value in y]
+    u = np.zeros(chain.grains)
+    v = np.zeros(chain.grains)
+    u[first:last] = [float(value) for value in x]
+    v[first:last] = [float(value) for value in y]
     if scene.drive:
         u[0], v[0] = scene.drive.motion(scene.duration)
     return u, v
@@ -130,7 +135,8 @@ def test_modes_and_the_chebyshev_series_agree(seed, grains):
 @pytest.mark.parametrize("seed", range(4))
 def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
     scene = random_linear(seed + 200, 30, strike=1e-13)
-    linear, full = simulate(scene, engine), simulate(scene, "native", 5e-12)
+    linear = simulate(scene, engine)
+    full = simulate(scene, "native", 5e-12)
     assert (
         relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
         < 1e-11
@@ -213,7 +219,8 @@ def test_model_error_of_other_scenes(name, samples):
 def test_springs_have_no_model_error_until_they_open():
     chain = Chain(grains=20, diameter=1e-3, exponent=1.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-4, samples=11)
-    t, truth = simulate(scene, "chebyshev"), simulate(scene, "native", 1e-11)
+    t = simulate(scene, "chebyshev")
+    truth = simulate(scene, "native", 1e-11)
     assert t.error_estimate.model == 0
     assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-11
 
@@ -262,7 +269,8 @@ def test_batches_and_restarts(engine, monkeypatch):
 
 def test_grains_outside_the_light_cone_are_not_touched():
     """10^6 grains cost what the reached ones do, and come out as in a shorter chain."""
-    strike, some = Impulse(velocity=1e-6), [1, 10, 100, 500]
+    strike = Impulse(velocity=1e-6)
+    some = [1, 10, 100, 500]
     long, short = (
         simulate(
             Scene(
@@ -305,7 +313,8 @@ def test_what_cannot_be_linearised_is_refused():
                 simulate(
                     Scene(chain=chain, excitation=excitation, duration=1e-5, samples=3), engine
                 )
-    long, driven = Chain(grains=20_000, diameter=1e-3), Drive(amplitude=1e-12, frequency=1e4)
+    long = Chain(grains=20_000, diameter=1e-3)
+    driven = Drive(amplitude=1e-12, frequency=1e4)
     with pytest.raises(InputError, match="use chebyshev"):
         simulate(Scene(chain=long, excitation=driven, duration=1e-5), "modes")
     with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out"):  # of those the wave reaches few
@@ -324,7 +333,8 @@ def test_closed_forms_know_how_wrong_they_are(engine, duration):
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11, grains="1:50"
     )
-    t, truth = simulate(scene, engine, 0.999, on_miss="warn"), simulate(scene, "native", 1e-10)
+    t = simulate(scene, engine, 0.999, on_miss="warn")
+    truth = simulate(scene, "native", 1e-10)
     true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
     assert t.error_estimate.model / 4 < true < 1.05 * t.error_estimate.model
     assert true == pytest.approx(t.error_estimate.model, rel=0.05) or true < 0.1
@@ -344,7 +354,8 @@ def test_bessel_is_exact_for_a_loaded_chain_until_the_wave_comes_back():
 
 
 def test_closed_forms_refuse_what_they_do_not_know():
-    strike, chain = Impulse(velocity=1e-6), Chain(grains=9, diameter=1e-3)
+    strike = Impulse(velocity=1e-6)
+    chain = Chain(grains=9, diameter=1e-3)
     for made, struck, engine, key in (
         (
             Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)),
@@ -408,7 +419,8 @@ def test_a_wall_that_moves_drives_the_first_grain_too(grains, frequency):
         grain=0,
     )
     scene = Scene(chain=chain, excitation=drive, duration=200 * chain.time_scale, samples=1001)
-    answer, exact = simulate(scene, "modes"), simulate(scene, "native", 1e-11, integrator="dop853")
+    answer = simulate(scene, "modes")
+    exact = simulate(scene, "native", 1e-11, integrator="dop853")
     left_out = relative_error(
         answer.displacement, answer.velocity, exact.displacement, exact.velocity
     )

@@ -31,16 +31,21 @@ HZ = EDGE / (2 * np.pi)
 
 def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return displacement and velocity (T, N) by a general integrator, to 1e-11."""
-    chain, wave = scene.chain, scene.excitation.waveform
-    grains, stiffness = chain.grains, chain.contacts.stiffness
-    driven, wall = scene.excitation.driven, scene.excitation.wall is not None
+    chain = scene.chain
+    wave = scene.excitation.waveform
+    grains = chain.grains
+    stiffness = chain.contacts.stiffness
+    driven = scene.excitation.driven
+    wall = scene.excitation.wall is not None
     place = None if driven or wall or wave is None else scene.excitation.grain - 1
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
-        u, v = y[:grains].copy(), y[grains:].copy()
+        u = y[:grains].copy()
+        v = y[grains:].copy()
         above = wave.at(t) if wall else 0.0
         if driven:
-            u[0], v[0] = wave.at(t), wave.at(t, 1)
+            u[0] = wave.at(t)
+            v[0] = wave.at(t, 1)
         force = stiffness * -np.diff(np.concatenate(([above], u, [0.0])))
         push = force[:-1] - force[1:]
         if place is not None:
@@ -68,9 +73,11 @@ def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         done = solve_ivp(rate, (begin, end), y, "DOP853", times, rtol=1e-12, atol=1e-13 * size)
         y = done.y[:, -1]
         rows += list(done.y.T[np.isin(times, inside)])
-    u, v = np.array(rows)[:, :grains], np.array(rows)[:, grains:]
+    u = np.array(rows)[:, :grains]
+    v = np.array(rows)[:, grains:]
     if driven:
-        u[:, 0], v[:, 0] = wave.at(scene.time), wave.at(scene.time, 1)
+        u[:, 0] = wave.at(scene.time)
+        v[:, 0] = wave.at(scene.time, 1)
     return u, v
 
 
@@ -162,7 +169,8 @@ def test_rounding_of_linear_answers():
     Of a burst that hardly began, far more.
     """
     scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e4 / EDGE, samples=2)
-    series, modes = Chebyshev().round_off(scene), Modes().round_off(scene)
+    series = Chebyshev().round_off(scene)
+    modes = Modes().round_off(scene)
     assert 1e4 * EPSILON < series < 1.1e4 * EPSILON
     assert modes - series == pytest.approx(28 * EPSILON, rel=0.01)
     burst = Force(grain=1, amplitude=1e-8, frequency=0.4 * HZ, cycles=2.6)
@@ -189,7 +197,8 @@ def test_costs_of_linear_answers_grow_with_their_work():
         scene = Scene(chain=chain, excitation=profile, duration=duration, samples=samples)
         return engine.candidate(scene, 1e-6).cost_s
 
-    modes, series = Modes(), Chebyshev()
+    modes = Modes()
+    series = Chebyshev()
     assert seconds(modes, 8000) / seconds(modes, 4000) == pytest.approx(8, rel=0.35)
     more, most = (seconds(modes, 50, samples=n) for n in (100_001, 200_001))
     assert most / more == pytest.approx(2, rel=0.05)
@@ -211,12 +220,15 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
     A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much
     closer it is.
     """
-    chain, first = scene.chain, scene.excitation.driven
+    chain = scene.chain
+    first = scene.excitation.driven
     modes = eigenmodes(chain)
     assert first == 0
-    omega, shape = modes.frequency, modes.shape
+    omega = modes.frequency
+    shape = modes.shape
     u, v = scene.initial()
-    moving, grains = chain.movable, chain.grains
+    moving = chain.movable
+    grains = chain.grains
     # of contact c, from 0 above the top, by a unit of a mode
     squeeze = np.zeros((grains + 1, omega.size))
     for contact in range(grains + 1):
@@ -434,7 +446,8 @@ def test_samples_may_be_close_enough_to_need_no_other_look():
 def test_the_model_error_of_a_closed_form_is_that_of_the_linear_chain_and_its_own(made):
     chain = Chain(grains=60, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-7), duration=3e-5, samples=401)
-    formula, exact = simulate(scene, made, 0.999, on_miss="warn"), simulate(scene, "chebyshev", 0.9)
+    formula = simulate(scene, made, 0.999, on_miss="warn")
+    exact = simulate(scene, "chebyshev", 0.9)
     own = relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
     assert formula.error_estimate.model - exact.error_estimate.model == pytest.approx(own, rel=1e-3)
     cost = formula.cost

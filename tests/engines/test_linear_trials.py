@@ -44,11 +44,10 @@ def drawn(seed: int) -> Scene:
 
 
 def _drawn(rng: np.random.Generator) -> Scene:
-    grains, load = (
-        int(rng.choice([2, 3, 4, 6, 12, 30, 80])),
-        rng.choice(["gravity", "load", "both"]),
-    )
-    bottom, even = str(rng.choice(["fixed", "wall"])), rng.random() < 0.6
+    grains = int(rng.choice([2, 3, 4, 6, 12, 30, 80]))
+    load = rng.choice(["gravity", "load", "both"])
+    bottom = str(rng.choice(["fixed", "wall"]))
+    even = rng.random() < 0.6
     kind = str(rng.choice(["impulse", "impulse", "displacement", "profile", "drive"]))
     chain = Chain(
         grains=grains,
@@ -63,7 +62,8 @@ def _drawn(rng: np.random.Generator) -> Scene:
         top="wall" if load != "gravity" and kind != "drive" and rng.random() < 0.3 else "free",
         bottom=bottom,
     )
-    edge, frequencies = chain.band_edge, eigenmodes(chain).frequency
+    edge = chain.band_edge
+    frequencies = eigenmodes(chain).frequency
     grain = 1 if rng.random() < 0.5 else int(rng.integers(1, chain.movable + 1))
     length = float(chain.equilibrium_overlap[min(grain, chain.grains - 1) - 1])
     strength = 10 ** (rng.uniform(-12, 0.2) if rng.random() < 0.4 else rng.uniform(-3, 0.3))
@@ -138,8 +138,10 @@ class Trial(NamedTuple):
 
 def trials(seed: int) -> list[Trial]:
     """Return the answers of every linear engine, and of "auto" where that is one of them."""
-    scene, rng = drawn(seed), np.random.default_rng([seed, 1])
-    known, rows = truth(scene), []
+    scene = drawn(seed)
+    rng = np.random.default_rng([seed, 1])
+    known = truth(scene)
+    rows = []
     if known is None:
         return []
     with warnings.catch_warnings(action="ignore"):
@@ -232,7 +234,8 @@ def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
 def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
     """The bound on the strain is that of the quadratic form, and the linear motion keeps to it."""
     scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
-    chain, contacts = scene.chain, scene.chain.contacts
+    chain = scene.chain
+    contacts = scene.chain.contacts
     part = slice(0, chain.movable)
     # of contacts by displacements
     stretch = -np.diff(np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0)
@@ -265,7 +268,8 @@ def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, 
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-3 * unit), duration=periods, samples=samples
     )
-    known, t = truth(scene), simulate(scene, engine, 0.9)
+    known = truth(scene)
+    t = simulate(scene, engine, 0.9)
     assert known
     assert known.error(t) / 3 < t.error_estimate.model < 0.2
     assert Modes().look(scene).scale == pytest.approx(known.scale, rel=0.01, abs=0)
@@ -307,7 +311,8 @@ def test_waves_in_resonance_add_up(engine, length):
     third, fourth = between(chain.contacts.stiffness[1:], chain.masses[1:]).frequency[2:]
     assert third + 2 * np.pi * drive.frequency == pytest.approx(1.005 * fourth, rel=1e-3, abs=0)
     scene = Scene(chain=chain, excitation=drive, duration=length * 2.61e-4, samples=199)
-    known, t = truth(scene), simulate(scene, engine, 0.9)
+    known = truth(scene)
+    t = simulate(scene, engine, 0.9)
     assert known
     assert known.error(t) / 1.3 < Modes().look(scene).estimate < 1.3 * known.error(t)
     # of what acts all the time, the bound
@@ -320,17 +325,18 @@ def test_waves_that_travel_far_grow_steeper(kind):
     """A crest is faster than a trough all the way, unlike signs that change at each grain."""
     grains = 1500
     chain = Chain(grains=grains, diameter=1e-3, gravity=0, top_load=1.0, exponent=2.0)
-    hop, amplitude = (
-        np.sqrt(chain.linear_stiffness[0] / chain.masses[0]),
-        2e-4 * chain.equilibrium_overlap[0],
-    )
+    hop = np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
+    amplitude = 2e-4 * chain.equilibrium_overlap[0]
     if kind == "drive":
-        excitation, grains_passed = Drive(frequency=0.6 * hop / np.pi, amplitude=amplitude), 1400
+        excitation = Drive(frequency=0.6 * hop / np.pi, amplitude=amplitude)
+        grains_passed = 1400
     else:
         wave = {"frequency": 0.25 * hop / np.pi, "amplitude": amplitude}
-        excitation, grains_passed = Packet(**wave, grain=grains // 2, width=grains // 14), 600
+        excitation = Packet(**wave, grain=grains // 2, width=grains // 14)
+        grains_passed = 600
     scene = Scene(chain=chain, excitation=excitation, duration=grains_passed / hop, samples=41)
-    t, nonlinear = simulate(scene, "chebyshev", 0.9), simulate(scene, "native", 1e-6)
+    t = simulate(scene, "chebyshev", 0.9)
+    nonlinear = simulate(scene, "native", 1e-6)
     true = max(
         np.abs(a - b).max() / np.abs(b).max()
         for a, b in ((t.displacement, nonlinear.displacement), (t.velocity, nonlinear.velocity))
@@ -365,7 +371,8 @@ def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency)
         t = simulate(scene, "chebyshev")
     known = truth(scene)
     assert known
-    true, said = known.error(t), t.error_estimate.model
+    true = known.error(t)
+    said = t.error_estimate.model
     assert true / 3 < said < 5 * true
     assert planned.model_error > true
     estimate = Chebyshev().look(scene.reached).error

@@ -59,12 +59,14 @@ class Swing(Run):
     """Samples of the sine, two at a time."""
 
     def __init__(self, scene, sample):
-        self.scene, self.sample = scene, sample
+        self.scene = scene
+        self.sample = sample
 
     def blocks(self):
         """Yield the answer."""
         chain = self.scene.chain
-        omega, (u, v) = chain.band_edge, (x[0] for x in self.scene.initial())
+        omega = chain.band_edge
+        (u, v) = (x[0] for x in self.scene.initial())
         while self.sample < self.scene.samples:
             here = slice(self.sample, min(self.sample + 2, self.scene.samples))
             t = self.scene.time[here]
@@ -111,7 +113,8 @@ def spring(monkeypatch: pytest.MonkeyPatch) -> Scene:
 
 def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
     native = simulate(spring, "native", 1e-12)
-    named, chosen = simulate(spring, "oscillator"), simulate(spring)
+    named = simulate(spring, "oscillator")
+    chosen = simulate(spring)
     assert named.engine == chosen.engine == "oscillator"
     assert np.abs(named.velocity - native.velocity).max() < 1e-12 * np.abs(native.velocity).max()
     assert chosen.provenance["formula"] == "sine"
@@ -130,7 +133,8 @@ def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
 
 def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):
     spring.to_toml(tmp_path / "scene.toml")
-    numbers, picture = tmp_path / "numbers.json", tmp_path / "picture.png"
+    numbers = tmp_path / "numbers.json"
+    picture = tmp_path / "picture.png"
     words = ["compare", str(tmp_path / "scene.toml"), "--engines", "oscillator,native"]
     assert main([*words, "--json", str(numbers), "-o", str(picture)]) == 0
     rows = {row["engine"]: row for row in json.loads(numbers.read_text())["rows"]}
@@ -141,7 +145,8 @@ def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):
 def test_it_works_in_a_run_folder(spring: Scene, tmp_path):
     with pytest.raises(lmpchain.Stopped):
         simulate(spring, "oscillator", folder=tmp_path / "run", max_wall=1e-9)
-    resumed, plain = lmpchain.resume(tmp_path / "run"), simulate(spring, "oscillator")
+    resumed = lmpchain.resume(tmp_path / "run")
+    plain = simulate(spring, "oscillator")
     assert resumed.engine == "oscillator"
     assert np.array_equal(resumed.velocity, plain.velocity)
 

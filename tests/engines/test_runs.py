@@ -72,7 +72,9 @@ def test_what_a_run_in_lammps_has_cost():
 def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
     candidate = engine.candidate(SCENE, 1e-6)
     run = engine.start([SCENE], candidate)
-    blocks, states, progress = [], [], [run.progress]
+    blocks = []
+    states = []
+    progress = [run.progress]
     for block in run.blocks():
         if block.samples.stop == block.samples.start:
             continue  # an opportunity to stop
@@ -232,7 +234,8 @@ def test_a_batch_has_the_answers_and_errors_of_its_scenes(small_blocks):
 
 def test_longer_runs_are_expected_to_cost_more():
     """In proportion to steps and grains, from a start-up on; a wave reaches few of many grains."""
-    engine, method = Native("rkn6"), METHODS["rkn6"]
+    engine = Native("rkn6")
+    method = METHODS["rkn6"]
     scene = paper("weak", 3)
     one, two, four = (
         engine.cost(scene, method, steps) - engine.start_up_s for steps in (1000, 2000, 4000)

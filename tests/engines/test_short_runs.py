@@ -28,14 +28,13 @@ def short_scene(rng: np.random.Generator) -> Scene:
         gravity=float(rng.choice([0.0, 9.81])),
         top_load=float(10 ** rng.uniform(-4, 0)),
     )
-    size, sample = 10 ** rng.uniform(-5, 0.5), float(10 ** rng.uniform(-0.7, 0.7))
+    size = 10 ** rng.uniform(-5, 0.5)
+    sample = float(10 ** rng.uniform(-0.7, 0.7))
     grain = int(rng.integers(1, grains))
     length = chain.length_scale or float(chain.equilibrium_overlap[1])
     speed = length * chain.band_edge
-    struck, moved = (
-        Impulse(velocity=size * speed, grain=grain),
-        Displacement(displacement=size * length, grain=grain),
-    )
+    struck = Impulse(velocity=size * speed, grain=grain)
+    moved = Displacement(displacement=size * length, grain=grain)
     excitation = struck if rng.random() < 0.5 else moved
     samples = int(rng.choice([2, 2, 2, 3, 4, 6]))
     return Scene(
@@ -49,8 +48,10 @@ def short_scene(rng: np.random.Generator) -> Scene:
 def check(seed: int) -> None:
     """Hold an answer to a tolerance, or at a step of the user's, against the truth."""
     rng = np.random.default_rng([2026, seed])
-    scene, integrator = short_scene(rng), str(rng.choice(list(METHODS)))
-    tolerance, steps = float(10 ** rng.uniform(-9, -1.5)), int(rng.integers(1, 12))
+    scene = short_scene(rng)
+    integrator = str(rng.choice(list(METHODS)))
+    tolerance = float(10 ** rng.uniform(-9, -1.5))
+    steps = int(rng.integers(1, 12))
     if METHODS[integrator].order <= 4:
         tolerance = max(tolerance, 1e-5)
     step = scene.duration / (scene.samples - 1) / steps
@@ -138,7 +139,8 @@ def test_adaptive_steps_end_where_a_run_breaks_down():
         duration=0.000458478080663487,
         samples=11,
     )
-    engine, true = Native("rkn4"), reference(scene)
+    engine = Native("rkn4")
+    true = reference(scene)
     for steps in (1, 2, 4):
         step = scene.duration / (scene.samples - 1) / steps
         candidate = engine.candidate(scene, 1e-5)._replace(step=step, steps_per_landing=steps)

@@ -44,7 +44,10 @@ class Scripted(Engine):
     equation = 1
 
     def __init__(self, errors, now):
-        self.errors, self.now, self.steps, self.last = list(errors), now, [], False
+        self.errors = list(errors)
+        self.now = now
+        self.steps = []
+        self.last = False
 
     def refuses(self, scene):
         """Do everything."""
@@ -72,7 +75,10 @@ class ScriptedRun(Run):
     """A run without samples."""
 
     def __init__(self, error, now, size):
-        self.error, self.now, self.size, self.closed = error, now, size, 0
+        self.error = error
+        self.now = now
+        self.size = size
+        self.closed = 0
 
     def blocks(self):
         """Spend the time."""

@@ -16,7 +16,8 @@ from lmpchain.trajectory.between.maxima import Log, Window, events_of, follow, l
 
 def power(c: np.ndarray) -> Polynomial:
     """Return a polynomial in powers of s from its Bernstein coefficients."""
-    s, degree = Polynomial([0, 1]), c.size - 1
+    s = Polynomial([0, 1])
+    degree = c.size - 1
     parts = (
         math.comb(degree, k) * c[k] * s**k * (1 - s) ** (degree - k) for k in range(degree + 1)
     )
@@ -54,7 +55,8 @@ def peak_of(
     ceiling: np.ndarray | None = None,
 ) -> tuple[float, float]:
     """Return the largest value and its error."""
-    path, largest = path_of(values, kind, h, ceiling), lowest(1, -np.inf)
+    path = path_of(values, kind, h, ceiling)
+    largest = lowest(1, -np.inf)
     none = events_of(np.zeros(0))
     follow(path, Window(0, 0, path.error.size), largest, none, 0, Log(none, 0))
     value, error = largest.estimate(known)
@@ -103,7 +105,8 @@ def block_of(
     )
     if linear and exponent > 1:
         rows[1, ~pressed] = 0.0
-    samples, bodies = u.shape[0], len(columns)
+    samples = u.shape[0]
+    bodies = len(columns)
     nothing = Imposed(np.zeros((4, samples)), np.zeros((2, samples)), np.zeros(samples), 0, False)
     law = Law(rows, inverse_mass, exponent, linear)
     fields = (np.ascontiguousarray(field.T) for field in (u, v))

@@ -32,7 +32,10 @@ class Browser:
     """One page of a browser."""
 
     def __init__(self, given: Any, said: Any):
-        self._given, self._said, self._number, self._session = given, said, 0, {}
+        self._given = given
+        self._said = said
+        self._number = 0
+        self._session = {}
         self.remarks: list[dict[str, Any]] = []  # what the console and the security policy say
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = {
@@ -125,7 +128,8 @@ class Browser:
 def browser(folder: Path) -> Iterator[Browser]:
     """Start a browser that keeps its files in a folder, and end it."""
     ours, theirs = os.pipe(), os.pipe()  # it reads from 3 and writes to 4
-    given, said = os.fdopen(ours[1], "wb"), os.fdopen(theirs[0], "rb")
+    given = os.fdopen(ours[1], "wb")
+    said = os.fdopen(theirs[0], "rb")
     script = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'
     arguments = [installed() or "", *FLAGS, f"--user-data-dir={folder}"]
     process = subprocess.Popen(

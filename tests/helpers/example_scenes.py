@@ -208,12 +208,11 @@ def _acted(rng: np.random.Generator, chain: Chain) -> Scene:
         else (chain.length_scale, 1 / chain.time_scale)
     )
     if not np.isfinite(omega) or not length:
-        length, omega = 1e-8, 1e4
+        length = 1e-8
+        omega = 1e4
     size = 10 ** rng.uniform(-4, 1) if chain.compressed else 1.0
-    duration, frequency = (
-        rng.uniform(2, 20) / omega,
-        omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3),
-    )
+    duration = rng.uniform(2, 20) / omega
+    frequency = omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3)
     strength = float(size * chain.masses[grain - 1] * omega**2 * length) * rng.choice([-1.0, 1.0])
     cycles = float(rng.choice([1.0, 2.0, 5.0, rng.uniform(0.3, 6)]))
     apart = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(5, 30))))
@@ -285,11 +284,14 @@ def _at_speed(rng: np.random.Generator, chain: Chain, speed: float) -> Scene:
     what contacts need to answer it.
     """
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
-    mass, contact = chain.masses[grain - 1], min(grain, chain.grains - 1) - 1
-    constant, stiffness = chain.contact_constants[contact], chain.linear_stiffness[contact]
+    mass = chain.masses[grain - 1]
+    contact = min(grain, chain.grains - 1) - 1
+    constant = chain.contact_constants[contact]
+    stiffness = chain.linear_stiffness[contact]
     hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))
     omega = max(float(np.sqrt(stiffness / mass)), float(hit))
-    duration, sign = rng.uniform(2, 20) / omega, rng.choice([-1.0, 1.0])
+    duration = rng.uniform(2, 20) / omega
+    sign = rng.choice([-1.0, 1.0])
     kind = rng.choice(["impulse", "impulse", "displacement", "profile", "sine", "spline"])
     if kind == "impulse":
         excitation = Impulse(velocity=sign * speed, grain=grain)

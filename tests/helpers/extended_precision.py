@@ -18,13 +18,15 @@ def tangent_map(
     """Return displacement and velocity (M,) after these steps, s, and the
     derivatives by both (2M, 2M).
     """
-    size, delta = chain.movable, REAL(chain.exponent)
+    size = chain.movable
+    delta = REAL(chain.exponent)
     constant, rest = (
         x.astype(REAL)[: size + 1, None] for x in (chain.contacts.constant, chain.contacts.force)
     )
     mass = chain.masses.astype(REAL)[:size, None]
     overlap = np.where(constant > 0, (rest / np.where(constant > 0, constant, 1)) ** (1 / delta), 0)
-    x, v = displacement[:size, None].astype(REAL), velocity[:size, None].astype(REAL)
+    x = displacement[:size, None].astype(REAL)
+    v = velocity[:size, None].astype(REAL)
     dx, dv = np.split(np.eye(2 * size, dtype=REAL), 2)
 
     def shortening(u: np.ndarray) -> np.ndarray:
@@ -37,5 +39,6 @@ def tangent_map(
             v = v - REAL(kick) * REAL(step) * np.diff(constant * o**delta - rest, axis=0) / mass
             pull = delta * constant * o ** (delta - 1) * shortening(dx)
             dv = dv - REAL(kick) * REAL(step) * np.diff(pull, axis=0) / mass
-            x, dx = x + REAL(drift) * REAL(step) * v, dx + REAL(drift) * REAL(step) * dv
+            x = x + REAL(drift) * REAL(step) * v
+            dx = dx + REAL(drift) * REAL(step) * dv
     return x[:, 0], v[:, 0], np.concatenate((dx, dv))

@@ -24,7 +24,8 @@ WIDE = np.longdouble
 
 def parameters(scene: Scene) -> dict[str, Array]:
     """Return all that may be changed."""
-    chain, excitation = scene.chain, scene.excitation
+    chain = scene.chain
+    excitation = scene.excitation
     u, v = scene.initial()
     made = {
         "masses": chain.masses,
@@ -69,7 +70,8 @@ def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
     """Return masses, constants and so on with some parameters changed, and
     all that follows from them.
     """
-    chain, now = scene.chain, parameters(scene)
+    chain = scene.chain
+    now = parameters(scene)
     before = {name: value.copy() for name, value in now.items()}
     now |= changed
     natural = _hertz(scene, now["youngs_moduli"], now["diameters"])
@@ -97,9 +99,11 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
         return None
     if excitation.times is None:
         turn = 8 * np.arctan(WIDE(1))
-        size, cycles = now["amplitude"][0], excitation.cycles
+        size = now["amplitude"][0]
+        cycles = excitation.cycles
         if "frequency" not in now:
-            end, omega = WIDE(excitation.duration), turn / 2 / WIDE(excitation.duration)
+            end = WIDE(excitation.duration)
+            omega = turn / 2 / WIDE(excitation.duration)
         else:
             omega = turn * now["frequency"][0]
             end = WIDE(np.inf) if cycles is None else cycles / now["frequency"][0]
@@ -110,18 +114,21 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
                 return WIDE(0), WIDE(0)
             if not part:
                 return size * np.sin(omega * t), size * omega * np.cos(omega * t)
-            hann, rate = np.sin(part * t) ** 2, part * np.sin(2 * part * t)
+            hann = np.sin(part * t) ** 2
+            rate = part * np.sin(2 * part * t)
             return size * np.sin(omega * t) * hann, size * (
                 omega * np.cos(omega * t) * hann + np.sin(omega * t) * rate
             )
 
         return wave
     curve = Curve(excitation, now[excitation.kind], WIDE)
-    knots, pieces = curve.knots, curve.pieces[::-1]
+    knots = curve.knots
+    pieces = curve.pieces[::-1]
 
     def spline(t: Any) -> tuple[Any, Any]:
         at = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), knots.size - 2)
-        s, (a, b, c, d) = t - knots[at], pieces[:, at]
+        s = t - knots[at]
+        (a, b, c, d) = pieces[:, at]
         return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c
 
     return spline
@@ -133,21 +140,26 @@ def run(
     """Return displacement and velocity (looks+1, N) after so many steps a look,
     and what the chain is made of.
     """
-    chain, now = scene.chain, made_of(scene, changed)
-    m, delta = now["masses"], WIDE(chain.exponent)
+    chain = scene.chain
+    now = made_of(scene, changed)
+    m = now["masses"]
+    delta = WIDE(chain.exponent)
     k = np.concatenate(
         (now["wall_constants"][:1], now["contact_constants"], now["wall_constants"][1:])
     )
     carried = now["top_load"][0] + now["gravity"][0] * np.concatenate(([WIDE(0)], np.cumsum(m)))
     carried = np.where(k > 0, carried, 0)
     overlap = np.where(k > 0, carried / np.where(k > 0, k, 1), 0) ** (1 / delta)
-    x, v = now["displacement"].copy(), now["velocity"].copy()
+    x = now["displacement"].copy()
+    v = now["velocity"].copy()
     free = np.ones(chain.grains, dtype=WIDE)
     free[chain.movable :] = 0
-    motion, driven = _motion(scene, now), scene.excitation.driven
+    motion = _motion(scene, now)
+    driven = scene.excitation.driven
     wall = scene.excitation.kind == "drive" and not driven
     if driven:
-        free[0], v[0] = 0, 0
+        free[0] = 0
+        v[0] = 0
     h = WIDE(scene.duration) / (looks * steps)
     offsets = np.concatenate(([WIDE(0)], np.cumsum(np.array(method.drifts, dtype=WIDE))))
     offsets[-1] = 1
@@ -174,7 +186,8 @@ def run(
                 x[:] += WIDE(a) * h * v
         seen.append((x.copy(), v.copy()))
         if driven:
-            x[0], seen[-1][1][0] = seen[-1][0][0], motion((look + 1) * steps * h)[1]
+            x[0] = seen[-1][0][0]
+            seen[-1][1][0] = motion((look + 1) * steps * h)[1]
     if driven:
         seen[0][0][0], seen[0][1][0] = motion(WIDE(0))
     return (

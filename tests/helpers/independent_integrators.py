@@ -42,15 +42,14 @@ class Motion:
         chain = scene.chain
         mass = np.asarray(chain.masses, dtype=kind)
         above, below = chain.wall_constants
-        above, below = above * (chain.top == "wall"), below * (chain.bottom == "wall")
+        above = above * (chain.top == "wall")
+        below = below * (chain.bottom == "wall")
         stiffness = np.concatenate(([above], chain.contact_constants, [below])).astype(kind)
         self.delta = kind(chain.exponent)
         force = kind(chain.top_load) + kind(chain.gravity) * np.append(0, np.cumsum(mass))
         pressed = (stiffness > 0) & (force > 0)
-        self.compressed, self.loose = (
-            bool(pressed.any()),
-            np.flatnonzero((stiffness > 0) & ~pressed),
-        )
+        self.compressed = bool(pressed.any())
+        self.loose = np.flatnonzero((stiffness > 0) & ~pressed)
         self.opens = np.where(pressed, -1, 0)  # closeness at which each contact does
         overlap = np.where(pressed, force / np.where(pressed, stiffness, 1), 0) ** (1 / self.delta)
         self.acting, self.body = _acting(scene, kind)
@@ -169,8 +168,11 @@ class Sine:
         cycles: float | None,
         half: bool,
     ):
-        self.amplitude, self.omega = kind(amplitude), 8 * np.arctan(kind(1)) * kind(frequency)
-        self.unit, self.cycles, self.half = 1 / self.omega, cycles, half
+        self.amplitude = kind(amplitude)
+        self.omega = 8 * np.arctan(kind(1)) * kind(frequency)
+        self.unit = 1 / self.omega
+        self.cycles = cycles
+        self.half = half
         ends = (
             [kind(cycles) / kind(frequency)]
             if cycles
@@ -184,13 +186,16 @@ class Sine:
         """Return displacement, m, and velocity, m/s; or a force, N, and its rate."""
         if self.knots.size and t >= self.knots[0]:
             return 0 * self.omega, 0 * self.omega
-        a, w = self.amplitude, self.omega
-        value, rate = a * np.sin(w * t), a * w * np.cos(w * t)
+        a = self.amplitude
+        w = self.omega
+        value = a * np.sin(w * t)
+        rate = a * w * np.cos(w * t)
         if not self.cycles:
             return value, rate
         # the square of its sine keeps the digits that 1 - cos loses at first
         half = w * t / (2 * self.cycles)
-        hann, slope = np.sin(half) ** 2, np.sin(half) * np.cos(half) * w / self.cycles
+        hann = np.sin(half) ** 2
+        slope = np.sin(half) * np.cos(half) * w / self.cycles
         return value * hann, rate * hann + value * slope
 
     def largest(self) -> tuple[np.floating[Any], np.floating[Any]]:
@@ -297,7 +302,9 @@ def scipy_reference(scene: Scene) -> Reference:
         return np.concatenate((y[grains:], motion.acceleration(t, y[:grains])))
 
     def run(rtol: float) -> tuple[Array, Array]:
-        y, step, states = motion.start.ravel(), None, [motion.start]
+        y = motion.start.ravel()
+        step = None
+        states = [motion.start]
         for begin, end, sampled in motion.stretches():
             first = None if step is None else min(step, end - begin)
             solver = DOP853(slope, begin, y, end, rtol=rtol, atol=1e-17, first_step=first)
@@ -331,9 +338,11 @@ def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
     tolerance = max(tolerance, 9 * float(np.finfo(np.longdouble).eps))
 
     def run(loose: float) -> tuple[Array, Array]:
-        state, states = motion.start, [motion.start]
+        state = motion.start
+        states = [motion.start]
         peak = motion.size(motion.instants[0], state)
-        step, shortest = np.longdouble(0.01), loose ** (1 / (motion.delta + 1))
+        step = np.longdouble(0.01)
+        shortest = loose ** (1 / (motion.delta + 1))
         for begin, end, sampled in motion.stretches():
             left = end - begin
             while left > 0:
@@ -370,7 +379,8 @@ def _extrapolate(
     push = motion.acceleration(begin, state[0])
     row: list[Array] = []
     for parts in range(1, 11):
-        above, row = row, [_stoermer(motion, state, push, begin, step, parts)]
+        above = row
+        row = [_stoermer(motion, state, push, begin, step, parts)]
         for k in range(1, parts):
             ratio = np.longdouble(parts) / (parts - k)
             row.append(row[k - 1] + (row[k - 1] - above[k - 1]) / (ratio**2 - 1))
@@ -388,7 +398,8 @@ def _stoermer(
     even powers of their length.
     """
     h = step / parts
-    x, gain = state[0], push * (h / 2)
+    x = state[0]
+    gain = push * (h / 2)
     for part in range(1, parts + 1):
         x = x + h * (state[1] + gain)  # summing the gain in velocity keeps its digits
         push = motion.acceleration(begin + part * h, x)

@@ -95,8 +95,12 @@ def superposition(h: float, tau: float, delta: float, power: float) -> complex:
     where it does not oscillate.
     """
     with mp.workdps(20):
-        d, h, tau, power = mp.mpf(delta), mp.mpf(h), mp.mpf(tau), mp.mpf(power)
-        nu, chi = 1 / (1 + d), 2 / (1 + 1 / d) * h ** ((1 + 1 / d) / 2)
+        d = mp.mpf(delta)
+        h = mp.mpf(h)
+        tau = mp.mpf(tau)
+        power = mp.mpf(power)
+        nu = 1 / (1 + d)
+        chi = 2 / (1 + 1 / d) * h ** ((1 + 1 / d) / 2)
 
         def integrand(x: mp.mpf) -> mp.mpf:  # y = x^20 takes the singularity at 0 away
             y = x**20

@@ -15,7 +15,8 @@ def find_peak(time: Array, values: Array, top: int | None = None) -> tuple[float
     assert 12 <= top < len(time) - 12, "the peak must lie well inside the recording"
     near = slice(top - 12, top + 13)
     spline = make_interp_spline(time[near] - time[top], values[near], k=5)
-    slope, curvature = spline.derivative(), spline.derivative(2)
+    slope = spline.derivative()
+    curvature = spline.derivative(2)
     t = 0.0
     for _ in range(20):
         t -= float(slope(t) / curvature(t))

@@ -22,13 +22,11 @@ class Watch:
     """Counts the changes to a folder, and copies it just before some of them."""
 
     def __init__(self, folder: Path, wanted: Container[int], into: Path):
-        self.count, self.copies, self._folder, self._wanted, self._into = (
-            0,
-            [],
-            folder,
-            wanted,
-            into,
-        )
+        self.count = 0
+        self.copies = []
+        self._folder = folder
+        self._wanted = wanted
+        self._into = into
         self._again = False
 
     def __enter__(self) -> Self:

@@ -21,7 +21,8 @@ def true_error(
     """
     finer = (scene.samples - 1) * BETWEEN + 1
     u, v, own = integrate(Scene(**scene.given() | {"samples": finer, "grains": "all"}))
-    pairs, columns = ((t.displacement, u), (t.velocity, v)), scene.recorded - 1
+    pairs = ((t.displacement, u), (t.velocity, v))
+    columns = scene.recorded - 1
     scale = (np.abs(true).max() or 1.0 for _, true in pairs)
     errors = (
         np.abs(x[:] - true[::BETWEEN, columns]).max() / s

@@ -41,7 +41,8 @@ class Column(NamedTuple):
 
 def column(scene: Scene) -> Column:
     """Return what a scene is made of, in 80-bit numbers."""
-    chain, excitation = scene.chain, scene.excitation
+    chain = scene.chain
+    excitation = scene.excitation
     above, below = chain.wall_constants
     constants = np.array([above, *chain.contact_constants, below], dtype=WIDE)
     carried = WIDE(chain.top_load) + WIDE(chain.gravity) * np.append(
@@ -79,12 +80,15 @@ def course_of(excitation: Any, drive: Array) -> Course | None:
 
         def spline(t: Any, order: int, inside: Any = None) -> Any:
             piece = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), knots.size - 2)
-            s, (a, b, c, d) = t - knots[piece], np.moveaxis(pieces[..., piece], -1, 0)
+            s = t - knots[piece]
+            (a, b, c, d) = np.moveaxis(pieces[..., piece], -1, 0)
             return (3 * a * s + 2 * b) * s + c if order else ((a * s + b) * s + c) * s + d
 
         return spline
     turn = 8 * np.arctan(WIDE(1))
-    size, omega, cycles = drive[..., 0], turn * drive[..., 1], excitation.cycles
+    size = drive[..., 0]
+    omega = turn * drive[..., 1]
+    cycles = excitation.cycles
     end = WIDE(np.inf) if cycles is None else WIDE(cycles) / WIDE(excitation.frequency)
     if excitation.frequency is None:
         end = WIDE(excitation.duration)
@@ -92,11 +96,13 @@ def course_of(excitation: Any, drive: Array) -> Course | None:
     def sine(t: Any, order: int, inside: Any = None) -> Any:
         if (t if inside is None else inside) >= end:
             return 0 * size
-        wave, rate = size * np.sin(omega * t), size * omega * np.cos(omega * t)
+        wave = size * np.sin(omega * t)
+        rate = size * omega * np.cos(omega * t)
         if cycles is None:
             return rate if order else wave
         slow = omega / (2 * WIDE(cycles))
-        hann, slope = np.sin(slow * t) ** 2, slow * np.sin(2 * slow * t)
+        hann = np.sin(slow * t) ** 2
+        slope = slow * np.sin(2 * slow * t)
         return rate * hann + wave * slope if order else wave * hann
 
     return sine
@@ -106,14 +112,14 @@ class Motion:
     """Eq. (1) of a column: x'' at any time, and what is driven where its course says."""
 
     def __init__(self, made: Column):
-        excitation, chain = made.scene.excitation, made.scene.chain
-        self.x, self.v, self.masses, self.constants = (
-            made.displacement,
-            made.velocity,
-            made.masses,
-            made.constants,
-        )
-        self.carried, self.delta = made.forces, WIDE(chain.exponent)
+        excitation = made.scene.excitation
+        chain = made.scene.chain
+        self.x = made.displacement
+        self.v = made.velocity
+        self.masses = made.masses
+        self.constants = made.constants
+        self.carried = made.forces
+        self.delta = WIDE(chain.exponent)
         self.pressed = made.scene.chain.contacts.pressed
         positive = np.where(made.constants > 0, made.constants, 1)
         overlap = np.where(self.pressed, made.forces / positive, 1) ** (1 / self.delta)
@@ -163,13 +169,16 @@ class Motion:
         """Return displacements and velocities (2, ..., N) of all grains."""
         state = np.array([x, v])
         if self.driven:
-            state[0, ..., 0], state[1, ..., 0] = self.course(t, 0), self.course(t, 1)
+            state[0, ..., 0] = self.course(t, 0)
+            state[1, ..., 0] = self.course(t, 1)
         return state
 
 
 def by_splitting(motion: Motion, method: Splitting, steps: Iterable[Any]) -> Array:
     """Return the states (K+1, 2, ..., N) after steps of these lengths, s."""
-    x, v, t = motion.x, motion.v, WIDE(0)
+    x = motion.x
+    v = motion.v
+    t = WIDE(0)
     states = [motion.seen(x, v, t)]
     for h in steps:
         reach = WIDE(0)
@@ -208,11 +217,15 @@ def dormand_prince_step(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> D
 
 def by_dormand_prince(motion: Motion, steps: Iterable[Any]) -> Array:
     """Return the states (K+1, 2, N) after steps of these lengths, s."""
-    x, v, t = motion.x, motion.v, WIDE(0)
+    x = motion.x
+    v = motion.v
+    t = WIDE(0)
     states = [motion.seen(x, v, t)]
     for h in steps:
         step = dormand_prince_step(motion, x, v, t, h)
-        x, v, t = x + step.x, v + step.v, t + h
+        x = x + step.x
+        v = v + step.v
+        t = t + h
         states.append(motion.seen(x, v, t))
     return np.array(states)
 
@@ -243,10 +256,12 @@ def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
     after = motion.acceleration(*moved(1))
     if ((open_now == open_before) | (motion.constants == 0)).all():
         before = motion.acceleration(*moved(-1))
-        slope, bend = (after - before) / 2, before - 2 * now + after
+        slope = (after - before) / 2
+        bend = before - 2 * now + after
     else:
         half = motion.acceleration(*moved(WIDE(0.5)))
-        slope, bend = 4 * half - after - 3 * now, 4 * (after - 2 * half + now)
+        slope = 4 * half - after - 3 * now
+        bend = 4 * (after - 2 * half + now)
     motion.inside = None
     return np.array([x, h * v, h**2 * now / 2, h**2 * slope / 6, h**2 * bend / 24])
 
@@ -255,7 +270,10 @@ def by_gear(motion: Motion, steps: Iterable[Any]) -> Array:
     """Return the states (K+1, 2, N); where the length of the step
     changes, the method begins anew.
     """
-    x, v, t, before = motion.x, motion.v, WIDE(0), None
+    x = motion.x
+    v = motion.v
+    t = WIDE(0)
+    before = None
     states = [motion.seen(x, v, t)]
     for h in steps:
         if before is None or abs(h - before) > 1e-9 * h:
@@ -266,6 +284,9 @@ def by_gear(motion: Motion, steps: Iterable[Any]) -> Array:
         if motion.driven:  # it is where its course says
             table[:, 0] = 0
             table[0, 0] = motion.course(t + h, 0)
-        x, v, t, before = table[0], table[1] / h, t + h, h
+        x = table[0]
+        v = table[1] / h
+        t = t + h
+        before = h
         states.append(motion.seen(x, v, t))
     return np.array(states)

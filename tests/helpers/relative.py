@@ -16,5 +16,6 @@ def approx(
     be 0 needs `abs`: only the test knows the scale of what it is compared with.
     """
     if abs is None:
-        rel, abs = 1e-6 if rel is None else rel, 0.0
+        rel = 1e-6 if rel is None else rel
+        abs = 0.0
     return _approx(expected, rel=rel, abs=abs, nan_ok=nan_ok)

@@ -89,5 +89,6 @@ def stored_reference(name: str) -> Reference:
     """Return what `extended_reference` gave for one of `SCENES`;
     `tests/data/make_references.py` makes it.
     """
-    motion, error = _stored()[name], _stored()[f"{name}: error"]
+    motion = _stored()[name]
+    error = _stored()[f"{name}: error"]
     return motion[0], motion[1], float(error)

@@ -77,7 +77,8 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
         If steps become too short, or too many.
     """
     real: Any = np.longdouble if kind == "long double" else np.float64
-    chain, excitation = scene.chain, scene.excitation
+    chain = scene.chain
+    excitation = scene.excitation
     wide = np.longdouble
     mass = np.asarray(chain.masses, dtype=wide)
     above, below = chain.wall_constants
@@ -90,7 +91,8 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     if chain.bottom == "fixed":
         mobile[-1] = 0
     u, v = (np.asarray(x, dtype=wide) for x in scene.initial())
-    farthest, fastest = np.abs(u).max(), np.abs(v).max()
+    farthest = np.abs(u).max()
+    fastest = np.abs(v).max()
     drive, place, sines, end, knots, pieces = _acting(excitation)
     if drive and place <= 0:
         mobile[0] = 0 if place == 0 else 1
@@ -121,7 +123,9 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     k, f, eps, mobility, sine, knots, pieces, start, instants = (
         np.ascontiguousarray(x, dtype=real) for x in fields
     )
-    out, peak, stats = np.empty((scene.samples, 2, chain.grains)), np.empty(2), np.empty(3)
+    out = np.empty((scene.samples, 2, chain.grains))
+    peak = np.empty(2)
+    stats = np.empty(3)
     tolerance = max(tolerance, FINEST[kind])
     at = [np.ascontiguousarray(delta, dtype=real), k, f, eps, mobility]
     result = _library(kind).integrate(
@@ -170,7 +174,8 @@ def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
         values = excitation.force if excitation.kind == "force" else excitation.displacement
         curve = Curve(excitation, values, wide)
         return 2, place, none[2], none[3], curve.knots, curve.pieces.T.copy()
-    size, pi = wide(excitation.amplitude), 4 * np.arctan(wide(1))
+    size = wide(excitation.amplitude)
+    pi = 4 * np.arctan(wide(1))
     if getattr(excitation, "shape", None):  # half a sine
         return (
             1,
@@ -211,7 +216,8 @@ def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
     may leave out the same, nor below the digits that a burst loses as it begins: it is a sum of
     three sines.
     """
-    best, looser = solve(scene, tolerance), solve(scene, 100 * tolerance, more=2)
+    best = solve(scene, tolerance)
+    looser = solve(scene, 100 * tolerance, more=2)
     left_out = (best.events + 2) * max(tolerance, FINEST["long double"])
     if cycles := getattr(scene.excitation, "cycles", None):
         left_out += (

@@ -75,7 +75,9 @@ def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
     """Draw the grains: alike, with impurities, tapered, periodic, disordered, or
     masses and constants of their own.
     """
-    diameter, material, n = _log(rng, 2e-4, 5e-2), rng.choice(MATERIALS).item(), np.arange(grains)
+    diameter = _log(rng, 2e-4, 5e-2)
+    material = rng.choice(MATERIALS).item()
+    n = np.arange(grains)
     kind = rng.choice(
         ["alike", "alike", "impurities", "tapered", "periodic", "disordered", "masses", "constants"]
     )
@@ -101,7 +103,8 @@ def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
         return {"diameter": diameter * rng.uniform(0.7, 1.3, grains), "material": material}
     alike: dict[str, Any] = {"diameter": diameter, "material": material}
     if kind == "masses":
-        ratio, mass = _log(rng, 1, 1e6), 2426 * np.pi / 6 * diameter**3
+        ratio = _log(rng, 1, 1e6)
+        mass = 2426 * np.pi / 6 * diameter**3
         return alike | {
             "masses": mass
             * (np.where(n % 2, ratio, 1) if rng.random() < 0.5 else ratio ** rng.random(grains))
@@ -115,18 +118,17 @@ def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
 
 def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
-    number, contact, mass = (
-        _log(rng, 1e-12, 1e4),
-        min(grain, chain.grains - 1) - 1,
-        chain.masses[grain - 1],
-    )
+    number = _log(rng, 1e-12, 1e4)
+    contact = min(grain, chain.grains - 1) - 1
+    mass = chain.masses[grain - 1]
     constant = chain.contact_constants[contact]
     if chain.compressed:
         length = chain.equilibrium_overlap[contact]
         speed = number * length * np.sqrt(chain.linear_stiffness[contact] / mass)
         rest = float(np.sqrt(chain.linear_stiffness[contact] / mass))
     else:
-        speed, rest = _log(rng, 1e-9, 3), 0.0
+        speed = _log(rng, 1e-9, 3)
+        rest = 0.0
         length = number = 0.0
     hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))  # rad/s of a collision
     omega = max(rest, hit)
@@ -139,7 +141,8 @@ def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
         samples = int(_log(rng, 2, 20))
         duration = half * (samples - 1) * int(_log(rng, 1, 20))
     else:
-        samples, duration = int(_log(rng, 2, 1001.5)), once.duration
+        samples = int(_log(rng, 2, 1001.5))
+        duration = once.duration
     angle = once.highest_frequency * duration
     most = max(np.sqrt(work), work / chain.grains)  # angle that the work allows
     if angle > most:
@@ -204,10 +207,8 @@ def acted_trial_scene(
         still = trial_scene(rng, exponents, work)
         try:
             scene = still.replace(excitation=_acting(rng, still.chain, still.duration))
-            angle, most = (
-                scene.highest_frequency * scene.duration,
-                max(np.sqrt(work), work / scene.chain.grains),
-            )
+            angle = scene.highest_frequency * scene.duration
+            most = max(np.sqrt(work), work / scene.chain.grains)
             if angle > most and not isinstance(scene.excitation, Packet):
                 continue
             _ = scene.strike_number, scene.largest_strain
@@ -222,7 +223,8 @@ def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | 
     kinds = ["force"] * 4 + ["wall"] * 3 * (chain.top == "wall") + ["drive"] * (chain.top == "free")
     kind = rng.choice(kinds + ["packet"] * 3 * chain.compressed)
     contact = max(grain - 1, int(chain.top == "free")) if kind == "force" else int(kind == "drive")
-    constant, mass = chain.contacts.constant[contact], chain.masses[max(contact - 1, 0)]
+    constant = chain.contacts.constant[contact]
+    mass = chain.masses[max(contact - 1, 0)]
     held = chain.contacts.force[contact] if chain.compressed else _log(rng, 1e-6, 10)
     size = float(rng.choice([-1.0, 1.0])) * held * _log(rng, 1e-10, 1e2)
     length = abs(size) / chain.contacts.stiffness[contact] if chain.compressed else 0.0
@@ -234,7 +236,8 @@ def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | 
     omega = chain.band_edge if chain.compressed else float(np.sqrt(abs(size) / length / mass))
     frequency = omega * _log(rng, 0.02, 3) / (2 * np.pi)
     if kind == "packet":
-        middle, width = (chain.grains + 1) // 2, _log(rng, 1.5, max(1.6, chain.grains / 10))
+        middle = (chain.grains + 1) // 2
+        width = _log(rng, 1.5, max(1.6, chain.grains / 10))
         return Packet(
             frequency=frequency / 3,
             width=width,

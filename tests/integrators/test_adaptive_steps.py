@@ -20,7 +20,8 @@ from lmpchain.integrators.splittings import RKN4, RKN6, Splitting
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
-GRAINS, LOOKS = 7, 4
+GRAINS = 7
+LOOKS = 4
 UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
 SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
@@ -36,9 +37,12 @@ def scene_of(acts: str = "", **options: Any) -> Scene:
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
     edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
     u, v = SPEEDS * [[scale / 2], [1.5 * scale * edge]]
-    u, v = u.copy(), v.copy()
+    u = u.copy()
+    v = v.copy()
     u[chain.movable :] = v[chain.movable :] = 0
-    duration, frequency, held = 10 / edge, 0.4 * edge / (2 * np.pi), chain.contacts.force.max()
+    duration = 10 / edge
+    frequency = 0.4 * edge / (2 * np.pi)
+    held = chain.contacts.force.max()
     knots = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * duration
     bump = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
     excitation = {
@@ -87,30 +91,35 @@ def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -
     """Return the largest of all contacts: (weight)^2 |rate^2 - 2 gap
     bend|^(3/2) / (omega distance)^9.
     """
-    chain, batch = scene.chain, ChainBatch([scene])
-    omega, speed = scene.highest_frequency, batch.scale[0, 1]
+    chain = scene.chain
+    batch = ChainBatch([scene])
+    omega = scene.highest_frequency
+    speed = batch.scale[0, 1]
     bodies = np.zeros((3, GRAINS + 2))
-    bodies[0, 1:-1], bodies[1, 1:-1], bodies[2, 1:-1] = x, v, motion.acceleration(x, t)
+    bodies[0, 1:-1] = x
+    bodies[1, 1:-1] = v
+    bodies[2, 1:-1] = motion.acceleration(x, t)
     if motion.driven:
-        bodies[0, 1], bodies[1, 1] = motion.course(t, 0), motion.course(t, 1)
+        bodies[0, 1] = motion.course(t, 0)
+        bodies[1, 1] = motion.course(t, 1)
     elif motion.wall:
-        bodies[0, 0], bodies[1, 0] = motion.course(t, 0), motion.course(t, 1)
+        bodies[0, 0] = motion.course(t, 0)
+        bodies[1, 0] = motion.course(t, 1)
     r, rates, bends = bodies[:, :-1] - bodies[:, 1:]
     compressed = chain.compressed
     free = np.concatenate(([0], motion.mobile.astype(float) / chain.masses, [0]))
     mobility = np.maximum(free[:-1], free[1:])
     largest = 0.0
     for n in range(GRAINS + 1):
-        constant, force = chain.contacts.constant[n], chain.contacts.force[n]
+        constant = chain.contacts.constant[n]
+        force = chain.contacts.force[n]
         if constant == 0:
             continue
         pressed = compressed and force > 0
         length = chain.contacts.overlap[n] if pressed else 1.0
-        gap, rate, bend = (
-            float(r[n] / length) + pressed,
-            float(rates[n] / length),
-            float(bends[n] / length),
-        )
+        gap = float(r[n] / length) + pressed
+        rate = float(rates[n] / length)
+        bend = float(bends[n] / length)
         weight = ((force if pressed else constant) * mobility[n] / (omega**2.5 * speed)) ** 2
         size = abs(rate**2 - 2 * gap * bend)
         distance = time_to_opening(gap, rate, bend)
@@ -126,16 +135,22 @@ def by_dop853(motion: Motion, method: Any, steps: list[Any]) -> np.ndarray:
 
 def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray, list[int]]:
     """Return all steps, the states between them and how many there are before each sample."""
-    motion, x, v = Motion(plain.column(scene)), None, None
-    x, v, t = motion.x, motion.v, WIDE(0)
-    longest, omega = scene.duration / LOOKS / each, scene.highest_frequency
+    motion = Motion(plain.column(scene))
+    x = None
+    v = None
+    x = motion.x
+    v = motion.v
+    t = WIDE(0)
+    longest = scene.duration / LOOKS / each
+    omega = scene.highest_frequency
     falls = 1 / (scene.chain.exponent + 1)
     crosses = OPENING_STEPS.crossing * (omega * longest) ** ((method.order + 1) * falls)
     crosses = max(crosses, OPENING_STEPS.least_crossing * EPSILON**falls)
     shortened = OPENING_STEPS.shortened
     cap = (shortened * omega * longest / crosses) ** (14 / 9)
     steps: list[Any] = []
-    states, made = [motion.seen(x, v, t)], [0]
+    states = [motion.seen(x, v, t)]
+    made = [0]
     for look in range(LOOKS):
         end = (look + 1) * WIDE(scene.duration) / LOOKS
         ends = [c for c in corners(scene) if t + 1e-6 * longest < c < end - 1e-6 * longest]
@@ -145,7 +160,8 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
                 h = longest * min(1.0, shortened * near ** (-1 / 14)) if near > 0 else longest
                 step = (until - t) / max(1, np.ceil(float((until - t) / h) - 1e-9))
                 one = Motion(plain.column(scene))
-                one.x, one.v = x, v
+                one.x = x
+                one.v = v
                 one.course = motion.course and (
                     lambda time, *how, begun=t: motion.course(begun + time, *how)
                 )
@@ -162,7 +178,8 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
 
 @pytest.mark.parametrize("name", SCENES)
 def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
-    scene, method = SCENES[name], RKN4 if name == "springs" else RKN6
+    scene = SCENES[name]
+    method = RKN4 if name == "springs" else RKN6
     steps, states, made = adapted(scene, method, 6)
     schedule = StepSchedule(6, 1, scene.duration / LOOKS / 6, True)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
@@ -188,7 +205,8 @@ def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
     "name", ["3/2", "vacuum", "burst on grain 3", "samples of the wall", "sine of grain 1"]
 )
 def test_dop853_shortens_its_steps_where_contacts_open_as_in_plain_numpy(name: str):
-    scene, method = SCENES[name], METHODS["dop853"]
+    scene = SCENES[name]
+    method = METHODS["dop853"]
     steps, states, made = adapted(scene, method, 3)
     schedule = StepSchedule(3, 1, scene.duration / LOOKS / 3, True)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
@@ -209,7 +227,8 @@ def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride
     step, in every second sample.
     """
     scene = SCENES[name].replace(samples=4 * LOOKS + 1)
-    steps, dense = 10, 2 if stride == 4 else 1
+    steps = 10
+    dense = 2 if stride == 4 else 1
     interval = scene.duration / (4 * LOOKS)
     schedule = StepSchedule(steps, stride, stride * interval / steps, True, dense=dense)
     stepper = NativeStepper(ChainBatch([scene]), RKN6, schedule, {})

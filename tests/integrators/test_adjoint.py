@@ -17,7 +17,8 @@ from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun, Inputs
 from lmpchain.integrators.kernels.adjoint_rows import Way
 from lmpchain.integrators.splittings import SPLITTINGS
 
-GRAINS, LOOKS = 6, 3
+GRAINS = 6
+LOOKS = 3
 UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
 SPEEDS = np.random.default_rng(5).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
@@ -39,7 +40,8 @@ def flying(strains: float, **options: Any) -> Scene:
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
     edge = chain.band_edge or np.sqrt(stiff.max() / chain.masses.min())
     u, v = SPEEDS * [[strains * scale / 2], [strains * scale * edge]]
-    u, v = u.copy(), v.copy()
+    u = u.copy()
+    v = v.copy()
     u[chain.movable :] = v[chain.movable :] = 0
     profile = Profile(displacement=u, velocity=v)
     return Scene(chain=chain, excitation=profile, duration=8 / edge, samples=LOOKS + 1)
@@ -69,7 +71,8 @@ DURATION = 8 / ACTED.band_edge
 FREQUENCY = 0.4 * ACTED.band_edge / (2 * np.pi)
 KNOTS = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * DURATION
 BUMP = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
-HELD, OVERLAP = float(ACTED.contacts.force.max()), float(ACTED.contacts.overlap.max())
+HELD = float(ACTED.contacts.force.max())
+OVERLAP = float(ACTED.contacts.overlap.max())
 CYCLES = 0.6 * FREQUENCY * DURATION
 ACTS = {
     "sine of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY),
@@ -91,7 +94,8 @@ def acted(name: str, **options: Any) -> Scene:
 
 def sizes(scene: Scene, states: np.ndarray) -> Inputs:
     """Return by what one may change each of the inputs, those that cannot change by 0."""
-    chain, contacts = scene.chain, scene.chain.contacts
+    chain = scene.chain
+    contacts = scene.chain.contacts
     u, v = (np.abs(states[:, order]).max() for order in (0, 1))
     moving = np.arange(chain.grains) < chain.movable
     moving[: scene.excitation.driven] = False
@@ -119,7 +123,8 @@ def differences(
     true = plain.by_splitting(Motion(base), SPLITTINGS[method], steps)[looks]
     size = sizes(scene, true)
     lengths = [field.size for field in size]
-    total, begins = sum(lengths), np.cumsum([0, *lengths])
+    total = sum(lengths)
+    begins = np.cumsum([0, *lengths])
     directions = []
     for field, begin in zip(size, begins[:-1], strict=True):
         rows = np.zeros((total, field.size))
@@ -258,7 +263,8 @@ LONG = {
 def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
     """Through windows that grow, or tiles, within the light cone or everywhere."""
     speed, struck, options, kind = LONG[law]
-    rng, velocity = np.random.default_rng(1), np.zeros(900)
+    rng = np.random.default_rng(1)
+    velocity = np.zeros(900)
     velocity[:struck] = speed * rng.uniform(-1, 1, struck)
     chain = Chain(grains=900, diameter=1e-3, **options)
     scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-4)

@@ -51,7 +51,8 @@ def test_a_chain_moves_as_by_the_exponential_of_its_matrix(ends: str, start: str
     moving = (mobility > 0) | (drive > 0) * (np.arange(GRAINS) == 0)
     u = RNG.normal(size=GRAINS) * moving * (start != "struck")
     v = RNG.normal(size=GRAINS) * moving * (start != "displaced")
-    first, then = np.array([0.0, 0.3, 1.1, 2.9, 4.0, 11.0, 11.5]), np.array([0.4, 30.0])
+    first = np.array([0.0, 0.3, 1.1, 2.9, 4.0, 11.0, 11.5])
+    then = np.array([0.4, 30.0])
     true = exactly(generator(stiffness, mobility, drive), u, v, np.append(first, 11.5 + then))
     chain = Propagator(stiffness, mobility, drive, u.copy(), v.copy())
     parts = [chain.advance(first), chain.advance(then)]
@@ -68,10 +69,12 @@ def test_a_chain_moves_as_by_the_exponential_of_its_matrix(ends: str, start: str
 
 def test_a_pulse_stays_within_its_light_cone():
     """Grains that it has not reached are exactly at rest, and all others are told."""
-    n, place = 400, 150
+    n = 400
+    place = 150
     u, v = np.zeros((2, n))
     v[place] = 1.0
-    stiffness, mobility = np.ones(n + 1), np.ones(n)
+    stiffness = np.ones(n + 1)
+    mobility = np.ones(n)
     chain = Propagator(stiffness, mobility, 0.0, u, v)
     times = np.array([0.0, 0.01, 5.0, 20.0])
     us, vs, reached = chain.advance(times)
@@ -136,13 +139,17 @@ def test_what_a_series_leaves_out_is_below_round_off_and_few_terms_are_too_many(
 @pytest.mark.parametrize("oscillator", [0.0, 0.7])
 def test_series_are_sums_of_chebyshev_polynomials(orders: int, oscillator: float):
     scale = 1.02 * np.sqrt((2 * (STIFFNESS[:-1] + STIFFNESS[1:]) * MOBILITY).max())
-    x, of_t, of_w = np.zeros(GRAINS), RNG.normal(size=(2, orders)), RNG.normal(size=(3, orders))
+    x = np.zeros(GRAINS)
+    of_t = RNG.normal(size=(2, orders))
+    of_w = RNG.normal(size=(3, orders))
     x[3:5] = 1.0, -0.4
     chain = chebyshev.LinearChain(STIFFNESS, MOBILITY, oscillator)
     sums = chebyshev.series(x, chain, scale, of_t, of_w, (3, 5))
     stiffness = -generator(STIFFNESS, MOBILITY, np.sqrt(oscillator))[GRAINS:, :GRAINS]
     argument = np.eye(GRAINS) - 2 / scale**2 * stiffness
-    before, now, total = None, x, x
+    before = None
+    now = x
+    total = x
     expected = [np.outer(of_t[:, 0], x), np.outer(of_w[:, 0], x)]
     for k in range(1, orders):
         before, now = now, argument @ now if k == 1 else 2 * argument @ now - before
@@ -155,7 +162,12 @@ def test_series_are_sums_of_chebyshev_polynomials(orders: int, oscillator: float
 
 def test_grains_that_hardly_move_are_put_to_rest():
     u, v = np.zeros((2, 8))
-    u[2], u[4], v[3], v[5], u[6], v[1] = 1.0, 0.5, 2.0, 3e-25, 0.9e-25, 1.9e-25
+    u[2] = 1.0
+    u[4] = 0.5
+    v[3] = 2.0
+    v[5] = 3e-25
+    u[6] = 0.9e-25
+    v[1] = 1.9e-25
     assert chebyshev.moving(u, v) == (2, 6)  # v[5] is above 1e-25 of the largest speed, 2
     assert u.tolist() == [0, 0, 1.0, 0, 0.5, 0, 0, 0]
     assert v.tolist() == [0, 0, 0, 2.0, 0, 3e-25, 0, 0]

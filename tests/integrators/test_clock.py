@@ -39,7 +39,8 @@ def phase_error(periods: float, integrator: str, reach: float, adaptive: bool, s
     u, v = np.zeros((2, 1, samples, 2))
     stepper.fill(u, v, 0, samples - 1, 2**62)
     phase = (omega * scene.time.astype(np.longdouble))[1:]
-    x, w = u[0, 1:, 0] * omega / SPEED, v[0, 1:, 0] / SPEED
+    x = u[0, 1:, 0] * omega / SPEED
+    w = v[0, 1:, 0] / SPEED
     error = float(max(np.abs(x - np.sin(phase)).max(), np.abs(w - np.cos(phase)).max()))
     return error, native_floor(stepper.steps[0] * METHODS[integrator].evaluations, float(phase[-1]))
 
@@ -92,7 +93,9 @@ def test_there_are_never_too_many_steps_to_be_counted(step):
 
 
 def test_steps_add_up_to_the_span_exactly():
-    state, span, sizes = np.zeros(1, STATE)[0], Span(0.0, 0.7, 0.7, 1, 0.7), []
+    state = np.zeros(1, STATE)[0]
+    span = Span(0.0, 0.7, 0.7, 1, 0.7)
+    sizes = []
     while state["done"] < span.length:
         done = ends(Bodies(state), span, span.length - state["done"], 0.7 / 333.3)
         sizes.append(Fraction(done - state["done"]))

@@ -33,7 +33,8 @@ def test_they_have_the_bits_of_runs_of_their_own(
     name: str, adaptive: bool, landing: int, threads: int
 ):
     """In pieces of a few steps, in a batch and by threads, too."""
-    method, steps = METHODS[name], 9 * landing if method_of_one_stage(name) else 3 * landing
+    method = METHODS[name]
+    steps = 9 * landing if method_of_one_stage(name) else 3 * landing
     step = landing * SCENES[0].duration / 24 / steps
     own = StepSchedule(steps, landing, step, adaptive, dense=int(landing > 1))
     schedules = [own, own.longer(2), own.longer(4)]
@@ -45,7 +46,8 @@ def test_they_have_the_bits_of_runs_of_their_own(
         stepper.fill(*fields, 0, 24, 2**62)
         alone.append((*fields, stepper.state()))
     together = NativeStepper(ChainBatch(SCENES), method, schedules[0], {}, threads, schedules[1:])
-    own, beside = (np.zeros(shape), np.zeros(shape)), (np.zeros((2, *shape)), np.zeros((2, *shape)))
+    own = (np.zeros(shape), np.zeros(shape))
+    beside = (np.zeros((2, *shape)), np.zeros((2, *shape)))
     while together.sample < 24:
         together.fill(*own, 0, 24, 7, beside)
     together.close()
@@ -87,7 +89,8 @@ def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, la
         steps, landing, landing * scene.duration / 24 / steps, adaptive, dense=int(landing > 1)
     )
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], own, {}, 1, [own.longer(2)])
-    fields, beside = np.full((2, 1, 25, 300), np.nan), np.full((2, 1, 1, 25, 300), np.nan)
+    fields = np.full((2, 1, 25, 300), np.nan)
+    beside = np.full((2, 1, 1, 25, 300), np.nan)
     stepper.fill(*fields, 0, 24, 2**62, tuple(beside))
     first, last = (stepper.watched[name][0] - PAD for name in ("first", "last"))
     assert 0 < first < 149 < last < 300

@@ -53,13 +53,16 @@ def fill(ends, clock, span, rates, out):
 
 def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
     """Those of displacement and velocity of a sine, where it is exact at both ends of a step."""
-    steps, errors = np.array([0.4, 0.6, 0.8, 1.2]), []
+    steps = np.array([0.4, 0.6, 0.8, 1.2])
+    errors = []
     for h in steps:
         begin, end = (
             [np.sin(t + k * np.pi / 2) for k in range(4)] for t in (0.8 - h / 2, 0.8 + h / 2)
         )
-        history, state = np.zeros((4, 2 * PAD)), np.zeros(1, STATE)[0]
-        history[:, PAD], state["done"] = begin, h
+        history = np.zeros((4, 2 * PAD))
+        state = np.zeros(1, STATE)[0]
+        history[:, PAD] = begin
+        state["done"] = h
         rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
         ends = Ends(history, rows[0], rows[1], state)
         clock = np.array([(h / 24, 24, 1, h, 24, True, 1)], CLOCK)[0]
@@ -78,7 +81,8 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
 def test_samples_between_steps_are_as_good_as_the_steps(top):
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3, top=top)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3), duration=8e-5, samples=801)
-    engine, truth = Native("rkn6"), reference(scene)
+    engine = Native("rkn6")
+    truth = reference(scene)
     for tolerance in (1e-4, 1e-9):
         candidate = engine.candidate(scene, tolerance)
         assert candidate.stride > 1
@@ -138,7 +142,8 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
         duration=6e-5,
         samples=1201,
     )
-    few, vacuum = scene.replace(samples=21), scene.replace(chain=scene.chain.replace(gravity=0.0))
+    few = scene.replace(samples=21)
+    vacuum = scene.replace(chain=scene.chain.replace(gravity=0.0))
     assert Native().candidate(scene, 1e-6).stride > 1
     for engine, other, tolerance in (
         (Native(), few, 1e-9),
@@ -164,7 +169,8 @@ def test_rounding_of_samples_between_short_steps_is_known():
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
     strike = Displacement(displacement=chain.equilibrium_overlap[0], grain=3)
     scene = Scene(chain=chain, excitation=strike, duration=12 / chain.band_edge, samples=241)
-    engine, truth = Native("rkn6"), reference(scene)
+    engine = Native("rkn6")
+    truth = reference(scene)
     candidate = engine.candidate(scene, 1e-6)
     assert candidate.stride > 1
     run = engine.start([scene], candidate.with_steps(50 * candidate.steps_per_landing))
@@ -173,5 +179,6 @@ def test_rounding_of_samples_between_short_steps_is_known():
         np.concatenate(fields, 1)[0]
         for fields in zip(*((b.displacement, b.velocity) for b in blocks), strict=True)
     )
-    error, found = relative_error(u, v, truth.displacement, truth.velocity), run.errors()[0]
+    error = relative_error(u, v, truth.displacement, truth.velocity)
+    found = run.errors()[0]
     assert 1e-13 < error < 3 * found.roundoff

@@ -24,7 +24,9 @@ def stepper(state):
 
 def test_a_run_that_broke_down_goes_on_with_its_bits():
     """A companion may break down where the answer does not, and is kept beside it."""
-    whole, first, u = stepper({}), stepper({}), np.zeros((4, 1, 13, 12))
+    whole = stepper({})
+    first = stepper({})
+    u = np.zeros((4, 1, 13, 12))
     whole.fill(u[0], u[1], 0, 12, 2**30)
     first.fill(u[2], u[3], 0, 9, 2**30)
     kept = first.state()

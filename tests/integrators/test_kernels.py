@@ -56,7 +56,8 @@ def force(
     """
     bodies = np.zeros(2 * r.size)
     bodies[::2] = r
-    found, alike = np.zeros(2 * r.size - 1), np.ones(2 * r.size - 1)
+    found = np.zeros(2 * r.size - 1)
+    alike = np.ones(2 * r.size - 1)
     links = Links(alike, strength * alike, 0.0, form, precompressed, series(exponent))
     forces.contact_forces(form, found, bodies, links)
     return found[::2]
@@ -237,7 +238,8 @@ def packed(assembly: str, operation: str) -> int:
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     row = types.Array(float64, 1, "C")
     _, loop = forces.LOOPS[form]
-    alike, none = np.ones(2), np.empty(0)
+    alike = np.ones(2)
+    none = np.empty(0)
     links = numba.typeof(Links(alike, alike, 0.0, form, 1.0, alike))
     rows = numba.typeof(Rows(alike, alike, alike, none))
     loop.compile((row, row, row, links, rows, boolean, int64, boolean))
@@ -269,19 +271,26 @@ def test_other_loops_do_several_at_a_time():
 
 
 def test_no_contact_that_shortens_a_step_is_passed_over():
-    rng, size, shortened = np.random.default_rng(3), 100, 0.2
-    close, passed, shortens = shortened ** (-14 / 3), 0, 0
+    rng = np.random.default_rng(3)
+    size = 100
+    shortened = 0.2
+    close = shortened ** (-14 / 3)
+    passed = 0
+    shortens = 0
     for _ in range(2000):
         y, rates, bends = 10 ** rng.uniform(-3, 3, (3, 1)) * rng.normal(size=(3, size + 1))
-        omega, weight = 10 ** rng.uniform(-3, 3), 10 ** rng.uniform(-30, 10, size)
+        omega = 10 ** rng.uniform(-3, 3)
+        weight = 10 ** rng.uniform(-30, 10, size)
         reach = np.cbrt(weight) / (2**0.5 * (2 * omega) ** 3)
-        length, pressed = 10 ** rng.uniform(-2, 2, size), float(rng.integers(2))
+        length = 10 ** rng.uniform(-2, 2, size)
+        pressed = float(rng.integers(2))
         links = Links(length, weight, 0.0, 0, pressed, series(1.5))
         near = Near(weight, np.full(size, np.inf), close, omega, 1e6)
         every = _find_nearness(y, rates, bends, links, near)
         found = _find_nearness(y, rates, bends, links, near._replace(reach=reach))
         assert found == every or every < shortened**14
-        passed, shortens = passed + (found < every), shortens + (every > shortened**14)
+        passed = passed + (found < every)
+        shortens = shortens + (every > shortened**14)
     assert passed > 100
     assert shortens > 100
 

@@ -157,7 +157,8 @@ def test_the_window_begins_around_what_moves(what: str):
     excitation, low, high = PLACES[what]
     laid = batch(Chain(grains=300, diameter=1e-3, top="wall", top_load=1e-3), excitation=excitation)
     _, _, state = laid.place(*(field[None] for field in laid.initial))
-    first, last = state["first"][0], state["last"][0]
+    first = state["first"][0]
+    last = state["last"][0]
     assert first % PAD == last % PAD == 0
     assert PAD <= first <= PAD - 1 + low < first + 2 * PAD
     assert last - 2 * PAD <= PAD - 1 + high < last
@@ -166,7 +167,8 @@ def test_the_window_begins_around_what_moves(what: str):
 def test_what_moves_sets_the_window_and_speeds_of_driven_grains_are_left_out():
     chain = Chain(grains=300, diameter=1e-3)
     u, v = np.zeros((2, 300))
-    u[120], v[170] = 1e-9, 1e-3
+    u[120] = 1e-9
+    v[170] = 1e-3
     laid = batch(chain, excitation=Profile(displacement=u, velocity=v))
     x, w, state = laid.place(*(field[None] for field in laid.initial), 3)
     assert x.shape[0] == 3
@@ -209,7 +211,8 @@ def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(e
     laid = batch(*made)
     weight, reach = laid.openings
     for real, chain in enumerate(made):
-        contacts, omega = chain.contacts, laid.omega[real]
+        contacts = chain.contacts
+        omega = laid.omega[real]
         lightest = np.append(
             0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable))
         )
@@ -268,7 +271,8 @@ def test_where_nothing_acts_the_last_body_comes_before_the_first():
 def test_batches_of_splines_of_any_length_move_as_each_alone():
     """Knots of the longest; and forces on unlike grains."""
     chain = chains(**BETWEEN)[0]
-    rng, scenes = np.random.default_rng(6), []
+    rng = np.random.default_rng(6)
+    scenes = []
     for grain, count in ((2, 4), (5, 9), (1, 6)):
         force = Force(
             times=np.linspace(0, 4e-5, count), force=0.1 * rng.normal(size=count), grain=grain
@@ -329,7 +333,8 @@ def test_a_series_is_chosen_up_to_the_strain_at_which_it_loses_a_digit():
 
 def test_binomial_coefficients():
     for delta in (1.25, 1.5, 2.0, 2.7):
-        expected, term = [], 1.0
+        expected = []
+        term = 1.0
         for k in range(7):
             term *= (delta - k) / (k + 1)
             expected.append(term)
@@ -371,7 +376,8 @@ def test_extremes_are_those_of_all_steps(name: str):
     """
     chain = chains(**BETWEEN)[0]
     u, v = np.random.default_rng(9).uniform(-1, 1, (2, N))
-    scale, edge = chain.contacts.overlap.max(), chain.band_edge
+    scale = chain.contacts.overlap.max()
+    edge = chain.band_edge
     start = Profile(displacement=scale * u, velocity=scale * edge * v)
     scene = Scene(chain=chain, excitation=start, duration=20 / edge, samples=201)
     stepper = NativeStepper(

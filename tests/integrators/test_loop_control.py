@@ -22,9 +22,12 @@ from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
-share, widen = team.share.py_func, window.widen.py_func
-ahead, cut = right_hand_side.ahead.py_func, right_hand_side.cut.py_func
-passes, end_of_step = dense_output.passes.py_func, sample_loop.end_of_step.py_func
+share = team.share.py_func
+widen = window.widen.py_func
+ahead = right_hand_side.ahead.py_func
+cut = right_hand_side.cut.py_func
+passes = dense_output.passes.py_func
+end_of_step = sample_loop.end_of_step.py_func
 
 
 def windowed(first: int, last: int, **fields: Any) -> Any:
@@ -74,7 +77,8 @@ def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
             96, 120, imposed=SimpleNamespace(reach=reach), scale=np.array([2.0, 3.0]), **bodies
         )
         widen(chain, margin)
-        first, last = chain.state.first, chain.state.last
+        first = chain.state.first
+        last = chain.state.last
         assert first % PAD == last % PAD == 0
         if moving == 0.9e-19:
             assert 104 - margin >= first or first == 96
@@ -103,7 +107,8 @@ def acting(end: float = np.inf, knots: Any = ()) -> Any:
 
 
 def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
-    burst, spline = acting(3.0), acting(knots=(0.0, 1.0, 2.0, 4.0))
+    burst = acting(3.0)
+    spline = acting(knots=(0.0, 1.0, 2.0, 4.0))
     assert ahead(burst, 1.0, 5.0, 1e-9) == 2.0
     assert ahead(burst, 3.0 - 2e-9, 5.0, 1e-9) == pytest.approx(2e-9, rel=1e-6)
     for t, end in (
@@ -146,7 +151,8 @@ def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int
     """
     chain = windowed(PAD, 2 * PAD)
     chain.state.sample = sample
-    clock, span = SimpleNamespace(dense=every, interval=0.5), SimpleNamespace(length=4.0)
+    clock = SimpleNamespace(dense=every, interval=0.5)
+    span = SimpleNamespace(length=4.0)
     for begin in np.arange(0, 4, 0.25):
         for end in np.arange(begin + 0.25, 4.01, 0.25):
             numbers = [
@@ -156,7 +162,8 @@ def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int
 
 
 def test_steps_are_equal_parts_of_the_time_that_is_left():
-    chain, span = windowed(PAD, 2 * PAD), SimpleNamespace(length=3.0)
+    chain = windowed(PAD, 2 * PAD)
+    span = SimpleNamespace(length=3.0)
     chain.state.done = 1.0
     assert end_of_step(chain, span, 2.0, 0.7) == pytest.approx(1 + 2 / 3, rel=1e-15)
     assert end_of_step(chain, span, 2.0, 1.0) == 2.0
@@ -178,7 +185,8 @@ def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_
     scene = scene.replace(duration=steps * step)
     run = NativeStepper(ChainBatch([scene]), METHODS[name], StepSchedule(steps, 1, step, False), {})
     fields = np.zeros((2, 1, 2, 5))
-    due, each = 0, max(1, int(1 / (step * scene.highest_frequency)))
+    due = 0
+    each = max(1, int(1 / (step * scene.highest_frequency)))
     bursts = 64 if name == "verlet" else 1  # steps that are made at a time
     for made in range(1, steps + 1):
         if made >= due:

@@ -93,7 +93,8 @@ def test_dop853_grows_as_its_stability_function_does():
     method = METHODS["dop853"]
     for reach in (0.5, 1.0, 3.0, 6.0):
         y = np.array([1.0 + 0j])
-        z, slopes = 1j * reach, []
+        z = 1j * reach
+        slopes = []
         for row in DOP853.A[:12, :12]:
             slopes.append(z * (y + sum((a * k for a, k in zip(row, slopes, strict=False)), 0)))
         true = abs(y + sum(b * k for b, k in zip(DOP853.B, slopes, strict=True)))[0]
@@ -214,7 +215,8 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
     one of which lies on a knot.
     """
     excitation = ACTS[what]
-    course, times = ImposedCourse(excitation), np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5
+    course = ImposedCourse(excitation)
+    times = np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5
     samples = excitation.times is not None
     base = np.array(
         excitation.displacement if samples else [excitation.amplitude, excitation.frequency or 0.0]
@@ -275,7 +277,8 @@ def test_progress_is_the_share_of_landings_that_are_done():
     run = stepper(1)
     assert run.progress == 0
     assert run.own_part == 0
-    fields, beside = np.zeros((2, 2, 9, 6)), np.zeros((2, 1, 2, 9, 6))
+    fields = np.zeros((2, 2, 9, 6))
+    beside = np.zeros((2, 1, 2, 9, 6))
     run.fill(*fields, 0, 4, 2**62, tuple(beside))
     assert run.sample == 4
     assert run.steps.tolist() == [12, 12]

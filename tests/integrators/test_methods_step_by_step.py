@@ -41,7 +41,8 @@ def flying(chain: Chain, strains: float, samples: int = 5) -> Scene:
         chain.contacts.stiffness_at(np.full(GRAINS + 1, scale)).max() / chain.masses.min()
     )
     u, v = SPEEDS * [[strains * scale / 2], [strains * scale * edge]]
-    u, v = u.copy(), v.copy()
+    u = u.copy()
+    v = v.copy()
     u[chain.movable :] = v[chain.movable :] = 0
     profile = Profile(displacement=u, velocity=v)
     return Scene(chain=chain, excitation=profile, duration=6 / edge, samples=samples)
@@ -173,7 +174,8 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
 
 def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
     """Return the same by plain NumPy, (2, T, N)."""
-    motion, (lengths, made) = Motion(plain.column(scene)), steps_of(scene, method, steps)
+    motion = Motion(plain.column(scene))
+    (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":
         states = plain.by_dormand_prince(motion, lengths)
     elif method == "gear4":
@@ -275,17 +277,20 @@ def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str
     chain = Chain(
         grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", exponent=2.0
     )
-    edge, overlap = chain.band_edge, chain.equilibrium_overlap[0]
+    edge = chain.band_edge
+    overlap = chain.equilibrium_overlap[0]
     v = np.random.default_rng(1).normal(size=grains) * overlap * edge
     v[-1] = 0
     start = Profile(velocity=v)
-    frequency, duration = 0.1 * edge, 3 / edge
+    frequency = 0.1 * edge
+    duration = 3 / edge
     excitation = {
         "fly about": lambda: start,
         "force": lambda: Force(amplitude=0.1, frequency=frequency, grain=2 * TILE - 3),
         "wall": lambda: Drive(amplitude=10 * overlap, frequency=frequency, grain=0, start=start),
     }[acts]()
-    scene, steps = Scene(chain=chain, excitation=excitation, duration=duration, samples=2), 6
+    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=2)
+    steps = 6
     if method == "rkn4":
         steps = 2
     fields, stepper = answer(

@@ -45,7 +45,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
     monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # few samples a block
     monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
-    pieces, state = [], None
+    pieces = []
+    state = None
     while not pieces or pieces[-1].samples.stop < scene.samples:
         run = engine.start([scene], candidate, state)
         pieces.append(next(block for block in run.blocks() if block.velocity.size))
@@ -149,7 +150,8 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
     """With steps of twice the length there, estimates of full order were
     0.24 and 0.88 of the error.
     """
-    engine, truth = Native("rkn6"), reference(scene)
+    engine = Native("rkn6")
+    truth = reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
     candidate = engine.candidate(scene, 1e-3)._replace(
         step=step, steps_per_landing=steps, coarse_openings=False
@@ -167,11 +169,14 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     """They cost a quarter less or better, with an estimate of a lower order;
     after a miss they are short.
     """
-    scene, engine = paper(name, samples=301), Native("rkn6")
+    scene = paper(name, samples=301)
+    engine = Native("rkn6")
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
     # nor are samples interpolated
     monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
-    candidate, truth, costs = engine.candidate(scene, 1e-4), reference(scene), []
+    candidate = engine.candidate(scene, 1e-4)
+    truth = reference(scene)
+    costs = []
     assert candidate.coarse_openings
     for proposed in (candidate, candidate._replace(coarse_openings=False)):
         run = engine.start([scene], proposed)

@@ -15,14 +15,16 @@ from lmpchain.integrators.kernels.phase_error import (
     start,
 )
 
-GRAINS, TIMES = 5, 6
+GRAINS = 5
+TIMES = 6
 RNG = np.random.default_rng(12)
 TIME = np.cumsum(RNG.uniform(0.5, 1.5, TIMES))
 U, V = RNG.normal(size=(2, TIMES, GRAINS)) * 0.3
 STIFFNESS, SOFTNESS = RNG.uniform(1, 2, (2, GRAINS + 1))
 MOBILITY = RNG.uniform(0.5, 1, GRAINS)
 LINKS = Links(STIFFNESS, SOFTNESS, MOBILITY)
-WALL, PUSH = RNG.normal(size=(TIMES, 3)) * 0.2, RNG.normal(size=TIMES)
+WALL = RNG.normal(size=(TIMES, 3)) * 0.2
+PUSH = RNG.normal(size=TIMES)
 RECORDED = np.array([True, False, True, True, False, True])
 WHOLE = np.array([[0, GRAINS]] * TIMES)
 LEAD = 0.125
@@ -64,7 +66,9 @@ def plainly(solution: Evaluations, imposed: Imposed, law: Law, links: Links = LI
         now["shift"] += law.lead * (now["strain"] + largest) / 2 * span
         now["squared_strain"] += (now["strain"] ** 2 + largest**2) / 2 * span
         now["pulled"] += (now["pull"] + pull) / 2 * span
-        now["time"], now["strain"], now["pull"] = t, largest, pull
+        now["time"] = t
+        now["strain"] = largest
+        now["pull"] = pull
         sizes = np.abs(bodies[:, first + 1 : last + 1]).max(1, initial=0)
         names = ("displacement", "velocity", "acceleration", "largest_strain")
         for name, size in zip(names, (*sizes, abs(largest)), strict=True):
@@ -129,7 +133,8 @@ def test_a_contact_that_opens_between_two_times_is_told():
     def opened(near: float, opening: float) -> float:
         return float(compiled(solution, imposed, Law(LEAD, near, opening), links)["opened"][0])
 
-    just, beyond = lowest * (1 - 1e-9), lowest * (1 + 1e-9)
+    just = lowest * (1 - 1e-9)
+    beyond = lowest * (1 + 1e-9)
     near = 0.5 / bend
     assert opened(1.01 * near, just) == 2
     assert np.isnan(opened(1.01 * near, beyond))

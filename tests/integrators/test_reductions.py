@@ -5,13 +5,18 @@ import pytest
 
 from lmpchain.integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, Runs, compare
 
-CHAINS, SAMPLES, GRAINS, OTHERS = 3, 5, 4, 2
-BEGIN, FINAL = 3, 9
+CHAINS = 3
+SAMPLES = 5
+GRAINS = 4
+OTHERS = 2
+BEGIN = 3
+FINAL = 9
 RNG = np.random.default_rng(8)
 U, V = RNG.normal(size=(2, CHAINS, SAMPLES, GRAINS))
 OTHERS_U, OTHERS_V = RNG.normal(size=(2, OTHERS, CHAINS, SAMPLES, GRAINS))
 MASSES = RNG.uniform(1, 2, (CHAINS, GRAINS))
-AGAINST, STRIDES = np.array([0, 1]), np.array([1, 2])
+AGAINST = np.array([0, 1])
+STRIDES = np.array([1, 2])
 KINETIC = (MASSES[:, None] * V**2).sum(-1)  # twice the energy
 
 
@@ -52,7 +57,8 @@ def test_all_begin_alike_and_all_stop_at_the_end():
 
 
 def test_peaks_grow_only():
-    larger, smaller = np.full((CHAINS, 2), 7.0), np.full((CHAINS, 2), 1e-3)
+    larger = np.full((CHAINS, 2), 7.0)
+    smaller = np.full((CHAINS, 2), 1e-3)
     assert (verdict(peaks=larger)[2] == 7.0).all()
     assert verdict(peaks=smaller)[2][:, 1] == pytest.approx(np.abs(V).max((1, 2)), rel=1e-15)
 

@@ -46,7 +46,8 @@ def scene_of(law: str) -> Scene:
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
     edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
     u, v = SPEEDS * [[scale], [2 * scale * edge]]
-    u, v = u.copy(), v.copy()
+    u = u.copy()
+    v = v.copy()
     u[chain.movable :] = v[chain.movable :] = 0
     if place is not None:
         u[0] = v[0] = 0
@@ -76,13 +77,16 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
     driven = motion.wall or motion.driven
     stretch[-1] = not driven  # of what is imposed, time goes on as it was
     x, v = np.zeros((2, inverse_mass.size))
-    x[PAD : PAD + GRAINS], v[PAD : PAD + GRAINS] = motion.x, motion.v
-    path, body = np.empty(0), PAD
+    x[PAD : PAD + GRAINS] = motion.x
+    v[PAD : PAD + GRAINS] = motion.v
+    path = np.empty(0)
+    body = PAD
     if driven:
         offsets = np.array([*np.cumsum(RKN4.drifts[:-1]), 1.0])
         begins = np.cumsum(steps) - steps
         times = np.append(0.0, (begins[:, None] + steps[:, None] * offsets).ravel())
-        path, body = scene.excitation.waveform.at(times), PAD - 1 + scene.excitation.grain
+        path = scene.excitation.waveform.at(times)
+        body = PAD - 1 + scene.excitation.grain
     nodes = np.zeros((2, steps.size + 1, GRAINS))
     states = []
     for sign in (0, 1, -1):

@@ -214,7 +214,8 @@ def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.Monkey
     stepper = NativeStepper(
         ChainBatch([scene]), METHODS["verlet"], StepSchedule(2, 1, scene.duration / 6, False), {}, 3
     )
-    submit, begun = stepper._pool.submit, []
+    submit = stepper._pool.submit
+    begun = []
 
     def interrupted(*work: Any) -> Any:
         if begun:

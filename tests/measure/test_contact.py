@@ -126,7 +126,10 @@ def test_the_force_of_a_driver() -> None:
     on grain 1.
     """
     chain = Chain(grains=3, diameter=1e-3, exponent=1.0, gravity=2.0, top_load=1e-3)
-    k, m, load, amplitude = chain.contact_constants[0], chain.masses[0], 1e-3, 1e-12
+    k = chain.contact_constants[0]
+    m = chain.masses[0]
+    load = 1e-3
+    amplitude = 1e-12
     own = np.sqrt(2 * k / m)
     omega = 0.6 * own
     t = record(
@@ -189,11 +192,9 @@ def test_events_at_the_edge_of_touching() -> None:
     """
     rng = np.random.default_rng(1)
     for _ in range(100):
-        start, step, rates = (
-            rng.uniform(),
-            rng.uniform(),
-            rng.uniform(size=2) * 10 ** rng.uniform(-6, 2),
-        )
+        start = rng.uniform()
+        step = rng.uniform()
+        rates = rng.uniform(size=2) * 10 ** rng.uniform(-6, 2)
         (event,) = made_up(
             [start, start + step], [-rng.uniform() * 10 ** rng.uniform(-20, 0), 0.0], rates
         ).events()
@@ -235,10 +236,8 @@ def test_events_of_a_dense_recording(column: Trajectory) -> None:
     assert [(e.contact, e.opens) for e in events] == [
         (contact, opens) for _, contact, opens in expected
     ]
-    found, dense_found = (
-        np.array([e.time for e in events]),
-        np.array([moment for moment, _, _ in expected]),
-    )
+    found = np.array([e.time for e in events])
+    dense_found = np.array([moment for moment, _, _ in expected])
     assert np.abs(found - dense_found).max() < 1e-4 * (sparse.time[1] - sparse.time[0])
 
 

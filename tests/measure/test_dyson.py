@@ -33,7 +33,8 @@ def by_hand(unit: float, orders: tuple[float, ...] = (1.0, 5.0)) -> DysonSums:
     weight = np.array([dyson_weight(kappa, m) for m in orders])
     printed = weight @ velocity.T
     normalised = printed / weight.sum(1)[:, None]
-    time, tau = np.array([0.0, 2e-5]), np.array([0.0, 12.5])
+    time = np.array([0.0, 2e-5])
+    tau = np.array([0.0, 12.5])
     return DysonSums(
         np.array(orders), time, tau, kappa, velocity, weight, printed, normalised, unit
     )
@@ -133,7 +134,8 @@ def test_the_table(unit: float):
 
 
 def test_the_json():
-    seen, others = by_hand(-0.5), [ensemble(1.0, -0.5, 3e-3, 4), ensemble(-1.0, -0.5)]
+    seen = by_hand(-0.5)
+    others = [ensemble(1.0, -0.5, 3e-3, 4), ensemble(-1.0, -0.5)]
     data = seen.to_json(ORDERED, others)
     assert data["what"].startswith("Eq. (22) is a sum over the grains of one chain")
     assert data["velocity_unit_m_per_s"] == -0.5
@@ -161,7 +163,8 @@ def test_the_json():
 
 @pytest.mark.parametrize("unit", [1.0, -0.5])
 def test_the_picture(unit: float):
-    seen, others = by_hand(unit), [ensemble(1.0, unit), ensemble(-1.0, unit)]
+    seen = by_hand(unit)
+    others = [ensemble(1.0, unit), ensemble(-1.0, unit)]
     axes = seen.plot(ORDERED * unit, others)
     means, terms = axes.figure.axes
     assert means is axes
@@ -202,7 +205,8 @@ def test_the_picture_ends_four_grains_below_the_wave():
     wave = np.zeros(size)
     wave[[3, 39, 59]] = 1.0, -2e-3, 0.9e-3
     whole = by_hand(1.0)
-    kappa, motion = np.ones(size), np.stack((wave, wave))
+    kappa = np.ones(size)
+    motion = np.stack((wave, wave))
     seen = DysonSums(
         whole.m,
         whole.time,

@@ -84,7 +84,8 @@ def test_energy_and_momentum_come_from_somewhere(case: tuple[Chain, Excitation, 
     given = 0.5 * chain.masses @ t.velocity[0] ** 2
     assert energy.kinetic[0] == pytest.approx(given, rel=1e-14, abs=0)
     terms = energy.contact, energy.gravity, energy.load
-    overlaps, power = contacts(t).overlap, chain.exponent + 1
+    overlaps = contacts(t).overlap
+    power = chain.exponent + 1
     elastic = (
         chain.contacts.constant[contacts(t).contact] / power * np.maximum(overlaps, 0.0) ** power
     )
@@ -175,8 +176,11 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
     = 2 sqrt(k/m) sin(q/2).
     """
     chain = Chain(grains=120, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1e-3)
-    k, m, unit = chain.contact_constants[0], chain.masses[0], chain.time_scale
-    amplitude, omega = 1e-12, 0.8
+    k = chain.contact_constants[0]
+    m = chain.masses[0]
+    unit = chain.time_scale
+    amplitude = 1e-12
+    omega = 0.8
     drive = Drive(amplitude=amplitude, frequency=omega / unit / (2 * np.pi))
     period = 2 * np.pi / omega
     t = record(chain, drive, 14 * period * unit, 14 * 64 + 1, 1e-12)

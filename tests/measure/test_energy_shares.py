@@ -119,10 +119,8 @@ def test_energies_are_no_further_off_than_they_say(name: str):
     error = found.kinetic_error.sum(1) + found.elastic_error.sum(1)
     assert (np.abs(found.kinetic.sum(1) + found.elastic.sum(1) - scene.energy) <= error).all()
     for field in ("kinetic", "elastic", "of_grain"):
-        off, said = (
-            np.abs(getattr(found, field) - getattr(better, field)),
-            getattr(found, f"{field}_error"),
-        )
+        off = np.abs(getattr(found, field) - getattr(better, field))
+        said = getattr(found, f"{field}_error")
         assert (off <= said + getattr(better, f"{field}_error")).all()
     assert 0 < error.max() < 0.02 * scene.energy
 

@@ -57,7 +57,8 @@ def run(name: str, samples: int = 401) -> Trajectory:
 
 def overlaps(t: Trajectory) -> Array:
     """Return the overlaps of all contacts, with the walls too, (T, N+1); 0 where there is none."""
-    chain, wall = t.scene.chain, t.scene.excitation.wall
+    chain = t.scene.chain
+    wall = t.scene.excitation.wall
     top = wall.at(t.time, 0) if wall else np.zeros(t.time.size)
     edged = np.column_stack((top, t.displacement, np.zeros(t.time.size)))
     return np.where(
@@ -71,8 +72,11 @@ def test_every_term_and_what_was_given(name: str):
     quadrature's error.
     """
     t = run(name)
-    chain, seen = t.scene.chain, energy.ledger(t)
-    u, v, power = t.displacement, t.velocity, chain.exponent + 1
+    chain = t.scene.chain
+    seen = energy.ledger(t)
+    u = t.displacement
+    v = t.velocity
+    power = chain.exponent + 1
     elastic = chain.contacts.constant * np.maximum(overlaps(t), 0.0) ** power / power
     at_rest = chain.contacts.constant * chain.contacts.overlap**power / power
     contact = (elastic - np.where(chain.contacts.exists, at_rest, 0.0)).sum(1)
@@ -117,11 +121,14 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
     and from 21.
     """
     t = run("a sine on grain 3", 41)
-    chain, seen, omega = t.scene.chain, energy.ledger(t), 2 * np.pi * 1e5
+    chain = t.scene.chain
+    seen = energy.ledger(t)
+    omega = 2 * np.pi * 1e5
     force = 1e-3 * np.sin(omega * t.time)
     rate = 1e-3 * omega * np.cos(omega * t.time)
     inner = overlaps(t)[:, 1:-1]
-    constant, rest = chain.contact_constants, chain.equilibrium_overlap
+    constant = chain.contact_constants
+    rest = chain.equilibrium_overlap
     pull = constant * (np.maximum(inner, 0) ** 1.5 - rest**1.5)
     closing = t.velocity[:, :-1] - t.velocity[:, 1:]
     pull_rate = 1.5 * constant * np.sqrt(np.maximum(inner, 0)) * closing
@@ -144,7 +151,8 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
 def swinging(**more: Any) -> EnergyLedger:
     """Return the ledger of 2 J that swing between motion and a spring: K = 2 cos(t)^2."""
     time = np.linspace(0, 10, 2001)
-    zero, total = np.zeros(time.size), np.full(time.size, 2.0)
+    zero = np.zeros(time.size)
+    total = np.full(time.size, 2.0)
     terms = {
         "time": time,
         "kinetic": 2 * np.cos(time) ** 2,
@@ -196,7 +204,8 @@ def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str])
     chain = Chain(**UNEVEN, **ends)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=7)
     t = simulate(scene, engines.Native(step=1e-8))
-    seen, rest = energy.shares(t), chain.contacts.overlap
+    seen = energy.shares(t)
+    rest = chain.contacts.overlap
     squeezed = overlaps(t)
     stored = chain.contacts.constant * (np.maximum(squeezed, 0) ** 2.5 - rest**2.5) / 2.5
     elastic = np.where(
@@ -247,8 +256,10 @@ def test_errors_are_what_errors_of_the_motion_make_of_an_energy():
     )
     t = simulate(scene, engines.Native(step=1e-8))
     t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-4, model=0.0))
-    seen, between = energy.shares(t), motion_of(t)
-    fast, off = between.known_error("velocity"), between.known_error("displacement")
+    seen = energy.shares(t)
+    between = motion_of(t)
+    fast = between.known_error("velocity")
+    off = between.known_error("displacement")
     assert fast > 1e-4 * np.abs(t.velocity).max()
     kinetic = chain.masses * ((np.abs(t.velocity) + fast) ** 2 - t.velocity**2) / 2
     assert seen.kinetic_error == pytest.approx(kinetic, rel=1e-9)

@@ -169,7 +169,8 @@ def test_an_infinite_chain_between_walls():
 
 def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
     """Made up from Eq. (11): J_(2n-2)(2s) + J_(2n)(2s) with s = 1.03 (tau - 0.2)."""
-    n, tau = uniform.grains, uniform.time[:, None] / UNIFORM.time_scale
+    n = uniform.grains
+    tau = uniform.time[:, None] / UNIFORM.time_scale
     z = 2 * 1.03 * (tau - 0.2)
     made = replace(uniform, velocity=4e-9 * (jv(2 * n - 2, z) + jv(2 * n, z)))
     fit = fit_bessel(made)
@@ -555,7 +556,8 @@ def dumped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
     """Write the dump again without a column, and with numbers in another form."""
     out = dump.with_name(name)
-    lines, place = [], None
+    lines = []
+    place = None
     for line in dump.read_text().splitlines():
         words = line.split()
         if words[:2] == ["ITEM:", "ATOMS"]:
@@ -620,7 +622,8 @@ def test_a_dump_without_displacements(dumped: tuple[Path, Path]):
 
 def spoil(dump: Path, what: str) -> Path:
     """Write the dump again with a fault."""
-    text, out = dump.read_text(), dump.with_name(what.replace(" ", "-"))
+    text = dump.read_text()
+    out = dump.with_name(what.replace(" ", "-"))
     lines = text.splitlines(keepends=True)
     frame = 9 + 20
     faults = {

@@ -70,16 +70,15 @@ def made_up(
         samples=samples,
         grains=f"1:{grains}",
     )
-    numbers, step = np.arange(1.0, grains + 1), 20 / (samples - 1)
+    numbers = np.arange(1.0, grains + 1)
+    step = 20 / (samples - 1)
     nodes, weights = np.polynomial.legendre.leggauss(16)
     inside = scene.time[:-1, None, None] * 1e6 + step * (nodes[:, None] + 1) / 2
     way = (motion(inside, numbers) * weights[:, None]).sum(1) * step / 2 * 1e-6
     displacement = np.concatenate((np.zeros((1, grains)), np.cumsum(way, axis=0)))
     t = simulate(scene, engine="native", tolerance=1e-3)
-    velocity, unknown = (
-        motion(scene.time[:, None] * 1e6, numbers),
-        replace(t.error_estimate, solver=np.inf),
-    )
+    velocity = motion(scene.time[:, None] * 1e6, numbers)
+    unknown = replace(t.error_estimate, solver=np.inf)
     return replace(
         t, velocity=velocity, displacement=displacement, error_estimate=unknown, equation=0
     )
@@ -163,12 +162,14 @@ def test_against_the_exact_motion_of_a_weak_strike():
     sampling.
     """
     t = column(1e-7, 60, 80)
-    chain, strike = t.scene.chain, t.scene.excitation.velocity
+    chain = t.scene.chain
+    strike = t.scene.excitation.velocity
     diagonal, coupling = chain.dynamical_matrix()
     squares, shape = np.linalg.eigh(
         np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
     )
-    omega, front = np.sqrt(squares), track(t).between(2, 60)
+    omega = np.sqrt(squares)
+    front = track(t).between(2, 60)
     assert front.grain.tolist() == list(range(2, 61))
     for grain, time, amplitude in zip(front.grain, front.time, front.amplitude, strict=True):
         weight = strike * shape[grain - 1] * shape[0]
@@ -287,13 +288,15 @@ def test_asymptotic_laws(
     """Velocity 0.931767 n^(-4/15), displacement n^(-1/10), not the -1/4 and -1/12 of Hong, Ji and
     Kim.
     """
-    unit, strike = weak.scene.chain.time_scale, weak.scene.excitation.velocity
+    unit = weak.scene.chain.time_scale
+    strike = weak.scene.excitation.velocity
     scale = {
         "amplitude": strike if field == "velocity" else strike * unit,
         "speed": 1e-3 / unit,
     }.get(quantity, unit)
     front = {"velocity": velocity, "displacement": displacement}[field].between(20, 500)
-    free, fixed = asymptotic(front, quantity, 1.5), asymptotic(front, quantity, 1.5, power)
+    free = asymptotic(front, quantity, 1.5)
+    fixed = asymptotic(front, quantity, 1.5, power)
     assert free.exponent == pytest.approx(power, abs=2.5e-3)
     assert free.error[0] < 5e-3
     assert np.abs(free.residual).max() < 2e-3
@@ -353,10 +356,8 @@ def test_a_power_law_is_found_again():
 
 
 def test_scatter_widens_the_intervals():
-    law, local = (
-        asymptotic(power_law(1e-3), "amplitude", 1.5),
-        exponent(power_law(1e-3, ()), window=None),
-    )
+    law = asymptotic(power_law(1e-3), "amplitude", 1.5)
+    local = exponent(power_law(1e-3, ()), window=None)
     assert 1e-3 < law.error[0] < 0.2
     assert abs(law.exponent + 0.3) < law.error[0]
     assert local.residual == pytest.approx(1e-3, rel=0.1)

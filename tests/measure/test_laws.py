@@ -58,13 +58,16 @@ def noisy_front(seed: int = 5, noise: float = 1e-3) -> Front:
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.0])
 def test_an_asymptotic_law_and_its_errors(delta: float, power: float | None):
     """Half the 95 % interval, and the shift when a term of twice the order is fitted too."""
-    front, order = noisy_front(), 1 / delta - 1 / 3
-    law, h = asymptotic(front, "amplitude", delta, power), front.grain - 0.5
+    front = noisy_front()
+    order = 1 / delta - 1 / 3
+    law = asymptotic(front, "amplitude", delta, power)
+    h = front.grain - 0.5
     fitted, error = least_squares(h, -front.amplitude, [order], power)
     further, _ = least_squares(h, -front.amplitude, [order, 2 * order], power)
     interval = stats.t.ppf(0.975, h.size - fitted.size) * error + np.abs(further[:-1] - fitted)
     if power is not None:
-        fitted, interval = np.append(power, fitted), np.append(0.0, interval)
+        fitted = np.append(power, fitted)
+        interval = np.append(0.0, interval)
     factor = np.exp(fitted[1])
     assert law.order == pytest.approx(order, rel=1e-14)
     assert (law.exponent, law.factor, law.correction) == pytest.approx(
@@ -92,10 +95,13 @@ def test_six_grains_are_enough_for_a_law_and_five_are_not():
 @pytest.mark.parametrize("window", [3, 11, 110])
 def test_local_exponents_and_their_intervals(window: int):
     front = noisy_front()
-    seen, x, y = exponent(front, window=window), np.log(front.grain - 0.5), np.log(-front.amplitude)
+    seen = exponent(front, window=window)
+    x = np.log(front.grain - 0.5)
+    y = np.log(-front.amplitude)
     assert seen.exponent.size == 110 - window + 1
     for k in (0, seen.exponent.size // 2, seen.exponent.size - 1):
-        a, b = x[k : k + window], y[k : k + window]
+        a = x[k : k + window]
+        b = y[k : k + window]
         slope, start = np.polyfit(a, b, 1)
         left = b - start - slope * a
         error = np.sqrt(left @ left / (window - 2) / ((a - a.mean()) ** 2).sum())
@@ -149,8 +155,10 @@ def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
     """Made up with C = 1.3 and scatter: which samples are fitted, the regression, its interval and
     its residual.
     """
-    unit, chain = struck.scene.chain.time_scale, struck.scene.chain
-    tau, travel = struck.time[:, None] / unit, chi(struck.grains - 0.5)
+    unit = struck.scene.chain.time_scale
+    chain = struck.scene.chain
+    tau = struck.time[:, None] / unit
+    travel = chi(struck.grains - 0.5)
     cone = np.maximum(tau**2 - travel**2, 1e-9)
     scatter = 1 + 1e-3 * np.random.default_rng(3).normal(size=cone.shape)
     made = replace(struck, displacement=-1e-9 * unit * 1.3 * cone**-0.1 * scatter)
@@ -412,7 +420,8 @@ def test_the_rows_of_a_summary():
     )
     assert rows["modes", "its frequency"].unit == "Hz"
     assert rows["modes", "residual of the linear motion"].expected == 0
-    amplitude, speed = rows["bessel", "amplitude"], rows["bessel", "wave speed"]
+    amplitude = rows["bessel", "amplitude"]
+    speed = rows["bessel", "wave speed"]
     assert (amplitude.unit, speed.unit, rows["bessel", "delay"].unit) == ("m", "grains/s", "s")
     assert amplitude.value == pytest.approx(1e-14, rel=1e-5)
     assert speed.value == pytest.approx(1 / chain.time_scale, rel=1e-5)

@@ -35,7 +35,8 @@ def dense():
 def test_sparse_samples_say_how_far_off_they_are(dense, samples):
     sparse = simulate(column(samples), "native", 1e-10)
     for field in ("velocity", "displacement"):
-        sampled, seen = np.abs(getattr(dense, field)).max(0), peaks(sparse, field)
+        sampled = np.abs(getattr(dense, field)).max(0)
+        seen = peaks(sparse, field)
         assert (np.abs(seen.value - sampled) <= seen.error + 2e-6 * sampled.max()).all(), (
             "what hides between these"
         )
@@ -45,7 +46,8 @@ def test_sparse_samples_say_how_far_off_they_are(dense, samples):
             assert np.abs(seen.value - true).max() < 1e-6 * true.max()
             assert seen.error.max() < 1e-3 * true.max()
     if samples > 20:
-        true, seen = track(dense), track(sparse)
+        true = track(dense)
+        seen = track(sparse)
         assert seen.grain.tolist() == true.grain.tolist()
         for name in ("time", "amplitude", "width"):
             off = np.abs(getattr(seen, name) - getattr(true, name))
@@ -89,7 +91,8 @@ def test_order_of_the_interpolation(dense, equation):
     fourth.
     """
     every = np.array([200, 100, 50]) if equation else np.array([100, 50, 25])
-    off, true = [], peaks(dense).value
+    off = []
+    true = peaks(dense).value
     for step in every:
         scene = column(6400 // step + 1)
         thin = Motion(
@@ -138,7 +141,8 @@ def test_recorded_grains_alone():
     """Without their neighbours accelerations come from the samples."""
     whole = simulate(column(401), "native", 1e-9)
     few = simulate(Scene(**column(401).given() | {"grains": [3, 9]}), "native", 1e-9)
-    one, other = peaks(whole), peaks(few)
+    one = peaks(whole)
+    other = peaks(few)
     assert other.grain.tolist() == [3, 9]
     assert (np.abs(other.value - one.value[[2, 8]]) <= other.error).all()
     assert (other.error < 1e-3 * other.value).all()
@@ -156,7 +160,8 @@ def test_driven_grain():
 def test_unknown_errors_leave_those_of_sampling():
     t = simulate(column(201), "native", 1e-6)
     unknown = replace(t, error_estimate=replace(t.error_estimate, solver=np.inf))
-    one, other = peaks(t), peaks(unknown)
+    one = peaks(t)
+    other = peaks(unknown)
     assert np.isfinite(other.error).all()
     assert one.value[:15] == pytest.approx(other.value[:15], rel=1e-6)
     with pytest.raises(InputError, match="field"):

@@ -30,7 +30,8 @@ def swing(
         grains=grains,
     )
     phase = OMEGA * scene.time
-    u, v = SPEED / OMEGA * np.sin(phase), SPEED * np.cos(phase)
+    u = SPEED / OMEGA * np.sin(phase)
+    v = SPEED * np.cos(phase)
     recorded = np.arange(1, 3) if grains == "all" else np.array(grains)
     still = np.zeros(samples)
     columns = {1: (u, v), 2: (still, still)}
@@ -138,9 +139,11 @@ def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
     )
     t = simulate(scene, engines.Native(step=2e-8))
     between = Motion(scene, 3 if linear else 1, t.grains, t.displacement, t.velocity, 0.0)
-    h, fast = scene.duration / 5, scene.highest_frequency
+    h = scene.duration / 5
+    fast = scene.highest_frequency
     assert fast * h > 2
-    contacts, masses = chain.contacts, chain.masses
+    contacts = chain.contacts
+    masses = chain.masses
     moves = [int(n) for n in t.grains if n <= 13]
     near = math.ceil(fast * h / 2) + 2
     edge = min(max(moves) + 2, 14)
@@ -188,16 +191,15 @@ def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
     may be off by.
     """
     if bottom == "fixed":
-        chain, stiffness, rest = (
-            SPRING,
-            SPRING.linear_stiffness[0],
-            1.0 + 2 * 3.0 * SPRING.masses[0],
-        )
+        chain = SPRING
+        stiffness = SPRING.linear_stiffness[0]
+        rest = 1.0 + 2 * 3.0 * SPRING.masses[0]
     else:
         chain = Chain(
             grains=1, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=3.0, bottom="wall"
         )
-        stiffness, rest = float(chain.contacts.stiffness[1]), 1.0 + 3.0 * chain.masses[0]
+        stiffness = float(chain.contacts.stiffness[1])
+        rest = 1.0 + 3.0 * chain.masses[0]
     omega = math.sqrt(stiffness / chain.masses[0])
     speed = 0.1
     scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=5 / omega, samples=13)
@@ -255,7 +257,8 @@ def test_the_closest_approach_of_two_grains_is_no_further_off_than_it_says(equat
     true = np.array([dense.closest(contact) for contact in range(1, 6)])
     for every in (10, 9, 6, 5):
         samples = 1440 // every + 1
-        u, v = t.displacement[::every], t.velocity[::every]
+        u = t.displacement[::every]
+        v = t.velocity[::every]
         few = Motion(scene.replace(samples=samples), equation, t.grains, u, v, 0.0)
         value, error = np.array([few.closest(contact) for contact in range(1, 6)]).T
         assert (np.abs(value - true[:, 0]) <= error + true[:, 1]).all()

@@ -140,7 +140,8 @@ def test_a_spectrum_over_frequency_and_depth():
 
 
 def test_a_spectrum_over_wavenumber_and_frequency():
-    frequency, wavenumber = np.arange(9) * 5.0, np.linspace(-3, 2, 6)
+    frequency = np.arange(9) * 5.0
+    wavenumber = np.linspace(-3, 2, 6)
     amplitude = 10.0 ** RNG.uniform(-5, 0, (9, 6))
     relation = RNG.uniform(1, 10, (3, 2, 6))
     shown = Dispersion(
@@ -263,7 +264,8 @@ def test_local_exponents_and_a_power_law():
 
 
 def test_the_continuum_and_the_law_of_the_front():
-    depth, time = np.array([2.0, 4, 8]), np.array([3.0, 5, 9])
+    depth = np.array([2.0, 4, 8])
+    time = np.array([3.0, 5, 9])
     law = FrontLaw(
         depth,
         time,
@@ -286,7 +288,8 @@ def test_the_continuum_and_the_law_of_the_front():
         "depth h = n − 1/2 (grains)",
         "arrival (units of tau)",
     )
-    cone, values = np.array([100.0, 400, 900]), np.array([0.7, 0.6, 0.5])
+    cone = np.array([100.0, 400, 900])
+    values = np.array([0.7, 0.6, 0.5])
     fit = ContinuumFit(1.15, 0.02, 1.155, 0.1, np.array([1, 2, 2]), cone, values, values, 0.0, None)
     axes = fit.plot()
     assert_lines(axes, (cone, values * cone**0.1), ([0, 1], [1.15, 1.15]), ([0, 1], [1.155, 1.155]))
@@ -316,9 +319,11 @@ def test_the_exponents_less_those_of_a_weak_wave():
 
 
 def test_the_energies_of_modes():
-    frequency, time = 2 * np.pi * np.array([1e3, 2e3]), np.arange(3) * 1e-3
+    frequency = 2 * np.pi * np.array([1e3, 2e3])
+    time = np.arange(3) * 1e-3
     none = np.zeros((3, 2))
-    energy, error = np.array([3.0, 1.0]), np.array([0.4, 0.2])
+    energy = np.array([3.0, 1.0])
+    error = np.array([0.4, 0.2])
     fit = ModeFit(frequency, time, none, none, energy, error, np.array([0.0, 0.02, 0.01]))
     assert fit.share.tolist() == [0.75, 0.25]
     assert fit.share_error == pytest.approx(np.array([0.1, 0.05]), rel=1e-14)
@@ -426,7 +431,8 @@ def test_a_solitary_wave(loaded: bool):
 )
 def test_a_fitted_parameter(field: Any, label: str):
     """Four traces, from the first to the last, and the fit to each."""
-    time, values = np.arange(4) * 1e-6, RNG.normal(size=(4, 7))
+    time = np.arange(4) * 1e-6
+    values = RNG.normal(size=(4, 7))
     trace = Trace(time, [1, 2, 3, 4, 5, 6, 8], values, field)
     scene: Any = None
     fit = ParameterFit("youngs_modulus", 62.1234e9, 1.24e8, trace, 2 * values, 0.1, scene, 20)

@@ -36,7 +36,8 @@ def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
     t = simulate(scene, engines.Native(step=1e-7))
     u, v = RNG.normal(size=(2, *t.displacement.shape))
     still = t.grains > scene.chain.movable
-    u[:, still], v[:, still] = 0.0, 0.0
+    u[:, still] = 0.0
+    v[:, still] = 0.0
     return replace(t, displacement=scene.chain.contacts.overlap.max() * u, velocity=1e-3 * v)
 
 
@@ -46,7 +47,8 @@ def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
 def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
     """o = eps + phi_n - phi_(n+1), its rate, and K o^delta above 0; a gap has no force."""
     t = noise(**ends)
-    chain, seen = t.scene.chain, contacts(t)
+    chain = t.scene.chain
+    seen = contacts(t)
     zero = np.zeros((21, 1))
     u, v = (np.hstack((zero, x, zero)) for x in (t.displacement, t.velocity))
     n = seen.contact
@@ -89,7 +91,8 @@ def test_what_a_driver_pushes_with(top: str):
     given.append(-(omega**2) * given[0])
     for seen, exact in zip(drive_motion(t), given, strict=True):
         assert seen == pytest.approx(exact, abs=1e-12 * np.abs(exact).max())
-    constant, overlap = chain.contacts.constant, chain.contacts.overlap
+    constant = chain.contacts.constant
+    overlap = chain.contacts.overlap
     u = t.displacement
     if top == "wall":
         force = constant[0] * np.maximum(overlap[0] + given[0] - u[:, 0], 0) ** 1.5
@@ -205,7 +208,8 @@ def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
     """Every number by its sum; the window over time, and over the grains, too."""
     t = noise([5, 2, 3, 4, 9, 6, 7, 8, 1], samples=24)
     motion = getattr(t, field)[:, np.argsort(t.grains)]
-    over_time, step = get_window(window, 24), 2e-5 / 23
+    over_time = get_window(window, 24)
+    step = 2e-5 / 23
     seen = spectrum(t, field, window)
     wave = np.exp(-2j * np.pi * np.arange(13)[:, None] * np.arange(24) / 24)
     assert seen.grain.tolist() == list(range(1, 10))
@@ -266,7 +270,8 @@ def test_where_each_body_was_recorded():
     """-1 for a wall or what is held, -2 for what is not known; else the column."""
     assert columns(6, 4, np.array([4, 1, 5])).tolist() == [-1, 1, -2, -2, 0, 2, -1, -1]
     u, v = np.zeros((2, 3, 4))
-    u[1, 1], v[2, 2] = 1e-9, -1e-9
+    u[1, 1] = 1e-9
+    v[2, 2] = -1e-9
     assert leaves_rest(u, v).tolist() == [False, True, True, False]
     assert leaves_rest(np.ones((2, 2)), np.zeros((2, 2))).tolist() == [True, True]
 
@@ -296,8 +301,10 @@ def test_what_pushes_grain_1_below_a_wall():
     t = simulate(
         Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8)
     )
-    omega, u = 2 * np.pi * 1e5, t.displacement
-    constant, overlap = chain.contacts.constant, chain.contacts.overlap
+    omega = 2 * np.pi * 1e5
+    u = t.displacement
+    constant = chain.contacts.constant
+    overlap = chain.contacts.overlap
     above = constant[0] * np.maximum(overlap[0] - u[:, 0], 0) ** 1.5
     below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
     force = chain.masses[0] * (-(omega**2) * u[:, 0] - 9.81) + below - above

@@ -46,7 +46,8 @@ def test_behind_a_strike(exponent: float, share: float | None, speed: float):
 @pytest.mark.parametrize("downward", [True, False])
 def test_under_a_load(downward: bool):
     """One that was put there, in either direction."""
-    chain, wave = Chain(**CHAIN | {"grains": 110}, top_load=1.0), solve(speed=1.3)
+    chain = Chain(**CHAIN | {"grains": 110}, top_load=1.0)
+    wave = solve(speed=1.3)
     t = strike(chain, wave.on(chain, 30 if downward else 80, downward), 40 * chain.time_scale)
     fit = fit_soliton(t)
     assert fit.wave.speed == pytest.approx(1.3, rel=1e-5)

@@ -49,7 +49,8 @@ def test_height_speed_and_width(
     assert np.array_equal(fit.time, used.time)
     assert np.array_equal(fit.velocity, np.abs(used.amplitude))
     slope, _ = np.polyfit(used.grain, used.time, 1)
-    speed, whole = 1 / slope, np.isfinite(used.width)
+    speed = 1 / slope
+    whole = np.isfinite(used.width)
     count = whole.sum()
     assert fit.amplitude == pytest.approx(used.amplitude.mean(), rel=1e-13)
     assert fit.speed == pytest.approx(speed, rel=1e-9)
@@ -90,7 +91,8 @@ def moved(front: Front, **changes: Any) -> Any:
 
 def test_what_is_steady_enough(struck: Trajectory, front: Front, monkeypatch: pytest.MonkeyPatch):
     """Heights may scatter by 2 %, and speed and width be 2 % off; all grains go with the wave."""
-    grain, amplitude = front.grain, np.full(front.grain.size, front.amplitude[20])
+    grain = front.grain
+    amplitude = np.full(front.grain.size, front.amplitude[20])
     clean = {"amplitude": amplitude, "time": 1e-6 + (grain - 1) / fit_soliton(struck).speed}
 
     def given(**changes: Any) -> Any:

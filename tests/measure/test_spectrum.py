@@ -72,7 +72,8 @@ def test_parseval(field: str, samples: int, window: str):
     if samples % 2 == 0:
         twice[-1] = 1.0
     windowed = get_window(window, samples)[:, None] * getattr(t, field)
-    step, apart = t.time[1], found.frequency[1]
+    step = t.time[1]
+    apart = found.frequency[1]
     assert twice @ found.amplitude**2 * apart == pytest.approx(
         (windowed**2).sum(0) * step, rel=1e-12
     )
@@ -201,7 +202,8 @@ def test_a_dimer_has_two_branches():
     """
     masses = np.resize([1e-6, 3e-6], 160)
     chain = Chain(grains=160, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
-    stiffness, unit = chain.linear_stiffness[0], chain.time_scale
+    stiffness = chain.linear_stiffness[0]
+    unit = chain.time_scale
     scene = Scene(
         chain=chain,
         excitation=Impulse(velocity=1e-5 * chain.length_scale / unit, grain=81),
@@ -209,7 +211,8 @@ def test_a_dimer_has_two_branches():
         samples=601,
     )
     found = dispersion(simulate(scene, engine="native", tolerance=1e-7), 1, 160)
-    both, k = 1e6 * (1 + 1 / 3), found.wavenumber
+    both = 1e6 * (1 + 1 / 3)
+    k = found.wavenumber
     root = np.sqrt(both**2 - 4 * np.sin(k) ** 2 * 1e12 / 3)
     exact = np.sqrt(stiffness * np.maximum([both - root, both + root], 0)) / (2 * np.pi)
     assert found.relation == pytest.approx(

@@ -82,7 +82,9 @@ def test_noise_scatters_as_the_covariance_says(late: Trajectory):
     few = replace(
         late, time=late.time[::2], velocity=late.velocity[::2], displacement=late.displacement[::2]
     )
-    unit, away, joint = late.scene.chain.time_scale, [], []
+    unit = late.scene.chain.time_scale
+    away = []
+    joint = []
     true = np.array([-2e-9, 1.05 / unit, unit, 1.05**2])
     for _ in range(60):
         fit = fit_bessel(
@@ -245,12 +247,14 @@ def test_amplitudes_and_energies_of_modes():
     """
     chain = Chain(grains=9, diameter=np.linspace(1e-3, 1.3e-3, 9), bottom="wall", top_load=1e-3)
     t = run(chain, Impulse(velocity=1e-9, grain=3), 12.0, 31)
-    fit, scale = fit_modes(t), np.sqrt(chain.masses)
+    fit = fit_modes(t)
+    scale = np.sqrt(chain.masses)
     diagonal, coupling = chain.dynamical_matrix()
     squares, vectors = np.linalg.eigh(
         np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
     )
-    amplitude, rate = (t.displacement * scale) @ vectors, (t.velocity * scale) @ vectors
+    amplitude = (t.displacement * scale) @ vectors
+    rate = (t.velocity * scale) @ vectors
     assert fit.frequency == pytest.approx(np.sqrt(squares), rel=1e-10)
     for seen, dense in ((fit.amplitude, amplitude), (fit.rate, rate)):
         sign = np.sign((seen * dense).sum(0))
@@ -264,7 +268,8 @@ def test_amplitudes_and_energies_of_modes():
         displacement=0.9 * t.displacement,
     )
     other = fit_modes(bent)
-    rate, amplitude = (bent.velocity * scale) @ vectors, (bent.displacement * scale) @ vectors
+    rate = (bent.velocity * scale) @ vectors
+    amplitude = (bent.displacement * scale) @ vectors
     energy = (rate**2 + squares * amplitude**2) / 2
     assert other.energy_error == pytest.approx(energy.std(0), rel=1e-7)
     assert other.share_error == pytest.approx(energy.std(0) / energy[0].sum(), rel=1e-7)

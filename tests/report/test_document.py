@@ -196,7 +196,8 @@ def test_grains_that_hardly_move_are_left_out_of_the_range():
     t = moved(20, 30)
     velocity = np.array(t.velocity)
     largest = np.abs(velocity).max()
-    velocity[5, 39], velocity[5, 49] = 1.01e-3 * largest, 0.99e-3 * largest
+    velocity[5, 39] = 1.01e-3 * largest
+    velocity[5, 49] = 0.99e-3 * largest
     slow = replace(t, velocity=velocity)
     assert extent(slow) == (16, 44)
     assert crop(slow).grains[-1] == 54

@@ -403,7 +403,8 @@ def test_contacts_say_their_largest_force_and_how_often_they_open(
 def test_a_few_contacts_are_lines(draw: Any, hard: Trajectory):
     columns = slice(1, LINES + 1)  # the lowest is held, so that the contact below is known
     grains = hard.grains[columns]
-    u, v = hard.displacement[:, columns], hard.velocity[:, columns]
+    u = hard.displacement[:, columns]
+    v = hard.velocity[:, columns]
     scene = hard.scene.replace(grains=grains.tolist())
     few = replace(hard, scene=scene, grains=grains, displacement=u, velocity=v)
     picture = draw("forces", few)
@@ -422,7 +423,8 @@ def test_one_opening_is_one_time(draw: Any, hard: Trajectory):
     first = int(np.flatnonzero(opened.any(1))[0]) + 2
     rows = slice(0, first)
     scene = hard.scene.replace(duration=float(hard.time[first - 1]), samples=first)
-    u, v = hard.displacement[rows], hard.velocity[rows]
+    u = hard.displacement[rows]
+    v = hard.velocity[rows]
     short = replace(hard, scene=scene, time=hard.time[rows], displacement=u, velocity=v)
     assert draw("forces", short).caption.endswith("Contacts open 1 time.")
 

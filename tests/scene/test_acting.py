@@ -167,7 +167,8 @@ def test_one_grain_on_a_spring(kind: str, where: str):
     # at resonance samples see little of the motion
     between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]
     fields = duhamel(given, strength, between, corners)
-    (x, v), largest = (field[7::8] for field in fields), [np.abs(field).max() for field in fields]
+    (x, v) = (field[7::8] for field in fields)
+    largest = [np.abs(field).max() for field in fields]
 
     def error(u: Array, w: Array) -> float:
         pairs = zip((u, w), (x, v), largest, strict=True)

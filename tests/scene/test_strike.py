@@ -24,6 +24,7 @@ from lmpchain import (
     Scene,
 )
 from lmpchain.scene.strike import first_overlaps, squeezed, strike_number, surroundings
+from lmpchain.util.validation import make_unchecked
 
 STRIKES = {
     "grain 1": Impulse(velocity=2e-3),
@@ -70,7 +71,8 @@ def one_by_one(chain: Chain, strike: Any) -> list[float]:
     """Return the largest first overlap of each contact, m, from the two bodies beside it."""
     contacts = chain.contacts
     delta = chain.exponent
-    (u, begun), (_, v) = strike.initial(chain), strike.largest(chain)
+    (u, begun) = strike.initial(chain)
+    (_, v) = strike.largest(chain)
     deepest = []
     for n in range(chain.grains + 1):
         if not contacts.constant[n]:
@@ -188,8 +190,8 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
 
     def remarks(chain: Chain, excitation: Any) -> list[str]:
         return list(
-            Scene._unchecked(
-                chain=chain, excitation=excitation, duration=1e-5, samples=11
+            make_unchecked(
+                Scene, chain=chain, excitation=excitation, duration=1e-5, samples=11
             )._remarks()
         )
 
@@ -243,4 +245,4 @@ def test_materials_differ_from_grain_to_grain() -> None:
             "duration": 1e-5,
             "samples": 3,
         }
-        assert len(list(Scene._unchecked(**scene)._remarks())) == count
+        assert len(list(make_unchecked(Scene, **scene)._remarks())) == count

@@ -10,6 +10,7 @@ from scipy.linalg import eigh
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, InputError, Packet, Profile, Scene
 from lmpchain.scene.excitation import EXCITATIONS
+from lmpchain.util.validation import make_unchecked
 
 COLUMN = Chain(grains=9, diameter=1e-3)
 LOADED = Chain(grains=9, diameter=1e-3, gravity=0.0, top_load=1e-3, top="wall", bottom="wall")
@@ -127,8 +128,8 @@ def test_samples_and_durations_have_limits() -> None:
 
 def test_a_long_duration_is_remarked_on() -> None:
     keys = {"chain": COLUMN, "excitation": Impulse(velocity=1e-6), "samples": 11}
-    assert not list(Scene._unchecked(duration=3600.0, **keys)._remarks())
-    (text,) = Scene._unchecked(duration=3601.0, **keys)._remarks()
+    assert not list(make_unchecked(Scene, duration=3600.0, **keys)._remarks())
+    (text,) = make_unchecked(Scene, duration=3601.0, **keys)._remarks()
     assert (
         text
         == "duration: 3601 s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"

@@ -151,7 +151,8 @@ def test_which_engine_costs_least(grains, radians, samples, tolerance, order):
 
 
 def test_engines_that_begin_later_than_native_ends_are_not_asked():
-    short, long = swinging(50, 30.0, 11), swinging(50, 1e4, 11)
+    short = swinging(50, 30.0, 11)
+    long = swinging(50, 1e4, 11)
     every = {proposal.engine: proposal for proposal in propose(short, 1e-3, every=True)}
     assert set(every) == set(engines.names())
     native = every["native"].cost_s
@@ -300,7 +301,10 @@ class Answers:
     """
 
     def __init__(self, monkeypatch, start: float, slowness: float):
-        self.now, self.start, self.slowness, self.count = 0.0, start, slowness, 0
+        self.now = 0.0
+        self.start = start
+        self.slowness = slowness
+        self.count = 0
         monkeypatch.setattr(calibration.time, "perf_counter", lambda: self.now)
         monkeypatch.setattr(calibration, "simulate", self.simulate)
 

@@ -50,7 +50,8 @@ def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
         return np.abs(motion(scene, np.atleast_1d(t))[kind][:, grain])
 
     grid = np.linspace(0, scene.duration, 4001)
-    sizes, step = values(grid), grid[1]
+    sizes = values(grid)
+    step = grid[1]
     found = []
     for i in np.flatnonzero((sizes[1:-1] > sizes[:-2]) & (sizes[1:-1] >= sizes[2:])) + 1:
         best = minimize_scalar(
@@ -64,7 +65,8 @@ def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
 
 def forces(scene: Scene, contact: int, times: np.ndarray) -> np.ndarray:
     u = np.column_stack([np.zeros(times.size), motion(scene, times)[0], np.zeros(times.size)])
-    rest, stiffness = scene.chain.contacts.force[contact], scene.chain.contacts.stiffness[contact]
+    rest = scene.chain.contacts.force[contact]
+    stiffness = scene.chain.contacts.stiffness[contact]
     return rest + stiffness * (u[:, contact] - u[:, contact + 1])
 
 
@@ -73,7 +75,8 @@ def forces(scene: Scene, contact: int, times: np.ndarray) -> np.ndarray:
 def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
     scene = springs(seed)
     gathered = simulate(scene, engine, 1e-9).gathered
-    speed, length = 1e-3, 1e-3 / scene.chain.band_edge
+    speed = 1e-3
+    length = 1e-3 / scene.chain.band_edge
     for name, kind, unit in (("peak_velocity", 1, speed), ("peak_displacement", 0, length)):
         for grain in range(3):
             top = max(size for _, size in tops(scene, kind, grain))
@@ -85,7 +88,8 @@ def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
         largest = max(size for _, size in maxima)
         turns = [(when, size) for when, size in maxima if 0 < when < scene.duration]
         start = abs(scene.initial()[1][grain])
-        arrival, error = gathered["arrival_time"][grain], gathered["arrival_time_error"][grain]
+        arrival = gathered["arrival_time"][grain]
+        error = gathered["arrival_time_error"][grain]
         if start >= largest / 2:
             assert np.isnan(arrival)
             continue
@@ -103,7 +107,8 @@ def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
         assert gathered[f"force:{contact}_error"].max() < 1e-6 * np.ptp(true)
     for contact in (1, 3):
         dense = forces(scene, contact, np.linspace(0, scene.duration, 40_001)).max()
-        found, error = gathered[f"peak_force:{contact}"], gathered[f"peak_force:{contact}_error"]
+        found = gathered[f"peak_force:{contact}"]
+        error = gathered[f"peak_force:{contact}_error"]
         assert abs(found - dense) <= error + 1e-7 * dense
         assert error < 1e-3 * (dense - scene.chain.contacts.force[contact])
 
@@ -116,7 +121,8 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
     """
     scene = springs(3, samples=2)
     t = simulate(scene, Native("verlet", step=2 * np.pi / scene.chain.band_edge / steps))
-    error, gathered = t.error_estimate.total, t.gathered
+    error = t.error_estimate.total
+    gathered = t.gathered
     assert error > 1e-3
     largest = [
         max(size for grain in range(3) for _, size in tops(scene, kind, grain)) for kind in (0, 1)
@@ -163,7 +169,8 @@ def test_a_front_that_may_be_another_one_says_so():
         grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall"
     )
     modes = eigenmodes(chain)
-    slow, fast = modes.shape[:, 0], modes.shape[:, 1]
+    slow = modes.shape[:, 0]
+    fast = modes.shape[:, 1]
 
     def first_over_largest(mix: float) -> float:
         velocity = (
@@ -272,7 +279,8 @@ def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
     again = GatheringRun(
         engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], state
     )
-    one, other = run.results([1e-9])[0], again.results([1e-9])[0]
+    one = run.results([1e-9])[0]
+    other = again.results([1e-9])[0]
     assert one.keys() == other.keys()
     for name, values in one.items():
         assert np.array_equal(values, other[name], equal_nan=True)

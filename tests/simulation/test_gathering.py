@@ -64,7 +64,8 @@ def test_an_oscillator_whose_samples_are_nodes(engine: str):
         quantities=[*OF_GRAINS, "peak_force:1", "force:1"],
     )  # fmt: skip
     found = simulate(scene, engine, 1e-6).gathered
-    rest, stiffness = 10.0, float(PAIR.linear_stiffness[0])
+    rest = 10.0
+    stiffness = float(PAIR.linear_stiffness[0])
     assert off(found, "peak_velocity", np.array([length * OMEGA, 0.0]))[0] < 1
     assert off(found, "peak_displacement", np.array([length, 0.0]))[0] < 1
     assert off(found, "arrival_time", np.pi / 2 / OMEGA)[0] < 1
@@ -85,7 +86,9 @@ def test_a_grain_that_bounces_off_a_wall(exponent: float):
     F = K x^delta, K x^(delta + 1) / (delta + 1) = m v^2 / 2.
     """
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall", exponent=exponent)
-    mass, constant, speed = chain.masses[0], chain.wall_constants[1], 0.1
+    mass = chain.masses[0]
+    constant = chain.wall_constants[1]
+    speed = 0.1
     deepest = ((exponent + 1) * mass * speed**2 / 2 / constant) ** (1 / (exponent + 1))
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=speed), duration=5 * deepest / speed, samples=2,
@@ -103,7 +106,8 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
 
     The first maximum that is half of the largest is one of some hundred.
     """
-    force, end = 1e-6, 100.3 * np.pi
+    force = 1e-6
+    end = 100.3 * np.pi
     scene = Scene(
         chain=PAIR, excitation=Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)),
         duration=end / OMEGA,
@@ -208,7 +212,8 @@ def test_what_acts_on_a_chain_has_its_part(what: str):
     )
     missed = 8e-5  # of a peak between two of these samples
     for name, x in (("peak_velocity", v), ("peak_displacement", u)):
-        most, error = np.abs(x).max(axis=0), found[f"{name}_error"] + own * np.abs(x).max()
+        most = np.abs(x).max(axis=0)
+        error = found[f"{name}_error"] + own * np.abs(x).max()
         assert (most <= found[name] + error).all()
         assert (found[name] <= most * (1 + missed) + error).all()
     above = ACTING[what].waveform.at(np.linspace(0, 2e-5, len(u))) if what == "wall" else u[:, 0]
@@ -279,7 +284,8 @@ def test_recorded_grains_and_the_light_cone():
     some = STRUCK.replace(
         chain=chain, grains=[7, 3, 350], quantities=[*ALL, "peak_force:399", "force:399"]
     )
-    every, few = simulate(whole, "native"), simulate(some, "native")
+    every = simulate(whole, "native")
+    few = simulate(some, "native")
     assert every.cost.active_grains < 400
     for name in OF_GRAINS:
         assert np.array_equal(few.gathered[name], every.gathered[name][[6, 2, 349]], equal_nan=True)
@@ -310,7 +316,8 @@ def test_a_batch_gathers_in_the_whole_where_a_run_alone_is_cut_to_the_light_cone
     scenes = [Scene(chain=chain, excitation=strike, **asked) for strike in struck]
     assert 100 < scenes[0].reached.chain.grains < 140
     for scene, t in zip(scenes, simulate_many(scenes, 1e-6), strict=True):
-        alone, within = simulate(scene, "native"), scene.excitation.velocity * 1e-6
+        alone = simulate(scene, "native")
+        within = scene.excitation.velocity * 1e-6
         np.testing.assert_allclose(t.velocity, alone.velocity, rtol=0, atol=within)
         np.testing.assert_allclose(
             t.gathered["peak_velocity"], alone.gathered["peak_velocity"], rtol=0, atol=within

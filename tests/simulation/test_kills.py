@@ -115,11 +115,9 @@ def test_a_kill_at_any_change_of_the_disk(
     case: Callable, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_disk: None
 ):
     scene, engine, tolerance = case(monkeypatch)
-    right, run, rng = (
-        simulate(scene, engine, tolerance),
-        tmp_path / "run",
-        random.Random(case.__name__),
-    )
+    right = simulate(scene, engine, tolerance)
+    run = tmp_path / "run"
+    rng = random.Random(case.__name__)
     left = kill_moments(
         run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed"
     )
@@ -154,9 +152,12 @@ def test_a_killed_rank_is_no_step_that_is_too_long(
     victim: int | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Whichever process of the ranks goes, an attempt at a step that was chosen goes on."""
-    scene, engine = SMALL, engines.Lammps("kahan-li6", ranks=2)
-    right, rng = simulate(scene, engines.Lammps("kahan-li6"), 1e-4), random.Random(str(victim))
-    honest, left = SubprocessRanks.ask, [0]
+    scene = SMALL
+    engine = engines.Lammps("kahan-li6", ranks=2)
+    right = simulate(scene, engines.Lammps("kahan-li6"), 1e-4)
+    rng = random.Random(str(victim))
+    honest = SubprocessRanks.ask
+    left = [0]
 
     def ask(self: SubprocessRanks, name: str, *values: object) -> list:
         left[0] -= name == "advance"
@@ -358,21 +359,24 @@ def killed(
     scratch = folder / "scratch"
     scratch.mkdir(parents=True)
     line: tuple[object, ...] = ("run", write(scene, folder), "-o", f"{folder}/run/", *words)
-    counts, kills = itertools.cycle(ranks), 0
+    counts = itertools.cycle(ranks)
+    kills = 0
     for part in parts:
         command = Command(line, next(counts), folder)
         while command.at_work() and reached(folder / "run") < part:
             time.sleep(0.01)
         # not always just behind a sample
         time.sleep(rng.uniform(0, 1) if part < 0 else rng.uniform(0, 0.1))
-        there, alive_still = command.processes(), command.at_work()
+        there = command.processes()
+        alive_still = command.at_work()
         victim = command.pid if rng.random() < 0.5 or not there else rng.choice(there)
         with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
         code, said = command.ended()
         assert "Traceback" not in said, said
         if is_run(folder / "run"):  # else it was so early that there is nothing to go on with
-            line, kills = ("resume", folder / "run"), kills + (alive_still and code != 0)
+            line = ("resume", folder / "run")
+            kills = kills + (alive_still and code != 0)
     code, said = Command(line, next(counts), folder).ended()
     assert code == 0, said
     assert os.listdir(scratch) == []
@@ -412,7 +416,9 @@ SOAK = {
 )
 def test_killed_at_random(case: str, piece: int, tmp_path: Path, truth: Callable):
     """Ten kills, some of them of the same run, in any of its attempts."""
-    right, rng, count = truth(case), random.Random(f"{case} {piece}"), 0
+    right = truth(case)
+    rng = random.Random(f"{case} {piece}")
+    count = 0
     attempts = 2 if case in SEVERAL else 1
     for again in itertools.count():
         parts = sorted(rng.uniform(-0.2, attempts) for _ in range(rng.choice([1, 2, 3, 4])))

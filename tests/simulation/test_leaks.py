@@ -8,13 +8,16 @@ from helpers.example_scenes import smooth
 
 from lmpchain import engines, simulate
 
-RUNS, WARM = 100, 20
+RUNS = 100
+WARM = 20
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"integrator": "verlet"}])
 def test_lammps_runs_leak_nothing(options):
-    scene, process, seen = smooth(samples=11), psutil.Process(), {}
+    scene = smooth(samples=11)
+    process = psutil.Process()
+    seen = {}
     for run in range(1, RUNS + 1):
         simulate(scene, engines.Lammps(**options), 1e-4)
         if run in (WARM, RUNS):

@@ -51,7 +51,8 @@ def test_a_sine_beside_points_is_as_it_is_alone():
     Those of a scene, not those of another in its batch.
     """
     chain = Chain(grains=6, diameter=1e-3, top_load=0.1)
-    duration, height = 30 / chain.band_edge, 0.1 * chain.length_scale
+    duration = 30 / chain.band_edge
+    height = 0.1 * chain.length_scale
     times = np.linspace(0, 1.01 * duration, 5)
     points = Drive(times=times, displacement=height * np.sin(times * chain.band_edge / 5))
     drives = points, Drive(amplitude=height, frequency=points.fastest / (20 * np.pi))

@@ -68,7 +68,8 @@ def struck(seed: int) -> Scene:
     rng = np.random.default_rng(seed)
     while seed % 2:  # half of them gentle
         scene = random_scene(rng)
-        chain, length = scene.chain, scene.chain.length_scale
+        chain = scene.chain
+        length = scene.chain.length_scale
         if not chain.compressed or scene.strike_number == 0:
             continue
         factor = 10 ** rng.uniform(-10, -2) / scene.strike_number
@@ -95,9 +96,12 @@ def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     The second one knows only grains as near as the wave can have come; the first must all but leave
     others at rest.
     """
-    spare, (first, last) = 120, scene.excitation.reach(scene.chain)
-    first, last = max(1, first - spare), min(scene.chain.grains, last + spare)
-    found, (u, v, error) = reference(scene), extended_reference(scene.part(first, last), 1e-17)
+    spare = 120
+    (first, last) = scene.excitation.reach(scene.chain)
+    first = max(1, first - spare)
+    last = min(scene.chain.grains, last + spare)
+    found = reference(scene)
+    (u, v, error) = extended_reference(scene.part(first, last), 1e-17)
     here = slice(first - 1, last)
     apart = relative_error(found.displacement[:, here], found.velocity[:, here], u, v)
     assert apart < min(1e-10, 1e-14 + 3 * error)  # a part may differ in the last bits of its forces
@@ -108,7 +112,8 @@ def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 def keeps_its_word(seed: int) -> str:
     """Check a random scene at every tolerance, and return which engines answered."""
-    scene, used = wide_scene(np.random.default_rng(seed)), []
+    scene = wide_scene(np.random.default_rng(seed))
+    used = []
     u, v = truth(scene)
     for tolerance in TOLERANCES:
         with warnings.catch_warnings(action="ignore"), pytest.MonkeyPatch.context() as patch:
@@ -116,7 +121,8 @@ def keeps_its_word(seed: int) -> str:
             if seed % 2 and not (scene.drive and scene.chain.grains > 1000):
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
                 patch.setattr(selection, "speed", lambda *_: (0.0, 1.0))  # and asked at all
-            plan, t = lmpchain.plan(scene, tolerance), simulate(scene, tolerance=tolerance)
+            plan = lmpchain.plan(scene, tolerance)
+            t = simulate(scene, tolerance=tolerance)
         kept = [proposal for proposal in plan.candidates if proposal.kept]
         assert plan.expected_cost_s == min(proposal.cost_s for proposal in kept)
         assert plan.expected_error <= tolerance * 1.001
@@ -161,7 +167,8 @@ def cpu_time(scene: Scene, engine: str, tolerance: float) -> tuple[float, Trajec
     """Return the shortest of some times that an answer takes from scratch, s, and the answer."""
     found = []
     while len(found) < 2 or (len(found) < 5 and sum(found) < 1):
-        afresh, began = Scene(**scene.given()), time.process_time()
+        afresh = Scene(**scene.given())
+        began = time.process_time()
         trajectory = simulate(afresh, engine, tolerance, on_miss="warn")
         found.append(time.process_time() - began)
     return min(found), trajectory
@@ -172,7 +179,8 @@ def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float
 
     What is expected to take 20 times as long is not tried. NaN if the choice takes less than 1 ms.
     """
-    plan, took = lmpchain.plan(scene, tolerance), {}
+    plan = lmpchain.plan(scene, tolerance)
+    took = {}
     for proposal in plan.candidates:
         if proposal.cost_s < max(0.05, 20 * plan.expected_cost_s):
             seconds, t = cpu_time(scene, proposal.engine, tolerance)
@@ -216,11 +224,13 @@ def test_what_a_driven_chain_costs_does_not_depend_on_grains_out_of_reach():
 @pytest.mark.parametrize("seed", range(1, 61, 4))
 def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     """Beforehand from the strike, afterwards from the linear wave: never below half the truth."""
-    scene, modes = struck(seed), Modes()
+    scene = struck(seed)
+    modes = Modes()
     if modes.refuses(scene):
         return
     candidate = modes.candidate(scene, 0.9)
-    t, (u, v, _) = simulate(scene, modes, 0.9, on_miss="warn"), extended_reference(scene)
+    t = simulate(scene, modes, 0.9, on_miss="warn")
+    (u, v, _) = extended_reference(scene)
     true = relative_error(t.displacement, t.velocity, u, v) - t.error_estimate.solver
     assert true < 2 * candidate.model_error + 1e-15
     assert true < 2 * modes.look(scene).at_most + 1e-15
@@ -263,7 +273,8 @@ def test_a_weak_strike_is_answered_by_linear_theory_where_that_is_right():
 
 def test_linear_theory_where_it_is_cheaper():
     scene = periodic(duration=2e5)
-    plan, t = lmpchain.plan(scene), simulate(scene)
+    plan = lmpchain.plan(scene)
+    t = simulate(scene)
     assert plan.engine == t.engine == "modes"
     assert t.equation == 3
     assert t.provenance["plan"].startswith("modes: solves Eq. (3), the cheapest within")
@@ -362,7 +373,8 @@ def test_grains_outside_the_light_cone_are_left_out_of_linear_answers_too():
         duration=3e-5,
         samples=5,
     )
-    part, whole = simulate(scene, "chebyshev", 0.1), simulate(some, "native", 1e-9)
+    part = simulate(scene, "chebyshev", 0.1)
+    whole = simulate(some, "native", 1e-9)
     assert part.displacement.shape == whole.displacement.shape
     assert (
         relative_error(part.displacement, part.velocity, whole.displacement, whole.velocity) < 1e-5
@@ -478,7 +490,8 @@ def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
     scene = periodic(duration=2e5, samples=2001)
     with pytest.raises(lmpchain.Stopped):
         simulate(scene, folder=tmp_path / "run", max_wall=1e-9)
-    again, plain = lmpchain.resume(tmp_path / "run"), simulate(scene)
+    again = lmpchain.resume(tmp_path / "run")
+    plain = simulate(scene)
     assert again.engine == plain.engine == "modes"
     assert np.array_equal(again.velocity, plain.velocity)
     assert again.provenance["plan"] == plain.provenance["plan"]
@@ -488,11 +501,13 @@ def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
 def test_a_run_takes_what_its_plan_says(seed: int):
     """Though engines that begin too late to be the cheapest are asked by the plan only."""
     rng = np.random.default_rng(33_000_000 + seed)
-    scene, tolerance = trial_scene(rng), 10 ** rng.uniform(-9, -0.1)
+    scene = trial_scene(rng)
+    tolerance = 10 ** rng.uniform(-9, -0.1)
     every = {each.engine: each for each in selection.propose(scene, tolerance, every=True)}
     asked = selection.propose(scene, tolerance)
     for proposal in asked:
         assert proposal == every.pop(proposal.engine)
     if any(proposal.kept for proposal in asked):
-        best, plan = selection.cheapest(asked), lmpchain.plan(scene, tolerance)
+        best = selection.cheapest(asked)
+        plan = lmpchain.plan(scene, tolerance)
         assert (best.engine, selection.reason(best, asked)) == (plan.engine, plan.why)

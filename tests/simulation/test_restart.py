@@ -86,7 +86,9 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
     At the end of its time already, a run stops as soon as it has a sample.
     """
     scene, engine, tolerance = STOPPED[case]
-    rng, stops, seen = random.Random(case), 0, set()
+    rng = random.Random(case)
+    stops = 0
+    seen = set()
     for attempt in itertools.count():
         limit = None if stops == 6 else rng.choice([1e-9, 1e-9, 0.02])
         try:
@@ -116,12 +118,10 @@ def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
 
     The time is that of all sessions.
     """
-    at, engine, scene, said = (
-        tmp_path / "run",
-        engines.Native(adaptive=False),
-        SHORT.replace(samples=121),
-        [],
-    )
+    at = tmp_path / "run"
+    engine = engines.Native(adaptive=False)
+    scene = SHORT.replace(samples=121)
+    said = []
     for again in itertools.count():
         try:
             if again == 0:
@@ -154,7 +154,8 @@ def stopped(tmp_path: Path) -> Path:
 
 
 def test_a_damaged_checkpoint_falls_back_to_the_one_before(stopped: Path):
-    newest, done = stopped / "checkpoint", status(stopped)["samples_done"]
+    newest = stopped / "checkpoint"
+    done = status(stopped)["samples_done"]
     whole = newest.read_bytes()
     damages = [
         whole[: len(whole) // 2],

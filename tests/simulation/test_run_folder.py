@@ -67,7 +67,8 @@ def contents(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 def test_a_folder_holds_the_answer_of_a_file(finished: Path):
-    answer, plain = Trajectory.load(finished), simulate(SCENE, "native", 1e-9)
+    answer = Trajectory.load(finished)
+    plain = simulate(SCENE, "native", 1e-9)
     assert same(answer, plain)
     assert (answer.engine, answer.equation, answer.provenance) == (
         plain.engine,
@@ -184,9 +185,11 @@ def test_a_missed_tolerance_is_kept_and_told_again(
 
 def test_arrays_stay_on_the_disk(finished: Path):
     """What is indexed is read, and numpy takes the whole for an array."""
-    lazy, plain = Trajectory.load(finished), simulate(SCENE, "native", 1e-9)
+    lazy = Trajectory.load(finished)
+    plain = simulate(SCENE, "native", 1e-9)
     assert not isinstance(lazy.velocity, np.ndarray)
-    v, w = lazy.velocity, plain.velocity
+    v = lazy.velocity
+    w = plain.velocity
     keys = [
         3, -1, slice(5, 9), slice(None, None, -7), (slice(None), 1), (4, 2), (..., 0), [3, 1, 2],
         (slice(3), [2, 0]),

@@ -62,7 +62,8 @@ CASES = {
     ],
 )
 def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp_path: Path):
-    folder, mark = tmp_path / "run", f"MARK={tmp_path}"
+    folder = tmp_path / "run"
+    mark = f"MARK={tmp_path}"
     options, ranks = CASES[case]
     environment = os.environ | {"MARK": str(tmp_path)}
     process = start(
@@ -142,7 +143,8 @@ def test_handlers_are_put_back(tmp_path: Path):
 
 
 def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    scene, folder = write(ENDLESS, tmp_path), tmp_path / "run"
+    scene = write(ENDLESS, tmp_path)
+    folder = tmp_path / "run"
     native = ["--engine", "native", "--step", "1e-6"]
     assert main(["run", str(scene), "-o", f"{folder}/", *native, "--max-wall", "0:00:01"]) == 75
     said = capsys.readouterr()

@@ -56,7 +56,8 @@ def test_the_interval_of_a_trend_holds_it_in_99_of_100_draws() -> None:
 
     T of 48 degrees is 2.68 at 99 %.
     """
-    rng, size = np.random.default_rng(4), 250
+    rng = np.random.default_rng(4)
+    size = 250
     draws = np.array(
         [trend(0.3 * np.linspace(0, 2, size) + rng.normal(size=size)) for _ in range(300)]
     )
@@ -69,7 +70,9 @@ def test_the_interval_of_a_trend_holds_it_in_99_of_100_draws() -> None:
 
 def test_the_interval_of_a_trend_is_wider_where_each_stretch_resembles_the_one_before() -> None:
     """An autoregressive draw with r = 0.6: as many as a quarter of the stretches count."""
-    rng, hits, plain = np.random.default_rng(5), 0, 0
+    rng = np.random.default_rng(5)
+    hits = 0
+    plain = 0
     for _ in range(200):
         values = rng.normal(size=150)
         for n in range(1, 150):
@@ -111,7 +114,8 @@ def test_the_longest_step_is_the_stability_limit_over_the_frequency_that_the_str
             method.stability_limit / struck_frequency(STRUCK), rel=1e-14
         )
     grown = WEAK.replace(duration=0.1)
-    step, edge = limit(grown, "gear4"), STEEL.band_edge
+    step = limit(grown, "gear4")
+    edge = STEEL.band_edge
     factor = METHODS["gear4"].growth(step * edge)
     assert 2 * math.log(factor) * grown.duration / step == pytest.approx(math.log(1.5), rel=1e-9)
     assert step < METHODS["gear4"].stability_limit / edge

@@ -81,7 +81,8 @@ def test_periods_in_closed_form():
     gentle = limits.swinging(2, 1e-5)
     assert gentle.duration == pytest.approx(2 * np.pi / gentle.chain.band_edge, rel=1e-10, abs=0)
     hard = limits.swinging(2, 1e4)
-    chain, v = hard.chain, hard.initial()[1][0]
+    chain = hard.chain
+    v = hard.initial()[1][0]
     touch = 3.218065 * (chain.masses[0] ** 2 / (chain.contact_constants[0] ** 2 * v)) ** 0.2
     assert hard.duration == pytest.approx(2 * v / chain.gravity + touch, rel=1e-6, abs=0)
 
@@ -91,7 +92,8 @@ def test_three_free_grains_part_in_closed_form():
 
     Each is as on a wall of its own, and goes back as it came.
     """
-    chain, v = Chain(grains=3, diameter=1e-3, gravity=0.0, bottom="free"), 1e-2
+    chain = Chain(grains=3, diameter=1e-3, gravity=0.0, bottom="free")
+    v = 1e-2
     touch = 3.218065 * (chain.masses[0] ** 2 / (chain.contact_constants[0] ** 2 * v)) ** 0.2
     for part, still in ((0.9999, False), (1.0001, True)):
         scene = Scene(
@@ -118,7 +120,8 @@ def test_a_tenth_of_the_diameter_is_refused_at_once_but_not_later():
         limits.squeezing(1.001 * LIMITS.compression)
     chain = Chain(grains=8, diameter=np.linspace(10e-3, 1e-3, 8))
     scene = Scene(chain=chain, excitation=Impulse(velocity=50.0), duration=1e-4, samples=501)
-    contacts, t = chain.contacts, simulate(scene, "native", 1e-4)
+    contacts = chain.contacts
+    t = simulate(scene, "native", 1e-4)
     found = ((contacts.overlap + contacts.closer(t.displacement)) / chain.contact_lengths)[
         :, contacts.exists
     ].max()
@@ -137,7 +140,8 @@ def test_spheres_are_softer_than_hertz_says():
 
 def test_bends_grow_in_lammps_as_the_column_is_unstable():
     """Rates go as d^(-1/2), and are the same for any bend that is small."""
-    chain, gauges = Chain(grains=12, diameter=1e-3), np.array([1e-6, 1e-5, 1e-4])
+    chain = Chain(grains=12, diameter=1e-3)
+    gauges = np.array([1e-6, 1e-5, 1e-4])
     law = [float(limits.buckling(chain, float(d)).frequency[-1]) for d in gauges]
     found = [limits.growth(chain, float(d)) for d in gauges]
     assert found == pytest.approx(law, rel=1e-5, abs=0)

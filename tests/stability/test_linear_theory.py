@@ -41,7 +41,8 @@ def second_order(
 ) -> dict[str, float]:
     """Return the errors of Eq. (3) over v0*, as v0* -> 0, from phi = v0* phi_1 + v0*^2 phi_2."""
     n = np.arange(1, grains)
-    kappa, square = n ** (1 - 1 / delta), (delta - 1) / 2 * n ** (1 - 2 / delta)
+    kappa = n ** (1 - 1 / delta)
+    square = (delta - 1) / 2 * n ** (1 - 2 / delta)
 
     def pull(x):
         r = x[:, :-1] - x[:, 1:]
@@ -56,9 +57,11 @@ def second_order(
         a = pull(x)
         b = pull(x + step / 2 * v + step**2 / 8 * a)
         c = pull(x + step * v + step**2 / 2 * b)
-        x, v = x + step * v + step**2 / 6 * (a + 2 * b), v + step / 6 * (a + 4 * b + c)
+        x = x + step * v + step**2 / 6 * (a + 2 * b)
+        v = v + step / 6 * (a + 4 * b + c)
         largest = np.maximum(largest, np.abs([x, v]).max(2))
-    displacement, velocity = largest[0, 1] / largest[0, 0], largest[1, 1]
+    displacement = largest[0, 1] / largest[0, 0]
+    velocity = largest[1, 1]
     whole = np.linalg.norm(v[1]) / np.linalg.norm(v[0])
     return {
         "velocity": float(whole),
@@ -113,7 +116,8 @@ def test_error_of_linear_theory_without_any_engine():
     (1), at the strike where the package's error is 1 %.
     """
     scene = column(linear_theory.strike_number_at(0.01, "package"), 6.0, 25)
-    n, chain = np.arange(1, 25), scene.chain
+    n = np.arange(1, 25)
+    chain = scene.chain
     u, v, _ = scipy_reference(scene)
     speed = scene.excitation.velocity
     tau = scene.time[:, None] / chain.time_scale
@@ -228,7 +232,8 @@ def test_norms_are_named():
 @pytest.mark.parametrize("grain", [100, 1000])
 @pytest.mark.parametrize("width", [0.0, 3.0])
 def test_homogeneous_chain_fails_where_it_is_foretold(level, grain, width):
-    gradient, far = 1 / (3 * grain), np.geomspace(1, 200, 400)
+    gradient = 1 / (3 * grain)
+    far = np.geomspace(1, 200, 400)
     foretold = far[np.argmax([theories.uniform_law(gradient, T, width) > level for T in far])]
     assert uniform_error(grain, foretold, width) == pytest.approx(level, rel=0.07, abs=0)
     if not width:
@@ -237,7 +242,8 @@ def test_homogeneous_chain_fails_where_it_is_foretold(level, grain, width):
 
 def test_homogeneous_chain_over_distance_and_depth():
     """The error grows as the square of the distance over the depth."""
-    far, grains = np.array([20.0, 28.0, 40.0]), np.array([500, 1000, 2000])
+    far = np.array([20.0, 28.0, 40.0])
+    grains = np.array([500, 1000, 2000])
     assert slope(far, [uniform_error(2000, T) for T in far]) == pytest.approx(2, abs=0.05)
     assert slope(grains, [uniform_error(n, 20.0) for n in grains]) == pytest.approx(-1, abs=0.05)
 

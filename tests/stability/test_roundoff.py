@@ -151,7 +151,8 @@ def test_scenes_without_a_round_off_floor_are_refused():
 
 @pytest.mark.soak
 def test_the_law_on_random_scenes():
-    rng, ratios = np.random.default_rng(11), []
+    rng = np.random.default_rng(11)
+    ratios = []
     while len(ratios) < 120:
         scene = random_scene(rng, (1.0, 1.5, 1.5))
         if scene.drive or Lammps().refuses(scene) or scene.duration * scene.highest_frequency > 300:
@@ -176,7 +177,8 @@ def crossing(times, apart, value):
 
 
 def apart_in_long_double(scene, change):
-    first, second = reference(scene), reference(perturb(scene, change))
+    first = reference(scene)
+    second = reference(perturb(scene, change))
     pairs = [(first.displacement, second.displacement), (first.velocity, second.velocity)]
     return np.max([np.abs(y - x).max(1) / np.abs(x).max() for x, y in pairs], axis=0)
 

@@ -37,7 +37,8 @@ def test_every_boundary_is_found_and_predicted(found: Stability):
     assert len(steps) == 8
     for row in steps.values():
         assert row.predicted / 1.6 < row.measured < 3.5 * row.predicted
-    verlet, lammps = steps["native verlet"], steps["lammps verlet"]
+    verlet = steps["native verlet"]
+    lammps = steps["lammps verlet"]
     assert verlet.predicted == limit(STRUCK, "verlet")
     assert lammps.measured == pytest.approx(verlet.measured, rel=0.02, abs=0)
     floors = by_method(found, "smallest error")
@@ -109,7 +110,8 @@ def test_a_weak_scene_is_warned_of_nothing():
 
 
 def test_a_step_that_holds_at_rest_only():
-    at_rest, struck = 1.9 / FEW.band_edge, limit(STRUCK, "verlet")
+    at_rest = 1.9 / FEW.band_edge
+    struck = limit(STRUCK, "verlet")
     assert struck < 0.65 * at_rest
     (said,) = pre_run_warnings(STRUCK, Native(integrator="verlet", step=at_rest), 0.5)
     assert said.startswith(f"step: {at_rest:.3g} s is stable at rest")

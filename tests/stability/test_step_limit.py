@@ -73,16 +73,16 @@ def test_the_first_unstable_band_is_narrow(integrator: str) -> None:
 
 def stiffest(scene: Scene) -> float:
     """Return the highest eigenfrequency of the chain at any moment of the exact motion, rad/s."""
-    chain, contacts = scene.chain, scene.chain.contacts
+    chain = scene.chain
+    contacts = scene.chain.contacts
     u, _, _ = extended_reference(scene, 1e-10)
-    mass, moving = chain.masses[: chain.movable], chain.movable
+    mass = chain.masses[: chain.movable]
+    moving = chain.movable
     highest = 0.0
     for overlap in np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), 0):
         k = chain.exponent * contacts.constant * overlap ** (chain.exponent - 1)
-        diagonal, beside = (
-            (k[:-1] + k[1:])[:moving] / mass,
-            -k[1:moving] / np.sqrt(mass[:-1] * mass[1:]),
-        )
+        diagonal = (k[:-1] + k[1:])[:moving] / mass
+        beside = -k[1:moving] / np.sqrt(mass[:-1] * mass[1:])
         highest = max(highest, eigvalsh_tridiagonal(diagonal, beside).max())
     return float(np.sqrt(highest))
 
@@ -172,7 +172,8 @@ def test_in_the_vacuum_the_step_goes_as_a_power_of_the_energy(exponent: float) -
     """h ~ E^(-(delta-1)/(2 delta+2)) exactly: there is no other scale of time."""
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, exponent=exponent)
     speeds = np.array([1e-4, 1e-2]) if exponent == 1.5 else np.array([1e-2, 0.1])
-    found, predicted = [], []
+    found = []
+    predicted = []
     for v in speeds:
         alone = Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-6)
         scene = Scene(**alone.given() | {"duration": 500 / alone.highest_frequency})
@@ -245,7 +246,8 @@ def test_the_energy_over_a_million_steps(integrator: str) -> None:
 def test_a_weak_wave_drifts_as_its_modes_grow(integrator: str, reach: float) -> None:
     scene = hot(1e-4)
     run = energy_error(scene, integrator, reach / scene.chain.band_edge, 3000)
-    expected, (rate, sure) = drift(scene, METHODS[integrator].growth, run.step), run.trend()
+    expected = drift(scene, METHODS[integrator].growth, run.step)
+    (rate, sure) = run.trend()
     assert sure < 0.1 * abs(rate)
     assert rate == pytest.approx(expected, rel=0.02, abs=0)
 

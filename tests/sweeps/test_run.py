@@ -39,7 +39,9 @@ class Bar:
     bars: ClassVar[list["Bar"]] = []
 
     def __init__(self, total: float, **options: Any):
-        self.total, self.options, self.steps = total, options, []
+        self.total = total
+        self.options = options
+        self.steps = []
         Bar.bars.append(self)
 
     def __enter__(self) -> "Bar":
@@ -56,7 +58,9 @@ class Faulty(Here):
     """Fails at each task so many times."""
 
     def __init__(self, failure: Exception, times: int):
-        self.failure, self.times, self.tried = failure, times, []
+        self.failure = failure
+        self.times = times
+        self.tried = []
 
     def submit(self, function: Any, /, *values: Any, **named: Any) -> Future:
         what = values[0].first if isinstance(values[0], tasks.Task) else "gather"

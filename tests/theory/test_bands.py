@@ -43,7 +43,8 @@ def test_a_uniform_chain_folded():
 
 @pytest.mark.parametrize("m", [0.1, 1.0, 2.5])
 def test_dimer(m: float):
-    found, both = branches(Cell([m, 3.0], [2.0, 2.0]), Q), 1 / m + 1 / 3
+    found = branches(Cell([m, 3.0], [2.0, 2.0]), Q)
+    both = 1 / m + 1 / 3
     root = np.sqrt(both**2 - 4 * np.sin(Q / 2) ** 2 / (3 * m))
     assert found.frequency[0] ** 2 == pytest.approx(2 * (both - root), abs=1e-13)
     assert found.frequency[1] ** 2 == pytest.approx(2 * (both + root), rel=1e-13)
@@ -53,11 +54,13 @@ def test_dimer(m: float):
 @each
 def test_many_cells_have_these_frequencies(cell: Cell):
     """A ring of 6 cells by a dense matrix."""
-    m, k = np.tile(cell.masses, 6), np.tile(cell.stiffness, 6)
+    m = np.tile(cell.masses, 6)
+    k = np.tile(cell.stiffness, 6)
     inside = np.tile(
         np.zeros((len(cell.masses), 2)) if cell.resonators is None else cell.resonators, (6, 1)
     )
-    n, carried = m.size, np.flatnonzero(inside[:, 0])
+    n = m.size
+    carried = np.flatnonzero(inside[:, 0])
     total = n + carried.size
     matrix = np.zeros((total, total))
     springs = [(i, (i + 1) % n, k[i]) for i in range(n)] + [
@@ -74,7 +77,8 @@ def test_many_cells_have_these_frequencies(cell: Cell):
 
 @each
 def test_group_velocity_by_differences(cell: Cell):
-    q, step = np.array([-2.5, -1.0, 0.3, 1.7, 2.9]), 1e-5
+    q = np.array([-2.5, -1.0, 0.3, 1.7, 2.9])
+    step = 1e-5
     found = branches(cell, q)
     slope = (branches(cell, q + step).frequency - branches(cell, q - step).frequency) / (2 * step)
     assert found.group_velocity == pytest.approx(slope, abs=1e-8)
@@ -161,9 +165,11 @@ def period_of(masses, constants, first: int, last: int, most: int) -> int:
 
 def test_what_repeats():
     """Random patterns with up to two faults, between random grains."""
-    rng, periods = np.random.default_rng(3), []
+    rng = np.random.default_rng(3)
+    periods = []
     for _ in range(150):
-        grains, length = rng.integers(4, 24), rng.integers(1, 7)
+        grains = rng.integers(4, 24)
+        length = rng.integers(1, 7)
         masses = np.resize(rng.integers(1, 3, length), grains).astype(float)
         constants = np.resize(rng.integers(1, 3, length), grains - 1).astype(float)
         masses[rng.integers(grains, size=rng.integers(3))] = 3.0
@@ -226,7 +232,8 @@ def edges_around(chain: Chain, period: int) -> np.ndarray:
     """Return frequencies at the wavenumbers 0 and pi of the cells around
     grains, by dense matrices.
     """
-    m, k = chain.masses, chain.linear_stiffness
+    m = chain.masses
+    k = chain.linear_stiffness
     edges = np.zeros((chain.grains, period, 2))
     for grain in range(chain.grains):
         begin = min(grain, chain.grains - 1 - period)
@@ -235,7 +242,8 @@ def edges_around(chain: Chain, period: int) -> np.ndarray:
         for at, turn in enumerate((1.0, -1.0)):
             matrix = np.zeros((period, period))
             for i in range(period):
-                after, sign = (i + 1) % period, turn if i == period - 1 else 1.0
+                after = (i + 1) % period
+                sign = turn if i == period - 1 else 1.0
                 matrix[i, i] += k[cell[i]]
                 matrix[after, after] += k[cell[i]]
                 matrix[i, after] -= sign * k[cell[i]]
@@ -276,16 +284,14 @@ def test_a_light_impurity_has_a_mode_above_the_band():
     """w / w_max = [mu (2 - mu)]^(-1/2) for the mass mu < 1 among equal springs;
     displacements fall by mu / (2 - mu).
     """
-    mu, host = (
-        0.5,
-        Chain(
-            grains=81,
-            diameter=1e5,
-            masses=np.ones(81),
-            contact_constants=np.ones(80),
-            gravity=0.0,
-            top_load=1.0,
-        ),
+    mu = 0.5
+    host = Chain(
+        grains=81,
+        diameter=1e5,
+        masses=np.ones(81),
+        contact_constants=np.ones(80),
+        gravity=0.0,
+        top_load=1.0,
     )
     chain = Chain(**host.given() | {"masses": np.where(np.arange(81) == 40, mu, 1.0)})
     found = gap_modes(chain, Cell([1.0], [1.5]))

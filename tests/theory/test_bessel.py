@@ -32,7 +32,8 @@ def test_infinite_chain_against_an_integrator():
 
 def test_general_initial_data_against_an_integrator():
     """Eq. (5) with velocities dphi/dT."""
-    T, p = np.array([0.0, 0.3, 2.0, 9.0]), np.array([55, 48, 49, 60])
+    T = np.array([0.0, 0.3, 2.0, 9.0])
+    p = np.array([55, 48, 49, 60])
     displacement, velocity = RNG.normal(size=(2, 4))
     start = np.zeros((2, 99))
     start[:, p - 1] = displacement, velocity
@@ -83,7 +84,8 @@ def test_free_end_impulse_by_quadrature(n: int, T: float):
 
 
 def test_free_end_against_an_integrator():
-    T, n = np.array([0.0, 0.7, 5.0, 20.0]), np.arange(1, 61)
+    T = np.array([0.0, 0.7, 5.0, 20.0])
+    n = np.arange(1, 61)
     static, _ = integrate(np.ones(60), unit(60, 1), 0.0, T)
     dynamic, _ = integrate(np.ones(60), 0.0, unit(60, 1), T)
     assert bessel.free_end(n, T[:, None]) == pytest.approx(static, abs=1e-13)
@@ -136,13 +138,16 @@ def test_coefficients_of_a_uniform_chain():
 @pytest.mark.parametrize("delta", [1.0, 1.5, 3.0])
 def test_coefficients_by_eigenvectors(grains: int, delta: float):
     """Eqs. (20) and (21) with the paper's kappa_N and the brace on j."""
-    kappa, top = gravity_column(grains - 1, delta), grains ** (1 - 1 / delta)
+    kappa = gravity_column(grains - 1, delta)
+    top = grains ** (1 - 1 / delta)
     matrix = (
         np.diag(kappa + np.append(0, kappa[:-1])) - np.diag(kappa[:-1], 1) - np.diag(kappa[:-1], -1)
     )
     square, X = np.linalg.eigh(matrix)
     phase = np.arcsin(np.sqrt(square) / 2 / np.sqrt(top))
-    n, k, j = np.arange(1, grains), (grains + 1) // 2, np.arange(1, 81)
+    n = np.arange(1, grains)
+    k = (grains + 1) // 2
+    j = np.arange(1, 81)
     brace = np.where(j == 1, 1, 2 * np.cos((2 * j - 2) * phase[:, None]))
     found = bessel.coefficients(kappa, n, k, 80, scale=top)
     assert found == pytest.approx((X * X[k - 1]) @ brace, abs=2e-12)
@@ -182,7 +187,9 @@ CHAINS = {
 @pytest.mark.parametrize("kappa", CHAINS.values(), ids=CHAINS)
 def test_series_against_an_integrator(kappa: np.ndarray):
     count = len(kappa)
-    tau, n, k = np.array([0.0, 0.4, 3.0, 40.0]), np.arange(1, count + 1), (count + 1) // 2
+    tau = np.array([0.0, 0.4, 3.0, 40.0])
+    n = np.arange(1, count + 1)
+    k = (count + 1) // 2
     static, _ = integrate(kappa, unit(count, k), 0.0, tau)
     dynamic, velocity = integrate(kappa, 0.0, unit(count, k), tau)
     assert bessel.finite(kappa, n, k, tau[:, None]) == pytest.approx(static, abs=1e-12)
@@ -192,7 +199,8 @@ def test_series_against_an_integrator(kappa: np.ndarray):
 
 def test_series_against_modes_over_a_long_time():
     chain = springs(gravity_column(120))
-    velocity, n = unit(120, 1), np.arange(1, 121)
+    velocity = unit(120, 1)
+    n = np.arange(1, 121)
     u, v = modes.eigenmodes(chain).response([1000.0], velocity=velocity)
     assert bessel.finite_impulse(chain.linear_stiffness, n, 1, 1000.0) == pytest.approx(
         u[0], abs=1e-11
@@ -204,7 +212,9 @@ def test_uniform_series_by_images():
     """The held grain N and the free end reflect: images of grain 1 at distances
     2N - 1, with alternating signs.
     """
-    N, n, T = 12, np.arange(1, 12), np.array([[3.0], [20.0], [80.0]])
+    N = 12
+    n = np.arange(1, 12)
+    T = np.array([[3.0], [20.0], [80.0]])
     shift = (2 * N - 1) * np.arange(-20, 21)[:, None, None]
     sign = (-1.0) ** np.arange(-20, 21)[:, None, None]
     images = (sign * (jv(2 * abs(n - 1 - shift), 2 * T) + jv(2 * abs(n - shift), 2 * T))).sum(0)
@@ -234,7 +244,8 @@ def test_long_time_laws_of_the_top_grain():
 
     (8).
     """
-    kappa, tau = gravity_column(2600), np.array([50.0, 200.0, 1600.0])
+    kappa = gravity_column(2600)
+    tau = np.array([50.0, 200.0, 1600.0])
     law = continuum.impulse_amplitude() * tau**-0.2
     assert bessel.finite_impulse(kappa, 1, 1, tau) / law == pytest.approx([1.00002, 1, 1], abs=5e-6)
     static = bessel.finite(kappa, 1, 1, 1600.0)
@@ -266,7 +277,8 @@ def test_tables_of_bessel_functions():
 
 
 def test_shapes_follow_the_arguments():
-    n, T = np.arange(1, 4), np.linspace(0, 2, 5)[:, None]
+    n = np.arange(1, 4)
+    T = np.linspace(0, 2, 5)[:, None]
     for call in (
         lambda n, T: bessel.infinite(n, 2, T),
         lambda n, T: bessel.infinite_general(n, T, [1, 2], [1.0, 0.5], 2.0),

@@ -59,7 +59,8 @@ def test_modes_solve_eq_27(delta: float, h: float, lam: float):
 @each_delta
 def test_modes_by_mpmath(delta: float):
     d = mp.mpf(delta)
-    nu, eta = 1 / (1 + d), 1 + 1 / d
+    nu = 1 / (1 + d)
+    eta = 1 + 1 / d
     for h, lam in ((1e-9, 1.0), (0.3, 2.0), (4000.0, 0.05), (2.0, 0.3 + 0.7j)):
         z = 2 * mp.mpmathify(lam) / eta * mp.mpf(h) ** (eta / 2)
         exact = complex(mp.mpf(h) ** (1 / (2 * d)) * mp.hankel1(nu, z))
@@ -107,7 +108,8 @@ def test_superposition_and_packet(h: float, tau: float | None, delta: float):
 @each_place
 def test_superposition_and_resonant_packet(h: float, tau: float | None, delta: float):
     """Eqs. (31) and (34), A = lambda^-nu, along two rays."""
-    tau, nu = when(h, tau, delta), 1 / (1 + delta)
+    tau = when(h, tau, delta)
+    nu = 1 / (1 + delta)
     exact = superposition(max(h, 1e-40), tau, delta, nu)
     for angle in (np.pi / 2, 0.8):
         found = continuum.superpose(lambda lam: lam**-nu, h, tau, delta, angle)
@@ -140,7 +142,8 @@ def test_constants_of_eq_32():
     """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed -2 sin(pi/10)
     belongs to the imaginary part.
     """
-    h, tau = 2.0, np.array([3.0, 6.0])
+    h = 2.0
+    tau = np.array([3.0, 6.0])
     chi = continuum.chi(h)
     R = np.sqrt(tau**2 - chi**2)
     bracket = (5 / 6) ** 0.4 * ((tau + R) ** 0.4 - (tau - R) ** 0.4) / R
@@ -180,7 +183,8 @@ def test_packet_is_smooth_on_the_light_cone(delta: float):
 
 def test_packet_front_for_hertz():
     """Eq. (33) in both its forms, with the right constant."""
-    h, constant = np.array([0.3, 20.0]), (5 / 6) ** 0.4 / (2 * np.sin(np.pi / 5))
+    h = np.array([0.3, 20.0])
+    constant = (5 / 6) ** 0.4 / (2 * np.sin(np.pi / 5))
     assert continuum.packet_front(h) == pytest.approx(
         4 / 5 * constant * continuum.chi(h) ** -0.6, rel=1e-14
     )
@@ -198,7 +202,8 @@ def test_resonant_packet_published():
         0.886524713011, abs=1e-12
     )
     assert continuum.resonant_packet(2.0, 1.0) == pytest.approx(0.93751, abs=5e-6)
-    h, tau = 2.0, np.array([2.5, 4.0, 30.0])
+    h = 2.0
+    tau = np.array([2.5, 4.0, 30.0])
     R2 = tau**2 - continuum.chi(h) ** 2
     with mp.workdps(20):
         F = np.array([float(mp.hyp2f1(0.5, 0.4, 1.4, -(continuum.chi(h) ** 2) / r)) for r in R2])
@@ -229,7 +234,8 @@ def test_peaked_solves_eq_27_on_both_sides(delta: float):
 @each_delta
 def test_amplitude_of_the_impulse_response(delta: float):
     """Unit momentum: the integral of phi over the depth is tau."""
-    xi, eta = 1 - 1 / delta, 1 + 1 / delta
+    xi = 1 - 1 / delta
+    eta = 1 + 1 / delta
     tau = 3.0
     total, _ = quad(  # in chi, with the singularity at chi = tau as the weight
         lambda x: (
@@ -252,7 +258,8 @@ def test_amplitude_published():
 
 def test_impulse_response_of_the_chain():
     """Grain n is at h = n - 1/2; behind half the light cone the chain is a continuum to 3.5e-7."""
-    n, tau = np.arange(1, 901), 400.0
+    n = np.arange(1, 901)
+    tau = 400.0
     chain = bessel.finite_impulse(gravity_column(900), n, 1, tau)
     far = continuum.chi(n) < 0.5 * tau
     assert np.abs(chain - continuum.impulse_response(n - 0.5, tau))[far].max() < 3.5e-7
@@ -347,7 +354,8 @@ def test_driven_top_of_fig_8():
 
     (29) as printed is 100 % off.
     """
-    lam, tau = 0.5, 200.0
+    lam = 0.5
+    tau = 200.0
 
     def drive(t: float) -> tuple[float, float]:
         slowly = 0.5 * (1 - np.cos(np.pi * min(t / 60, 1)))
@@ -374,7 +382,8 @@ def test_solver_records_what_it_is_given():
 
 
 def test_shapes_follow_the_arguments():
-    h, tau = np.array([0.0, 1.0, 4.0]), np.array([[1.0], [2.0]])
+    h = np.array([0.0, 1.0, 4.0])
+    tau = np.array([[1.0], [2.0]])
     for call in (
         lambda h, tau: continuum.superpose(ones, h, tau),
         continuum.packet,

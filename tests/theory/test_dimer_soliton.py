@@ -57,7 +57,8 @@ def test_grains_move_as_contacts_close(wave):
     x = np.array([-9.0, -3.1, -0.8, 0.0, 0.35, 2.0])
     largest = float(wave.displacement(-8.0))
     for light in (False, True):
-        behind, ahead = wave.displacement(x - 0.5, light), wave.displacement(x + 0.5, not light)
+        behind = wave.displacement(x - 0.5, light)
+        ahead = wave.displacement(x + 0.5, not light)
         closer = wave.overlap(x, light_behind=light)
         assert closer == pytest.approx(behind - ahead, rel=0, abs=1e-12 * largest)
         assert closer[3] > 0.1 * largest
@@ -88,7 +89,8 @@ def test_travels_unchanged(heavy_first: bool):
     the chain is that of the engine.
     """
     chain = dimer(32, heavy_first)
-    start, end = HERTZ.on(chain, 11), HERTZ.on(chain, 15)
+    start = HERTZ.on(chain, 11)
+    end = HERTZ.on(chain, 15)
     time = (3e-5 / 2e9) ** 0.4 * 4 / HERTZ.speed
     scene = lmpchain.Scene(chain=chain, excitation=start, duration=time, samples=2)
     t = lmpchain.simulate(scene, engine="native", tolerance=1e-9)

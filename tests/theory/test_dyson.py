@@ -117,7 +117,8 @@ def test_sum_broadcasts(column):
 def test_spectrum_by_mpmath(shape: float, rate: float, frequency: float):
     """The integral for Tricomi's function and its derivative, along a straight ray from 0."""
     with mp.workdps(16):
-        x, ray = mp.mpf(rate) * mp.mpf(frequency) ** 2, mp.expj(3 * mp.pi / 4)
+        x = mp.mpf(rate) * mp.mpf(frequency) ** 2
+        ray = mp.expj(3 * mp.pi / 4)
 
         def integrand(y: mp.mpf) -> mp.mpf:  # t = ray y^(1/shape) takes the singularity at 0 away
             t = ray * y ** (1 / mp.mpf(shape))
@@ -141,7 +142,8 @@ def test_spectrum_of_nearly_ordered_chains(shape: float):
     """
     w = np.sqrt(shape) * np.array([0.5, 1.5, 1.9, 2.5, 8.0])
     s, weight = np.polynomial.legendre.leggauss(40)
-    s, weight = ((2 * np.arange(50)[:, None] + 1 + s) / 50 - 1).ravel(), np.tile(weight / 50, 50)
+    s = ((2 * np.arange(50)[:, None] + 1 + s) / 50 - 1).ravel()
+    weight = np.tile(weight / 50, 50)
     exact = []
     for x in w**2:
         saddle = -0.5 + 1j * np.sqrt(max(shape / x - 0.25, 0.04))

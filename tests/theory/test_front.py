@@ -43,7 +43,8 @@ def test_local_exponents_of_the_chain_published(n: int, slope: float):
 
     Source: an independent code, four digits.
     """
-    low, high = round(n / 1.05), round(n * 1.05)
+    low = round(n / 1.05)
+    high = round(n * 1.05)
     assert np.log(peak(high) / peak(low)) / np.log(high / low) == pytest.approx(slope, abs=3e-4)
 
 
@@ -59,7 +60,8 @@ def test_absolute_peak_velocity(delta: float, coefficient: float):
 
 def test_peak_of_the_airy_function_published():
     """A_max = 0.495579 for Hertz; for delta = 1 it is that of Ai, at 1.018793."""
-    n, a = 10**6, 0.1
+    n = 10**6
+    a = 0.1
     chi = continuum.chi(n - 0.5)
     width = ((n - 0.5) ** 0.5 / 4) ** (1 / 3)
     height = continuum.impulse_amplitude() * (2 * chi) ** -a * gamma(1 - a) * width ** (-1 - a)
@@ -73,9 +75,14 @@ def test_peak_of_the_airy_function_published():
 @pytest.mark.parametrize("s", [-3.0, 0.9, 5.0, 25.0])
 def test_profiles_by_quadrature(delta: float, s: float):
     """The integrals of y^(-a) Ai(y - s) and of its derivative."""
-    xi, eta, n = 1 - 1 / delta, 1 + 1 / delta, 1000
-    a, power, h = xi / (2 * eta), 1 - 1.5 * xi, n - 0.5
-    width, chi = (h**power / (8 * power)) ** (1 / 3), float(continuum.chi(h, delta))
+    xi = 1 - 1 / delta
+    eta = 1 + 1 / delta
+    n = 1000
+    a = xi / (2 * eta)
+    power = 1 - 1.5 * xi
+    h = n - 0.5
+    width = (h**power / (8 * power)) ** (1 / 3)
+    chi = float(continuum.chi(h, delta))
     scale = continuum.impulse_amplitude(delta) * (2 * chi * width) ** -a
     integrals = [
         quad(
@@ -110,7 +117,8 @@ def test_shape_of_the_front_in_the_chain():
 
 
 def test_shapes_follow_the_arguments():
-    n, tau = np.array([990, 1000]), np.array([[377.0], [380.0], [381.0]])
+    n = np.array([990, 1000])
+    tau = np.array([[377.0], [380.0], [381.0]])
     for call in (front.displacement, front.velocity):
         together = call(n, tau)
         assert together.shape == (3, 2)

@@ -41,12 +41,17 @@ def exact_squares(chain: Chain, start: np.ndarray) -> list[mp.mpf]:
     for guess in map(mp.mpf, start.tolist()):
         root = guess
         for _ in range(2):
-            before, now, slope_before, slope = mp.mpf(0), mp.mpf(1), mp.mpf(0), mp.mpf(0)
+            before = mp.mpf(0)
+            now = mp.mpf(1)
+            slope_before = mp.mpf(0)
+            slope = mp.mpf(0)
             for n in range(chain.movable):
-                pivot, coupling = (k[n] + k[n + 1]) / m[n] - root, k[n] ** 2 / (m[n] * m[n - 1])
+                pivot = (k[n] + k[n + 1]) / m[n] - root
+                coupling = k[n] ** 2 / (m[n] * m[n - 1])
                 ahead = pivot * now - coupling * before
                 slope_before, slope = slope, pivot * slope - now - coupling * slope_before
-                before, now = now, ahead
+                before = now
+                now = ahead
             change = now / slope
             root -= change
         assert abs(change) < 1e-20 * guess
@@ -78,7 +83,8 @@ def test_lowest_shapes_to_the_last_digits():
     """Plain diagonalisation mixes low modes by ``eps (omega_max /
     omega)^2``: here 1e-10 of each.
     """
-    stiffness, masses = 10 ** RNG.uniform(-2, 2, 50), 10 ** RNG.uniform(-2, 2, 50)
+    stiffness = 10 ** RNG.uniform(-2, 2, 50)
+    masses = 10 ** RNG.uniform(-2, 2, 50)
     found = modes.eigenmodes(springs(stiffness, np.append(masses, 1.0)))
     with mp.workdps(40):
         m, k = (list(map(mp.mpf, x.tolist())) for x in (masses, stiffness))
@@ -98,7 +104,9 @@ def test_lowest_shapes_to_the_last_digits():
 @each_chain
 def test_shapes_solve_eq_14_and_are_orthonormal_in_mass(chain: Chain):
     result = modes.eigenmodes(chain)
-    m, k, shape = result.mass, chain.linear_stiffness, result.shape
+    m = result.mass
+    k = chain.linear_stiffness
+    shape = result.shape
     assert np.abs(shape.T @ (m[:, None] * shape) - np.eye(chain.movable)).max() < 2e-14
     force = k[:, None] * np.diff(shape, axis=0, append=0.0)
     miss = np.diff(force, axis=0, prepend=0.0) + result.frequency**2 * m[:, None] * shape
@@ -112,10 +120,8 @@ def test_response_against_an_integrator(chain: Chain):
     displacement, velocity = RNG.normal(size=(2, chain.movable))
     tau = np.linspace(0, 60, 6) / (chain.band_edge * scale)
     found = modes.eigenmodes(chain).response(tau * scale, displacement, velocity / scale)
-    stiffness, masses = (
-        chain.linear_stiffness / chain.linear_stiffness[0],
-        chain.masses[:-1] / chain.masses[0],
-    )
+    stiffness = chain.linear_stiffness / chain.linear_stiffness[0]
+    masses = chain.masses[:-1] / chain.masses[0]
     exact = integrate(stiffness, displacement, velocity, tau, masses)
     for x, true in zip((found[0], found[1] * scale), exact, strict=True):
         assert np.abs(x - true).max() < 2e-12 * np.abs(true).max()
@@ -167,7 +173,8 @@ def test_quasi_normal_modes_of_the_continuum(delta: float):
     """Frequencies by the zeros of J_(-nu), with the depth N - 1/2 for every
     delta: right to some 0.1 (k/M)^2.
     """
-    nu, eta = 1 / (1 + delta), 1 + 1 / delta
+    nu = 1 / (1 + delta)
+    eta = 1 + 1 / delta
     k = np.arange(1, 400)
     zeros = modes.quasi_normal(k, 100, delta) * 2 / eta * 99.5 ** (eta / 2)
     with mp.workdps(20):
@@ -224,7 +231,8 @@ def test_wkb_counts_the_modes():
 
 @pytest.mark.parametrize("delta", [1.001, 1.5, 5 / 3, 3.0, 8.0])
 def test_wkb_integral_by_quadrature(delta: float):
-    xi, depth = 1 - 1 / mp.mpf(delta), mp.mpf(30.5)
+    xi = 1 - 1 / mp.mpf(delta)
+    depth = mp.mpf(30.5)
     for frequency in (1e-3, 1.0, 2.0, 2.4, 50.0):
         top = min(depth, (mp.mpf(frequency) / 2) ** (2 / xi))  # above it every mode counts
         low = max(mp.log(top), mp.mpf(-60))

@@ -18,15 +18,19 @@ def solved(chain: Chain, w: float) -> tuple[complex, complex]:
 
     Beyond its band edge a lead has the wave that decays: z + 1/z = 2 - m w^2 / k with ``|z| < 1``.
     """
-    m, k, n = chain.masses, chain.linear_stiffness, chain.grains
+    m = chain.masses
+    k = chain.linear_stiffness
+    n = chain.grains
     q = []
     for end in (0, -1):
         sine = w / 2 * np.sqrt(m[end] / k[end])
         decay = 1j * np.arccosh(max(2 * sine**2 - 1, 1)) + np.pi
         q.append(2 * np.arcsin(sine) if sine <= 1 else decay)
-    matrix, right = np.zeros((n, n), complex), np.zeros(n, complex)
+    matrix = np.zeros((n, n), complex)
+    right = np.zeros(n, complex)
     for i in range(n):  # unknown: all displacements, with phi_1 = 1 + r and phi_N = t
-        above, below = k[max(i - 1, 0)], k[min(i, n - 2)]
+        above = k[max(i - 1, 0)]
+        below = k[min(i, n - 2)]
         matrix[i, i] = above + below - m[i] * w**2
         if i:
             matrix[i, i - 1] = -above
@@ -99,8 +103,10 @@ def test_a_wave_that_cannot_go_on_comes_back():
 
 def test_two_uniform_leads():
     """A step in mass and stiffness: T = 4 Z Z' / (Z + Z')^2 with Z = sqrt(k m) of long waves."""
-    masses, constants = np.ones(8), np.ones(7)
-    masses[4:], constants[4:] = 3.0, 2.0
+    masses = np.ones(8)
+    constants = np.ones(7)
+    masses[4:] = 3.0
+    constants[4:] = 2.0
     chain = Chain(
         grains=8,
         diameter=1e5,

@@ -33,7 +33,8 @@ def excess(wave: Soliton, overlap: np.ndarray) -> np.ndarray:
 @each
 def test_equation_of_motion(wave: Soliton):
     """c^2 r'' = N(x - 1) - 2 N(x) + N(x + 1), by differences of order 8 of the overlap."""
-    step, x = 0.02 * wave.width, np.linspace(-1.5, 1.5, 31) * wave.width
+    step = 0.02 * wave.width
+    x = np.linspace(-1.5, 1.5, 31) * wave.width
     weights = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040 / step**2
     curvature = wave.overlap(x[:, None] + step * np.arange(-4, 5)) @ weights
     force = [excess(wave, wave.overlap(x + s)) for s in (-1, 0, 1)]
@@ -95,7 +96,8 @@ def test_double_exponential_tail(wave: Soliton):
     """
     x = 0.8 * wave.reach
     log = np.log([float(wave.overlap(x + s)) for s in (-1e-4, 0, 1e-4)])
-    first, second = (log[2] - log[0]) / 2e-4, (log[2] - 2 * log[1] + log[0]) / 1e-8
+    first = (log[2] - log[0]) / 2e-4
+    second = (log[2] - 2 * log[1] + log[0]) / 1e-8
     r = np.exp(log[1])
     force = [excess(wave, wave.overlap(x + s)) for s in (-1, 0, 1)]
     assert wave.speed**2 * r * (second + first**2) == pytest.approx(
@@ -120,7 +122,8 @@ def test_weak_waves_are_those_of_korteweg_and_de_vries():
 
 def test_strong_waves_are_those_of_the_sonic_vacuum():
     """V = G F^(1/6) of largest force and speed."""
-    vacuum, strong = solve(velocity=1.0), solve(speed=100.0)
+    vacuum = solve(velocity=1.0)
+    strong = solve(speed=100.0)
     unit = vacuum.speed / float(vacuum.force(0.0)) ** (1 / 6)
     force = float((1 + strong.overlap(0.0)) ** 1.5)
     assert strong.speed * np.sqrt(1.5) / force ** (1 / 6) == pytest.approx(unit, rel=1e-5)
@@ -176,7 +179,9 @@ def test_picture(wave: Soliton):
     half = min(wave.reach, 3.2 * wave.width)
     assert x[[0, 200, 400]] == pytest.approx([-half, 0, half], rel=1e-14)
     assert x.size == 401
-    e, c, delta = wave.speed - 1, wave.speed, wave.delta
+    e = wave.speed - 1
+    c = wave.speed
+    delta = wave.delta
     q = (delta - 1) * np.sqrt(6 / delta / (delta + 1))
     long_wave = np.where(np.abs(q * x) < np.pi / 2, np.abs(np.cos(q * x)), 0.0) ** (2 / (delta - 1))
     formula = 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * abs(e)) * x) ** 2
@@ -202,7 +207,9 @@ def test_picture(wave: Soliton):
 
 @pytest.mark.parametrize("delta", [1.2, 1.5, 3.0])
 def test_approximations_written_out(delta: float):
-    x, c, v = np.array([-0.9, 0.0, 0.4, 1.3]), 0.8, np.array([1e-3, 1.0, 7.0])
+    x = np.array([-0.9, 0.0, 0.4, 1.3])
+    c = 0.8
+    v = np.array([1e-3, 1.0, 7.0])
     q = (delta - 1) * np.sqrt(6 / (delta * (delta + 1)))
     cosine = np.where(np.abs(q * x) < np.pi / 2, np.cos(q * x), 0.0)
     overlap = ((delta + 1) * c**2 / 2) ** (1 / (delta - 1)) * cosine ** (2 / (delta - 1))
@@ -238,7 +245,8 @@ def test_displacement_published():
 def test_residual_between_the_points(wave: Soliton):
     """c^2 r = integral of (1 - |s|) N(r(x + s)): the stated residual is the largest of them."""
     s, weight = np.polynomial.legendre.leggauss(120)
-    s, weight = np.concatenate((s - 1, s + 1)) / 2, np.tile(weight, 2) / 2
+    s = np.concatenate((s - 1, s + 1)) / 2
+    weight = np.tile(weight, 2) / 2
     x = np.linspace(0, wave.reach, 97)
     overlap = wave.overlap(x)
     integral = (
@@ -300,7 +308,8 @@ def test_where_a_wave_fits_a_chain():
     for grain in (low - 1e-3, high + 1e-3):
         with pytest.raises(InputError, match=rf"^grain: must lie from {low:.1f} to {high:.1f} for"):
             wave.on(chain, grain)
-    first, last = int(20 - far), int(np.ceil(20 + far))
+    first = int(20 - far)
+    last = int(np.ceil(20 + far))
     masses = chain.masses
     for odd, number in ((first, 0), (last, 0), (first - 1, 1), (last + 1, 1)):
         uneven = masses * np.where(np.arange(1, 41) == odd, 1 + 2e-9, 1.0)

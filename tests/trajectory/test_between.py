@@ -61,7 +61,8 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     ratios = np.zeros(3)
     for i in range(1, SAMPLES - 2):
         hermite.polynomial(path, i)
-        part, here = power(path.c), slice(i * FINE, (i + 1) * FINE + 1)
+        part = power(path.c)
+        here = slice(i * FINE, (i + 1) * FINE + 1)
         s = t[here] - i
         rate = np.gradient(a[here], 1 / FINE)
         allowed = error[i] * np.array([1, hermite.SHAPE.slope, hermite.SHAPE.curvature])
@@ -77,7 +78,8 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["crosses", "leaves for a moment", "touches for a moment"])
 def test_errors_cover_kinks(kind: str, exponent: float):
     rng = np.random.default_rng(round(100 * exponent))
-    t, found = np.polynomial.Polynomial([0.0, 1.0]), []
+    t = np.polynomial.Polynomial([0.0, 1.0])
+    found = []
     for _ in range(40):
         place = SAMPLES // 2 - 1 + rng.uniform()
         if kind == "crosses":
@@ -98,7 +100,8 @@ def test_a_width_ends_at_a_dip_that_no_quarter_of_an_interval_shows(shift: float
         """Return u, v, a, j (4, ...) of two Gaussian bumps."""
         found = np.zeros((4, *np.shape(time)))
         for size, middle, width in ((1.0, 20 + shift, 4.0), (second, 29.5 + shift, 4.0)):
-            s, factor = (time - middle) / width, np.polynomial.Polynomial([size])
+            s = (time - middle) / width
+            factor = np.polynomial.Polynomial([size])
             for order in range(4):
                 found[order] += factor(s) * np.exp(-(s**2)) / width**order
                 factor = factor.deriv() - 2 * t * factor

@@ -15,7 +15,8 @@ from lmpchain.trajectory.between import fronts, hermite, maxima
 
 RNG = np.random.default_rng(12)
 KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
-H, SAMPLES = 0.125, 9
+H = 0.125
+SAMPLES = 9
 END = H * (SAMPLES - 1)
 # by which an error of the acceleration changes a velocity between samples, in intervals
 PUSHED = 5 / 16
@@ -40,7 +41,8 @@ def tops(position: Polynomial, kind: int) -> tuple[np.ndarray, np.ndarray]:
     curve = position.deriv() if kind == hermite.VELOCITY else position
     flat = curve.deriv().roots()
     flat = flat[np.abs(flat.imag) < 1e-9].real
-    t, size = H * np.arange(SAMPLES), (lambda y: y) if kind == hermite.RAISED else np.abs
+    t = H * np.arange(SAMPLES)
+    size = (lambda y: y) if kind == hermite.RAISED else np.abs
     ends = size(curve(t))
     most = np.maximum(ends[:-1], ends[1:])
     for place in flat[(flat > 0) & (flat < END)]:
@@ -103,11 +105,13 @@ def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
         values[2] = np.abs(RNG.normal(size=3)) * RNG.choice([1, 10]) * RNG.choice([-1, 1])
         values[3] = RNG.normal(size=3) * 5.0 ** (step % 4)
         shift = 0.0 if step % 2 else 0.05
-        largest, allowed = 0.0, []
+        largest = 0.0
+        allowed = []
         curves = []
         for i in range(2):
             d, m, w = (values[k, i : i + 2] for k in (1, 2, 3))
-            m, w = H * m, H * H * w
+            m = H * m
+            w = H * H * w
             rise = d[1] - d[0]
             quintic = Polynomial([
                 d[0], m[0], w[0] / 2, 10 * rise - 6 * m[0] - 4 * m[1] - 1.5 * w[0] + 0.5 * w[1],
@@ -205,7 +209,8 @@ def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, freque
     """An error that goes up and down fast says nothing of the slope: the value itself is that large
     for so long.
     """
-    known, top = 1e-6, SINGLE(0.4)
+    known = 1e-6
+    top = SINGLE(0.4)
     late = front(
         position_of(sign * SINGLE, kind), kind, known=known, certain=known, frequency=frequency
     )[3]
@@ -236,11 +241,13 @@ def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
     """The first is half as large as the second, within the errors or not; so which of them the
     front is, is unsure.
     """
-    first, second = 0.15, 0.83
+    first = 0.15
+    second = 0.83
     known = 1e-4
     for ratio in (0.497, 0.4999, 0.5001, 0.503):
         curve, _ = two(first, second, ratio)
-        height, more = curve(first), curve(second)
+        height = curve(first)
+        more = curve(second)
         values = position_of(sign * curve, kind)
         time, value, _, late, higher, wider = front(values, kind, known=known, certain=known)
         place = first if ratio > 0.5 else second
@@ -283,10 +290,12 @@ def test_a_fall_within_what_is_certain_makes_no_front(kind: int, sign: float, de
     """What falls by less than is certain is no maximum; a little more, and which of two it is, is
     unsure.
     """
-    first, second = 0.3, 0.8
+    first = 0.3
+    second = 0.8
     curve, dip = two(first, second, 0.9)
     fall = curve(first) - curve(dip)
-    known, values = 1e-5, position_of(sign * curve, kind)
+    known = 1e-5
+    values = position_of(sign * curve, kind)
     certain = fall * (1 + deeper * 1e-3)
     time, _, _, late, _, _ = front(values, kind, 0.5, known, certain)
     assert time == pytest.approx(second if deeper > 0 else first, rel=1e-9)
@@ -365,7 +374,8 @@ def test_a_bump_that_hardly_rises_may_have_turned_before():
     """
     turning = Polynomial.fromroots([0.35, 0.35, 0.8]) * -1.0
     curve = (turning + 1e-3 * Polynomial([0.8, -1])).integ()
-    low, top = curve(0.35), curve(brentq(turning + 1e-3 * Polynomial([0.8, -1]), 0.7, 0.9))
+    low = curve(0.35)
+    top = curve(brentq(turning + 1e-3 * Polynomial([0.8, -1]), 0.7, 0.9))
     for frequency, sure in ((1.0, True), (1000.0, False)):
         known = 1e-6
         values = position_of(curve, hermite.VELOCITY)
@@ -391,7 +401,8 @@ def bumps(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
     def motion(time: np.ndarray) -> np.ndarray:
         out = np.zeros((4, *np.shape(time)))
         for size, middle, width in zip(sizes, middles, widths, strict=True):
-            s, factor = (time - middle) / width, Polynomial([size])
+            s = (time - middle) / width
+            factor = Polynomial([size])
             for order in range(4):
                 out[order] += factor(s) * np.exp(-(s**2)) / width**order
                 factor = factor.deriv() - Polynomial([0, 2.0]) * factor
@@ -406,9 +417,13 @@ def test_stated_errors_cover_those_of_noisy_samples(kind: int):
     by as much.
     """
     rng = np.random.default_rng(3)
-    samples, known, ratios, clear = 24, 1e-3, [], 0
+    samples = 24
+    known = 1e-3
+    ratios = []
+    clear = 0
     for _ in range(25):
-        signal, phase = bumps(rng), rng.uniform(0, 2 * np.pi, 4)
+        signal = bumps(rng)
+        phase = rng.uniform(0, 2 * np.pi, 4)
         t = np.arange(float(samples))
         motion = np.zeros((5, samples))
         motion[:4] = signal(t)
@@ -422,7 +437,8 @@ def test_stated_errors_cover_those_of_noisy_samples(kind: int):
         size = np.abs(y)
         turns = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
         first = turns[size[turns] >= 0.5 * size.max()][0]
-        when, top = dense[first], size[first]
+        when = dense[first]
+        top = size[first]
         before = dense[:first][size[:first] * np.sign(y[first]) * np.sign(y[:first]) < top / 2]
         after = dense[first:][(np.sign(y[first]) * y[first:]) < top / 2]
         truth = np.array([when, y[first], after[0] - before[-1]])
@@ -456,7 +472,8 @@ def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
     rng = np.random.default_rng(17)
     clear = 0
     for number in range(60):
-        signal, step = bumps(rng), (0.25, 0.5, 1.0)[number % 3]
+        signal = bumps(rng)
+        step = (0.25, 0.5, 1.0)[number % 3]
         fraction = rng.uniform(0.2, 0.95)
         samples = int(24 / step)
         motion = np.zeros((5, samples))
@@ -467,7 +484,8 @@ def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
         size = np.abs(y)
         turns = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
         first = turns[size[turns] >= fraction * size.max()][0]
-        sign, top = np.sign(y[first]), size[first]
+        sign = np.sign(y[first])
+        top = size[first]
         before = np.flatnonzero(sign * y[:first] < top / 2)[-1]
         after = first + np.flatnonzero(sign * y[first:] < top / 2)[0]
         truth = np.array([dense[first], y[first], dense[after] - dense[before]])

@@ -11,7 +11,8 @@ from lmpchain.trajectory.between import maxima
 from lmpchain.trajectory.between.derivatives import Block, Imposed, Law, derive
 
 RNG = np.random.default_rng(21)
-H, SAMPLES = 0.125, 9
+H = 0.125
+SAMPLES = 9
 FINAL = SAMPLES - 1
 # by which an error of the acceleration changes a velocity between samples, in intervals
 PUSHED = 5 / 16
@@ -30,7 +31,9 @@ class Gathered:
 
     def __init__(self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float = 0.0):
         """Take samples of u, v, a, j (4, T) of both."""
-        self.position, self.wall, self.off = position, wall, off
+        self.position = position
+        self.wall = wall
+        self.off = off
         self.far, self.fast = (maxima.lowest(1, low) for _ in range(2))
         self.closest = maxima.lowest(1, -np.inf)
         self.latest = maxima.events_of(position[1, :1])
@@ -38,15 +41,18 @@ class Gathered:
 
     def take(self, begin: int, end: int) -> None:
         """Take in some intervals, with no more samples than these need."""
-        base, stop = max(begin - 1, 0), min(end + 2, SAMPLES)
+        base = max(begin - 1, 0)
+        stop = min(end + 2, SAMPLES)
         u, v, a, j = self.position[:, base:stop].copy()
         doubt = np.full(u.size, self.off)
         wall = np.ascontiguousarray(self.wall[:, base:stop])
         imposed = Imposed(wall, np.array([a, j]), doubt, 1, True)
         law = Law(np.zeros((3, 2)), np.ones(1), 1.5, False)
-        columns, known = np.array([-1, 0, -1]), np.ones(3, bool)
+        columns = np.array([-1, 0, -1])
+        known = np.ones(3, bool)
         block = Block(u[None], v[None], columns, known, H, law, imposed)
-        grains, window = np.array([1]), maxima.Window(base, begin - base, end - base)
+        grains = np.array([1])
+        window = maxima.Window(base, begin - base, end - base)
         derived = derive(block, grains)
         self.log = maxima.reduce(
             block, grains, derived, np.zeros((1, 0)), window, (self.far, self.fast), self.latest,
@@ -84,8 +90,10 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
     grain.
     """
     for _ in range(8):
-        position, wall = wavy(), wavy()
-        kept, begin = Gathered(samples_of(position), samples_of(wall), off), 0
+        position = wavy()
+        wall = wavy()
+        kept = Gathered(samples_of(position), samples_of(wall), off)
+        begin = 0
         for end in parts:
             kept.take(begin, end)
             begin = end
@@ -135,7 +143,8 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
     v[2:6] = np.cumsum([1, outer, 1, outer])
     v[6:] = v[5]
     a = np.zeros(SAMPLES)
-    a[3], a[4] = 30 / H, 30 / H
+    a[3] = 30 / H
+    a[4] = 30 / H
     u = np.zeros(SAMPLES)
     for i in range(FINAL):
         u[i + 1] = u[i] + H * ((v[i] + v[i + 1]) / 2 + H / 10 * (a[i] - a[i + 1]))
@@ -173,9 +182,11 @@ def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
 @pytest.mark.parametrize("off", [0.0, 1e-3])
 @pytest.mark.parametrize("parts", [(FINAL,), (1, 3, 4, 6, FINAL)])
 def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts: tuple[int, ...]):
-    first, second = 0.22, 0.83
+    first = 0.22
+    second = 0.83
     speed, dip = two(first, second, 0.6)
-    kept, begin = Gathered(samples_of(sign * speed.integ()), np.zeros((4, SAMPLES)), off), 0
+    kept = Gathered(samples_of(sign * speed.integ()), np.zeros((4, SAMPLES)), off)
+    begin = 0
     for end in parts:
         kept.take(begin, end)
         begin = end

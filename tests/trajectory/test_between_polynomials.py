@@ -40,7 +40,8 @@ def quintic(values: np.ndarray, i: int) -> Polynomial:
 def _power(ends: tuple[np.ndarray, np.ndarray]) -> Polynomial:
     """Return a quintic from values and two derivatives at 0 and 1, by a linear system."""
     powers = np.arange(6)
-    rows, right = [], []
+    rows = []
+    right = []
     for place, known in zip((0.0, 1.0), ends, strict=True):
         for order in range(3):
             factor = [math.perm(k, order) for k in powers]
@@ -187,7 +188,8 @@ def test_close_turns_beside_a_steep_jerk_are_found():
     """Of 2,000 slopes of degree 5, many with several roots in a quarter of the interval."""
     several = 0
     for _ in range(2000):
-        middle, width = RNG.uniform(0, 1), 10 ** RNG.uniform(-1.5, 0)
+        middle = RNG.uniform(0, 1)
+        width = 10 ** RNG.uniform(-1.5, 0)
         zeros = middle + width * RNG.normal(size=5)
         shape = math.prod(
             (Polynomial([-zero, 1]) for zero in zeros), start=Polynomial([RNG.normal()])
@@ -242,7 +244,8 @@ def unsure_of(y: np.ndarray, climb: np.ndarray, rate: np.ndarray, mass: float) -
     """Return how far off a force may be behind each sample, (T,): in an interval with a kink."""
     off = np.zeros(y.size)
     for i in range(1, y.size):
-        before, now = y[i - 1], y[i]
+        before = y[i - 1]
+        now = y[i]
         crosses = (before > 0) != (now > 0)
         visits = False
         if not crosses and climb[i - 1] != climb[i]:
@@ -289,7 +292,8 @@ def test_accelerations_and_jerks_are_those_of_the_forces(
     inverse_mass = RNG.uniform(0.5, 2, 5)
     block = block_of(u, v, [STILL, *columns, STILL], contacts, inverse_mass, exponent, linear, H)
     a, j, doubt = derive(block, np.arange(1, 6))[:5].transpose(1, 0, 2)
-    x, w = u[:, columns], v[:, columns]
+    x = u[:, columns]
+    w = v[:, columns]
     r, closing = (-np.diff(y, axis=1, prepend=0, append=0) for y in (x, w))
     force, rate = forces_of(r, closing, contacts, exponent, linear)
     for found, exact in ((a, force), (j, rate)):
@@ -332,7 +336,8 @@ def test_accelerations_of_unknown_forces_follow_from_three_samples():
         )
         found, jerk, doubt = derive(block, np.ones(1, int))[0]
         unsure = np.zeros(samples)
-        t, last = H * np.arange(samples), samples - 1
+        t = H * np.arange(samples)
+        last = samples - 1
         quintics = {}
         for k in range(1, last):
             rows = np.repeat(np.arange(k - 1, k + 2), 2)
@@ -382,7 +387,8 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(
     u, v = 1.5 * RNG.normal(size=(2, 6, 4))
     inverse_mass = np.array([1.3, 0.4, 0.8, 0.0])
     wall = RNG.normal(size=(4, 6)) if kind == "wall" else np.zeros((4, 6))
-    given, unsure = np.abs(RNG.normal(size=(2, 6))), np.abs(RNG.normal(size=6))
+    given = np.abs(RNG.normal(size=(2, 6)))
+    unsure = np.abs(RNG.normal(size=6))
     pushed = {"pushed": 2, "driven": 1}.get(kind, 0)
     imposed = Imposed(wall, given, unsure, pushed, kind == "driven")
     columns = [STILL, 0, 1, 2, 3, STILL]
@@ -392,7 +398,8 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(
               for w, x in zip(wall, (u, v), strict=False)]  # fmt: skip
     r, closing = (-np.diff(y, axis=1) for y in bodies)
     change, rate = forces_of(r, closing, contacts, exponent, linear)
-    change, rate = change.astype(float), rate.astype(float)
+    change = change.astype(float)
+    rate = rate.astype(float)
     weights = np.append(0, np.append(inverse_mass, 0))
     for n in range(6):
         found = series_of(block, derived, n - 1 if 0 < n < 5 else -1, n)
@@ -416,7 +423,9 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(
         if kind == "driven" and n == pushed:
             a, j, off = *given, unsure
         elif n == pushed:
-            a, j, off = a + given[0], j + given[1], np.maximum(off, unsure)
+            a = a + given[0]
+            j = j + given[1]
+            off = np.maximum(off, unsure)
         expected = np.array([u[:, n - 1], v[:, n - 1], a, j])
         np.testing.assert_allclose(found[:4], expected, rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(found.doubt[:-1], off[:-1], rtol=1e-11, atol=0)

@@ -102,7 +102,8 @@ def test_no_pickle_of_a_store_is_opened(
     run: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
     """The store is one of Zarr version 2 and made by hand; its filter runs what its chunks say."""
-    mark, store = run.parent / "mark", run / "trajectory.zarr"
+    mark = run.parent / "mark"
+    store = run / "trajectory.zarr"
     about = json.loads((store / "zarr.json").read_text())["attributes"]
     shutil.rmtree(store)
     fields = {"displacement": (41, 12), "velocity": (41, 12), "time": (41,), "grain": (12,)}
@@ -210,7 +211,8 @@ def test_a_chunk_that_claims_more_than_it_holds_is_refused(
 def test_nothing_outside_of_a_run_folder_is_read_or_written(
     run: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
-    path, outside = run / where, run.parent / "outside"
+    path = run / where
+    outside = run.parent / "outside"
     os.rename(path, outside)
     before = {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
     if kind == "link":
@@ -230,7 +232,8 @@ def test_nothing_outside_of_a_run_folder_is_read_or_written(
 def test_a_run_is_not_resumed_through_links(
     stopped: Path, name: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
-    path, outside = stopped / name, stopped.parent / "outside"
+    path = stopped / name
+    outside = stopped.parent / "outside"
     outside.write_bytes(path.read_bytes() if path.exists() else b"mine")
     before = outside.read_bytes()
     path.unlink(missing_ok=True)
@@ -243,7 +246,8 @@ def test_a_run_is_not_resumed_through_links(
 
 def test_a_run_folder_brings_no_commands(stopped: Path):
     """Commands of LAMMPS can start programs; what a run folder names is not run."""
-    mark, path = stopped.parent / "mark", stopped / "run.json"
+    mark = stopped.parent / "mark"
+    path = stopped / "run.json"
     (stopped / "more.in").write_text(f"shell touch {mark}\n")
     asked = json.loads(path.read_text())
     for options in ({"include": str(stopped / "more.in")}, {"template": str(stopped / "more.in")}):
@@ -287,7 +291,8 @@ def test_no_pickle_of_a_checkpoint_is_opened(stopped: Path):
 
 @pytest.mark.parametrize("what", ["compressed", "huge", "not an archive"])
 def test_a_checkpoint_that_is_none_is_not_used(stopped: Path, what: str):
-    packed, arrays = io.BytesIO(), arrays_of(stopped)
+    packed = io.BytesIO()
+    arrays = arrays_of(stopped)
     if what == "compressed":
         np.savez_compressed(packed, **arrays)
     else:
@@ -421,7 +426,8 @@ def test_only_plain_arrays_of_the_file_itself_are_read(
     kind: Callable[[h5py.File, Path], None],
     capsys: pytest.CaptureFixture[str],
 ):
-    outside, path = tmp_path / "outside.nc", tmp_path / "run.nc"
+    outside = tmp_path / "outside.nc"
+    path = tmp_path / "run.nc"
     for copy in (outside, path):
         shutil.copy(originals / "run.nc", copy)
     with h5py.File(path, "r+") as file:

@@ -296,14 +296,16 @@ def turned(text: str, axis: str, sign: int) -> str:
     """Return a dump whose column stands along another axis, with its sign as it is or turned
     around.
     """
-    lines, header = text.splitlines(), "ITEM: ATOMS id x y z vz"
+    lines = text.splitlines()
+    header = "ITEM: ATOMS id x y z vz"
     out = []
     for line in lines:
         if line == header:
             out.append("ITEM: ATOMS id x y z vx vy vz")
         elif len(parts := line.split()) == 5 and not line.startswith("ITEM"):
             number, _, _, z, vz = parts
-            place, speed = {"x": "0", "y": "0", "z": "0"}, {"x": "0", "y": "0", "z": "0"}
+            place = {"x": "0", "y": "0", "z": "0"}
+            speed = {"x": "0", "y": "0", "z": "0"}
             place[axis], speed[axis] = (
                 value if sign > 0 else repr(-float(value)) for value in (z, vz)
             )
@@ -321,7 +323,8 @@ def upright(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_columns_along_any_axis(upright: Path, axis: str, sign: int, tmp_path: Path):
-    path, truth = tmp_path / "dump", Trajectory.from_dump(upright, OWN)
+    path = tmp_path / "dump"
+    truth = Trajectory.from_dump(upright, OWN)
     path.write_text(turned(upright.read_text(), axis, sign))
     t = Trajectory.from_dump(path, OWN)
     assert np.array_equal(t.velocity, truth.velocity)
@@ -351,7 +354,9 @@ def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
     """A frame that is there twice is read once, half a frame not at all, wherever the run was
     killed in it.
     """
-    path, truth, text = tmp_path / "dump", Trajectory.from_dump(upright, OWN), upright.read_text()
+    path = tmp_path / "dump"
+    truth = Trajectory.from_dump(upright, OWN)
+    text = upright.read_text()
     frames = ["ITEM: TIMESTEP" + part for part in text.split("ITEM: TIMESTEP")[1:]]
     assert len(frames) == 11
     for kept in (1, 5, 10):
@@ -386,7 +391,8 @@ def test_the_precision_of_a_dump_is_stated(upright: Path, digits: int, tmp_path:
     def rounded(match: re.Match[str]) -> str:
         return f"{match[1]} 0 0 {float(match[2]):.{digits - 1}e} {float(match[3]):.{digits - 1}e}"
 
-    path, truth = tmp_path / "dump", Trajectory.from_dump(upright, OWN)
+    path = tmp_path / "dump"
+    truth = Trajectory.from_dump(upright, OWN)
     path.write_text(re.sub(r"^(\d+) 0 0 (\S+) (\S+)$", rounded, upright.read_text(), flags=re.M))
     t = Trajectory.from_dump(path, OWN)
     found = re.match(

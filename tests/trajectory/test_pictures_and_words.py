@@ -36,7 +36,8 @@ def made(scene: Scene = SCENE) -> Trajectory:
 
 @pytest.mark.parametrize(("field", "unit"), [("velocity", "m/s"), ("displacement", "m")])
 def test_the_picture_is_time_across_and_depth_down(field: str, unit: str):
-    t, axes = made(), figure().subplots()
+    t = made()
+    axes = figure().subplots()
     assert t.plot(axes, field) is axes
     (image,) = [*axes.images, *axes.collections]
     values = getattr(t, field)[:, [1, 2, 0]].T  # grains 1, 2 and 4
@@ -67,7 +68,8 @@ def test_by_default_the_picture_is_of_velocities_in_a_figure_of_its_own():
 def test_of_many_samples_no_more_are_drawn_than_a_picture_has_columns():
     for samples, every in ((4000, 1), (4001, 2), (9000, 3)):
         scene = Scene(**SCENE.given() | {"samples": samples})
-        t, axes = made(scene), figure().subplots()
+        t = made(scene)
+        axes = figure().subplots()
         t.plot(axes)
         image = [*axes.images, *axes.collections][0]
         columns = np.asarray(image.get_array()).reshape(3, -1)

@@ -165,7 +165,8 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
     zarr.open_group(empty / NAME, mode="r+").attrs.update(text | verdict_of)
     about, scene, arrays = zarr_store.read(empty)
     assert (scene, about["solver_error"]) == (SCENE, 1e-9)
-    field, truth = arrays["velocity"], V[0]
+    field = arrays["velocity"]
+    truth = V[0]
     assert (field.shape, field.dtype, field.ndim, field.size, len(field)) == (
         (500, 1000),
         float,

@@ -128,7 +128,8 @@ def mapped(path: Path) -> mmap.mmap:
 
 
 def test_shared_memory_of_mpi_loses_its_name_and_lives_on(shared: Path):
-    ours, other = mapped(shared / "shm" / "mpich_shm_1"), mapped(shared / "shm" / "other")
+    ours = mapped(shared / "shm" / "mpich_shm_1")
+    other = mapped(shared / "shm" / "other")
     theirs = shared / "shm" / "mpich_shm_2"
     theirs.touch()
     leftovers.unname_shared_memory()

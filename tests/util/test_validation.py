@@ -22,6 +22,7 @@ from lmpchain.util.validation import (
     Real,
     Vector,
     Whole,
+    make_unchecked,
 )
 
 
@@ -241,7 +242,7 @@ def test_a_pickled_value_is_the_same_and_as_fixed():
 def test_a_value_of_known_fields_is_that_with_checked_ones():
     chain = Chain(grains=3, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-6)
-    quick = Scene._unchecked(**scene.given())
+    quick = make_unchecked(Scene, **scene.given())
     assert quick == scene
     assert quick.given().keys() == scene.given().keys()
     assert quick.model_fields_set == {"chain", "excitation", "duration"}

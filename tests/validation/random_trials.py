@@ -82,7 +82,9 @@ def compile_all() -> None:
 def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
     """Return scene, engine, tolerance and options of a trial."""
     rng = np.random.default_rng([FAMILIES.index(family), seed])
-    tolerance, engine, options = float(10 ** rng.uniform(-13, -2)), family, {}
+    tolerance = float(10 ** rng.uniform(-13, -2))
+    engine = family
+    options = {}
     work = 10 ** rng.uniform(3, 5.3)
     match family:
         case "native" | "step":
@@ -102,10 +104,8 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
                 work /= 10
             scene = trial_scene(rng, work=work)
             if family == "step":
-                engine, options["step"] = (
-                    "native",
-                    float(10 ** rng.uniform(-2, 0.3) / scene.highest_frequency),
-                )
+                engine = "native"
+                options["step"] = float(10 ** rng.uniform(-2, 0.3) / scene.highest_frequency)
         case "auto":
             scene = trial_scene(rng, work=work)
         case "acted":
@@ -115,12 +115,11 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
             engine = rng.choice(["modes", "chebyshev", "bessel", "continuum"]).item()
             scene = trial_scene(rng, work=work)
         case _:
-            tolerance, options = (
-                float(10 ** rng.uniform(-9, -2)),
-                {"integrator": rng.choice(["rkn6", "rkn6", "kahan-li6"]).item()},
-            )
+            tolerance = float(10 ** rng.uniform(-9, -2))
+            options = {"integrator": rng.choice(["rkn6", "rkn6", "kahan-li6"]).item()}
             if rng.random() < 0.2:
-                options, tolerance = {"integrator": "verlet"}, float(10 ** rng.uniform(-5, -2))
+                options = {"integrator": "verlet"}
+                tolerance = float(10 ** rng.uniform(-5, -2))
             scene = trial_scene(rng, (1.0, 1.5, 1.5, 1.5), work / 10)
     return scene, engine, tolerance, options
 
@@ -139,7 +138,9 @@ def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
         "pressed": chain.compressed, "kind": scene.excitation.kind, "samples": scene.samples,
         "number": scene.strike_number, "angle": scene.highest_frequency * scene.duration,
     }  # fmt: skip
-    began, answer, reason = time.process_time(), None, ""
+    began = time.process_time()
+    answer = None
+    reason = ""
     try:
         with within(longest), warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -147,13 +148,18 @@ def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
     except TooLong:
         row["ending"] = "slow"
     except InputError as error:
-        row["ending"], reason = "refused", str(error)
+        row["ending"] = "refused"
+        reason = str(error)
     except ToleranceNotMet as error:
-        row["ending"], reason, answer = "missed", error.reason, error.trajectory
+        row["ending"] = "missed"
+        reason = error.reason
+        answer = error.trajectory
     except RunFailed as error:
-        row["ending"], reason = ("refused" if "step" in options else "failed"), str(error)
+        row["ending"] = "refused" if "step" in options else "failed"
+        reason = str(error)
     except Exception as error:
-        row["ending"], reason = "failed", f"{type(error).__name__}: {error}"
+        row["ending"] = "failed"
+        reason = f"{type(error).__name__}: {error}"
     row |= {"seconds": time.process_time() - began, "said": len(said), "reason": reason[:300]}
     if row.get("ending") in ("slow", "refused", "failed"):
         return row
@@ -183,7 +189,8 @@ def judge(
                 "method": answer.cost.integrator,
                 "answered": answer.engine, "steps": answer.cost.steps}  # fmt: skip
     finest = FINEST["long double"]
-    tried, against = max(finest, 1e-4 * tolerance), False
+    tried = max(finest, 1e-4 * tolerance)
+    against = False
     while True:
         try:
             true, doubt = reference(scene, tried)
@@ -201,7 +208,8 @@ def judge(
                 abs(off - LOW * estimate - ROUND) > SAFE * doubt or off < ROUND,
             ]
             clear |= all(sure[fixed:]) or doubt < ROUND
-        confirmed, against = against, clear and bool(row.get("above") or row.get("low"))
+        confirmed = against
+        against = clear and bool(row.get("above") or row.get("low"))
         if (clear and (confirmed or not against)) or tried <= finest:
             break
         tried = max(finest, 1e-4 * tried)

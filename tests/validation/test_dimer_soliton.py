@@ -45,7 +45,8 @@ def test_travels_unchanged(near: float):
     masses = np.resize([1e-5, 1e-5 * wave.mass_ratio], 90)
     chain = lmpchain.Chain(grains=90, diameter=1e-2, masses=masses, gravity=0.0,
                            contact_constants=np.full(89, 1e9))  # fmt: skip
-    start, end = wave.on(chain, 13), wave.on(chain, 73)
+    start = wave.on(chain, 13)
+    end = wave.on(chain, 73)
     unit = (1e-5 / 1e9) ** 0.4
     assert len(wave.plot().figure.axes[0].lines) == 4
     assert start.velocity[::2].max() <= 0.1 * (1 + 1e-12)

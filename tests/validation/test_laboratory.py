@@ -76,7 +76,8 @@ def test_trajectory_of_another_code(engine: str) -> None:
     1e-11 s, six digits. Tolerance 6e-6 of the strike, which is what its own step and digits leave
     (m and K rounded to six digits: 2.2e-5).
     """
-    chain, strike = _steel_beads(), 0.099188
+    chain = _steel_beads()
+    strike = 0.099188
     assert chain.masses == pytest.approx(0.00705727, rel=1e-6)
     assert chain.contact_constants == pytest.approx(1.244735e10, rel=1e-6)
     assert chain.wall_constants / chain.contact_constants[0] == pytest.approx(np.sqrt(2), rel=1e-14)
@@ -169,11 +170,9 @@ def test_rarefaction(exponent: float, grains: int) -> None:
     """
     t = _release(exponent, grains, 1e-4)
     reach = np.sqrt(exponent) * t.time[-1]
-    r, contacts, bodies = (
-        -np.diff(t.displacement[-1]),
-        np.arange(1, grains) / reach,
-        np.arange(0.5, grains) / reach,
-    )
+    r = -np.diff(t.displacement[-1])
+    contacts = np.arange(1, grains) / reach
+    bodies = np.arange(0.5, grains) / reach
     inside = (contacts > 0.02) & (contacts < 0.9)
     assert r[inside] == pytest.approx(contacts[inside] ** (2 / (exponent - 1)), abs=1e-3)
     inside = (bodies > 0.1) & (bodies < 0.9)
@@ -276,7 +275,9 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
 
 def _loss(light: float) -> float:
     """Return the loss of force of a pulse in a cell of a dimer, masses 1 and `light`."""
-    cells, first, second = 60, 42, 52
+    cells = 60
+    first = 42
+    second = 52
     masses = np.ones(2 * cells)
     masses[1::2] = light
     scene = lmpchain.Scene(
@@ -341,13 +342,16 @@ def test_bands_of_a_precompressed_dimer(heavy_first: bool) -> None:
     K_wall = K. There q = pi j / cells, and the edge of the kind of grain that is next to both ends
     is itself a frequency.
     """
-    m, big, cells = 1.0, 3.0, 40
+    m = 1.0
+    big = 3.0
+    cells = 40
     masses = np.resize([big, m] if heavy_first else [m, big], 2 * cells)
     soft = lmpchain.GLASS.plane_strain_modulus / (2 * np.sqrt(2) - 1)
     wall = lmpchain.Material(density=1.0, youngs_modulus=soft, poissons_ratio=0.0)
     chain, k = _dimer(masses, top="wall", top_material=wall)
     assert chain.contacts.stiffness[:-1] == pytest.approx(k, rel=1e-12)
-    both_masses, q = 1 / m + 1 / big, np.pi * np.arange(1, cells) / cells
+    both_masses = 1 / m + 1 / big
+    q = np.pi * np.arange(1, cells) / cells
     root = np.sqrt(both_masses**2 - 4 * np.sin(q / 2) ** 2 / (m * big))
     edge = 2 * k / (big if heavy_first else m)
     exact = np.sort(np.concatenate((k * (both_masses - root), k * (both_masses + root), [edge])))
@@ -365,7 +369,8 @@ def test_surface_mode_of_a_dimer() -> None:
     Source: Theocharis, Boechler et al., Phys. Rev. E 82, 056604 (2010). Tolerance 1e-9; the mode
     decays by m / M = 1/3 a cell.
     """
-    m, big = 1.0, 3.0
+    m = 1.0
+    big = 3.0
     for light_first in (True, False):
         chain, k = _dimer(np.resize([m, big] if light_first else [big, m], 80))
         found = _frequencies(chain)
@@ -382,10 +387,13 @@ def test_shaking_a_dimer(engine: str, place: str) -> None:
     with q = pi + i kappa in the gap. Tolerance 1e-4 in the first two cells; 20 cells on there is
     next to nothing, or nearly all of it.
     """
-    m, big = 1.0, 3.0
+    m = 1.0
+    big = 3.0
     chain, k = _dimer(np.resize([big, m], 160))
     omega = np.sqrt(k / big) if place == "band" else np.sqrt(2 * k * (0.6 / big + 0.4 / m))
-    height, ramp, end = 1e-4, 120.0, 210.0
+    height = 1e-4
+    ramp = 120.0
+    end = 210.0
     times = np.linspace(0.0, end, 2101)
     envelope = np.sin(np.pi / 2 * np.minimum(times / ramp, 1.0)) ** 4
     shaker = lmpchain.Drive(times=times, displacement=height * envelope * np.sin(omega * times))
@@ -413,14 +421,16 @@ def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
     fine = 16
     x = np.arange(-grains // 2, grains // 2, 1 / fine)
     q = 2 * np.pi * np.fft.rfftfreq(x.size, 1 / fine)
-    c, spread = speed * np.sqrt(1.5), np.sinc(q / (2 * np.pi))
+    c = speed * np.sqrt(1.5)
+    spread = np.sinc(q / (2 * np.pi))
     gain = spread**2 / c**2
     w = 12 * (speed - 1) / np.cosh(np.sqrt(6 * (speed - 1)) * x) ** 2
     for _ in range(200):
         push = np.fft.rfft((1 + w) ** 1.5 - 1 - 1.5 * w) * gain
         mine = np.fft.irfft(np.fft.rfft(w) * (1 - 1.5 * gain), x.size)
         ratio = (w @ mine) / (w @ np.fft.irfft(push, x.size))
-        old, w = w, ratio**2 * np.fft.irfft(push / (1 - 1.5 * gain), x.size)
+        old = w
+        w = ratio**2 * np.fft.irfft(push / (1 - 1.5 * gain), x.size)
         if np.abs(w - old).max() < 1e-12 * w.max():
             break
     force = np.fft.rfft((1 + w) ** 1.5 - 1)
@@ -453,8 +463,10 @@ def test_soliton_of_a_precompressed_chain(
     grains = {1.001: 480, 1.01: 240}.get(speed, 120)
     u, v = _soliton(speed, grains)
     u, v[-1] = u - u[-1], 0.0  # the last grain is held
-    sound, width = np.sqrt(1.5), max(1 / np.sqrt(speed - 1), 3.0)
-    first, second = round(grains / 2 + width), round(grains / 2 + width + 30)
+    sound = np.sqrt(1.5)
+    width = max(1 / np.sqrt(speed - 1), 3.0)
+    first = round(grains / 2 + width)
+    second = round(grains / 2 + width + 30)
     end = (30 + 3 * width) / (speed * sound)
     samples = round(40 * (30 + 3 * width) / width)
     chain = _chain(grains, top_load=1.0, bottom="fixed")

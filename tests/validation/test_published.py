@@ -81,10 +81,8 @@ def test_peak_velocity_in_a_column(
 
 
 # which has Hertz's contacts and springs
-NATIVE, LAMMPS = (
-    ("native", 1e-8, 1e-6),
-    ("lammps", 1e-5, 1e-4),
-)
+NATIVE = ("native", 1e-8, 1e-6)
+LAMMPS = ("lammps", 1e-5, 1e-4)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +103,8 @@ def test_speed_of_a_soliton(
     English and Pego 2005), in m = K = D = 1. V from the peak times of two grains, v_m their peak
     velocity. Tolerance 1e-6, in LAMMPS 1e-4.
     """
-    first, second = 60, 80
+    first = 60
+    second = 80
     t = _run(_vacuum(90, exponent), 1.0, 110.0, 2751, tolerance, [first, second], engine)
     (early, low), (late, high) = (find_peak(t.time, v) for v in t.velocity.T)
     assert low == pytest.approx(high, rel=off), "the pulse must travel without change"
@@ -212,10 +211,12 @@ def test_two_balls_touch_for(exponent: float, contact_time: float) -> None:
     Source: classical; pi for springs, 2.9432751843 for Hertz. Tolerance 1e-8. Once parted the balls
     fly freely, so the moment at which the overlap was zero follows from any later sample.
     """
-    strike, pair_mass = 1.0, 0.5
+    strike = 1.0
+    pair_mass = 0.5
     deepest = ((exponent + 1) / 2 * pair_mass * strike**2) ** (1 / (exponent + 1))
     t = _run(_vacuum(2, exponent), strike, 1.3 * contact_time * deepest / strike, 261, 1e-9)
-    overlap, closing = t.displacement @ [1.0, -1.0], t.velocity @ [1.0, -1.0]
+    overlap = t.displacement @ [1.0, -1.0]
+    closing = t.velocity @ [1.0, -1.0]
     parted = np.flatnonzero(overlap < 0)
     assert len(parted) > 20
     assert closing[parted] == pytest.approx(-strike, rel=1e-8), "they part as fast as they met"
@@ -233,8 +234,10 @@ def test_a_sonic_vacuum_has_no_scale_of_its_own(exponent: float) -> None:
     Source: exact similarity of Eq. (1) without gravity and load. Tolerance 1e-10, at steps that
     scale alike.
     """
-    scale, chain = 1e-3, _vacuum(20, exponent)
-    clock, length = scale ** (-(exponent - 1) / (exponent + 1)), scale ** (2 / (exponent + 1))
+    scale = 1e-3
+    chain = _vacuum(20, exponent)
+    clock = scale ** (-(exponent - 1) / (exponent + 1))
+    length = scale ** (2 / (exponent + 1))
 
     def motion(strike: float, duration: float) -> lmpchain.Trajectory:
         scene = lmpchain.Scene(
@@ -243,7 +246,8 @@ def test_a_sonic_vacuum_has_no_scale_of_its_own(exponent: float) -> None:
         step = duration / 40 / 499.5  # rounds to 500 steps a sample whatever the last digit
         return lmpchain.simulate(scene, engine=lmpchain.engines.Native(step=step))
 
-    one, other = motion(1.0, 40.0), motion(scale, 40.0 * clock)
+    one = motion(1.0, 40.0)
+    other = motion(scale, 40.0 * clock)
     assert one.cost.steps == other.cost.steps
     assert np.abs(one.displacement[-1]).max() > 5, "the chain must have moved"
     for x, y in (

@@ -128,7 +128,8 @@ def test_where_localisation_is_weak_a_constant_remains():
     The second half of the time follows from the first, within 3 % (t^0.7 would be 6 % off).
     """
     found = spread("stiffness", 3, True, 900, 200)
-    root, moment = np.sqrt(found.time), found.second_moment
+    root = np.sqrt(found.time)
+    moment = found.second_moment
     scale, constant = np.polyfit(root[8:30], moment[8:30], 1)
     assert constant < 0
     assert scale * root[30:] + constant == pytest.approx(moment[30:], rel=0.03)
@@ -139,7 +140,8 @@ def test_where_localisation_is_weak_a_constant_remains():
 def test_participation_stays_while_the_moment_grows(moved):
     """Means over the second and the last third of the time are within 5 % (Lepri et al.)."""
     found = spread("stiffness", 3, moved, 900, 200)
-    early, late = found.participation[20:40], found.participation[40:]
+    early = found.participation[20:40]
+    late = found.participation[40:]
     assert late.mean() == pytest.approx(early.mean(), rel=0.05)
     assert found.second_moment[-1] > (1.7 if moved else 4) * found.second_moment[20]
     assert 5 < late.mean() < 30
@@ -156,6 +158,8 @@ def test_energy_that_stays_falls_off_as_a_power_of_the_distance(moved, power):
     few.
     """
     found = spread("stiffness", 3, moved, 900, 200)
-    share, middle, n = found.profile[30:].mean(0), 900 // 2 - 1, np.arange(30, 101)
+    share = found.profile[30:].mean(0)
+    middle = 900 // 2 - 1
+    n = np.arange(30, 101)
     slope = np.polyfit(np.log(n), np.log(share[middle + n] + share[middle - n]), 1)[0]
     assert slope == pytest.approx(power, abs=0.05)

@@ -33,10 +33,8 @@ def draw(seed: int) -> tuple[Scene, int, float, str]:
         rng, work=10 ** rng.uniform(2.5, 4)
     )
     contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))
-    tolerance, engine = (
-        float(10 ** rng.uniform(-11, -2)),
-        rng.choice(["native"] * 4 + ["auto"]).item(),
-    )
+    tolerance = float(10 ** rng.uniform(-11, -2))
+    engine = rng.choice(["native"] * 4 + ["auto"]).item()
     names = [
         "peak_velocity",
         "peak_displacement",
@@ -67,7 +65,8 @@ def maxima(
     """
     # of values that are the same
     last = np.append(np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1)
-    first, level = np.append(0, last[:-1] + 1), np.append(y[last], 0.0)
+    first = np.append(0, last[:-1] + 1)
+    level = np.append(y[last], 0.0)
     tops = 1 + np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]))
     tops = tops[level[tops] >= (1 - NEAR_HALF) * y.max() / 2]
     tops = tops[np.array([fall_after(level, top) > fall for top in tops.tolist()], dtype=bool)]
@@ -89,7 +88,8 @@ def wrong_fronts(
     """
     bad: list[Any] = []
     for grain in np.flatnonzero(np.isfinite(rows[:, 0])):
-        y, (when, height, width, late, off, wide) = sizes[:, grain], rows[grain]
+        y = sizes[:, grain]
+        (when, height, width, late, off, wide) = rows[grain]
         begin, end, level = np.concatenate([maxima(y, time, fall) for fall in (0.0, known)], axis=1)
         there = (begin - when <= late + time[1]) & (when - end <= late + time[1])
         if not there.any():
@@ -99,11 +99,10 @@ def wrong_fronts(
         ).all():
             bad.append((f"height of {name}", int(grain) + 1, height, off, level[there]))
         elif there.sum() == 1 and late < BETWEEN * time[1]:
-            below, top = (
-                np.flatnonzero(y < level[there] / 2),
-                np.searchsorted(time, begin[there][0]),
-            )
-            before, after = below[below < top], below[below > top]
+            below = np.flatnonzero(y < level[there] / 2)
+            top = np.searchsorted(time, begin[there][0])
+            before = below[below < top]
+            after = below[below > top]
             if (
                 before.size
                 and after.size
@@ -144,12 +143,14 @@ def faults(seed: int) -> list[Any] | None:
         name: str, found: np.ndarray, error: np.ndarray, values: np.ndarray, doubt: float
     ) -> None:
         """Compare a largest value with that of samples (T, ...), which may miss a bend between."""
-        top, place = values.max(0), np.clip(values.argmax(0), 1, len(values) - 2)
+        top = values.max(0)
+        place = np.clip(values.argmax(0), 1, len(values) - 2)
         before, here, after = (
             np.take_along_axis(values, place[None] + k, 0)[0] for k in (-1, 0, 1)
         )
         missed = np.abs(before - 2 * here + after)
-        off, error = found - top, error + doubt
+        off = found - top
+        error = error + doubt
         if (off < -error).any() or (off > error + missed).any():
             bad.append((name, off, error))
 
@@ -164,10 +165,8 @@ def faults(seed: int) -> list[Any] | None:
         check(f"{name} between samples", *motion.peaks(name)[1:], np.abs(values), unsure)
     if not (scene.excitation.kind == "drive" and scene.excitation.grain == 0):
         bodies = np.pad(best.displacement, ((0, 0), (1, 1)))
-        law, closer = (
-            scene.chain.contacts.of(np.array([contact])),
-            bodies[:, contact] - bodies[:, contact + 1],
-        )
+        law = scene.chain.contacts.of(np.array([contact]))
+        closer = bodies[:, contact] - bodies[:, contact + 1]
         force = law.force_at(law.overlap + closer)
         slack = np.abs(law.force_at(law.overlap + closer + 2 * doubt * best.largest[0]) - force)
         slack += 1e-15 * force.max()
@@ -181,7 +180,8 @@ def faults(seed: int) -> list[Any] | None:
     bad += wrong_fronts("arrival", np.abs(best.velocity), true.time, arrivals, 0.0, known)
     for name, values in (("displacement", best.displacement), ("velocity", best.velocity)):
         unsure = (LEAST - 1) * motion.known_error(name)
-        rows, known = motion.fronts(name, 0.5), motion.known_error(name)
+        rows = motion.fronts(name, 0.5)
+        known = motion.known_error(name)
         bad += wrong_fronts(name, np.abs(values), true.time, rows, unsure, known)
     return bad
 

@@ -40,12 +40,10 @@ def test_the_reference_finds_a_harmonic_oscillator():
 def test_the_reference_finds_a_collision(delta):
     """Two equal grains exchange their velocities, in the time that the energy integral gives."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, exponent=delta, bottom="free")
-    mass, constant, speed, power = (
-        chain.masses[0] / 2,
-        chain.contact_constants[0],
-        1e-3,
-        1 / (delta + 1),
-    )
+    mass = chain.masses[0] / 2
+    constant = chain.contact_constants[0]
+    speed = 1e-3
+    power = 1 / (delta + 1)
     deepest = ((delta + 1) * mass * speed**2 / (2 * constant)) ** power
     lasts = 2 * deepest / speed * sqrt(pi) * gamma(1 + power) / gamma(0.5 + power)
     ends = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=lasts, samples=3)
@@ -69,7 +67,8 @@ def test_the_reference_finds_a_push_by_a_wall():
     """
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, exponent=1.0, top="wall", bottom="free")
     own = sqrt(chain.wall_constants[0] / chain.masses[0])
-    size, rate = 1e-8, own / 2
+    size = 1e-8
+    rate = own / 2
     scale = size * own / (own**2 - rate**2)
 
     def u(t):

@@ -31,12 +31,11 @@ def _closed(k: np.ndarray, mass: float, beside: float, between: float | None) ->
     """
     y = 4 * mass * np.sin(k / 2) ** 2
     if between is None:
-        even, odd = 1 + beside * y / (2 * beside - y), 1 - beside
+        even = 1 + beside * y / (2 * beside - y)
+        odd = 1 - beside
     else:
-        even, odd = (
-            1 + beside * y / (beside - y),
-            1 + beside * (y - 2 * between) / (beside + 2 * between - y),
-        )
+        even = 1 + beside * y / (beside - y)
+        odd = 1 + beside * (y - 2 * between) / (beside + 2 * between - y)
     r = [(g * np.exp(-1j * k) - 1) / (1 - g * np.exp(1j * k)) for g in (even, odd)]
     return np.abs(r[0] - r[1]) ** 2 / 4
 
@@ -131,7 +130,10 @@ def _shares(
     size: int = 1,
 ) -> tuple[float, float, float, float]:
     """Return passed and returned energy of a packet, and the means of T and R over its spectrum."""
-    total, start, width, first = 600 * size, 150 * size, 16.0 * size, grains[0]
+    total = 600 * size
+    start = 150 * size
+    width = 16.0 * size
+    first = grains[0]
     chain = _with(alpha, grains, total)
     w = _edge(chain)
     packet = lmpchain.Packet(

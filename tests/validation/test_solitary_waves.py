@@ -114,7 +114,8 @@ def test_long_waves_and_their_lattice():
     r = soliton.nesterenko_overlap(x, speed)
     assert np.ptp(x[r > 0]) == pytest.approx(4.967, abs=5e-4)
     assert np.ptp(x[r > r.max() / 2]) == pytest.approx(1.8084, abs=1e-4)
-    momentum, kinetic = (speed * r).sum() * 1e-5, ((speed * r) ** 2 / 2).sum() * 1e-5
+    momentum = (speed * r).sum() * 1e-5
+    kinetic = ((speed * r) ** 2 / 2).sum() * 1e-5
     # 5/9 of the energy is kinetic
     assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(1.419, abs=5e-4)
 
@@ -154,7 +155,8 @@ def changed(wave: Soliton, engine: str, tolerance: float) -> float:
     load = 1.0 if wave.loaded else 0.0
     steel = {"diameter": 1e-3, "material": "steel", "gravity": 0.0, "exponent": wave.delta}
     chain = lmpchain.Chain(grains=100 + 2 * far, top_load=load, **steel)
-    start, end = wave.on(chain, far), wave.on(chain, far + 100)
+    start = wave.on(chain, far)
+    end = wave.on(chain, far + 100)
     unit = (
         chain.time_scale
         if load

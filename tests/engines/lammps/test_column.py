@@ -79,7 +79,8 @@ def test_planes_of_the_walls_press_the_outer_grains_as_at_rest():
     """
     made = column()
     top, bottom = made.walls
-    overlaps, radii = UNLIKE.contacts.overlap[[0, -1]], UNLIKE.diameters[[0, -1]] / 2
+    overlaps = UNLIKE.contacts.overlap[[0, -1]]
+    radii = UNLIKE.diameters[[0, -1]] / 2
     assert (top.name, top.grain, bottom.name, bottom.grain) == ("top", 1, "bottom", 5)
     assert float(top.hi) == pytest.approx(radii[0] - overlaps[0], rel=1e-14)
     assert float(bottom.lo) == pytest.approx(made.heights[-1] - radii[1] + overlaps[1], rel=1e-14)
@@ -168,11 +169,13 @@ ACTS = {
 def test_formulas_of_lammps_give_the_motion_and_the_force(name):
     """Evaluated in Python with the variables of the deck; upward, where ours are downward."""
     act = ACTS[name]
-    wave, said = act.waveform, drive.placeholders(act, 2e-5)
+    wave = act.waveform
+    said = drive.placeholders(act, 2e-5)
     for t in np.linspace(0.1e-6, 1.99e-5, 41):
         values = {"v_now": float(t), "sin": math.sin, "cos": math.cos}
         if wave.spline is None:
-            (amplitude, omega) = (act.amplitude, wave.omega)
+            amplitude = act.amplitude
+            omega = wave.omega
             values |= {
                 "v_amplitude": amplitude,
                 "v_omega": omega,
@@ -229,7 +232,8 @@ def plan(wave, **more) -> StepPlan:
 
 def test_a_step_is_cut_where_what_acts_ends():
     """At 7 us, in the eighth step of 1 us and a half; not at one of its ends."""
-    wave, reach = ACTS["half-sine"].waveform, np.array([0.0, *SPLITTINGS["kahan-li6"].reach])
+    wave = ACTS["half-sine"].waveform
+    reach = np.array([0.0, *SPLITTINGS["kahan-li6"].reach])
     made = plan(wave, step=1.5e-6, pushed=1)
     ((h, times),) = made.intervals(3)
     assert h == 1.5e-6
@@ -259,7 +263,8 @@ def test_which_splittings_a_deck_carries():
     assert deck.carries(verlet)
     assert deck.carries(kahan)
     assert not deck.carries(rkn)
-    force, moved = small(ACTS["force"]), small(ACTS["sine"])
+    force = small(ACTS["force"])
+    moved = small(ACTS["sine"])
     assert deck.kicks_by_force(force, kahan)
     assert not deck.kicks_by_force(force, verlet)
     assert not deck.kicks_by_force(moved, kahan)
@@ -296,7 +301,8 @@ def test_the_gauge_diameter_holds_three_of_the_largest_overlap():
 
 def test_round_off_in_heights_is_predicted_from_their_last_digit():
     """It walks with the evaluations; in the velocity it counts times the highest frequency."""
-    scene, engine = paper("fig5 g", 3), Lammps("verlet")
+    scene = paper("fig5 g", 3)
+    engine = Lammps("verlet")
     height = np.abs(Column(scene, 0.0).heights).max()
     digit = np.spacing(height)
     alone = engine.round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0]))
@@ -342,7 +348,8 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
 
 
 def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
-    engine, scene = Lammps(), paper("weak", 3)
+    engine = Lammps()
+    scene = paper("weak", 3)
     candidate = engine.candidate(scene, 1e-2)
     missed = ErrorBudget(1e-9, 0.6e-2, 6.0)
     better = engine.refine(candidate, missed, 1e-2)
@@ -359,7 +366,8 @@ def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
 
 
 def test_remarks_at_the_head_of_a_deck():
-    engine, scene = Lammps("verlet", step=1e-7, diameter="physical"), paper("weak", 3)
+    engine = Lammps("verlet", step=1e-7, diameter="physical")
+    scene = paper("weak", 3)
     made = engine.column(scene, engine.candidate(scene, 1e-6), "one more")
     assert made.remarks == (
         "physical diameter: as asked", "verlet, expected error not estimated beforehand",
@@ -465,7 +473,9 @@ def test_errors_of_lammps_are_told_from_others(monkeypatch):
 
 def test_what_the_library_must_be(monkeypatch):
     class Old:
-        version_, packages, closed = library.TESTED, True, 0
+        version_ = library.TESTED
+        packages = True
+        closed = 0
 
         def __init__(self, cmdargs, comm):
             assert cmdargs == ["-log", "none", "-screen", "none", "-nocite"]

@@ -74,7 +74,8 @@ WAYS = [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
     ],
 )
 def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
-    scene, step = DECKS[name], 1e-7
+    scene = DECKS[name]
+    step = 1e-7
     if scene.drive and integrator != "verlet":
         with pytest.raises(
             InputError, match="a deck can carry a drive or a force with verlet only"

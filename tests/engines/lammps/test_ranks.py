@@ -97,7 +97,8 @@ SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # each once
     ],
 )
 def test_ranks_give_the_bytes_of_one(name, integrator):
-    scene, options = SCENES[name], {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
+    scene = SCENES[name]
+    options = {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
     one = simulate(scene, engine=Lammps(**options))
     two = simulate(scene, engine=Lammps(**options, ranks=2))
     assert (one.cost.ranks, two.cost.ranks) == (1, 2)

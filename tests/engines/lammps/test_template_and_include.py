@@ -341,7 +341,8 @@ def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.Captur
         ["bash", "-c", line], env=os.environ | {"PATH": path}, check=True, capture_output=True
     )
     assert (Path(folder) / "column.lammpstrj").stat().st_size > 0
-    scene, kept = Scene.from_toml("scene.toml"), f"kept {name}"
+    scene = Scene.from_toml("scene.toml")
+    kept = f"kept {name}"
     if set(name) & set("\"'$&#{}*%\n\t\x1b") or not name.isascii():
         with pytest.raises(InputError, match="plainer folder name"):
             simulate(scene, engine=Lammps(**VERLET, keep=kept))
