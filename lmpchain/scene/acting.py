@@ -58,7 +58,7 @@ class _Acting(Excitation):
 
     @cached_property
     def waveform(self) -> Waveform:
-        """Its course over time."""
+        """Course of the motion, m, or of the force, N, over time."""
         if self.times is not None:
             values = getattr(self, self.strength[1])
             return Waveform.through(self.times, values, self.interpolation, self.holds)
@@ -306,7 +306,7 @@ class Force(OneGrain, _Acting):
 
     @cached_property
     def waveform(self) -> Waveform:
-        """Its course over time, N."""
+        """Course of the force over time, N."""
         if self.shape is not None:
             return Waveform.half_sine(self.amplitude, self.duration)
         return super().waveform

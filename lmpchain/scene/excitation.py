@@ -54,7 +54,7 @@ class Impulse(OneGrain):
 
     @property
     def label(self) -> str:
-        """Its name and how strong it is."""
+        """Name and strength in words."""
         return f"an {self.kind} of {self.velocity * 1e3:g} mm/s"
 
 

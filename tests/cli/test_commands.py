@@ -150,9 +150,10 @@ def terminate(*_: Any, **__: Any) -> None:
 def test_a_stopped_command_says_what_is_kept(
     stop: Any, code: int, name: str, scene: Path, monkeypatch: Any, capsys: Any
 ):
+    # sweeps first: their import takes `simulate` by name, and would keep what is put in its place
+    monkeypatch.setattr("lmpchain.sweeps.run.sweep", stop)
     monkeypatch.setattr("lmpchain.simulation.api.simulate", stop)
     monkeypatch.setattr("lmpchain.simulation.planner.plan", stop)
-    monkeypatch.setattr("lmpchain.sweeps.run.sweep", stop)
     before = signal.getsignal(signal.SIGTERM)
     nothing = "nothing unfinished was kept"
     hint = "with -o FOLDER/ what is done is kept and can be resumed"
