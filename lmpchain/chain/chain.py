@@ -324,6 +324,11 @@ class Chain(AtRest, Checked):
         """Number of grains that move: N - 1 with a fixed bottom, N otherwise."""
         return self.grains - (self.bottom == "fixed")
 
+    @property
+    def held_weight(self) -> float:
+        """Weight of grain N where the bottom is fixed, N; 0 otherwise."""
+        return float(self.masses[-1] * self.gravity) if self.bottom == "fixed" else 0.0
+
     def part(self, first: int, last: int) -> Chain:
         """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
 

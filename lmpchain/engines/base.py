@@ -224,6 +224,11 @@ class Engine(ABC):
         """The methods that it may take; none if it does not step through time."""
         return ()
 
+    @property
+    def moves_grains(self) -> bool:
+        """Whether it solves an equation of motion of the grains, Eq. (1) or (3)."""
+        return self.equation in (1, 3)
+
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why a scene cannot be done, as (key, reason); empty by default: it can."""
         return []
@@ -292,7 +297,7 @@ class Engine(ABC):
         """Return why a scene cannot be answered or its quantities not gathered: (key, reason)."""
         reasons = self.refuses(self.part(scene))
         # quantities are gathered from accelerations, which the two chain equations give
-        if scene.quantities and self.equation not in (1, 3):
+        if scene.quantities and not self.moves_grains:
             why = f"{self.name} solves no equation of motion of the grains, which gathering needs"
             reasons = [*reasons, ("quantities", f"{why}; use native, lammps, modes or chebyshev")]
         return reasons

@@ -243,11 +243,8 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
     kind = {"top": chain.top, "bottom": chain.bottom}.get(end, "free")
     if kind == "free":
         raise InputError.at("end", f"there is no wall at the end {shown(end)} of this chain")
-    if kind == "fixed":
-        return (
-            contacts(trajectory, [chain.grains - 1]).force[:, 0] + chain.masses[-1] * chain.gravity
-        )
-    return contacts(trajectory, [0 if end == "top" else chain.grains]).force[:, 0]
+    force = contacts(trajectory, [0 if end == "top" else chain.movable]).force[:, 0]
+    return force + chain.held_weight if kind == "fixed" else force
 
 
 def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:

@@ -207,15 +207,13 @@ class Motion:
         if chain.bottom == "free":
             raise InputError.at("end", "there is no wall at the end 'bottom' of this chain")
         # a fixed grain N takes the place of the wall, and carries its own weight besides
-        contact = chain.grains - (chain.bottom == "fixed")
-        weight = float(chain.masses[-1] * chain.gravity) if chain.bottom == "fixed" else 0.0
-        closer, error = self.closest(contact)
-        law = chain.contacts.of(np.array([contact]))
+        closer, error = self.closest(chain.movable)
+        law = chain.contacts.of(np.array([chain.movable]))
         low, force, high = (
             float(law.force_at(law.overlap + r)[0])
             for r in (closer - error, closer, closer + error)
         )
-        return force + weight, max(high - force, force - low)
+        return force + chain.held_weight, max(high - force, force - low)
 
     def closest(self, contact: int) -> tuple[float, float]:
         """Return how much closer than at rest a contact comes at most, m, and its error."""

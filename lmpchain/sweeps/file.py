@@ -200,15 +200,11 @@ class Sweep:
         if unusable:
             raise InputError(dict.fromkeys(fault for value in unusable for fault in faults[value]))
 
-    @property
-    def moves_grains(self) -> bool:
-        """Whether the engine solves the equation of motion of the grains, Eq. (1) or (3)."""
-        return engines.get(self.engine).equation in (1, 3)
-
     def _trial(self, position: Place) -> Scene:
         """Make a scene that the engine can answer; raises `InputError`."""
-        scene = with_gathered(self.scene(position), self.keep, self.moves_grains)
-        if reasons := engines.get(self.engine).refuses(scene):
+        engine = engines.get(self.engine)
+        scene = with_gathered(self.scene(position), self.keep, engine.moves_grains)
+        if reasons := engine.refuses(scene):
             raise InputError(reasons)
         return scene
 

@@ -213,6 +213,5 @@ def _read(
     value = gathered_arrays[along]
     if name == "wall_force":
         # a grain that is held presses with its own weight, too
-        chain = motion.scene.chain
-        value = value + chain.gravity * chain.masses[chain.movable :].sum()
+        value = value + motion.scene.chain.held_weight
     return value, gathered_arrays[f"{along}_error"]

@@ -8,6 +8,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import engines
 from ..chain.band_edge import band_edges
 from ..chain.chain import Chain
 from ..chain.equilibrium import Equilibrium, derive_chain
@@ -73,7 +74,7 @@ def _alone(plan: Sweep, number: int) -> Result:
 def _wider(scene: Scene, plan: Sweep) -> Scene:
     """Return the scene with all grains and forces recorded that measuring what is kept takes."""
     keep = plan.keep
-    scene = with_gathered(scene, keep, plan.moves_grains)
+    scene = with_gathered(scene, keep, engines.get(plan.engine).moves_grains)
     if scene.grains == "all" or all(
         quantity(name).recorded or name in scene.quantities for name in keep
     ):

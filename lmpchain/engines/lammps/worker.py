@@ -64,7 +64,7 @@ class StepPlan:
         # what is imposed is needed at the ends of the drifts
         reach = np.array([0.0, *self.splitting.reach])
         h = self.step
-        end = self.wave.end if self.wave and self.wave.spline is None else np.inf
+        end = self.wave.end if self.wave else np.inf
         begin = index * h
         first = end - index * h
         if not RESOLUTION * h < first < (1 - RESOLUTION) * h:

@@ -364,8 +364,8 @@ class CompanionRun(Run):
         complete = self._sample == self.scene.samples - 1
         # contacts open, grains collide, and what comes of it returns to contacts that opened
         recurs = opens and self.closest[real] > 0 and self._companions.recurrent[real]
-        growth = could_grow(self._scenes[real], motion.evaluations)
-        return complete and recurs and growth > min(estimate, self.candidate.solver_error)
+        counts = min(estimate, self.candidate.solver_error)
+        return complete and recurs and could_grow(self._scenes[real], motion.evaluations) > counts
 
     def cost(self) -> Cost:
         """Return the cost so far.
