@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from ..chain.chain import Chain
 from ..chain.materials import Material
 from ..errors import InputError
 from ..scene.excitation import Profile
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, numbers
 from . import parameters as params
 
 NUMBERS = ("top_load", "gravity", "amplitude", "frequency")
@@ -38,7 +36,7 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
     chain: dict[str, Any] = {}
     excitation: dict[str, Any] = {}
     for name in names:
-        value = np.array(values[name], dtype=float)
+        value = numbers(values[name], name)
         shape = params.values(scene, name).shape
         if value.shape != shape:
             raise InputError.at(name, f"must be of shape {shape}, not {value.shape}")

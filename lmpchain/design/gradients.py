@@ -16,7 +16,7 @@ from ..integrators.halving import SAFETY, Attempt, halve
 from ..integrators.held_steps import adaptive_steps
 from ..integrators.splittings import SPLITTINGS, Splitting
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, check_flags
 from ..util.suggestions import not_among
 from . import parameters as params
 from .objectives import Objective
@@ -315,6 +315,7 @@ def gradient(
     """
     names = params.check(scene, parameters)
     check_tolerance(tolerance)
+    check_flags(adaptive=adaptive)
     if step is not None and not 0 < step < math.inf:
         raise InputError.at("step", f"must be above 0, in s (got {shown(step)})")
     chosen = integrator or ("rkn4" if objective.dense else "rkn6")

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import InputError, shown
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, whole_numbers
 from .seen import Seen, Slopes, contact_force, quadrature
 
 
@@ -36,6 +36,7 @@ class Objective(Protocol):
 def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
     """Return these grains; raises `InputError` unless all are among those of the scene."""
     last = scene.chain.grains
+    whole_numbers(grains, "grains")
     if not len(grains) or min(grains) < 1 or max(grains) > last:
         raise InputError.at("grains", f"must be some of 1 to {last} (got {shown(list(grains))})")
     return grains

@@ -17,7 +17,7 @@ from ..errors import InputError, RunFailed, shown
 from ..integrators.halving import SAFETY
 from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, check_flags, numbers
 from ..util.files import replacing
 from ..util.progress import ProgressBar
 from . import parameters as params
@@ -103,7 +103,7 @@ class _Box:
         def bound(side: int) -> Array:
             return np.concatenate(
                 [
-                    np.broadcast_to(np.asarray(bounds[name][side], float), values.shape)
+                    np.broadcast_to(numbers(bounds[name][side], "bounds"), values.shape)
                     for name, values in zip(names, present, strict=True)
                 ]
             )
@@ -221,6 +221,7 @@ def optimise(
     """
     from scipy.stats import qmc
 
+    check_flags(maximise=maximise)
     names = params.check(scene, parameters)
     box = _Box(scene, names, bounds)
     drawn = qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError, shown
 from ..integrators.adjoint import DifferentiableRun, Inputs
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, check_flags, numbers, whole_numbers
 from .seen import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
@@ -57,10 +57,11 @@ class Traces:
     offset: bool = False
 
     def __post_init__(self) -> None:
-        time = np.asarray(self.time, dtype=float)
-        values = np.asarray(self.values, dtype=float)
+        check_flags(trigger=self.trigger, gain=self.gain, offset=self.offset)
+        time = numbers(self.time, "time")
+        values = numbers(self.values, "values")
         values = values[:, None] if values.ndim == 1 else values
-        places = np.atleast_1d(np.asarray(self.places))
+        places = np.atleast_1d(whole_numbers(self.places, "places"))
         shape = time.size, places.size
         missing = (~np.isfinite(values)).sum()
         increasing = time.ndim == 1 and time.size >= 2 and np.isfinite(time).all()
@@ -76,7 +77,7 @@ class Traces:
         if self.field not in get_args(Field):
             message = f"must be one of {', '.join(get_args(Field))} (got {shown(self.field)})"
             faults.append(("field", message))
-        if self.noise is not None and not (np.asarray(self.noise) > 0).all():
+        if self.noise is not None and not (numbers(self.noise, "noise") > 0).all():
             faults.append(("noise", f"must be above 0 (got {shown(self.noise)})"))
         if faults:
             raise InputError(faults)

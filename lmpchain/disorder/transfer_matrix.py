@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..util.arrays import EPSILON, Array
+from ..util.arrays import EPSILON, Array, numbers
 from ..util.compilation import compiled_once
 from ..util.notebook import Shown
 from ..util.progress import ProgressBar
@@ -219,7 +219,7 @@ def _transfer(
     progress: bool,
 ) -> tuple[Array, Array, Array]:
     """Return frequencies (F,), and growth and share of nodes a grain of each chain, (R, F)."""
-    omega = np.atleast_1d(np.asarray(frequency, float))
+    omega = np.atleast_1d(numbers(frequency, "frequency"))
     valid = omega.ndim == 1 and omega.size and (omega >= 0).all() and np.isfinite(omega).all()
     check(
         None if valid else ("frequency", "must be rad/s, 0 or more"),

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from ..errors import InputError, shown
 from ..trajectory.picture import scale
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend, thin_rows
@@ -198,7 +198,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     if numbers is None:
         chosen = known_contacts(trajectory)
     else:
-        chosen = np.array(numbers, dtype=int).reshape(-1)
+        chosen = whole_numbers(numbers, "numbers").reshape(-1)
         existing = np.flatnonzero(all_contacts.exists)
         if not np.isin(chosen, existing).all():
             ends = f"{existing[0]} to {existing[-1]}"

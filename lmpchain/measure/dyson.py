@@ -12,7 +12,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.tables import align, number
@@ -252,7 +252,7 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
     chain = trajectory.scene.chain
     kappa = relative_stiffness(chain)
     _, velocity = motion(trajectory, np.arange(1, chain.grains + 1))
-    orders = np.asarray(m, dtype=float)
+    orders = numbers(m, "m")
     weight = dyson.weight(kappa, orders[:, None])
     return DysonSums(
         m=orders,

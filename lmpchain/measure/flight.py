@@ -10,7 +10,7 @@ from scipy.interpolate import PPoly, make_interp_spline
 
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from .contact import sensor
 
@@ -87,6 +87,8 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     >>> round(peak.time, 5), round(peak.height, 5)
     (0.512, 1.0)
     """
+    time = numbers(time, "time")
+    values = numbers(values, "values")
     top = int(np.argmax(values))
     last = len(values) - 1
     if not 0 < top < last:

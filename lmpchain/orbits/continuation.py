@@ -18,7 +18,7 @@ from scipy.linalg import svd
 from ..chain.chain import Chain
 from ..errors import InputError, RunFailed, shown
 from ..scene.excitation import Drive
-from ..util.arrays import Array
+from ..util.arrays import Array, check_flags
 from ..util.linear_algebra import in_one_thread
 from ..util.progress import ProgressBar
 from .closing import Aspect, aspects, returns
@@ -407,6 +407,7 @@ def follow(
     RunFailed
         If the orbit is not one of the family at `start`.
     """
+    check_flags(events=events)
     curve, first = _curve(orbit, parameter, start, until, hold)
     curve = replace(curve, exact=events)
     # with the period held, the amplitude of a small orbit is next to free: hold its energy

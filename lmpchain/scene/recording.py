@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field
 
 from ..chain.chain import Chain
 from ..errors import shown
+from ..util.arrays import plain
 from ..util.suggestions import not_among
 from ..util.validation import Checked, Positive, Whole
 
@@ -25,7 +26,7 @@ def _selection(value: Any) -> Any:
             raise ValueError(f"{cure} (got {shown(value)})")
         return value
     try:
-        numbers = [number.item() if isinstance(number, np.generic) else number for number in value]
+        numbers = [plain(number) for number in value]
     except TypeError:
         numbers = []
     # True is an int of Python, and no grain

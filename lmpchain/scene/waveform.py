@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ..util.arrays import Array
+from ..util.arrays import Array, numbers
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -122,7 +122,7 @@ class Waveform:
 
     def at(self, t: float | Array, order: int = 0) -> Array:
         """Return its values at these times, s, or its derivatives of order 1 to 3."""
-        t = np.asarray(t, dtype=float)
+        t = numbers(t, "t")
         if self.spline is not None:
             return self.spline(t, order)
         value = self._burst(t, order) if self.envelope else self._sine(t, order)

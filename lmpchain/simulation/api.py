@@ -18,7 +18,7 @@ from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import LightCone, Scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, check_flags
 from ..util.progress import RATE, ProgressBar
 from .gathering import GatheringRun, of_engine
 from .policy import policy_for, record
@@ -92,6 +92,7 @@ def simulate(
     """
     check_tolerance(tolerance)
     check_on_miss(on_miss)
+    check_flags(progress=progress)
     policy = policy_for(engine, **options)
     if reasons := policy.refuses(scene):
         raise InputError(reasons)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, numbers
 
 
 def deepest(scene: Scene) -> float:
@@ -27,7 +27,7 @@ def hertz_excess(strain: ArrayLike) -> Array:
     ``F = 2 E* [(a^2 + R^2) artanh(a/R) - a R]``, some ``strain / 10``; I. N. Sneddon, Int. J. Eng.
     Sci. 3, 47 (1965). That they are no half-spaces and yield comes on top.
     """
-    strain = np.asarray(strain, dtype=float)
+    strain = numbers(strain, "strain")
     # x = a / R by Newton's method
     x = np.sqrt(strain)
     for _ in range(20):

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..scene.toml_file import SECTIONS
-from ..util.arrays import Array
+from ..util.arrays import Array, plain
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Whole
 from .laws import ALWAYS, MARKS, GrainLaw, Normal, Uniform, bind_laws, make_law
@@ -195,10 +195,7 @@ def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
     ]
     if faults:
         raise InputError(faults)
-    return {
-        key: [value.item() if isinstance(value, np.generic) else value for value in values]
-        for key, values in lists.items()
-    }
+    return {key: [plain(value) for value in values] for key, values in lists.items()}
 
 
 def _random(table: dict[str, Any]) -> list[Axis]:

@@ -114,7 +114,7 @@ class Bands(Shown):
 
         ``1 / (pi |v|)`` with the group velocity v of the one branch that is there.
         """
-        w = real(frequency)
+        w = real(frequency, "frequency")
         cosine = _half_trace(self.cell, w)
         bands = branches(self.cell, np.arccos(np.clip(cosine, -1, 1)).ravel())
         nearest = np.abs(bands.frequency - w.ravel()).argmin(0)
@@ -201,7 +201,7 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     [[3484.0, 6644.0]]
     """
     cell = Cell.of(cell) if isinstance(cell, Chain) else cell
-    q = np.atleast_1d(real(wavenumber))
+    q = np.atleast_1d(real(wavenumber, "wavenumber"))
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b)
     # first order perturbation of a singular value
@@ -308,9 +308,11 @@ def _outside(cell: Cell | Chain) -> Array:
 
 def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
     """Return masses and stiffness, (P,), and resonators, (R, 3): grain from 0, mass, stiffness."""
-    m = real(cell.masses)
-    k = real(cell.stiffness)
-    resonators = np.zeros((m.size, 2)) if cell.resonators is None else real(cell.resonators)
+    m = real(cell.masses, "masses")
+    k = real(cell.stiffness, "stiffness")
+    resonators = (
+        np.zeros((m.size, 2)) if cell.resonators is None else real(cell.resonators, "resonators")
+    )
 
     def positive(x: Array) -> bool:
         return bool((x > 0).all() and np.isfinite(x).all())

@@ -52,7 +52,7 @@ def infinite(n: ArrayLike, p: ArrayLike, T: ArrayLike) -> Array:
     >>> infinite([-1, 0, 1], 0, 0.0).tolist()
     [0.0, 1.0, 0.0]
     """
-    return jv(2 * abs(whole("n", n) - whole("p", p)), 2 * real(T))
+    return jv(2 * abs(whole("n", n) - whole("p", p)), 2 * real(T, "T"))
 
 
 def infinite_general(
@@ -96,11 +96,13 @@ def infinite_general(
     # a picture asks for the same grains and times many times over
     grains, row = np.unique(n, return_inverse=True)
     distance = abs(grains[:, None] - p)
-    even, integral, column = table("T", 2 * real(T), int(distance.max()) + 1)
+    even, integral, column = table("T", 2 * real(T, "T"), int(distance.max()) + 1)
     motion = np.zeros((grains.size, even.shape[1]))
     for amplitude, functions in ((displacement, even), (velocity, integral)):
         weights = np.zeros((grains.size, len(functions)))
-        np.add.at(weights, (np.arange(grains.size)[:, None], distance), real(amplitude))
+        np.add.at(
+            weights, (np.arange(grains.size)[:, None], distance), real(amplitude, "amplitude")
+        )
         motion += weights @ functions
     return motion[row.reshape(n.shape), column]
 
@@ -132,7 +134,7 @@ def free_end(n: ArrayLike, T: ArrayLike) -> Array:
     [1.0, 0.0, 0.0]
     """
     n = whole("n", n, 1)
-    z = 2 * real(T)
+    z = 2 * real(T, "T")
     return jv(2 * n - 2, z) + jv(2 * n, z)
 
 
@@ -161,7 +163,7 @@ def free_end_impulse(n: ArrayLike, T: ArrayLike) -> Array:
     '0.001000000'
     """
     n = whole("n", n, 1)
-    _, integral, column = table("T", 2 * real(T), int(n.max()) + 1)
+    _, integral, column = table("T", 2 * real(T, "T"), int(n.max()) + 1)
     return integral[n - 1, column] + integral[n, column]
 
 
@@ -197,7 +199,7 @@ def local(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """
     xi = exponents(delta).xi
     n = whole("n", n, 0)
-    return jv(2 * n, 2 * n ** (xi / 2) * real(tau))
+    return jv(2 * n, 2 * n ** (xi / 2) * real(tau, "tau"))
 
 
 def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
@@ -232,7 +234,7 @@ def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """
     xi = exponents(delta).xi
     n = whole("n", n, 1)
-    tau = real(tau)
+    tau = real(tau, "tau")
     require(("tau", tau > 0, "must be above 0"))
     return (
         np.cos(2 * n ** (xi / 2) * tau - np.pi * (n + 0.25)) / np.sqrt(np.pi * tau) / n ** (xi / 4)

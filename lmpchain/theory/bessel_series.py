@@ -133,7 +133,7 @@ def finite_impulse(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Ar
 
 
 def _constants(kappa: ArrayLike) -> Array:
-    kappa = real(kappa)
+    kappa = real(kappa, "kappa")
     positive = kappa.ndim == 1 and kappa.size and (kappa > 0).all()
     require(("kappa", positive, "must be a list of numbers above 0"))
     return kappa
@@ -145,7 +145,7 @@ def _series(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> tuple[Arr
     n = whole("n", n, 1)
     root = np.sqrt(kappa.max())
     grains, row = np.unique(n, return_inverse=True)
-    even, integral, column = table("tau", 2 * root * real(tau))
+    even, integral, column = table("tau", 2 * root * real(tau, "tau"))
     weights = coefficients(kappa, grains, k, len(even))
     index = row.reshape(n.shape), column
     return (weights @ even)[index], (weights @ integral)[index] / root

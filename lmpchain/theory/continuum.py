@@ -114,12 +114,12 @@ def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
     '0.8237'
     """
     _, eta, nu = exponents(delta)
-    lam = real(lam)
+    lam = real(lam, "lam")
     travel = chi(h, delta)
     require(("lam", lam > 0, "must be above 0"))
     argument = lam * travel
     with np.errstate(invalid="ignore", divide="ignore"):
-        inside = real(h) ** (nu * eta / 2) * jv(-nu, argument)
+        inside = real(h, "h") ** (nu * eta / 2) * jv(-nu, argument)
     return np.where(argument > 0, inside, (lam / eta) ** -nu / gamma(1 - nu))
 
 
@@ -164,7 +164,7 @@ def superpose(
     >>> abs(value.real - packet(2.0, 3.0)) < 1e-13
     np.True_
     """
-    ahead = real(tau) + chi(h, delta)
+    ahead = real(tau, "tau") + chi(h, delta)
     require(
         ("tau", ahead > 0, "must be above -chi"),
         ("angle", 0 < angle <= np.pi / 2, "must be above 0 and at most pi/2"),
@@ -175,7 +175,7 @@ def superpose(
     rotation = np.exp(1j * angle)
     lam = rotation * np.exp(t - np.exp(-t)) / (np.sin(angle) * ahead[..., None])
     weight = step * (1 + np.exp(-t)) * lam * np.exp(1j * lam * ahead[..., None])
-    return (np.asarray(A(lam)) * _bare_mode(real(h)[..., None], lam, delta) * weight).sum(-1)
+    return (np.asarray(A(lam)) * _bare_mode(real(h, "h")[..., None], lam, delta) * weight).sum(-1)
 
 
 def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
@@ -207,7 +207,7 @@ def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     np.True_
     """
     _, eta, nu = exponents(delta)
-    tau, travel = np.broadcast_arrays(real(tau), chi(h, delta))
+    tau, travel = np.broadcast_arrays(real(tau, "tau"), chi(h, delta))
     require(("tau", tau + travel > 0, "must be above -chi"))
     at_top = travel == 0
     travel = np.where(at_top, 1.0, travel)
@@ -245,7 +245,7 @@ def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{packet_front(1.0) / packet_front(4.0):.6f}"
     '2.000000'
     """
-    require(("h", real(h) > 0, "must be above 0"))
+    require(("h", real(h, "h") > 0, "must be above 0"))
     return packet(h, chi(h, delta), delta)
 
 
@@ -278,7 +278,7 @@ def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     '0.886524713011'
     """
     _, eta, nu = exponents(delta)
-    tau = real(tau)
+    tau = real(tau, "tau")
     travel = chi(h, delta)
     ahead = tau + travel
     require(("tau", ahead > 0, "must be above -chi"), ("delta", delta > 1, "must be above 1"))
@@ -294,5 +294,5 @@ def _bare_mode(h: ArrayLike, lam: ArrayLike, delta: float) -> Complex:
     lam = np.asarray(lam)
     argument = lam * chi(h, delta)
     with np.errstate(invalid="ignore"):
-        inside = real(h) ** (nu * eta / 2) * hankel1e(nu, argument)
+        inside = real(h, "h") ** (nu * eta / 2) * hankel1e(nu, argument)
     return np.where(argument == 0, -1j * gamma(nu) / np.pi * (lam / eta) ** -nu, inside)

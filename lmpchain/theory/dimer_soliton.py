@@ -85,7 +85,7 @@ class DimerSoliton(Shown):
 
     def overlap(self, x: ArrayLike, light_behind: bool = False) -> Array:
         """Return the overlap of a contact at x, where the grain behind it is heavy or light."""
-        return self._series(-real(x) if light_behind else real(x), 0)
+        return self._series(-real(x, "x") if light_behind else real(x, "x"), 0)
 
     def displacement(self, x: ArrayLike, light: bool = False) -> Array:
         """Return the displacement of a heavy or a light grain at x: 0 far ahead of the wave."""
@@ -157,7 +157,7 @@ class DimerSoliton(Shown):
 
     def _ahead(self, x: ArrayLike, light: bool, derivative: int) -> Array:
         """Return the sum over all contacts ahead of a grain, in turn of either kind."""
-        x = real(x)
+        x = real(x, "x")
         far = GRID.period / 2
         number = np.ceil(np.maximum(-far - x - 0.5, 0.0))[..., None] + np.arange(GRID.period + 2)
         at = x[..., None] + 0.5 + number

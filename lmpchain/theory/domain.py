@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, shown
-from ..util.arrays import Array
+from ..util.arrays import Array, numbers, whole_numbers
 
 
 def require(*rules: tuple[str, Any, str]) -> None:
@@ -17,18 +17,17 @@ def require(*rules: tuple[str, Any, str]) -> None:
         raise InputError(faults)
 
 
-def real(value: ArrayLike) -> Array:
-    """Return the numbers as float64."""
-    return np.asarray(value, dtype=float)
+def real(value: ArrayLike, key: str = "values") -> Array:
+    """Return the numbers as float64; raises `InputError` with this key for anything else."""
+    return numbers(value, key)
 
 
 def whole(key: str, value: ArrayLike, lowest: int | None = None) -> NDArray[np.int64]:
     """Return whole numbers as int64; raise `InputError` for others and for those below `lowest`."""
-    number = real(value)
-    require((key, np.isfinite(number) & (number == np.round(number)), "must be whole numbers"))
+    number = whole_numbers(value, key)
     if lowest is not None:
         require((key, number >= lowest, f"must be {lowest} or more"))
-    return number.astype(np.int64)
+    return number
 
 
 class Exponents(NamedTuple):
@@ -90,7 +89,7 @@ def chi(h: ArrayLike, delta: float = 1.5) -> Array:
     '55.6991'
     """
     eta = exponents(delta).eta
-    h = real(h)
+    h = real(h, "h")
     require(("h", h >= 0, "must be 0 or more"))
     return 2 / eta * h ** (eta / 2)
 
@@ -122,6 +121,6 @@ def depth(tau: ArrayLike, delta: float = 1.5) -> Array:
     '328.3'
     """
     eta = exponents(delta).eta
-    tau = real(tau)
+    tau = real(tau, "tau")
     require(("tau", tau >= 0, "must be 0 or more"))
     return (eta / 2 * tau) ** (2 / eta)

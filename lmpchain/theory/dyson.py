@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaln, xlogy
 
-from ..util.arrays import Array
+from ..util.arrays import Array, check_flags
 from ..util.lazy import listed
 from .domain import real, require
 
@@ -96,11 +96,12 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
     >>> float(average([1.0, 1.0, 1.0], [1.0, 2.0, 3.0], 5, normalised=True))
     1.0
     """
-    velocity = real(velocity)
-    kappa = real(kappa)
+    check_flags(normalised=normalised)
+    velocity = real(velocity, "velocity")
+    kappa = real(kappa, "kappa")
     alike = kappa.shape == velocity.shape[-1:]
     require(("kappa", alike, "must hold one force constant for each grain of velocity"))
-    weights = weight(kappa, real(m)[..., None])
+    weights = weight(kappa, real(m, "m")[..., None])
     total = (weights * velocity).sum(-1)
     return total / weights.sum(-1) if normalised else total
 
@@ -137,7 +138,7 @@ def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
     >>> f"{integrated(1.0, 1):.10f}"
     '0.4215709293'
     """
-    square = real(frequency) ** 2
+    square = real(frequency, "frequency") ** 2
     require(
         ("frequency", (square > 0) & np.isfinite(square), "must be above 0 and finite"),
         ("shape", 0.05 <= shape <= 100, "must be 0.05 to 100"),
@@ -183,8 +184,8 @@ def _panels(count: int = 200) -> tuple[Array, Array]:
 
 def _gamma(kappa: ArrayLike, m: ArrayLike, lower: int) -> Array:
     """Return m^m / Gamma(m) kappa^(m - lower) exp(-m kappa), with no large terms that cancel."""
-    kappa = real(kappa)
-    m = real(m)
+    kappa = real(kappa, "kappa")
+    m = real(m, "m")
     require(
         ("kappa", kappa >= 0, "must be 0 or more"),
         ("m", (m > 0) & np.isfinite(m), "must be above 0"),

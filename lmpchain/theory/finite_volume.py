@@ -79,7 +79,7 @@ def solve(
     >>> f"{field.displacement[1, 0]:.3f}"  # C tau^(-1/5) is 0.634
     '0.635'
     """
-    tau = real(tau)
+    tau = real(tau, "tau")
     grains = int(whole("grains", grains, 2))
     cells = int(whole("cells", cells, 1))
     ascending = tau.ndim == 1 and tau.size and tau[0] >= 0 and (np.diff(tau) >= 0).all()

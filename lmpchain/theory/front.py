@@ -171,12 +171,12 @@ def peak_time(n: ArrayLike, delta: float = 1.5) -> Array:
     '1206.9'
     """
     travel, width, a = _scales(n, delta)
-    return travel + brentq(lambda s: _smooth(real(s), a, 2), 0.0, 2.0, xtol=1e-14) * width
+    return travel + brentq(lambda s: _smooth(real(s, "s"), a, 2), 0.0, 2.0, xtol=1e-14) * width
 
 
 def _near(n: ArrayLike, tau: ArrayLike, delta: float, derivative: int) -> Array:
     travel, width, a = _scales(n, delta)
-    s = (real(tau) - travel) / width
+    s = (real(tau, "tau") - travel) / width
     require(("tau", s <= 30, "must not be more than 30 widths of the front behind it"))
     height = impulse_amplitude(delta) * (2 * travel * width) ** -a * width**-derivative
     return height * _smooth(s, a, derivative)

@@ -65,11 +65,11 @@ class Modes:
         """
 
         def project(start: ArrayLike) -> Array:
-            return (np.broadcast_to(real(start), self.mass.shape) * self.mass) @ self.shape
+            return (np.broadcast_to(real(start, "start"), self.mass.shape) * self.mass) @ self.shape
 
         amplitude = project(displacement)
         rate = project(velocity)
-        angle = np.multiply.outer(real(time), self.frequency)
+        angle = np.multiply.outer(real(time, "time"), self.frequency)
         cos = np.cos(angle)
         sin = np.sin(angle)
         return (
@@ -277,7 +277,7 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     """
     xi = exponents(delta).xi
     depth = _bottom(grains)
-    frequency = real(frequency)
+    frequency = real(frequency, "frequency")
     require(("frequency", frequency >= 0, "must be 0 or more"))
     ratio = np.minimum(1.0, frequency / 2 * depth ** (-xi / 2))
     # beyond the arcsin: the integral of (ratio cosh s)^steep over 0 < s < arccosh(1/ratio), here

@@ -100,7 +100,7 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     load = "carries no force at rest: nothing linear travels without gravity or a load"
     leads = "must be two or more: the first and the last contact are those of the leads"
     require(("chain", chain.compressed, load), ("grains", chain.grains > 1, leads))
-    return _scatter(chain.masses, chain.linear_stiffness, real(frequency))
+    return _scatter(chain.masses, chain.linear_stiffness, real(frequency, "frequency"))
 
 
 def transparent(

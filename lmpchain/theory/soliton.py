@@ -24,7 +24,7 @@ from scipy.special import roots_legendre
 
 from ..chain.chain import Chain
 from ..scene.excitation import Profile
-from ..util.arrays import Array
+from ..util.arrays import Array, check_flags
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, set_title
@@ -97,7 +97,7 @@ class Soliton(Shown):
 
     def overlap(self, x: ArrayLike) -> Array:
         """Return the overlap beyond that at rest of a contact at x; it is even in x."""
-        logarithm = rows(real(x), self.series.size, self.reach, self.delta, self.loaded)
+        logarithm = rows(real(x, "x"), self.series.size, self.reach, self.delta, self.loaded)
         return self.height * np.exp(logarithm @ self.series)
 
     def force(self, x: ArrayLike) -> Array:
@@ -108,11 +108,11 @@ class Soliton(Shown):
         """Return the velocity of a grain at x, positive in the way of travel and even in x."""
         # the integral of the force over one grain
         s, weight = roots_legendre(96)
-        return self.force(real(x)[..., None] + s / 2) @ weight / (2 * self.speed)
+        return self.force(real(x, "x")[..., None] + s / 2) @ weight / (2 * self.speed)
 
     def displacement(self, x: ArrayLike) -> Array:
         """Return the displacement of a grain at x: 0 far ahead of the wave, largest behind it."""
-        x = real(x)
+        x = real(x, "x")
         far = np.ceil(self.reach) + 1
         # contacts further behind are at rest again
         nearest = x + 0.5 + np.ceil(np.maximum(-far - x - 0.5, 0.0))
@@ -169,6 +169,7 @@ class Soliton(Shown):
         '5.2186 m/s'
         """
         # grain and contact that carry the wave are the units of mass, length and time
+        check_flags(downward=downward)
         first = self._first_contact(chain, grain)
         mass = float(chain.masses[first])
         contact = chain.contacts.of(first)
@@ -311,11 +312,11 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     require(("velocity", 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"))
 
     def excess(r: float) -> float:
-        return r * float(long_wave_speed(real(r), delta)) - velocity
+        return r * float(long_wave_speed(real(r, "r"), delta)) - velocity
 
     # the long-wave speed of that overlap is near enough for Newton's method
     overlap = brentq(excess, 1e-4 * velocity, velocity)
-    near = float(long_wave_speed(real(overlap), delta))
+    near = float(long_wave_speed(real(overlap, "overlap"), delta))
     require(("velocity", near > SLOWEST, "is too small: the wave is that of Korteweg and de Vries"))
     return _make_soliton(float(delta), True, solve_series(float(delta), near, float(velocity)))
 

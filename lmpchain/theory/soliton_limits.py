@@ -38,7 +38,9 @@ def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{nesterenko_speed(1.0) / solve(velocity=1.0).speed - 1:.4f}"
     '0.0079'
     """
-    return (2 / (delta + 1)) ** (1 / (delta + 1)) * real(velocity) ** ((delta - 1) / (delta + 1))
+    return (2 / (delta + 1)) ** (1 / (delta + 1)) * real(velocity, "velocity") ** (
+        (delta - 1) / (delta + 1)
+    )
 
 
 def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
@@ -66,7 +68,7 @@ def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
         If x is not finite.
     """
     q = (delta - 1) * np.sqrt(6 / (delta * (delta + 1)))
-    angle = q * real(x)
+    angle = q * real(x, "x")
     height = ((delta + 1) / 2 * speed**2) ** (1 / (delta - 1))
     return height * ((np.abs(angle) < np.pi / 2) * np.cos(angle)) ** (2 / (delta - 1))
 
@@ -100,7 +102,7 @@ def sen_displacement(x: ArrayLike) -> Array:
     >>> bool(np.abs(exact - sen_displacement(x)).max() < 1e-3)
     True
     """
-    x = real(x)
+    x = real(x, "x")
     return (1 - np.tanh((2.39536 * x + 0.268529 * x**3 + 0.0061347 * x**5) / 2)) / 2
 
 
@@ -132,7 +134,7 @@ def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{coste_speed(2.12584727):.6f}"
     '1.049464'
     """
-    f = real(force)
+    f = real(force, "force")
     require(("force", f > 1, "must be above 1: that at rest"))
     return long_wave_speed(np.expm1(np.log(f) / delta), delta)
 
@@ -161,4 +163,4 @@ def kdv_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
         If x is not finite.
     """
     e = speed - 1
-    return 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * e) * real(x)) ** 2
+    return 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * e) * real(x, "x")) ** 2

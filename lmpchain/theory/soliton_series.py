@@ -190,7 +190,7 @@ def _newton(
     force = contact.force_change(np.exp(basis(between[:, None] + s) @ series)) @ weight
     miss = np.abs(force / c**2 - overlap)
     largest = max(miss.max() / overlap.max(), RESOLUTION.tails * (miss / overlap).max())
-    return Series(c, reach, real(series), float(largest))
+    return Series(c, reach, real(series, "series"), float(largest))
 
 
 def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array], float]:

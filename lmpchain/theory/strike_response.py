@@ -65,7 +65,7 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     [0.52825, 0.0]
     """
     inside = peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta)
-    return np.where(real(tau) >= chi(h, delta), inside, 0.0)
+    return np.where(real(tau, "tau") >= chi(h, delta), inside, 0.0)
 
 
 def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:
@@ -101,7 +101,7 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
     """
     xi, eta, _ = exponents(delta)
     n = whole("n", n, 1)
-    tau = real(tau)
+    tau = real(tau, "tau")
     require(("tau", tau >= 0, "must be 0 or more"))
     # the two parameters of the incomplete beta function
     order = 1 / eta
@@ -122,8 +122,8 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
         )
         return tau * share, share - np.where(x < 1, slope, 0.0)
 
-    phi, speed = below(real(n))
-    phi_above, speed_above = below(real(n) - 1)
+    phi, speed = below(real(n, "n"))
+    phi_above, speed_above = below(real(n, "n") - 1)
     return phi - phi_above, speed - speed_above
 
 
@@ -158,7 +158,7 @@ def peaked(
     1.0
     """
     xi, eta, _ = exponents(delta)
-    shifted = real(tau) + c3
+    shifted = real(tau, "tau") + c3
     travel = chi(h, delta)
     # in factors, which do not cancel near the light cone
     with np.errstate(divide="ignore"):

@@ -1,15 +1,114 @@
 """Arrays that hold physical quantities, and the precision of their numbers."""
 
+from decimal import Decimal
+from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..errors import InputError, shown
 
 Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
 # the bits of a double without its sign; those of positive ones compare like the numbers
 MAGNITUDE = (1 << 63) - 1
+# what numpy would turn into numbers, by the letter of its kind
+NO_NUMBERS = {
+    "b": "truth values: give 0 and 1 if these are meant",
+    "S": "text: read it with float first",
+    "U": "text: read it with float first",
+    "T": "text: read it with float first",
+    "M": "dates: give the seconds since the strike",
+    "m": "time spans: give seconds",
+    "c": "complex ones: give their real parts or their sizes",
+}
+
+
+def numbers(value: Any, key: str = "") -> Array:
+    """Return numbers in SI units as an array of float64, as they are if they are one already.
+
+    Numpy itself would take text, truth values and dates for numbers, and drop masks and units.
+
+    Raises
+    ------
+    InputError
+        With this key, unless they are numbers.
+
+    Examples
+    --------
+    >>> numbers([1, 2.5]).tolist()
+    [1.0, 2.5]
+    >>> numbers(["1", "2"], "force")
+    Traceback (most recent call last):
+    lmpchain.errors.InputError: force: must be numbers, not text: read it with float first
+    """
+    if type(value) is np.ndarray and value.dtype == float:
+        return value
+    if type(value) in (float, np.float64):
+        return np.asarray(value)
+    if reason := objection(value):
+        raise InputError.at(key, reason)
+    try:
+        return np.asarray(value, dtype=float)
+    except OverflowError:
+        raise InputError.at(key, "must be numbers below 1.8e308") from None
+    except (TypeError, ValueError):
+        raise InputError.at(key, "must be numbers, in rows of one length") from None
+
+
+def whole_numbers(value: Any, key: str = "") -> NDArray[np.int64]:
+    """Return whole numbers as an array of int64; raises `InputError` for any others."""
+    array = numbers(value, key)
+    if not (np.isfinite(array) & (array == np.round(array))).all():
+        raise InputError.at(key, "must be whole numbers")
+    return array.astype(np.int64)
+
+
+def plain(value: Any) -> Any:
+    """Return a number of numpy as one of Python, and anything else as it is.
+
+    Examples
+    --------
+    >>> plain(np.float64(2.0)), plain("a")
+    (2.0, 'a')
+    """
+    # spans of time are whole numbers to numpy, of a unit that would be lost
+    is_number = isinstance(value, np.generic) and value.dtype.kind in "biuf"
+    return value.item() if is_number else value
+
+
+def check_flags(**flags: Any) -> None:
+    """Raise `InputError` unless each of these is True or False: of "no" Python makes a yes."""
+    faults = [
+        (key, f"must be True or False (got {shown(flag)})")
+        for key, flag in flags.items()
+        if not isinstance(flag, bool | np.bool_)
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def objection(value: Any) -> str:
+    """Return why these are no numbers in SI units, and what to do; empty if they are."""
+    if isinstance(value, list | tuple):
+        # numbers of Python, of which there may be millions, need no look
+        others = (objection(item) for item in value if type(item) not in (int, float))
+        return next(filter(None, others), "")
+    # of pint, unyt and xarray; of astropy
+    unit = getattr(value, "units", None) or getattr(value, "unit", None)
+    if unit is not None:
+        return f"has a unit of its own, {unit}: convert it to SI units and give the numbers alone"
+    if np.ma.is_masked(value):
+        return "has masked entries: leave them out"
+    array = np.asarray(value)
+    if array.dtype.kind in NO_NUMBERS:
+        return f"must be numbers, not {NO_NUMBERS[array.dtype.kind]}"
+    if array.dtype.kind == "O" and array.ndim:
+        return objection(array.ravel().tolist())
+    is_number = array.dtype.kind in "iuf" or isinstance(value, Real | Decimal)
+    return "" if is_number else f"must be numbers (got {shown(value)})"
 
 
 def read_only(array: AnyArray) -> AnyArray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Self
 
+from .arrays import check_flags
+
 COUNT = "{desc}: {n:.0f} of {total}{unit} |{bar}| {elapsed}, {remaining} left"
 RATE = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}"
 
@@ -43,6 +45,7 @@ class ProgressBar:
         layout: str = COUNT,
         shown: bool = True,
     ):
+        check_flags(progress=shown)
         self._bar: Any = None
         if shown:
             # its import takes longer than many runs

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from ..errors import InputError, shown
-from .arrays import Array, read_only
+from .arrays import Array, numbers, objection, plain, read_only
 from .notebook import Shown
 from .suggestions import did_you_mean
 
@@ -196,19 +196,19 @@ def with_derived(value: Value, **derived: Any) -> Value:
 
 
 def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
+    """Return a number of numpy as one of Python; refuse what pydantic would turn into one."""
+    convertible = hasattr(value, "__float__") and not isinstance(value, int | float)
+    if convertible and (reason := objection(value)):
+        raise ValueError(reason)
+    return plain(value)
 
 
 def _vector(value: Any) -> Any:
     """Turn numbers into a read-only (n,) array of float64."""
     if value is None:
         raise ValueError("must be a list of numbers: leave it out if it is not given")
-    if isinstance(value, list | tuple) and any(isinstance(item, bool | str) for item in value):
-        raise ValueError("must be numbers")
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError("must be numbers") from None
+    # a copy, which its owner cannot change any more
+    array = np.array(numbers(value))
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"must be a list of numbers, not of shape {array.shape}")
     if not np.isfinite(array).all():
@@ -227,7 +227,7 @@ def _positive_vector(value: Any) -> Any:
 
 def _one_or_many(value: Any) -> Any:
     """Return a positive number as a float, or a list of them as an array."""
-    value = _plain(value)
+    value = plain(value)
     if isinstance(value, bool | str):
         raise ValueError(f"must be a number or a list of numbers (got {shown(value)})")
     if isinstance(value, int | float):

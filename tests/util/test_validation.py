@@ -104,7 +104,8 @@ def test_values_that_are_accepted(field: str, values: list[Any]):
             assert type(kept) is float
 
 
-NUMBERS = "must be numbers"
+TEXT = "must be numbers, not text: read it with float first"
+TRUTH = "must be numbers, not truth values: give 0 and 1 if these are meant"
 ONE_OR_MANY = "must be a number or a list of numbers"
 
 
@@ -126,12 +127,12 @@ ONE_OR_MANY = "must be a number or a list of numbers"
         ("count", "many", "must be a whole number (got 'many')"),
         ("count", INT, f"must be below {INT} (got {INT})"),
         ("vector", None, "must be a list of numbers: leave it out if it is not given"),
-        ("vector", [1.0, True], NUMBERS),
-        ("vector", ["1", 2.0], NUMBERS),
-        ("vector", ("1",), NUMBERS),
-        ("vector", {"a": 1}, NUMBERS),
-        ("vector", [1.0, None, object()], NUMBERS),
-        ("vector", [10**400], NUMBERS),
+        ("vector", [1.0, True], TRUTH),
+        ("vector", ["1", 2.0], TEXT),
+        ("vector", ("1",), TEXT),
+        ("vector", {"a": 1}, "must be numbers (got {'a': 1})"),
+        ("vector", [1.0, None, object()], "must be numbers (got None)"),
+        ("vector", [10**400], "must be numbers below 1.8e308"),
         ("vector", [], "must be a list of numbers, not of shape (0,)"),
         ("vector", [[1.0, 2.0]], "must be a list of numbers, not of shape (1, 2)"),
         ("vector", 1.0, "must be a list of numbers, not of shape ()"),

@@ -15,7 +15,7 @@ from ...integrators.methods import METHODS
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper
 from ...scene.scene import Scene
-from ...util.arrays import Array
+from ...util.arrays import Array, check_flags
 from ...util.suggestions import not_among
 from ..base import Candidate
 from .round_off import native_floor, plain_loss
@@ -70,6 +70,7 @@ class Native(TimeSteppingEngine):
             raise InputError.at("threads", f"must be a whole number from 1 (got {shown(threads)})")
         if force not in FORCES:
             raise InputError.at("force", not_among(force, FORCES))
+        check_flags(adaptive=adaptive)
         self.threads = threads
         self.force = force
         self.adaptive = adaptive

@@ -46,7 +46,10 @@ class TimeSteppingEngine(Engine):
         if integrator not in self.integrators:
             raise InputError.at("integrator", not_among(integrator, self.integrators))
         if step is not None and not (
-            isinstance(step, int | float) and math.isfinite(step) and step > 0
+            isinstance(step, int | float)
+            and not isinstance(step, bool)
+            and math.isfinite(step)
+            and step > 0
         ):
             raise InputError.at("step", f"must be a time above 0 s (got {shown(step)})")
         self.integrator = integrator

@@ -15,7 +15,7 @@ from ...errors import InputError, shown
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
-from ...util.arrays import Array
+from ...util.arrays import Array, numbers, whole_numbers
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, choose_few, legend, set_title
 from ..bodies import motion
@@ -68,12 +68,10 @@ class Trace:
         values: Any,
         field: Field = "velocity",
     ):
-        try:
-            times = np.array(time, float)
-            rows = np.array(values, float)
-            grains = np.atleast_1d(np.array(grain))
-        except (TypeError, ValueError):
-            raise InputError.at("values", "time and values must be numbers, without gaps") from None
+        # copies, which their owner cannot change any more
+        times = np.array(numbers(time, "time"))
+        rows = np.array(numbers(values, "values"))
+        grains = np.atleast_1d(whole_numbers(grain, "grain"))
         rows = rows[:, None] if rows.ndim == 1 else rows
         if faults := list(_trace_faults(times, grains, rows, field)):
             raise InputError(faults)
@@ -99,8 +97,7 @@ def _trace_faults(
     finite = time.ndim == 1 and time.size > 2 and np.isfinite(time).all()
     if not finite or time[0] < 0 or np.diff(time).min() <= 0:
         yield "time", "must be three or more finite times, 0 or later, each above the one before"
-    integers = grains.ndim == 1 and np.issubdtype(grains.dtype, np.integer)
-    if not integers or np.unique(grains).size < grains.size:
+    if grains.ndim != 1 or np.unique(grains).size < grains.size:
         yield "grain", "must be the number of a grain, or a list of different ones"
     if values.shape != (time.size, grains.size):
         shape = f"({time.size}, {grains.size}), not {values.shape}"
