@@ -47,7 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
         lambda: check_tolerance(arguments.tolerance),
     )
     from ..simulation.api import simulate
-    from ..simulation.task import is_run, remove
+    from ..simulation.folder_files import remove
+    from ..simulation.task import is_run
     from ..stability.pre_run import pre_run_warnings
 
     if reasons := policy.refuses(scene):
@@ -113,9 +114,10 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
 
 
 def _new_folder(name: str, force: bool) -> Path:
-    from ..simulation.task import check_new, check_run, is_run, resume_command
+    from ..simulation.folder_files import check_new, check_replaceable
+    from ..simulation.task import is_run, is_sealed, resume_command
 
-    if not is_run(name):
+    if not (is_run(name) and is_sealed(Path(name))):
         return check_new(name)
     if not force:
         raise InputError.at(
@@ -123,7 +125,7 @@ def _new_folder(name: str, force: bool) -> Path:
             f"holds a run already: go on with it, {resume_command(name)}, replace it with --force, "
             "or name another folder",
         )
-    return check_run(name)
+    return check_replaceable(name)
 
 
 def _new_file(name: str, scene: str, force: bool) -> Path:

@@ -195,6 +195,9 @@ class Engine(ABC):
         Number in the paper of the equation that it solves.
     integrators : tuple of str
         The methods among which it lets choose; empty if it does not step through time.
+    inputs, logs : tuple of str
+        Files that it may write to a run folder: with which a candidate runs without this package,
+        and what it says on the way.
     integrator, step
         What the user gave of these.
     batches : bool
@@ -211,6 +214,8 @@ class Engine(ABC):
     name: ClassVar[str]
     equation: ClassVar[int]
     integrators: ClassVar[tuple[str, ...]] = ()
+    inputs: ClassVar[tuple[str, ...]] = ()
+    logs: ClassVar[tuple[str, ...]] = ()
     batches: ClassVar[bool] = False
     ranks_of_mpi: ClassVar[bool] = False
     start_up_s: ClassVar[float] = 3e-4

@@ -49,12 +49,18 @@ def load(folder: Path) -> Iterator[Checkpoint | None]:
     """Yield the checkpoints, the newest first; None for a damaged one, which is removed."""
     for path in (folder / name for name in NAMES):
         if path.exists():
-            content = memoryview(path.read_bytes())
-            intact = HASH(content[LENGTH:]).digest() == content[:LENGTH]
-            checkpoint = _unpack(content[LENGTH:]) if intact else None
+            checkpoint = None
+            if is_intact(path):
+                checkpoint = _unpack(memoryview(path.read_bytes())[LENGTH:])
             if checkpoint is None:
                 path.unlink()
             yield checkpoint
+
+
+def is_intact(path: Path) -> bool:
+    """Return whether a checkpoint is as it was written."""
+    content = memoryview(path.read_bytes())
+    return HASH(content[LENGTH:]).digest() == content[:LENGTH]
 
 
 def _unpack(content: memoryview) -> Checkpoint | None:

@@ -13,7 +13,10 @@ checkpoint, checkpoint-before
 deck, log.lammps
     Of a run in LAMMPS: input that `lmp` runs by itself; what LAMMPS said, session by session.
 SHA256SUMS
-    Of what is final, once it is finished.
+    Of what is final: of the deck, and of all that is lmpchain's once the run is finished.
+
+Files that are not lmpchain's, or not as it wrote them (`lmpchain.simulation.folder_files`), are
+never replaced or removed, and no new run begins beside them.
 """
 
 from __future__ import annotations
@@ -22,7 +25,6 @@ import json
 import math
 import os
 import platform
-import shutil
 import time
 import warnings
 from collections.abc import Iterable, Mapping
@@ -39,16 +41,16 @@ from ..trajectory import zarr_store as store
 from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.files import make_folder, replacing
-from ..util.provenance import checksums, now
+from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json
+from ..util.provenance import now
 from ..util.tables import finite
 from . import checkpoints
 from . import task as tasks
+from .folder_files import check_new, clear, half_written, write_sums
 from .policy import record
 from .signals import Requests, Stopped
 from .task import LOCK, STATUS, Task, resume_command
 
-SUMS = "SHA256SUMS"
 STATES = ("running", "stopped", "finished", "failed")
 SPENT = ("integration_s", "estimate_s", "setup_s")
 
@@ -93,6 +95,7 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
         if not 0 < report["tolerance"] < 1:
             raise ValueError("its tolerance is none")
         report["best_effort"] = bool(report["best_effort"])
+        report.pop(SEALED, None)
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(str(path), f"was changed and cannot be read: {error}") from None
     return report | _find_kill(path) if report["state"] == "running" else report
@@ -150,7 +153,7 @@ class RunFolder:
     ):
         self._ranks = ranks
         self.name = str(folder)
-        self.path = Path(folder)
+        self.path = path_of(folder)
         self.requests = requests
         self._new = task
         self.attempt: Attempt | None = None
@@ -164,18 +167,18 @@ class RunFolder:
     def __enter__(self) -> RunFolder:
         if self._new:
             tasks.check_policy(self._new.policy)
-            make_folder(tasks.check_new(self.path))
+            self._made = not check_new(self.path).exists()
+            make_folder(self.path)
         else:
             tasks.check_run(self.path)
         self._lock = self._take_lock()
         try:
-            leftovers = self.path.rglob(".*.partial*")
-            for path in (*leftovers, *(self.path / store.NAME).rglob("*.partial")):
+            for path in half_written(self.path):
                 path.unlink()
             if self._new:
                 self.task = self._new
                 # another may have been faster
-                tasks.check_new(self.path)
+                check_new(self.path)
                 self._write_status("running")
                 tasks.write(self.path, self.task)
             else:
@@ -224,7 +227,11 @@ class RunFolder:
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         # no run that could be gone on with
         if isinstance(error, InputError) and self._new and not self.samples:
-            shutil.rmtree(self.path, ignore_errors=True)
+            clear(self.path)
+            if self._made:
+                # what came meanwhile keeps it
+                with suppress(OSError):
+                    self.path.rmdir()
         elif error:
             stopped = isinstance(error, Stopped) or not isinstance(error, Exception)
             with suppress(OSError):
@@ -266,6 +273,7 @@ class RunFolder:
             choices = record(engine, scene, attempt.candidate, self.task.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
             engine.write_inputs(scene.fine, attempt.candidate, self.task.tolerance, self.path)
+            write_sums(self.path, finished=False)
         self._writer = store.Writer(self.path, self.task.scene, self.samples)
         self._next = time.monotonic() + INTERVALS.checkpoint_s
         return state or None
@@ -330,10 +338,7 @@ class RunFolder:
         cost = outcome.cost._replace(**{key: spent[key] for key in SPENT})
         self._estimate = outcome.error.total
         self._writer.conclude(outcome.error.estimate, cost, gathered)
-        with replacing(self.path / SUMS) as aside:
-            # files that a later look may change are left out
-            sums = checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES})
-            aside.write_text(sums, encoding="utf-8")
+        write_sums(self.path, finished=True)
         self._write_status("finished", outcome.missed)
         return Trajectory.load(self.path)
 
@@ -356,8 +361,7 @@ class RunFolder:
         }
         with replacing(self.path / STATUS) as aside:
             # JSON knows no infinity
-            text = json.dumps(finite(report), indent=2, allow_nan=False)
-            aside.write_text(text + "\n", encoding="utf-8")
+            aside.write_text(sealed_json(finite(report)), encoding="utf-8")
 
 
 def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:

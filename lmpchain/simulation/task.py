@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-import shutil
 import warnings
 from os import PathLike
 from pathlib import Path
@@ -15,7 +14,7 @@ from .. import engines
 from ..errors import InputError, check_tolerance
 from ..scene.scene import Scene
 from ..util import mpi
-from ..util.files import check_tree, replacing
+from ..util.files import SEALED, check_tree, path_of, read_sealed_json, replacing, sealed_json
 from ..util.provenance import describe_session
 from .policy import Named, Policy, policy_for
 
@@ -24,6 +23,7 @@ SCENE = "scene.toml"
 RUN = "run.json"
 STATUS = "status.json"
 LOCK = ".lock"
+UNSEALED = ("sha256", "sessions", SEALED)  # in run.json: what is no part of the task
 
 
 class Task(NamedTuple):
@@ -52,7 +52,18 @@ def resume_command(folder: str | PathLike[str]) -> str:
 
 def is_run(folder: str | PathLike[str]) -> bool:
     """Return whether this is a run folder."""
-    return (Path(folder) / SCENE).exists() and (Path(folder) / RUN).exists()
+    path = path_of(folder)
+    return (path / SCENE).exists() and (path / RUN).exists()
+
+
+def is_sealed(folder: Path) -> bool:
+    """Return whether lmpchain wrote the task in a folder, and nobody has changed it since."""
+    order = read_sealed_json(folder / RUN)
+    try:
+        text = (folder / SCENE).read_bytes().decode("utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return order is not None and order["sha256"] == _seal(order, text)
 
 
 def check_run(folder: str | PathLike[str]) -> Path:
@@ -66,33 +77,6 @@ def check_run(folder: str | PathLike[str]) -> Path:
     except OSError as error:
         raise InputError.at(str(folder), error.strerror or str(error)) from None
     return Path(folder)
-
-
-def check_new(folder: str | PathLike[str]) -> Path:
-    """Return the path of a run folder that is to be made; raises `InputError` if it cannot be."""
-    path = Path(folder)
-    if path.exists() and not path.is_dir():
-        raise InputError.at(str(folder), "is a file; choose another name for the run folder")
-    if is_run(path):
-        cure = f"go on with it, {resume_command(folder)}, or choose another folder"
-        raise InputError.at(str(folder), f"holds a run already: {cure}")
-    # of a run that was killed before it wrote its scene
-    leftovers = {STATUS, RUN, LOCK}
-    if not leftovers.issuperset(p.name for p in path.glob("*") if ".partial" not in p.suffixes):
-        raise InputError.at(str(folder), "is neither empty nor a run folder; choose another")
-    return path
-
-
-def remove(folder: Path) -> None:
-    """Remove a run folder; raises `InputError` if another process is at work there."""
-    from filelock import FileLock, Timeout
-
-    try:
-        with FileLock(check_run(folder) / LOCK, timeout=0):
-            # under its lock, so that no process writes to it meanwhile
-            shutil.rmtree(folder)
-    except Timeout:
-        raise InputError.at(str(folder), AT_WORK) from None
 
 
 def write(folder: Path, task: Task) -> None:
@@ -111,7 +95,7 @@ def write(folder: Path, task: Task) -> None:
 
 def _seal(order: dict[str, Any], scene: str) -> str:
     """Return a hash of the task, by which a change to its files is noticed."""
-    fixed = {key: value for key, value in order.items() if key not in ("sha256", "sessions")}
+    fixed = {key: value for key, value in order.items() if key not in UNSEALED}
     return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
 
 
@@ -195,4 +179,4 @@ def _session(options: dict[str, Any]) -> dict[str, Any]:
 
 def _write_order(folder: Path, order: dict[str, Any]) -> None:
     with replacing(folder / RUN) as aside:
-        aside.write_text(json.dumps(order, indent=2) + "\n", encoding="utf-8")
+        aside.write_text(sealed_json(order), encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
 import platform
 import re
@@ -11,7 +12,7 @@ import secrets
 import stat
 import sys
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from io import BytesIO
@@ -21,9 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, shown
 
 SEAL = b"lmpchain sha256 "
+SEALED = "seal"  # key of the hash of a JSON file, by which lmpchain knows what it wrote
 LARGEST_JSON = 2**30  # bytes of a file that describes a store, a run or a sweep
 
 
@@ -58,6 +60,14 @@ def _sweep(folder: Path) -> None:
         writer = pattern.match(entry.name)
         if writer and not Path("/proc", writer[1]).exists():
             entry.unlink(missing_ok=True)
+
+
+def is_aside(name: str, final: str) -> bool:
+    """Return whether a file is one that `replacing` fills on the way to its final name."""
+    final_path = Path(final)
+    stem = re.escape(final_path.stem)
+    pattern = rf"\.{stem}\..+-\d+-[0-9a-f]{{8}}\.partial{re.escape(final_path.suffix)}"
+    return re.fullmatch(pattern, name) is not None
 
 
 def _to_disk(path: Path) -> None:
@@ -136,6 +146,27 @@ def check_seal(path: Path) -> None:
         raise ValueError("it is not as it was written")
 
 
+def sealed_json(record: Mapping[str, Any]) -> str:
+    """Return a record as JSON with a seal, by which lmpchain knows its own file again."""
+    rest = {key: value for key, value in record.items() if key != SEALED}
+    return json.dumps(rest | {SEALED: _json_seal(rest)}, indent=2, allow_nan=False) + "\n"
+
+
+def read_sealed_json(path: Path) -> dict[str, Any] | None:
+    """Return the record of a JSON file, None unless lmpchain wrote it so."""
+    try:
+        check_readable(path, LARGEST_JSON)
+        record = dict(json.loads(path.read_bytes()))
+        return record if record.pop(SEALED) == _json_seal(record) else None
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None
+
+
+def _json_seal(record: Mapping[str, Any]) -> str:
+    # numbers and texts are written the same way after they were read
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
 def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
     """Return the arrays that `numpy.savez` packed; raises unless they are plain."""
     with zipfile.ZipFile(BytesIO(content)) as packed:
@@ -162,9 +193,25 @@ def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
     return np.frombuffer(data.read(), dtype).reshape(shape).copy()
 
 
-def make_folder(path: str | PathLike[str]) -> Path:
+def path_of(name: Any, key: str = "folder") -> Path:
+    """Return a name as a path; raises `InputError` if no file or folder can bear it."""
+    if not isinstance(name, str | PathLike) or not str(name):
+        raise InputError.at(key, f"must be a name in quotes (got {shown(name)})")
+    path = Path(name)
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:
+        # such as one of 300 letters, or with a zero byte
+        reason = getattr(error, "strerror", None) or error
+        raise InputError.at(key, f"{shown(str(path))} cannot be used: {reason}") from None
+    return path
+
+
+def make_folder(name: str | PathLike[str]) -> Path:
     """Make a folder unless it is there; raises `InputError` if it cannot be made."""
-    path = Path(path)
+    path = path_of(name)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -77,12 +77,12 @@ def _packages() -> Iterable[tuple[str, str]]:
             yield name, "not installed by pip"
 
 
-def checksums(folder: Path, omit: set[str]) -> str:
-    """Return the lines of `sha256sum` for the files below a folder, without hidden ones."""
-    lines = []
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and path.name not in omit and not path.name.startswith("."):
-            with open(path, "rb") as opened:
-                digest = hashlib.file_digest(opened, "sha256").hexdigest()
-            lines.append(f"{digest}  {path.relative_to(folder)}\n")
-    return "".join(lines)
+def checksum(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with open(path, "rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
+
+
+def checksums(folder: Path, paths: Iterable[Path]) -> str:
+    """Return the lines of `sha256sum` for files below a folder."""
+    return "".join(f"{checksum(path)}  {path.relative_to(folder)}\n" for path in paths)

@@ -29,10 +29,12 @@ from lmpchain.engines.native import companion_run
 from lmpchain.engines.step_control import first_attempt
 from lmpchain.simulation import api, checkpoints, many, run_folder
 from lmpchain.simulation import task as tasks
+from lmpchain.simulation.folder_files import check_new, remove
 from lmpchain.simulation.policy import policy_for
 from lmpchain.simulation.run_folder import status
 from lmpchain.simulation.signals import Requests
 from lmpchain.util import progress
+from lmpchain.util.files import sealed_json
 
 CHAIN = Chain(grains=12, diameter=1e-3)
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=6e-5, samples=61)
@@ -275,9 +277,9 @@ def test_a_folder_that_another_process_uses_is_left_alone(tmp_path, small_blocks
         with pytest.raises(InputError, match="another process is at work here"):
             resume(folder)
         with pytest.raises(InputError, match="another process is at work here"):
-            tasks.remove(folder)
-    tasks.remove(folder)
-    assert not folder.exists()
+            remove(folder)
+    remove(folder)
+    assert list(folder.iterdir()) == []
 
 
 def test_a_run_that_was_killed_says_so(tmp_path, small_blocks):
@@ -371,16 +373,17 @@ def test_names_of_folders():
 
 def test_what_a_new_folder_may_hold(tmp_path):
     """What a run leaves that was killed as it began, and nothing else."""
-    for name in ("status.json", "run.json", ".lock", ".run.json.partial-1"):
-        (tmp_path / name).touch()
-    (tmp_path / ".run.json.partial-1").rename(tmp_path / "run.partial.json")
-    assert tasks.check_new(tmp_path) == tmp_path
+    for name in ("status.json", "run.json"):
+        (tmp_path / name).write_text(sealed_json({"state": "running"}))
+    (tmp_path / ".lock").touch()
+    (tmp_path / ".run.node-1-01234567.partial.json").touch()
+    assert check_new(tmp_path) == tmp_path
     (tmp_path / "notes.txt").touch()
-    with pytest.raises(InputError, match="is neither empty nor a run folder"):
-        tasks.check_new(tmp_path)
+    with pytest.raises(InputError, match=r"is neither empty nor a run folder: notes\.txt is not"):
+        check_new(tmp_path)
     with pytest.raises(InputError, match="is a file"):
-        tasks.check_new(tmp_path / "notes.txt")
-    assert tasks.check_new(tmp_path / "new") == tmp_path / "new"
+        check_new(tmp_path / "notes.txt")
+    assert check_new(tmp_path / "new") == tmp_path / "new"
 
 
 def test_a_task_that_was_changed_is_noticed(tmp_path, small_blocks):

@@ -101,6 +101,8 @@ class Lammps(TimeSteppingEngine):
     name: ClassVar[str] = "lammps"
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
+    inputs: ClassVar[tuple[str, ...]] = (f"{DECK}/in.column", f"{DECK}/column.data")
+    logs: ClassVar[tuple[str, ...]] = (LOG,)
     ranks_of_mpi: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8

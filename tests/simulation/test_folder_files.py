@@ -1,0 +1,247 @@
+"""Only what lmpchain wrote, known by its seal, is ever replaced or removed in a run folder."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from helpers.child_processes import write
+from helpers.example_scenes import paper
+
+from lmpchain import (
+    Chain,
+    Impulse,
+    InputError,
+    Scene,
+    Stopped,
+    Trajectory,
+    engines,
+    resume,
+    simulate,
+)
+from lmpchain.cli.command_line import main
+from lmpchain.simulation.folder_files import strangers
+from lmpchain.simulation.run_folder import status
+
+SCENE = Scene(
+    chain=Chain(grains=8, diameter=1e-3),
+    excitation=Impulse(velocity=1e-4),
+    duration=2e-5,
+    samples=5,
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    simulate(SCENE, "native", folder=folder)
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in folder.rglob("*")
+    }
+
+
+def run_into(folder: Path, scene: Path, *options: str) -> int:
+    return main(["run", str(scene), "-o", f"{folder}/", "--engine", "native", *options])
+
+
+def refused(folder: Path, capsys: pytest.CaptureFixture[str], scene: Path, *options: str) -> str:
+    """Run into a folder, which must be refused and left as it is; return the line."""
+    before = contents(folder)
+    capsys.readouterr()
+    assert run_into(folder, scene, *options) == 2
+    assert contents(folder) == before
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {folder}")
+    return line
+
+
+# --- folders of a user's own
+
+
+@pytest.mark.parametrize("order", ["{}", '{"rows": []}', "", "[1]", '{"sha256": "0"}', "[" * 99999])
+@pytest.mark.parametrize("options", [(), ("--force",)])
+def test_a_scene_beside_a_run_json_is_no_run(
+    order: str, options: tuple, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """As `compare --json run.json` leaves it; figures and notes were deleted with it."""
+    scene = write(SCENE, tmp_path)
+    scene = scene.rename(tmp_path / "scene.toml")
+    (tmp_path / "run.json").write_text(order)
+    (tmp_path / "figure.png").write_bytes(b"picture")
+    line = refused(tmp_path, capsys, scene, *options)
+    assert "neither empty nor a run folder: figure.png, run.json, scene.toml are not" in line
+    assert "--force" not in line
+    with pytest.raises(InputError, match="figure"):
+        simulate(SCENE, "native", folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("run.json", "{}"),
+        ("status.json", '{"state": "running"}'),
+        ("status.json", ""),
+        (".x.partial", "mine"),
+        (".run.partial.json", "mine"),
+        (".lock", "mine"),
+        ("checkpoint", "mine"),
+        ("SHA256SUMS", "mine"),
+        ("log.lammps.txt", "mine"),
+        ("notes.md", "mine"),
+        ("data/notes.md", "mine"),
+    ],
+)
+def test_a_file_of_a_user_is_not_overwritten(
+    name: str, content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    scene = write(SCENE, tmp_path)
+    folder = tmp_path / "run"
+    (folder / name).parent.mkdir(parents=True)
+    (folder / name).write_text(content)
+    for options in ((), ("--force",)):
+        assert name in refused(folder, capsys, scene, *options)
+
+
+def test_a_link_is_not_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene = write(SCENE, tmp_path)
+    (tmp_path / "mine").touch()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "status.json").symlink_to(tmp_path / "mine")
+    assert "status.json" in refused(tmp_path / "run", capsys, scene)
+
+
+# --- run folders with other things in them
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "notes.md",
+        ".x.partial",
+        ".notes.node-1-01234567.partial.md",
+        "deck/in.column",
+        "trajectory.zarr/notes.md",
+        "trajectory.zarr/velocity/c/notes.md",
+        "trajectory.zarr/velocity/c/0/notes.partial",
+        "pictures/front.png",
+    ],
+)
+def test_what_lies_beside_a_run_is_kept(
+    name: str, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    scene = write(SCENE, tmp_path)
+    folder = shutil.copytree(finished, tmp_path / "run")
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text("mine")
+    line = refused(folder, capsys, scene, "--force")
+    assert name in line
+    assert "move" in line
+    # a run goes on beside them
+    assert (resume(folder).velocity[:] == Trajectory.load(finished).velocity[:]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("scene.toml", lambda text: text + "# mine"),
+        ("run.json", lambda text: text.replace("1e-06", "1e-05")),
+        ("run.json", lambda text: json.dumps(json.loads(text) | {"mine": 1})),
+        ("status.json", lambda text: text.replace("finished", "Finished")),
+        ("status.json", lambda _: "{}"),
+        ("SHA256SUMS", lambda text: text + "mine"),
+        (".lock", lambda _: "mine"),
+    ],
+)
+def test_what_was_changed_is_kept(
+    name: str,
+    change: Callable[[str], str],
+    finished: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    scene = write(SCENE, tmp_path)
+    folder = shutil.copytree(finished, tmp_path / "run")
+    (folder / name).write_text(change((folder / name).read_text()))
+    assert name in refused(folder, capsys, scene, "--force")
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_the_deck_of_a_run_is_the_users_once_it_is_edited(
+    stop: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = tmp_path / "run"
+    engine = engines.Lammps(integrator="verlet", step=1e-7, diameter="physical")
+    scene = paper("fig5 g", 11)
+    if stop:
+        with pytest.raises(Stopped):
+            simulate(scene, engine, folder=folder, max_wall=1e-9)
+    else:
+        simulate(scene, engine, folder=folder)
+    assert strangers(folder) == []
+    with open(folder / "deck" / "in.column", "a") as deck:
+        deck.write("# mine\n")
+    assert "deck/in.column" in refused(folder, capsys, write(SCENE, tmp_path), "--force")
+
+
+def test_by_force_the_run_goes_and_the_folder_stays(finished: Path, tmp_path: Path):
+    scene = write(SCENE, tmp_path)
+    folder = shutil.copytree(finished, tmp_path / "run")
+    # half written by killed processes
+    (folder / ".status.node-1-01234567.partial.json").touch()
+    (folder / "trajectory.zarr" / "time" / "c" / f"0.{'a' * 32}.partial").touch()
+    number = folder.stat().st_ino
+    assert run_into(folder, scene, "--force", "--tolerance", "1e-3") == 0
+    assert folder.stat().st_ino == number
+    assert status(folder)["tolerance"] == 1e-3
+    assert not list(folder.rglob("*.partial*"))
+    assert strangers(folder) == []
+    listed = [line.split("  ")[1] for line in (folder / "SHA256SUMS").read_text().splitlines()]
+    assert {"scene.toml", "run.json", "trajectory.zarr/velocity/zarr.json"} < set(listed)
+
+
+def test_the_sums_list_what_is_lmpchains(tmp_path: Path):
+    folder = tmp_path / "run"
+    with pytest.raises(Stopped):
+        simulate(SCENE, "native", folder=folder, max_wall=1e-9)
+    (folder / "notes.md").write_text("mine")
+    resume(folder)
+    assert "notes.md" not in (folder / "SHA256SUMS").read_text()
+
+
+def test_an_empty_folder_stays_where_a_run_is_refused_at_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The folder was there before, and is no part of the run."""
+
+    def refuse(*_: object) -> None:
+        raise InputError.at("scene", "is refused late")
+
+    monkeypatch.setattr(engines.Native, "start", refuse)
+    (tmp_path / "old").mkdir()
+    for name in ("old", "new"):
+        with pytest.raises(InputError, match="refused late"):
+            simulate(SCENE, "native", folder=tmp_path / name)
+    assert os.listdir(tmp_path) == ["old"]
+    assert os.listdir(tmp_path / "old") == []
+
+
+# --- names that no folder can bear
+
+
+@pytest.mark.parametrize("name", [3, 1.5, None, True, b"run", ["run"], "", "a" * 300, "a\0b"])
+def test_names_that_no_folder_can_bear(name: object, tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    calls: list[Callable] = [resume, status]
+    if name is not None:
+        calls.append(lambda name: simulate(SCENE, "native", folder=name))
+    for call in calls:
+        with pytest.raises(InputError, match=r"^folder: "):
+            call(name)
+    assert os.listdir(tmp_path) == []
