@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
-from ..util.tables import align
+from ..util.tables import align, counted
 from .common import beside, complain, gather, on_terminal, output, read
 
 if TYPE_CHECKING:
@@ -172,13 +172,14 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     cost = trajectory.cost
     error = trajectory.error_estimate
     scene = trajectory.scene
+    grains = counted(scene.chain.grains, "grain")
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     # Eq. (1) is solved without a model error
     shares = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
     lines = {
         "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation}){ranks}",
-        "scene": f"{scene.chain.grains} grains, {scene.samples} samples over {scene.duration:g} s",
-        "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
+        "scene": f"{grains}, {scene.samples} samples over {scene.duration:g} s",
+        "integrator": f"{cost.integrator}, {cost.steps_over(scene.duration)}",
         "estimated error": f"{error.total:.2g}{shares} (tolerance {tolerance:g})",
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error "
         f"estimate, {cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",

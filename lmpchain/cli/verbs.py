@@ -118,7 +118,8 @@ VERBS = {
             _argument(
                 "--integrator",
                 metavar="I",
-                help="rkn6, kahan-li6 or verlet (default: what the engine prefers)",
+                help="rkn6, kahan-li6 or verlet; of native also auto, rkn4, kahan-li8, dop853 and "
+                "gear4 (default: what the engine prefers)",
             ),
             _argument(
                 "--step",

@@ -31,6 +31,8 @@ REGISTRY = {  # module and class, by name
     "continuum": ("linear.closed_form", "Continuum"),
 }
 __all__ = ["Engine", "automatic", "get", "names", *(cls for _, cls in REGISTRY.values())]
+# of `simulate` for every engine
+ARGUMENTS = ("engine", "tolerance", "on_miss", "progress", "folder", "max_wall")
 ON_REQUEST = frozenset({"lammps"})  # taken by "auto" only where no other engine can do a scene
 
 
@@ -74,11 +76,11 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     # the constructor would name the first wrong option only
     parameters = list(signature(engine_class).parameters) if options else []
     if unknown := [key for key in options if key not in parameters]:
-        listed = ", ".join(parameters)
+        cure = f"it has {', '.join(parameters)}" if parameters else "it has none: leave it out"
         no = f"the engine {engine} has no such option"
-        raise InputError(
-            [(key, f"{no}{did_you_mean(key, parameters)}; it has {listed}") for key in unknown]
-        )
+        # an argument that all engines have may be misspelt, too
+        known = (*parameters, *ARGUMENTS)
+        raise InputError([(key, f"{no}{did_you_mean(key, known)}; {cure}") for key in unknown])
     return engine_class(**options)
 
 

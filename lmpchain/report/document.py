@@ -17,6 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.files import write_aside
 from ..util.plotting import si
 from ..util.progress import ProgressBar
+from ..util.tables import counted
 from ..util.templates import render
 from . import live, panels
 from .origin import NOT_RECORDED
@@ -117,7 +118,7 @@ def title(trajectory: Trajectory) -> str:
     weight = f"g = {chain.gravity:g} m/s²" if chain.gravity else "no gravity"
     load = f", load {chain.top_load:g} N" if chain.top_load else ""
     run = f"{scene.excitation.label}, {si(scene.duration, 's')}, {trajectory.engine}"
-    return f"{chain.grains} grains, {weight}{load}, {run}"
+    return f"{counted(chain.grains, 'grain')}, {weight}{load}, {run}"
 
 
 def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
@@ -137,13 +138,14 @@ def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[
     error = trajectory.error_estimate
     cost = trajectory.cost
     strike = f"strike number {scene.strike_number:.3g}; linear theory needs far below 1"
-    yield "Scene", f"{scene.chain.grains} grains, {scene.excitation.label}", strike
+    yield "Scene", f"{counted(scene.chain.grains, 'grain')}, {scene.excitation.label}", strike
     yield "Engine", trajectory.engine, f"solves Eq. ({trajectory.equation}) {cost.integrator}"
     tolerance = trajectory.provenance.get("tolerance", "not recorded")
     yield "Tolerance", tolerance, "largest relative error asked for"
     estimate = f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
     yield "Error", f"{error.total:.2g}", estimate
-    work = f"{cost.steps} steps, {cost.active_grains} grains computed"
+    computed = counted(cost.active_grains, "grain")
+    work = f"{cost.steps_over(scene.duration)}, {computed} computed"
     yield "Cost", f"{cost.total_s:.3g} s", work
     yield "Date", origin["date"], ""
     yield "Command", origin["command"], ""
@@ -154,7 +156,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     cost = trajectory.cost
     chain = scene.chain
     ends = f"top {chain.top}, bottom {chain.bottom}"
-    yield "chain", f"{chain.grains} grains, {ends}, exponent {chain.exponent:g}"
+    yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, exponent {chain.exponent:g}"
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N"
     values = ", ".join(
         f"{key} {value:g}"
@@ -165,7 +167,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     )
     yield "excitation", f"{scene.excitation.kind}: {values}"
     samples = f"{trajectory.time.size} times up to {scene.duration:g} s"
-    yield "recorded", f"{trajectory.grains.size} grains at {samples}"
+    yield "recorded", f"{counted(trajectory.grains.size, 'grain')} at {samples}"
     yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
     # the fields of the cost name their unit

@@ -20,6 +20,7 @@ from ..chain.plausible import LIMITS
 from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
+from ..util.tables import counted
 from ..util.validation import make_unchecked
 from . import toml_file
 from .base import Excitation
@@ -131,7 +132,8 @@ class Scene(Recording):
         yield "excitation", repr(self.excitation), ""
         yield (
             "recorded",
-            f"{self.samples} times to {self.duration:g} s, {self.count(self.chain)} grains",
+            f"{self.samples} times to {self.duration:g} s, "
+            f"{counted(self.count(self.chain), 'grain')}",
             "",
         )
         if self.chain.grains <= DETAILED_GRAINS:

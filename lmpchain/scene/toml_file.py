@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,6 +45,21 @@ class FileSizes:
 
 FILE_SIZES = FileSizes()
 SECTIONS = ("chain", "excitation", "recording")
+# options of a run, which a scene does not have
+OF_RUNS = ("engine", "tolerance", "integrator", "step", "threads", "ranks")
+# what a line looks like that is no TOML, and what to do; the first that fits counts
+CURES = (
+    (r"[\u2018\u2019\u201c\u201d]", 'use straight quotes, "'),
+    (r"^\s*[\w.-]+\s*:", "write key = value"),
+    (r"=\s*(True|False)\b", "write true or false, in small letters"),
+    (r"=\s*\[?\s*[A-Za-z]", 'text needs quotes, as in kind = "impulse"'),
+    (r"=[^\"']*\d,\d+\s*$", "numbers have a point, not a comma"),
+    (r"=[^\"']*(\.(\D|$)|(^|\D)\.\d)", "numbers need a digit after the point, and before it"),
+    (r"=\s*[-+.\deE]+\s*[A-Za-zµ]", "give the number alone, in SI units"),
+    (r"=\s*$", "give a value"),
+    (r"^\s*\[[^\]]*$", "close the bracket"),
+    (r"=\s*\"[^\"]*$", "close the quotes"),
+)
 
 
 def read(path: str | PathLike[str]) -> dict[str, Any]:
@@ -128,6 +144,10 @@ def _misplaced(key: str) -> str:
     homes = " or ".join(f"[{section}]" for section, keys in fields.items() if key in keys)
     if homes:
         return f"belongs to a section: put it below the line {homes}"
+    if option := next((name for name in OF_RUNS if did_you_mean(key, [name])), ""):
+        guess = did_you_mean(key, [option]) if option != key else ""
+        cure = f"the scene is run with lmpchain run SCENE.toml --{option} ..."
+        return f"belongs to a run, not to its scene{guess}: take it out; {cure}"
     return f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {', '.join(SECTIONS)}"
 
 
@@ -156,7 +176,9 @@ def parse(path: Path) -> dict[str, Any]:
     name = str(path)
     try:
         check_readable(path, FILE_SIZES.scene)
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        # editors on Windows begin a file with a mark of its encoding, which utf-8-sig takes off
+        text = path.read_bytes().decode("utf-8-sig")
+        return tomllib.loads(text)
     except FileNotFoundError:
         raise InputError.at(name, "there is no such file") from None
     except OSError as error:
@@ -168,14 +190,26 @@ def parse(path: Path) -> dict[str, Any]:
             name, "is not text in UTF-8; a scene file is a TOML text file"
         ) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError.at(
-            name, f"is not valid TOML: {error} (numbers need a digit after the point)"
-        ) from None
+        raise InputError.at(name, f"is not valid TOML: {error}{_cure(text, error)}") from None
     except RecursionError:
         raise InputError.at(name, "is not valid TOML: nested too deeply") from None
     # a number of thousands of digits; a name with a null character
     except ValueError as error:
         raise InputError.at(name, f"cannot be read: {error}") from None
+
+
+def _cure(text: str, error: tomllib.TOMLDecodeError) -> str:
+    """Return what to do about the line that an error names, in brackets; empty if unknown."""
+    if "overwrite" in str(error) or "twice" in str(error):
+        return " (give each key and each table once)"
+    number = re.search(r"at line (\d+)", str(error))
+    if not number:
+        return ""
+    # tomllib ends lines at \n alone
+    line = text.split("\n")[int(number[1]) - 1]
+    cures = (cure for pattern, cure in CURES if re.search(pattern, line))
+    cure = next(cures, "")
+    return f" ({cure})" if cure else ""
 
 
 def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.tables import counted
 from . import gathered
 
 FORMAT = 1  # version of the files
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
+ROUNDED = 1e-9  # of a duration, by which steps of one length may exceed it
 DATA_TYPES = {"grain": "int64"}  # all other arrays are of float64
 # metadata of a file
 ATTRIBUTES = (
@@ -85,6 +87,24 @@ class Cost(NamedTuple):
     def total_s(self) -> float:
         """All of the time but that of compilation, s."""
         return self.integration_s + self.estimate_s + self.setup_s
+
+    def steps_over(self, duration: float) -> str:
+        """Return the number and the length of the steps that a run of this length, s, took.
+
+        Examples
+        --------
+        >>> cost = Cost(0.0, 0.0, 0.0, 100, 300, 10, "verlet", 1e-6, 1)
+        >>> cost.steps_over(1e-4)
+        '100 steps of 1e-06 s'
+        >>> cost.steps_over(5e-5)
+        '100 steps of 5e-07 s on average, 1e-06 s at most'
+        """
+        steps = counted(self.steps, "step")
+        # those that adapt are shorter where contacts open and close
+        if self.steps * self.step_s > duration * (1 + ROUNDED):
+            mean = duration / self.steps
+            return f"{steps} of {mean:.4g} s on average, {self.step_s:.4g} s at most"
+        return f"{steps} of {self.step_s:.4g} s"
 
 
 class Block(NamedTuple):

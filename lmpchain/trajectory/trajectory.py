@@ -14,6 +14,7 @@ from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
+from ..util.tables import counted
 from .record import Record, read_result, select_gathered
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class Trajectory(Shown, Record):
     """
 
     def __repr__(self) -> str:
-        size = f"{self.time.size} samples x {self.grains.size} grains"
+        size = f"{self.time.size} samples x {counted(self.grains.size, 'grain')}"
         return (
             f"Trajectory({self.engine}, Eq. ({self.equation}), {size}, error "
             f"{self.error_estimate.total:.2g})"
@@ -59,19 +60,21 @@ class Trajectory(Shown, Record):
         scene = self.scene
         error = self.error_estimate
         cost = self.cost
-        yield "scene", f"{scene.chain.grains} grains, {scene.excitation.label}"
+        yield "scene", f"{counted(scene.chain.grains, 'grain')}, {scene.excitation.label}"
         yield "engine", f"{self.engine}, which solves Eq. ({self.equation})"
         yield (
             "recorded",
-            f"{self.time.size} times to {scene.duration:g} s, {self.grains.size} grains",
+            f"{self.time.size} times to {scene.duration:g} s, {counted(self.grains.size, 'grain')}",
         )
         yield (
             "error estimate",
             f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)",
         )
-        method = f" of {cost.step_s:.4g} s by {cost.integrator}" if cost.integrator else ""
-        steps = f"{cost.steps} steps{method}"
-        yield "cost", f"{cost.total_s:.3g} s, {steps}, {cost.active_grains} grains computed"
+        steps = counted(cost.steps, "step")
+        if cost.integrator:
+            steps = f"{cost.steps_over(scene.duration)} by {cost.integrator}"
+        computed = counted(cost.active_grains, "grain")
+        yield "cost", f"{cost.total_s:.3g} s, {steps}, {computed} computed"
 
     def _picture(self) -> str:
         return super()._picture() if self.time.size * self.grains.size <= DRAWN_VALUES else ""

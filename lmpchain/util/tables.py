@@ -35,6 +35,17 @@ def number(
     return f"{value:{form}} {unit}".rstrip()
 
 
+def counted(count: int, thing: str) -> str:
+    """Return how many there are of a thing, in the singular for one.
+
+    Examples
+    --------
+    >>> counted(1, "step"), counted(20, "grain")
+    ('1 step', '20 grains')
+    """
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
+
+
 def finite(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row with None, JSON's null, in place of numbers that are not finite."""
     return {
