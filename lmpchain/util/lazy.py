@@ -51,7 +51,7 @@ def listed(module: str) -> Callable[[], list[str]]:
     --------
     >>> from lmpchain.util import tables
     >>> listed(tables.__name__)()
-    ['align', 'finite', 'number']
+    ['align', 'counted', 'finite', 'number']
     """
 
     def names() -> list[str]:

@@ -7,8 +7,6 @@ from difflib import get_close_matches
 
 from ..errors import shown
 
-CUTOFF = 0.7  # likeness, from 0 to 1, from which on a name may be another one that is misspelt
-
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return " (did you mean 'glass'?)" for a name that resembles a known one, else nothing.
@@ -23,7 +21,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     names = {candidate.lower(): candidate for candidate in known}
     if name == "radius" and "diameter" in names:
         return " (give the diameter, twice the radius)"
-    close = get_close_matches(name.lower(), names, 1, CUTOFF) if isinstance(name, str) else []
+    close = get_close_matches(name.lower(), names, 1) if isinstance(name, str) else []
     return f" (did you mean {names[close[0]]!r}?)" if close else ""
 
 

@@ -76,7 +76,7 @@ def test_cards_say_what_was_asked_and_what_it_took(run: Trajectory, rows: Any):
     assert cards["Engine"] == ["native", f"solves Eq. (1) {run.cost.integrator}"]
     assert cards["Tolerance"] == ["1e-06", "largest relative error asked for"]
     assert cards["Error"] == ["0.003", "estimated: 0.003 (equation) + 2e-05 (solver)"]
-    assert cards["Cost"] == ["1.88 s", "1234 steps, 37 grains computed"]
+    assert cards["Cost"] == ["1.88 s", "1234 steps of 2e-08 s, 37 grains computed"]
     assert cards["Date"] == ["yesterday"]
     assert cards["Command"] == ["lmpchain run"]
 
