@@ -56,7 +56,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     scene = arguments.scene
     axis = arguments.axis
     # the mistakes that are likely, each with its cure, before anything heavy is loaded
-    from ..trajectory.lammps_dump import is_dump
+    from ..trajectory.dump_frames import is_dump
 
     dump = is_dump(path)
     if scene is None and dump:

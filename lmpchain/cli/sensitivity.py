@@ -40,7 +40,7 @@ def _scene(path: str) -> Any:
         from .common import read
 
         return read(path)
-    from ..trajectory.lammps_dump import is_dump
+    from ..trajectory.dump_frames import is_dump
     from ..trajectory.trajectory import Trajectory
 
     if is_dump(path):

@@ -170,14 +170,17 @@ class Trajectory(Shown, Record):
         its estimate is infinite.
 
         Frames that a restarted run wrote twice are read once, the last time; a frame that a kill
-        cut short, not at all.
+        cut short, not at all. A dump of another scene is refused: distances, overlaps, velocities,
+        radii and masses of the first frame must be those of the chain, and where samples resolve
+        the motion, displacements must change as velocities say, and velocities as forces do.
 
         Parameters
         ----------
         path : path
             A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z, or
             id xu yu zu, and vz (vx, vy for a column along x, y), and v_phi if it can be had, in any
-            order; a frame a sample of the scene.
+            order; a frame a sample of the scene. Of a periodic box, xu yu zu or image flags ix iy
+            iz beside x y z; the lines of dump_modify units and time are read, too.
         scene : Scene
             The one that the dump was made for.
         equilibrium : (N,) array, optional

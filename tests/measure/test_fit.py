@@ -669,7 +669,7 @@ def test_dumps_that_cannot_be_read(dumped: tuple[Path, Path], what: str, says: s
 @pytest.mark.parametrize(
     ("chain", "scene", "says"),
     [
-        ({"grains": 21}, {}, "has 20 atoms, the scene 21 grains"),
+        ({"grains": 21}, {}, "has 20 atoms, the scene 21 grains .step 0."),
         ({}, {"samples": 11}, "21 whole frames, the scene 11"),
         (
             {},

@@ -1,0 +1,383 @@
+"""Whether a LAMMPS dump is of a scene: its frames, grains, first frame and motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .dump_frames import Frames
+
+
+class DumpChecks(NamedTuple):
+    """Limits within which a dump fits a scene.
+
+    Attributes
+    ----------
+    start : float
+        Largest difference of the first frame from the initial state, over the largest value in the
+        dump.
+    overlap : float
+        Largest difference of an overlap in the first frame, over that overlap and the motion.
+    distance : float
+        Relative difference of distances above which they are named, and not overlaps.
+    grain : float
+        Largest relative difference of a radius or a mass: six digits, as LAMMPS writes them unless
+        told otherwise, leave half of it.
+    clock : float
+        Largest difference of the time of a frame, over the duration.
+    course : float
+        Largest relative difference between changes of the motion and what its rates make of them,
+        beyond what steps and samples leave open.
+    gauge : float
+        Largest diameter of grains that are drawn smaller than they are, over the largest overlap:
+        ten times what decks of ours take at most.
+    levels : int
+        Least number of steps of the last digit of a height that the motion must span.
+    """
+
+    start: float = 1e-6
+    overlap: float = 1e-5
+    distance: float = 1e-4
+    grain: float = 1e-5
+    clock: float = 1e-6
+    course: float = 0.002
+    gauge: float = 30.0
+    levels: int = 100
+
+
+class SampledMotion(NamedTuple):
+    """How finely the motion must be sampled for its changes to be compared with its rates.
+
+    Angles are omega h / 2, half of what the fastest motion turns through from frame to frame.
+
+    Attributes
+    ----------
+    single : float
+        Largest angle at which grains are compared one by one, and not in groups.
+    group : float
+        Grains of a group over the angle: the mean motion of so many is slow enough.
+    slowest : float
+        Largest angle of the mean motion of a group.
+    leak : float
+        How far comparisons of groups may be off, by what faster motion adds at their borders.
+    forces : float
+        Largest angle at which accelerations are compared with forces.
+    """
+
+    single: float = 0.8
+    group: float = 3.0
+    slowest: float = 0.6
+    leak: float = 0.4
+    forces: float = 1.2
+
+
+CHECKS = DumpChecks()
+SAMPLED = SampledMotion()
+CURE = "give the scene that the dump was made for"
+
+
+class Motion(NamedTuple):
+    """Motion of the grains in their order from the top.
+
+    Attributes
+    ----------
+    down : float
+        1 if the axis of the column points down, -1 if up.
+    order : (N,) array
+        Columns of the dump in the order of the grains.
+    displacement, velocity : (T, N) arrays
+        m and m/s.
+    """
+
+    down: float
+    order: np.ndarray
+    displacement: Array
+    velocity: Array
+
+
+class FirstFrame(NamedTuple):
+    """Where the grains are in the first frame.
+
+    Attributes
+    ----------
+    depths : (N,) array
+        Positions in the order of the grains, growing downward, m.
+    slack : float
+        Rounding of a distance between two of them, m.
+    drawn : bool
+        Whether grains may be drawn smaller than they are, as in decks of ours.
+    """
+
+    depths: Array
+    slack: float
+    drawn: bool
+
+
+def check_frames(name: str, scene: Scene, frames: Frames) -> None:
+    """Raise `InputError` unless the frames are those of the samples."""
+    steps = frames.steps
+    samples = scene.samples
+    interval = scene.duration / (samples - 1)
+    if len(steps) != samples:
+        duration = interval * (len(steps) - 1)
+        cure = "run LAMMPS to its end"
+        if len(steps) > 1:
+            cure = (
+                "set both in the scene, if its frames are as far apart as the scene's samples: "
+                f"samples = {len(steps)}, duration = {duration:.6g}; or {cure}"
+            )
+        raise InputError.at(
+            name,
+            f"has {len(steps)} whole frames, the scene {samples} samples over a duration of "
+            f"{scene.duration:.6g} s: {cure}",
+        )
+    if not all(np.isfinite(values).all() for values in frames.columns.values()):
+        raise InputError.at(
+            name, "holds numbers that are not finite: the run broke down; use a shorter step"
+        )
+    intervals = np.diff(steps)
+    if (intervals != intervals[0]).any():
+        raise InputError.at(
+            name, "its frames are not equally far apart: dump every so many steps, from the start"
+        )
+    if np.isnan(frames.times).all():
+        return
+    times = frames.times - frames.times[0]
+    # a time that is missing or infinite differs, too
+    if not (np.abs(times - scene.time) <= CHECKS.clock * scene.duration).all():
+        raise InputError.at(
+            name,
+            f"its frames are {times[-1] / (samples - 1):.6g} s apart by ITEM: TIME, the samples of "
+            f"the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or {CURE}",
+        )
+
+
+def check_jumps(name: str, frames: Frames, axis: str) -> None:
+    """Raise `InputError` if a periodic box wraps positions along an axis."""
+    number = "xyz".index(axis)
+    jumps = np.abs(np.diff(frames.positions(axis), axis=0))
+    if frames.periodic[number] and (jumps > frames.sides[1:, number, None] / 2).any():
+        raise InputError.at(
+            name,
+            f"its positions {axis} jump across the periodic box: dump xu yu zu, or the image flags "
+            "ix iy iz beside x y z",
+        )
+
+
+def find_misfit(scene: Scene, motion: Motion, first: FirstFrame) -> str:
+    """Return how the first frame differs from the initial state of the scene, or nothing."""
+    gauge = gauge_of(scene, motion, first)
+    distance, overlap = ("", "") if gauge else _find_gap(scene, motion, first)
+    # wrong distances make all else wrong, while overlaps differ by what grains begin with, too
+    return distance or _find_start(scene, motion, first) or overlap
+
+
+def _find_start(scene: Scene, motion: Motion, first: FirstFrame) -> str:
+    """Return which grain does not begin as in the scene, or nothing."""
+    u, v = scene.initial()
+    rounding = 1e-15 * np.abs(first.depths).max()
+    for quantity, unit, values, start, slack in (
+        ("velocity", "m/s", motion.velocity, v, 0.0),
+        ("displacement", "m", motion.displacement, u, rounding),
+    ):
+        # 0 is added so that none is written -0
+        begin = values[0] + 0.0
+        difference = np.abs(begin - start)
+        if (difference > CHECKS.start * np.abs(values).max() + slack).any():
+            n = int(difference.argmax())
+            most = int(np.abs(begin).argmax())
+            other = "" if most == n else f"; in the dump grain {most + 1} has {begin[most]:.6g}"
+            return (
+                f"grain {n + 1} begins with a {quantity} of {begin[n]:.6g} {unit}, in the scene "
+                f"{start[n]:.6g}{other}: {CURE}"
+            )
+    return ""
+
+
+def _gap_limits(scene: Scene, motion: Motion, first: FirstFrame) -> Array:
+    """Return how far each distance between neighbours may be off in the first frame, (N-1,) m."""
+    moved = 2 * np.abs(motion.displacement).max()
+    limits = CHECKS.overlap * (scene.chain.equilibrium_overlap + moved) + first.slack
+    return np.asarray(limits)
+
+
+def gauge_of(scene: Scene, motion: Motion, first: FirstFrame) -> float:
+    """Return the diameter with which all grains are drawn, m, or 0 if they are drawn as they are.
+
+    Decks of ours draw grains a few overlaps large, where heights would lose digits else.
+    """
+    if not first.drawn:
+        return 0.0
+    chain = scene.chain
+    diameters = np.diff(first.depths) - np.diff(scene.initial()[0]) + chain.equilibrium_overlap
+    gauge = float(diameters.mean())
+    spread = 2 * _gap_limits(scene, motion, first).max()
+    u = motion.displacement
+    overlap = chain.equilibrium_overlap.max() + np.maximum(u[:, :-1] - u[:, 1:], 0.0).max()
+    small = 0.0 < gauge < min(chain.diameters.min(), CHECKS.gauge * overlap)
+    return gauge if small and np.ptp(diameters) <= spread else 0.0
+
+
+def _find_gap(scene: Scene, motion: Motion, first: FirstFrame) -> tuple[str, str]:
+    """Return which distance of the first frame, or only which overlap, is not that of the scene."""
+    chain = scene.chain
+    gaps = np.diff(first.depths)
+    lengths = chain.contact_lengths[1:-1]
+    expected = lengths - chain.equilibrium_overlap + np.diff(scene.initial()[0])
+    excess = np.abs(gaps - expected) / _gap_limits(scene, motion, first)
+    n = int(excess.argmax())
+    if excess[n] <= 1:
+        return "", ""
+    pair = f"grains {n + 1} and {n + 2}"
+    # six digits of a distance would not show less
+    if abs(gaps[n] - expected[n]) > CHECKS.distance * lengths[n]:
+        distance = (
+            f"{pair} are {gaps[n]:.6g} m apart in the first frame, in the scene {expected[n]:.6g}: "
+            f"{CURE}, and the dump in units si, with xu yu zu where the box is periodic"
+        )
+        return distance, ""
+    overlap = (
+        f"{pair} overlap by {lengths[n] - gaps[n]:.6g} m in the first frame, in the scene "
+        f"{lengths[n] - expected[n]:.6g}: {CURE}, with its diameter, material, load and gravity"
+    )
+    return "", overlap
+
+
+def check_grains(
+    name: str, scene: Scene, columns: Mapping[str, Array], order: np.ndarray, gauge: float
+) -> None:
+    """Raise `InputError` if radii, diameters or masses in a dump are not those of the chain.
+
+    The `gauge` is a diameter with which all grains are drawn, m, or 0.
+    """
+    diameters = np.full(order.size, gauge) if gauge else scene.chain.diameters
+    for quantity, unit, expected in (
+        ("radius", "m", diameters / 2),
+        ("diameter", "m", diameters),
+        ("mass", "kg", scene.chain.masses),
+    ):
+        if quantity not in columns:
+            continue
+        values = columns[quantity][0, order]
+        off = np.abs(values / expected - 1)
+        n = int(off.argmax())
+        if off[n] > CHECKS.grain:
+            raise InputError.at(
+                name,
+                f"grain {n + 1} has a {quantity} of {values[n]:.6g} {unit}, in the scene "
+                f"{expected[n]:.6g}: {CURE}",
+            )
+
+
+def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: float) -> None:
+    """Raise `InputError` if the motion is not one that the scene can have.
+
+    Displacements must change as velocities say, and velocities as the forces of the chain do, so
+    far as the samples resolve the motion: else the frames are not as far apart as those of the
+    scene, or the grains are others.
+
+    Parameters
+    ----------
+    name : str
+        Of the dump, for messages.
+    scene : Scene
+    motion : Motion
+    steps : int
+        Of the run.
+    digit : float
+        The last digit of a displacement, m.
+    """
+    if scene.samples < 3:
+        return
+    interval = scene.duration / (scene.samples - 1)
+    angle = scene.highest_frequency * interval / 2
+    # the angles cubed: integrals of fourth order are off by less, of third order at both ends
+    # velocities of a long step of velocity Verlet are off by a sixth of its angle squared
+    slip = CHECKS.course + (scene.highest_frequency * scene.duration / steps) ** 2 / 3
+    single = angle <= SAMPLED.single
+    ratio, doubt = _compare(*_grouped(scene, motion, angle), interval)
+    if _factor(ratio) - 1 > slip + 2 * doubt + (angle**3 / 2 if single else SAMPLED.leak):
+        cure = f"{CURE}: one with its duration, and with as many samples as it has frames"
+        raise InputError.at(
+            name,
+            f"its displacements change {ratio:.3g} times as much from frame to frame as its "
+            f"velocities in {interval:.6g} s, the scene's time between two samples: {cure}",
+        )
+    if angle > SAMPLED.forces:
+        return
+    acceleration = _accelerations(scene, motion)
+    lawful = _lawful(scene)
+    ratio, doubt = _compare(motion.velocity[:, lawful], acceleration[:, lawful], interval)
+    size = float(np.square(acceleration[:, lawful]).mean()) or np.inf
+    # digits that are cut off make accelerations at random, of which none are in the velocities
+    noise = (scene.highest_frequency**2 * digit) ** 2 / size
+    if _factor(ratio) - 1 > slip + 2 * doubt + angle**3 / 2 + noise:
+        raise InputError.at(
+            name,
+            f"its grains are accelerated {ratio:.3g} times as much as by the forces of the scene: "
+            f"{CURE}, with its diameter, material, load and duration",
+        )
+
+
+def _grouped(scene: Scene, motion: Motion, angle: float) -> tuple[Array, Array]:
+    """Return the momenta of groups of grains that the samples resolve, and their integrals.
+
+    Forces within a group cancel, so that its momentum changes slowly: the more grains, the slower.
+    They are (T, B) kg m and kg m/s each; without groups where not even the whole column is slow.
+    """
+    masses = scene.chain.masses
+    width = math.ceil(SAMPLED.group * angle) if angle > SAMPLED.single else 1
+    width = min(width, masses.size)
+    slow = angle * math.sin(math.pi / (2 * width + 2)) if width > 1 else angle
+    count = masses.size // width if slow <= SAMPLED.slowest else 0
+    starts = width * np.arange(count)
+    u = masses * motion.displacement
+    v = masses * motion.velocity
+    if width == 1 or not count:
+        return u[:, starts], v[:, starts]
+    return np.add.reduceat(u, starts, axis=1), np.add.reduceat(v, starts, axis=1)
+
+
+def _compare(values: Array, rates: Array, interval: float) -> tuple[float, float]:
+    """Return how many times the changes of values are those by their rates, and how far it is off.
+
+    It is fitted by least squares to all changes from sample to sample, (T, B): to integrals of
+    fourth order. That differs from a fit to those of second order by more than it is off.
+    """
+    changes = np.diff(values, axis=0)
+    coarse = interval * (rates[1:] + rates[:-1]) / 2
+    bent = np.pad(np.diff(rates, 2, axis=0), ((1, 1), (0, 0)), mode="edge")
+    fine = coarse - interval * (bent[1:] + bent[:-1]) / 24
+    if not (fine.any() and coarse.any()):
+        return 1.0, 0.0
+    ratios = [float((changes * part).sum() / np.square(part).sum()) for part in (coarse, fine)]
+    return ratios[1], abs(ratios[1] - ratios[0])
+
+
+def _factor(ratio: float) -> float:
+    """Return a ratio or its inverse, whichever is above 1."""
+    return max(ratio, 1 / ratio) if ratio > 0 else math.inf
+
+
+def _lawful(scene: Scene) -> np.ndarray:
+    """Return the indices of the grains that nothing but the chain moves."""
+    excitation = scene.excitation
+    moving = np.arange(scene.chain.movable)
+    if not excitation.does_work or excitation.wall:
+        return moving
+    return moving[moving != excitation.reach(scene.chain)[0] - 1]
+
+
+def _accelerations(scene: Scene, motion: Motion) -> Array:
+    """Return the accelerations of all grains by the forces of their contacts, (T, N) m/s2."""
+    wall = scene.excitation.wall
+    above = wall.at(scene.time) if wall else None
+    contacts = scene.chain.contacts
+    forces = contacts.force_change(contacts.closer(motion.displacement, above))
+    return np.asarray(-np.diff(forces, axis=1) / scene.chain.masses)

@@ -1,0 +1,312 @@
+"""LAMMPS dumps as they stand in a file: frames, with their times, boxes and columns."""
+
+from __future__ import annotations
+
+import gzip
+import re
+import sys
+import zlib
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, short
+from ..util.arrays import Array
+from ..util.files import check_readable
+
+BEGIN = b"ITEM: TIMESTEP"
+# dump_modify units and time put these lines above it
+UNITS = b"ITEM: UNITS"
+TIME = b"ITEM: TIME"
+# lines between the first one of a frame and its atoms
+STEP = 0
+COUNT_LABEL = 1
+COUNT = 2
+BOX = 3
+SIDES = slice(4, 7)
+ATOMS = 7
+HEADER = 8
+LABELS = {COUNT_LABEL: b"ITEM: NUMBER OF ATOMS", BOX: b"ITEM: BOX BOUNDS", ATOMS: b"ITEM: ATOMS"}
+LONGEST_LINE = 2**14  # bytes: a small file could unpack to a line that fills the memory
+COUNT_DIGITS = re.compile(rb"\d{1,18}")
+AXES = ("x", "y", "z")
+UNWRAPPED = ("xu", "yu", "zu")
+IMAGES = ("ix", "iy", "iz")
+MOTION = ("vx", "vy", "vz", "v_phi")
+GRAINS = ("radius", "diameter", "mass")
+COLUMNS = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
+
+
+class Frames(NamedTuple):
+    """The frames of a dump of N atoms, T in number, in the order of their steps.
+
+    Attributes
+    ----------
+    steps : (T,) array
+        Numbers of the time steps.
+    times : (T,) array
+        s; NaN where the dump does not tell.
+    sides : (T, 3) array
+        Lengths of the box along x, y and z, m.
+    periodic : (3,) array of bool
+        Whether the box repeats along x, y and z.
+    columns : dict
+        (T, N) arrays by name, ordered by atom number, as they are written.
+    """
+
+    steps: np.ndarray
+    times: Array
+    sides: Array
+    periodic: NDArray[np.bool_]
+    columns: dict[str, Array]
+
+    @property
+    def position_columns(self) -> tuple[str, ...]:
+        """Names of the columns with positions along x, y and z."""
+        return UNWRAPPED if UNWRAPPED[0] in self.columns else AXES
+
+    def positions(self, axis: str) -> Array:
+        """Return positions along an axis, (T, N) m, as if the box had no borders."""
+        number = AXES.index(axis)
+        written = self.columns[self.position_columns[number]]
+        images = self.columns.get(IMAGES[number])
+        if images is None or self.position_columns == UNWRAPPED:
+            return written
+        return written + images * self.sides[:, number, None]
+
+
+class _Frame(NamedTuple):
+    """The lines of one frame behind the first, and its time, s."""
+
+    time: float
+    lines: list[bytes]
+
+
+def is_dump(path: str | PathLike[str]) -> bool:
+    """Return whether a file, possibly compressed by gzip, is a LAMMPS dump."""
+    path = Path(path)
+    try:
+        # reading a pipe would block
+        check_readable(path, sys.maxsize)
+        with _open(path) as opened:
+            return opened.read(len(BEGIN)).startswith((UNITS, TIME))
+    except (OSError, EOFError, ValueError, zlib.error):
+        return False
+
+
+def read_frames(path: Path, grains: int, most: int) -> Frames:
+    """Read the frames of a dump; raises `InputError` if it is none of so many grains.
+
+    A run that was stopped and started again writes frames twice, and one that was killed leaves
+    half a frame: of each step, the frame that was written last is taken, and what is not whole is
+    left out. Of a dump with more than `most` frames no more are read.
+    """
+    name = str(path)
+    if not path.is_file():
+        raise InputError.at(
+            name,
+            "is a folder; name the dump in it" if path.is_dir() else "there is no such file",
+        )
+    if not is_dump(path):
+        raise InputError.at(
+            name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom"
+        )
+    try:
+        with _open(path) as opened:
+            return _gather(name, _whole_frames(name, opened, grains), grains, most)
+    except InputError:
+        raise
+    except (ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
+        raise InputError.at(
+            name, f"cannot be read as a dump: {short(error)}; write it anew"
+        ) from None
+
+
+def _open(path: Path) -> IO[bytes]:
+    opener: Any = gzip.open if path.suffix == ".gz" else open
+    return opener(path, "rb")
+
+
+def _lines(name: str, opened: IO[bytes]) -> Iterator[bytes]:
+    """Yield the lines of a dump, each with its end; raises `InputError` where there is none."""
+    while line := opened.readline(LONGEST_LINE):
+        if not line.endswith(b"\n"):
+            if len(line) == LONGEST_LINE:
+                raise InputError.at(
+                    name, f"has a line of more than {LONGEST_LINE} letters: write it anew"
+                )
+            raise InputError.at(name, "is cut short within a line: run LAMMPS to its end")
+        yield line
+
+
+def _count(text: bytes) -> int:
+    """Return a number of atoms or steps, or -1 if it is none."""
+    return int(text) if COUNT_DIGITS.fullmatch(text.strip()) else -1
+
+
+def _text(line: bytes) -> str:
+    """Return a line for a message."""
+    return short(line.decode(errors="replace").strip())
+
+
+def _whole_frames(name: str, opened: IO[bytes], grains: int) -> Iterator[_Frame]:
+    """Yield each whole frame; frames cut short are left out."""
+    lines = _lines(name, opened)
+    time = np.nan
+    frame = _Frame(time, [])
+    for line in lines:
+        # where a run was killed within a line, the next frame begins in the middle of it
+        if BEGIN in line:
+            if _is_whole(name, frame, grains):
+                yield frame
+            frame = _Frame(time, [])
+            time = np.nan
+        elif UNITS in line:
+            _check_units(name, next(lines, b""))
+        elif TIME in line:
+            time = _time(name, next(lines, b""))
+        elif len(frame.lines) < HEADER + grains:
+            frame.lines.append(line)
+    if _is_whole(name, frame, grains):
+        yield frame
+
+
+def _check_units(name: str, line: bytes) -> None:
+    if line.strip() != b"si":
+        raise InputError.at(
+            name,
+            f"ITEM: UNITS says {_text(line)}, where lengths in m and times in s are needed: run "
+            "LAMMPS in units si",
+        )
+
+
+def _time(name: str, line: bytes) -> float:
+    try:
+        return float(line)
+    except ValueError:
+        raise InputError.at(
+            name, f"ITEM: TIME must be a number of seconds (got {_text(line)}): write it anew"
+        ) from None
+
+
+def _is_whole(name: str, frame: _Frame, grains: int) -> bool:
+    """Return whether a frame has all lines; raises `InputError` if it is of another column."""
+    lines = frame.lines
+    if len(lines) < HEADER:
+        return False
+    for row, label in LABELS.items():
+        if not lines[row].startswith(label):
+            raise InputError.at(
+                name,
+                f"has no line {label.decode()} where dump custom writes it, at step "
+                f"{_text(lines[STEP])}: write it anew, by dump custom",
+            )
+    for row, label in ((STEP, BEGIN), (COUNT, LABELS[COUNT_LABEL])):
+        if _count(lines[row]) < 0:
+            raise InputError.at(
+                name,
+                f"{label.decode()} must be a whole number (got {_text(lines[row])}): write it anew",
+            )
+    atoms = _count(lines[COUNT])
+    if atoms != grains:
+        raise InputError.at(
+            name,
+            f"has {atoms} atoms, the scene {grains} grains (step {_count(lines[STEP])}): give the "
+            "scene it was made for",
+        )
+    return len(lines) == HEADER + grains
+
+
+def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Frames:
+    """Return the frames of a dump as arrays, the last one of each step."""
+    rows: dict[int, Array] = {}
+    times: dict[int, float] = {}
+    sides: dict[int, Array] = {}
+    header: list[str] = []
+    for frame in frames:
+        lines = frame.lines
+        step = _count(lines[STEP])
+        words = lines[ATOMS].decode(errors="replace").split()[2:]
+        if not rows:
+            header = words
+            periodic = _periodic(lines[BOX])
+            names = _needed(name, header)
+            indices = [header.index(key) for key in names]
+        if words != header:
+            raise InputError.at(
+                name,
+                f"ITEM: ATOMS names other columns at step {step} than at first: dump the same "
+                "columns all along",
+            )
+        atoms = np.loadtxt(lines[HEADER:], usecols=indices, ndmin=2, comments=None)
+        if len(atoms) != grains:
+            raise ValueError(f"an atom has no line at step {step}")
+        # a restarted run writes frames again: the last one counts
+        rows[step] = _sort(atoms)
+        times[step] = frame.time
+        sides[step] = _box_sides(name, lines)
+        if len(rows) > most:
+            raise ValueError(f"it has more than {most} frames")
+    if not rows:
+        raise InputError.at(
+            name, "is cut short in its first frame: run LAMMPS to its end, or write it anew"
+        )
+    steps = np.array(sorted(rows))
+    columns = np.array([rows[step] for step in steps]).transpose(1, 0, 2)
+    return Frames(
+        steps=steps,
+        times=np.array([times[step] for step in steps]),
+        sides=np.array([sides[step] for step in steps]),
+        periodic=periodic,
+        columns=dict(zip(names[1:], columns, strict=True)),
+    )
+
+
+def _needed(name: str, columns: Sequence[str]) -> list[str]:
+    """Return the columns of a dump to read, that of the atom numbers first."""
+    # periodic boxes wrap x, y and z; xu, yu and zu go on
+    unwrapped = set(UNWRAPPED) <= set(columns)
+    positions = UNWRAPPED if unwrapped else AXES
+    missing = [key for key in ("id", *positions) if key not in columns]
+    if not {"vx", "vy", "vz"} & set(columns):
+        missing.append("vz")
+    if missing:
+        raise InputError.at(name, f"has no column {', '.join(missing)}: {COLUMNS}")
+    optional = (*MOTION, *GRAINS, *(() if unwrapped else IMAGES))
+    return ["id", *positions, *(key for key in optional if key in columns)]
+
+
+def _periodic(line: bytes) -> NDArray[np.bool_]:
+    """Return whether the box repeats along x, y and z, from the line above its bounds."""
+    # a tilted box has its tilts before these words
+    words = line.split()[-3:]
+    return np.array([word == b"pp" for word in words])
+
+
+def _box_sides(name: str, lines: Sequence[bytes]) -> Array:
+    """Return the lengths of the box along x, y and z, (3,) m."""
+    try:
+        bounds = np.array([line.split() for line in lines[SIDES]], float)
+    except ValueError:
+        bounds = np.empty((0, 0))
+    # in a tilted box the bounds are not those at which positions are wrapped
+    if bounds.shape not in ((3, 2), (3, 3)) or bounds[:, 2:].any():
+        raise InputError.at(
+            name,
+            "ITEM: BOX BOUNDS must be two numbers a line, as of a box at right angles: run LAMMPS "
+            "in such a box",
+        )
+    return np.asarray(bounds[:, 1] - bounds[:, 0])
+
+
+def _sort(atoms: Array) -> Array:
+    """Return the columns of a frame behind that of the atom numbers, in their order, (C-1, N)."""
+    numbers = atoms[:, 0]
+    order = np.argsort(numbers)
+    if (np.diff(numbers[order]) <= 0).any():
+        raise ValueError("two atoms have the same number")
+    return atoms[order, 1:].T

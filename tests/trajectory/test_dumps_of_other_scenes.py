@@ -1,0 +1,408 @@
+"""Dumps of LAMMPS that are changed, or read as another scene: each is right, or refused in a line
+that names what is wrong and the cure.
+"""
+
+import gzip
+import re
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.standalone_lammps import lmp
+
+from lmpchain import Chain, Displacement, Force, Impulse, InputError, Scene, Trajectory
+from lmpchain.cli import main
+from lmpchain.engines.lammps.export import write_deck
+
+GRAINS = 12
+CHAIN = Chain(grains=GRAINS, material="glass", diameter=1e-3, top_load=0.02)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=8e-6, samples=41)
+# a deck of ours, and one with heights, masses and radii alone
+OURS = "id type x y z vx vy vz v_phi"
+OWN = "id x y z vz radius mass"
+SIDE = 0.04  # of the box, m
+
+
+class Frame:
+    """A frame of a dump, to be changed."""
+
+    def __init__(self, text: str):
+        lines = text.splitlines()
+        self.above = ""  # lines above the first one
+        self.step = lines[1]
+        self.atoms = lines[3]
+        self.box = lines[4:8]
+        self.columns = lines[8].split()[2:]
+        self.rows = [dict(zip(self.columns, line.split(), strict=True)) for line in lines[9:]]
+
+    def change(self, column: str, law: Callable[[float], float]) -> None:
+        """Change the numbers of a column."""
+        for row in self.rows:
+            row[column] = f"{law(float(row[column])):.17g}"
+
+    def text(self) -> str:
+        """Return the lines of the frame."""
+        head = [f"{self.above}ITEM: TIMESTEP", self.step, "ITEM: NUMBER OF ATOMS", self.atoms]
+        body = [" ".join(row[key] for key in self.columns) for row in self.rows]
+        columns = "ITEM: ATOMS " + " ".join(self.columns)
+        return "\n".join([*head, *self.box, columns, *body]) + "\n"
+
+
+def frames_of(path: Path) -> list[Frame]:
+    """Return the frames of a dump."""
+    return [Frame("ITEM: TIMESTEP" + text) for text in path.read_text().split("ITEM: TIMESTEP")[1:]]
+
+
+@pytest.fixture(scope="module")
+def decks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return dumps of a deck of ours and of an own one, of one run."""
+    folder = tmp_path_factory.mktemp("deck")
+    include = folder / "own.include"
+    include.write_text(
+        f"dump own all custom 20 own.dump {OWN}\ndump_modify own sort id format float %.17g\n"
+    )
+    # 20 steps from sample to sample
+    write_deck(SCENE, folder, step=1e-8, include=include, diameter="physical")
+    lmp(folder)
+    return {"ours": folder / "column.lammpstrj", "own": folder / "own.dump"}
+
+
+@pytest.fixture(scope="module", params=["ours", "own"])
+def original(request: pytest.FixtureRequest, decks: dict[str, Path]) -> Path:
+    return decks[request.param]
+
+
+def write(path: Path, frames: list[Frame]) -> Path:
+    path.write_text("".join(frame.text() for frame in frames))
+    return path
+
+
+def refused(path: Path, scene: Scene, says: str) -> None:
+    """Assert that a dump is refused in one line that names what is wrong and the cure."""
+    with pytest.raises(InputError, match=says) as caught:
+        Trajectory.from_dump(path, scene)
+    assert str(caught.value).count("\n") == 0
+    assert re.search(r": (give|set|dump|run|write|use) ", str(caught.value))
+
+
+# --- changed dumps
+
+
+def scaled(columns: str, factor: float) -> Callable[[list[Frame]], None]:
+    def change(frames: list[Frame]) -> None:
+        for frame in frames:
+            for column in columns.split():
+                if column in frame.columns:
+                    frame.change(column, lambda value: factor * value)
+
+    return change
+
+
+def every(number: int) -> Callable[[list[Frame]], None]:
+    """Return the frames of a run with a dump so many times as rare, for as many samples."""
+
+    def change(frames: list[Frame]) -> None:
+        frames[:] = frames[::number]
+
+    return change
+
+
+def later_columns(frames: list[Frame]) -> None:
+    for frame in frames[7:]:
+        frame.columns[2:4] = frame.columns[3:1:-1]
+
+
+def fewer_columns(frames: list[Frame]) -> None:
+    for frame in frames[7:]:
+        del frame.columns[-1]
+
+
+def timed(interval: float, units: str = "si", start: float = 0.0) -> Callable[[list[Frame]], None]:
+    """Return dumps as `dump_modify units yes time yes` writes them."""
+
+    def change(frames: list[Frame]) -> None:
+        for number, frame in enumerate(frames):
+            frame.above = f"ITEM: TIME\n{start + number * interval:.16g}\n"
+        frames[0].above = f"ITEM: UNITS\n{units}\n{frames[0].above}"
+
+    return change
+
+
+def odd_times(frames: list[Frame]) -> None:
+    timed(2e-7)(frames)
+    frames[9].above = "ITEM: TIME\nnoon\n"
+
+
+def lost_time(frames: list[Frame]) -> None:
+    timed(2e-7)(frames)
+    frames[9].above = ""
+
+
+def uneven_times(frames: list[Frame]) -> None:
+    timed(2e-7)(frames)
+    frames[9].above = f"ITEM: TIME\n{9.5 * 2e-7!r}\n"
+
+
+def wrapped(flags: bool, lowest: float) -> Callable[[list[Frame]], None]:
+    """Return dumps of a box that is periodic along z and begins at a height."""
+
+    def change(frames: list[Frame]) -> None:
+        for frame in frames:
+            frame.box = ["ITEM: BOX BOUNDS ff ff pp", "-1 1", "-1 1", f"{lowest} {lowest + SIDE}"]
+            if flags:
+                frame.columns = [*frame.columns, "ix", "iy", "iz"]
+            for row in frame.rows:
+                image = np.floor((float(row["z"]) - lowest) / SIDE)
+                row["z"] = f"{float(row['z']) - SIDE * image:.17g}"
+                row |= {"ix": "0", "iy": "0", "iz": f"{image:.0f}"}
+
+    return change
+
+
+def unwrapped(frames: list[Frame]) -> None:
+    for frame in frames:
+        frame.columns = [*frame.columns, "xu", "yu", "zu"]
+        for row in frame.rows:
+            row |= {f"{key}u": row[key] for key in "xyz"}
+    wrapped(flags=False, lowest=-0.0056)(frames)
+
+
+def tilted(frames: list[Frame]) -> None:
+    for frame in frames:
+        frame.box = ["ITEM: BOX BOUNDS xy xz yz pp pp pp", "-1 1 0", "-1 1 0.5", "-1 1 0"]
+
+
+def words_in_box(frames: list[Frame]) -> None:
+    frames[3].box[3] = "low high"
+
+
+def set_line(name: str, value: str, number: int = 0) -> Callable[[list[Frame]], None]:
+    def change(frames: list[Frame]) -> None:
+        setattr(frames[number], name, value)
+
+    return change
+
+
+def one_more(frames: list[Frame]) -> None:
+    """Give a grain the height of another one, and more."""
+    frames[0].rows[4]["z"] = f"{float(frames[0].rows[4]['z']) + 1e-4:.17g}"
+
+
+COUNT = r"ITEM: NUMBER OF ATOMS must be a whole number"
+# what changes, and what is said of it; nothing where it is read as it was
+CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
+    "as it was": (lambda frames: None, ""),
+    "micrometres": (scaled("x y z", 1e6), "grains 1 and 2 are .* m apart .* in units si"),
+    "millimetres": (scaled("x y z", 1e3), "grains 1 and 2 are .* m apart .* in units si"),
+    "centimetres": (scaled("x y z vz", 1e2), "grains 1 and 2 are .* m apart"),
+    "angstroms": (scaled("x y z", 1e10), "grains 1 and 2 are .* m apart .* in units si"),
+    "all in micrometres": (scaled("x y z vz v_phi radius", 1e6), "grains 1 and 2 are .* m apart"),
+    "velocities in mm/s": (scaled("vz", 1e3), "grain 1 begins with a velocity of 0.1 m/s"),
+    "velocities upward": (scaled("vz", -1), "grain 1 begins with a velocity of -0.0001 m/s"),
+    "larger": (scaled("z radius", 1.1), "grains 1 and 2 are 0.00109"),
+    "a little larger": (scaled("z radius", 1.0001), r"grains \d+ and \d+ (are|overlap)"),
+    "smaller": (scaled("z radius", 0.9), "grains 1 and 2 are 0.000899"),
+    "one grain elsewhere": (one_more, r"grains \d+ and \d+ are 0.00"),
+    "later columns": (later_columns, "ITEM: ATOMS names other columns at step 140 than at first"),
+    "fewer columns": (fewer_columns, "ITEM: ATOMS names other columns at step 140 than at first"),
+    "other order": (lambda frames: [f.columns.reverse() for f in frames] and None, ""),
+    "with its times": (timed(2e-7), ""),
+    "with later times": (timed(2e-7, start=3.0), "samples of the scene|^$"),
+    "with times of half the length": (timed(1e-7), "1e-07 s apart by ITEM: TIME, .* scene 2e-07"),
+    "with times in us": (timed(0.2), "0.2 s apart by ITEM: TIME, .* scene 2e-07"),
+    "with times a little longer": (timed(2.001e-7), "apart by ITEM: TIME.*set its duration to"),
+    "with a word as time": (odd_times, "ITEM: TIME must be a number of seconds .got noon."),
+    "with a time lost": (lost_time, "by ITEM: TIME"),
+    "with uneven times": (uneven_times, "by ITEM: TIME"),
+    "in units lj": (timed(2e-7, units="lj"), "ITEM: UNITS says lj"),
+    "in units micro": (timed(2e-7, units="micro"), "ITEM: UNITS says micro, .*run LAMMPS in units"),
+    "in units real": (timed(2e-7, units="real"), "ITEM: UNITS says real"),
+    "in units cgs": (timed(2e-7, units="cgs"), "ITEM: UNITS says cgs"),
+    "wrapped with flags": (wrapped(flags=True, lowest=-0.0056), ""),
+    "wrapped often, with flags": (wrapped(flags=True, lowest=0.0844), ""),
+    "not wrapped, with flags": (wrapped(flags=True, lowest=-0.03), ""),
+    "not wrapped, without flags": (wrapped(flags=False, lowest=-0.03), ""),
+    "wrapped": (wrapped(flags=False, lowest=-0.0056), "m apart .*dump .* xu yu zu"),
+    "unwrapped": (unwrapped, ""),
+    "tilted": (tilted, "ITEM: BOX BOUNDS must be two numbers a line"),
+    "words in the box": (words_in_box, "ITEM: BOX BOUNDS must be two numbers a line"),
+    "superscripts": (set_line("atoms", "\N{SUPERSCRIPT TWO}"), COUNT),
+    "arabic digits": (set_line("atoms", "\N{ARABIC-INDIC DIGIT ONE}"), COUNT),
+    "thousands of digits": (set_line("atoms", "1" * 5000), COUNT),
+    "a sign": (set_line("atoms", "-12"), COUNT),
+    "underscores": (set_line("atoms", "1_2"), COUNT),
+    "digits later": (set_line("atoms", "\N{SUPERSCRIPT TWO}", 5), COUNT),
+    "a step of odd digits": (set_line("step", "\N{SUPERSCRIPT TWO}"), "ITEM: TIMESTEP must be"),
+    "no steps": (set_line("step", "first", 3), "ITEM: TIMESTEP must be a whole number .got first"),
+    "more atoms": (set_line("atoms", "13"), "has 13 atoms, the scene 12 grains"),
+    "half of the frames": (every(2), "21 whole frames.*samples = 21, duration = 4e-06"),
+    "a third of the frames": (every(3), "14 whole frames.*samples = 14, duration = 2.6e-06"),
+    "the first half": (lambda frames: frames.__delitem__(slice(21, None)), "21 whole frames"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_dump_is_read_as_it_was_or_refused(original: Path, name: str, tmp_path: Path):
+    change, says = CHANGES[name]
+    truth = Trajectory.from_dump(original, SCENE)
+    frames = frames_of(original)
+    change(frames)
+    path = write(tmp_path / "changed.dump", frames)
+    if says and not says.endswith("^$"):
+        # a deck of ours has its displacements in a column of their own
+        if name == "velocities upward" and "own" in original.name:
+            says = "grain 12 begins with a velocity|" + says
+        refused(path, SCENE, says)
+        return
+    t = Trajectory.from_dump(path, SCENE)
+    scale = np.abs(truth.displacement).max()
+    assert np.abs(t.displacement - truth.displacement).max() < 1e-7 * scale
+    assert np.array_equal(t.velocity, truth.velocity)
+
+
+def test_digits_are_those_in_the_file(decks: dict[str, Path], tmp_path: Path):
+    """What a box adds to positions has digits that the dump has not."""
+    frames = frames_of(decks["own"])
+    wrapped(flags=True, lowest=0.0844)(frames)
+    for frame in frames:
+        for row in frame.rows:
+            row["z"] = f"{float(row['z']):.8g}"
+    refused(write(tmp_path / "dump", frames), SCENE, r"its heights have \d+ digits, too few for")
+
+
+# --- dumps of another scene
+
+
+def other(chain: dict[str, Any] | None = None, **scene: Any) -> Scene:
+    """Return the scene with another chain or recording."""
+    return SCENE.replace(chain=Chain(**CHAIN.given() | (chain or {})), **scene)
+
+
+SCENES: dict[str, tuple[Scene, str]] = {
+    "steel": (other({"material": "steel"}), "overlap by|forces of the scene"),
+    "brass": (other({"material": "brass"}), "overlap by|forces of the scene"),
+    "a little denser": (
+        other({"material": {"density": 2450.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}}),
+        "overlap by .* with its diameter, material, load and gravity|has a mass of",
+    ),
+    "a little stiffer": (
+        other({"material": {"density": 2426.0, "youngs_modulus": 62.1e9, "poissons_ratio": 0.2}}),
+        "overlap by .* with its diameter, material, load and gravity",
+    ),
+    "larger": (other({"diameter": 1.1e-3}), "m apart in the first frame, in the scene 0.0010"),
+    "smaller": (other({"diameter": 0.9e-3}), "m apart in the first frame, in the scene 0.0008"),
+    "a little larger": (other({"diameter": 1.001e-3}), "m apart in the first frame"),
+    "one larger": (other({"diameter": [1e-3] * 5 + [1.02e-3] + [1e-3] * 6}), "grains 5 and 6 are"),
+    "twice the load": (other({"top_load": 0.04}), "grains 1 and 2 overlap by"),
+    "half the load": (other({"top_load": 0.01}), "grains 1 and 2 overlap by"),
+    "a little more load": (other({"top_load": 0.0202}), "grains 1 and 2 overlap by"),
+    "no load": (other({"top_load": 0.0}), "grains 1 and 2 overlap by"),
+    "no gravity": (other({"gravity": 0.0}), r"grains \d+ and \d+ overlap by"),
+    "the moon": (other({"gravity": 1.62}), r"grains \d+ and \d+ overlap by"),
+    "one heavier": (other({"masses": [4e-06, *CHAIN.masses[1:].tolist()]}), "overlap by"),
+    "another exponent": (other({"exponent": 1.4}), "overlap by"),
+    "half the duration": (other(duration=4e-6), "change 2 times .* 1e-07 s, the scene's time"),
+    "twice the duration": (other(duration=16e-6), "change 0.5 times .* 4e-07 s, the scene's"),
+    "a tenth longer": (other(duration=8.8e-6), "change 0.909 times .* give the scene"),
+    "a hundredth longer": (other(duration=8.08e-6), "change 0.99 times .* give the scene"),
+    "a tenth of the duration": (other(duration=8e-7), "change 10 times .* give the scene"),
+    "more samples": (other(samples=81), "41 whole frames, the scene 81 samples over a duration"),
+    "fewer samples": (other(samples=21), "41 whole frames, the scene 21 samples over a duration"),
+    "another speed": (
+        other(excitation=Impulse(velocity=2e-4)),
+        "grain 1 begins with a velocity of 0.0001 m/s, in the scene 0.0002: give the scene",
+    ),
+    "another grain": (
+        other(excitation=Impulse(velocity=1e-4, grain=5)),
+        "grain 1 begins with a velocity of 0.0001 m/s, in the scene 0: give the scene",
+    ),
+    "another grain, faster": (
+        other(excitation=Impulse(velocity=2e-4, grain=5)),
+        "grain 5 begins with a velocity of 0 m/s, in the scene 0.0002; in the dump grain 1 has",
+    ),
+    "a displacement": (
+        other(excitation=Displacement(displacement=1e-9, grain=3)),
+        "grain 1 begins with a velocity of 0.0001 m/s, in the scene 0",
+    ),
+    "a force": (
+        other(excitation=Force(shape="half-sine", amplitude=1e-3, duration=2e-6)),
+        "grain 1 begins with a velocity of 0.0001 m/s, in the scene 0",
+    ),
+    "more grains": (other({"grains": 13}), "has 12 atoms, the scene 13 grains"),
+    "fewer grains": (other({"grains": 11}), "has 12 atoms, the scene 11 grains"),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_dump_read_as_another_scene_is_refused(original: Path, name: str):
+    refused(original, *SCENES[name])
+
+
+@pytest.mark.parametrize("key", ["mass", "radius"])
+def test_masses_and_radii_are_those_of_the_chain(decks: dict[str, Path], key: str, tmp_path: Path):
+    frames = frames_of(decks["own"])
+    frames[0].rows[3][key] = f"{float(frames[0].rows[3][key]) * 1.0001:.17g}"
+    path = write(tmp_path / "dump", frames)
+    refused(path, SCENE, f"grain 4 has a {key} of .*, in the scene .*: give the scene")
+    for frame in frames:
+        for row in frame.rows:
+            row["mass"] = f"{CHAIN.masses[0]:g}"
+            row["radius"] = "0.0005"
+    assert np.isfinite(Trajectory.from_dump(write(path, frames), SCENE).velocity).all()
+
+
+# --- decks that were run otherwise
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("-var dt 5e-9", "change 0.5 times"),
+        ("-var dt 2e-8", "change 2 times"),
+        ("-var every 10", "change 0.5 times"),
+        ("-var every 60", "change 3 times"),
+        ("-var dt 5e-9 -var every 40", ""),
+        ("-var samples 20", "21 whole frames"),
+        ("-var v0 2e-4", "velocity of 0.0002 m/s, in the scene 0.0001"),
+    ],
+)
+@pytest.mark.parametrize("diameter", ["physical", "gauge"])
+def test_a_deck_that_is_run_with_other_variables(
+    tmp_path: Path, options: str, says: str, diameter: str
+):
+    write_deck(SCENE, tmp_path, step=1e-8, diameter=diameter)
+    lmp(tmp_path, *options.split())
+    path = tmp_path / "column.lammpstrj"
+    if not says:
+        assert Trajectory.from_dump(path, SCENE).cost.steps == 1600
+    else:
+        refused(path, SCENE, says)
+
+
+@pytest.mark.parametrize("load", [0.01, 0.024, 0.04])
+def test_a_deck_with_grains_drawn_smaller_has_the_forces_of_the_scene(tmp_path: Path, load: float):
+    """Distances between such grains do not tell the load, but the motion does."""
+    scene = other({"gravity": 0.0}, duration=8e-6)
+    write_deck(scene, tmp_path, step=1e-8, diameter="gauge")
+    lmp(tmp_path)
+    path = tmp_path / "column.lammpstrj"
+    assert np.isfinite(Trajectory.from_dump(path, scene).velocity).all()
+    refused(path, other({"gravity": 0.0, "top_load": load}), "accelerated .* times as much")
+
+
+# --- files that take the memory
+
+
+def test_a_long_line_takes_no_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "dump.gz"
+    path.write_bytes(gzip.compress(b"ITEM: TIMESTEP\n" + b"0" * 2**27, 1))
+    tracemalloc.start()
+    refused(path, SCENE, "has a line of more than 16384 letters: write it anew")
+    assert tracemalloc.get_traced_memory()[1] < 2**22
+    tracemalloc.stop()
+    SCENE.to_toml(tmp_path / "scene.toml")
+    assert main(["fit", str(path), "--scene", str(tmp_path / "scene.toml")]) == 2
+    assert "Traceback" not in capsys.readouterr().err
