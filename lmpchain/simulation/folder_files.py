@@ -12,9 +12,10 @@ from .. import engines
 from ..errors import InputError, short
 from ..trajectory import zarr_store as store
 from ..util.files import is_aside, path_of, read_sealed_json, replacing
+from ..util.locks import LOCK, is_lock, take_lock
 from ..util.provenance import checksum, checksums
 from . import checkpoints
-from .task import AT_WORK, LOCK, RUN, SCENE, STATUS, check_run, is_run, is_sealed, resume_command
+from .task import AT_WORK, RUN, SCENE, STATUS, check_run, is_run, is_sealed, resume_command
 
 SUMS = "SHA256SUMS"
 SUM = re.compile(r"([0-9a-f]{64})  (.+)")  # a line of it
@@ -97,7 +98,7 @@ def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
     if text in checkpoints.NAMES:
         return checkpoints.is_intact(path)
     if text == LOCK:
-        return path.stat().st_size == 0
+        return is_lock(path)
     if text in sums:
         return text in _names() and checksum(path) == sums[text]
     # a log grows until the run is finished
@@ -185,13 +186,12 @@ def remove(folder: Path) -> None:
     InputError
         If another process is at work there, or it holds what lmpchain did not write.
     """
-    from filelock import FileLock, Timeout
-
-    # before the lock, which is a file, too
     check_replaceable(folder)
+    lock = take_lock(folder)
+    if lock is None:
+        raise InputError.at(str(folder), AT_WORK)
     try:
-        with FileLock(folder / LOCK, timeout=0):
-            # under its lock, so that no process writes to it meanwhile
-            clear(folder)
-    except Timeout:
-        raise InputError.at(str(folder), AT_WORK) from None
+        # under its lock, so that no process writes to it meanwhile
+        clear(folder)
+    finally:
+        lock.release()

@@ -42,6 +42,7 @@ from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json
+from ..util.locks import take_lock
 from ..util.provenance import now
 from ..util.tables import finite
 from . import checkpoints
@@ -49,7 +50,7 @@ from . import task as tasks
 from .folder_files import check_new, clear, half_written, write_sums
 from .policy import record
 from .signals import Requests, Stopped
-from .task import LOCK, STATUS, Task, resume_command
+from .task import STATUS, Task, resume_command
 
 STATES = ("running", "stopped", "finished", "failed")
 SPENT = ("integration_s", "estimate_s", "setup_s")
@@ -105,7 +106,7 @@ def _find_kill(path: Path) -> dict[str, str]:
     """Return the state in place of "running" if no process is at work any more."""
     with suppress(OSError):
         # perhaps it may be read only
-        if lock := _lock(path.parent):
+        if lock := take_lock(path.parent):
             try:
                 # it may have come to its end just now
                 state = json.loads(path.read_text(encoding="utf-8"))["state"]
@@ -114,18 +115,6 @@ def _find_kill(path: Path) -> dict[str, str]:
             if state == "running":
                 return {"state": "killed", "reason": "the process that was at work was killed"}
     return {}
-
-
-def _lock(folder: Path, patience: float = 0.0) -> Any:
-    """Return the lock of a run folder once it is free, None if another process keeps it."""
-    from filelock import FileLock, Timeout
-
-    lock = FileLock(folder / LOCK, timeout=patience)
-    try:
-        lock.acquire()
-    except Timeout:
-        return None
-    return lock
 
 
 class RunFolder:
@@ -198,7 +187,7 @@ class RunFolder:
     def _take_lock(self) -> Any:
         """Return the lock of the folder, taken; raises `InputError` if another process has it."""
         try:
-            lock = _lock(self.path, INTERVALS.lock_s)
+            lock = take_lock(self.path, INTERVALS.lock_s)
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
         if not lock:

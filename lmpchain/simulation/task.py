@@ -22,7 +22,6 @@ AT_WORK = "another process is at work here; wait for it, or stop it"
 SCENE = "scene.toml"
 RUN = "run.json"
 STATUS = "status.json"
-LOCK = ".lock"
 UNSEALED = ("sha256", "sessions", SEALED)  # in run.json: what is no part of the task
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import (
@@ -13,10 +14,16 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import current_process, get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
+from ..errors import InputError
+
+UNGUARDED = (
+    "cannot start: a script that sweeps on several must be a file, and call sweep below "
+    'if __name__ == "__main__":'
+)
 SPAWN = get_context("spawn")  # a forked process would share LAMMPS, MPI and threads with this one
 
 
@@ -52,6 +59,18 @@ class Processes(Executor):
             workers, initializer=signal.pthread_sigmask, initargs=block
         )
 
+    def __enter__(self) -> Processes:
+        """Start a process; raises `InputError` if it dies of the script that it imports."""
+        try:
+            self.submit(os.getpid).result()
+        except BrokenExecutor:
+            self.shutdown()
+            raise InputError.at("workers", UNGUARDED) from None
+        except BaseException:
+            self.shutdown(cancel_futures=True)
+            raise
+        return self
+
     def submit(self, function: Callable[..., Any], /, *values: Any, **named: Any) -> Future:
         """Call the function in one of the processes."""
         return self._threads.submit(self._run, function, values, named)
@@ -85,6 +104,13 @@ class Processes(Executor):
             pool.shutdown()
         self._parent_end.close()
         self._child_end.close()
+
+
+def end_if_imported() -> None:
+    """End a process that is about to start others while it imports the script of its parent."""
+    if getattr(current_process(), "_inheriting", False):
+        # the parent says what is wrong
+        sys.exit(1)
 
 
 def _end_with(line: Connection) -> None:

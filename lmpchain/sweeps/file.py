@@ -29,7 +29,7 @@ from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
 from .quantities import QUANTITIES, of_contact, with_gathered
 
-FORMAT = 2  # version of the files of results
+FORMAT = 3  # version of the files of results
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
 MOST_GRAINS = 10**8  # as of a chain: arrays of more would fill the memory first
 DRAWS_TRIED = 32  # before a sweep is refused, as none of them makes a scene

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 import warnings
@@ -16,25 +15,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 
 from ..errors import InputError, short, shown
-from ..util.files import check_tree, make_folder, write_aside
+from ..util.files import check_tree, make_folder, read_sealed_json, sealed_json, write_aside
+from ..util.locks import take_lock
 from ..util.progress import ProgressBar
-from .executors import Here, Processes
+from .executors import Here, Processes, end_if_imported
 from .file import FORMAT, Sweep, read
 from .labels import Labels, make_labels
 from .results import load_sweep
 from .store import (
     NAME,
     PARTS,
-    RESULTS,
     Coordinates,
     Layout,
     clean,
     complete,
     create,
+    forget_damaged,
     gather,
+    intact,
     make_layout,
     whole_parts,
 )
@@ -84,11 +84,13 @@ def sweep(
     Raises
     ------
     InputError
-        With every fault of the sweep; if another process is at this folder, or nothing can be
-        written there.
+        With every fault of the sweep; if another process is at this folder, nothing can be
+        written there, or the processes cannot start.
     """
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise InputError.at("workers", f"must be a whole number from 1 (got {shown(workers)})")
+    if workers > 1 and not executor:
+        end_if_imported()
     plan = read(source)
     batch = _try_scenes(plan)
     folder = make_folder(folder).absolute()
@@ -134,16 +136,18 @@ def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, Layout, np.nd
     )
     results = folder / plan.name
     _check(results, plan)
+    _check_index(folder / NAME)
+    (results / PARTS).mkdir(parents=True, exist_ok=True)
+    if not intact(results):
+        swept = {axis.name: len(axis) for axis in plan.axes}
+        create(results, layout, _coordinates(plan, labels), swept)
     if not (results / NAME).exists():
-        (results / PARTS).mkdir(parents=True, exist_ok=True)
-        if not (results / RESULTS).exists():
-            swept = {axis.name: len(axis) for axis in plan.axes}
-            create(results, layout, _coordinates(plan, labels), swept)
         for earlier in list_earlier(folder, results):
             take_over(plan, layout, results, earlier)
         _write(results / NAME, plan.text)
     clean(results, layout)
-    _write(folder / NAME, json.dumps({"format": FORMAT, "results": plan.name}))
+    forget_damaged(results, layout)
+    _write(folder / NAME, sealed_json({"format": FORMAT, "results": plan.name}))
     for earlier in list_earlier(folder, results):
         drop(plan, earlier)
     return results, layout, labels.grains
@@ -161,6 +165,22 @@ def _check(results: Path, plan: Sweep) -> None:
         raise InputError.at(
             str(results), f"is damaged ({short(error)}): remove it, and sweep again"
         ) from None
+
+
+def _check_index(path: Path) -> None:
+    """Raise `InputError` if a file of a user's own bears the name of the index of a folder."""
+    # as earlier versions wrote it
+    older = rb'{"format": [12], "results": "[0-9a-f]{16}"}'
+    foreign = path.is_symlink() or (
+        path.is_file()
+        and path.stat().st_size
+        and read_sealed_json(path) is None
+        and not re.fullmatch(older, path.read_bytes())
+    )
+    if foreign:
+        raise InputError.at(
+            str(path), "is not lmpchain's: move it, or name another folder for the sweep"
+        )
 
 
 def _write(path: Path, text: str) -> None:
@@ -187,18 +207,13 @@ def _coordinates(plan: Sweep, labels: Labels) -> Coordinates:
 @contextmanager
 def _lock(folder: Path) -> Iterator[None]:
     """Lock the folder of a sweep."""
-    lock = folder / ".lock"
-    if lock.is_symlink() or (lock.exists() and not lock.is_file()):
-        raise InputError.at(
-            str(lock), "is a link, a device or a pipe, which lmpchain never writes: remove it"
-        )
+    lock = take_lock(folder)
+    if lock is None:
+        raise InputError.at(str(folder), "another process sweeps into this folder; wait for it")
     try:
-        with FileLock(lock, timeout=0):
-            yield
-    except Timeout:
-        raise InputError.at(
-            str(folder), "another process sweeps into this folder; wait for it"
-        ) from None
+        yield
+    finally:
+        lock.release()
 
 
 @contextmanager

@@ -7,8 +7,8 @@
         parts/0000064.npz   results of the scenes from this number on, until their shard is complete
         parts/0000064.some.npz  results of some of them, from an earlier sweep
 
-Every file appears under its name when it is whole. The shards of `reason` are written last: it is
-empty for scenes that have an answer, and stays "not done" where there is no shard.
+Every file appears under its name when it is whole and on the disk. `reason` is empty for scenes
+that have an answer, and "not done" where there is no whole shard, whatever lies there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ import numpy as np
 from ..errors import InputError, short
 from ..trajectory.gathered import file_name
 from ..util.arrays import Array
-from ..util.files import unpack_one
+from ..util.files import replacing, unpack_one
+from . import seals
 from .file import Sweep
 from .quantities import quantity
 from .store_check import STORE, check_store
@@ -40,6 +41,12 @@ PARTS = "parts"
 RESULTS = "results.zarr"
 NOT_DONE = "not done"
 SCALARS = {"model_error": "of the equation that was solved", "solver_error": "of its solution"}
+# all that is in a folder of results
+OWN = re.compile(
+    rf"{re.escape(NAME)}|{PARTS}/[0-9]{{7}}(\.some)?\.npz|{seals.OF_STORE}|{seals.OF_SHARDS}/[0-9]+\.json|"
+    rf"{re.escape(RESULTS)}/([^/]+/)?zarr\.json|{re.escape(RESULTS)}/[^/]+/c(/[0-9]+)+"
+)
+HALF_WRITTEN = re.compile(r"[^/]+\.[0-9a-f]{32}\.partial|\.[0-9]{7}(\.some)?\..*partial(\.npz)?")
 # dimensions, values and metadata by name
 Coordinates = Mapping[str, tuple[tuple[str, ...], Any, Mapping[str, str]]]
 
@@ -126,6 +133,8 @@ def read_layout(folder: Path, plan: Sweep) -> Layout:
         If it is not there, damaged, or not laid out as this package does it for this sweep.
     """
     with _open_checked(folder) as (batch, arrays):
+        if not intact(folder):
+            raise ValueError("coordinates or descriptions are not as they were written")
         laws = {law.key for axis in plan.axes for law in axis.arrays}
         extra = {}
         for name, array in arrays.items():
@@ -160,7 +169,7 @@ def _check_column(array: Mapping[str, Any], name: str, column: Column, layout: L
 def create(
     folder: Path, layout: Layout, coordinates: Coordinates, swept: Mapping[str, int]
 ) -> None:
-    """Make a store without results; it appears under its name when it is whole."""
+    """Make a store without results, or put right what is damaged of one but for its results."""
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
@@ -203,7 +212,15 @@ def create(
                 attributes=dict(attributes),
             )[:] = array.astype(object) if text else array
         # a kill before this leaves a folder that `clean` removes
-        os.replace(aside, folder / RESULTS)
+        files = [path for path in aside.rglob("*") if path.is_file()]
+        places = [folder / RESULTS / path.relative_to(aside) for path in files]
+        if not (folder / RESULTS).exists():
+            os.replace(aside, folder / RESULTS)
+        else:
+            for path, place in zip(files, places, strict=True):
+                place.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(path, place)
+        seals.write_seal(folder, folder / seals.OF_STORE, places)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 
@@ -239,14 +256,17 @@ def _open_checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]
         RecursionError,
     ) as error:
         at = str(folder / RESULTS)
-        raise InputError.at(
-            at, f"is damaged ({short(error)}): remove {folder}, and sweep again"
-        ) from None
+        raise InputError.at(at, f"is damaged ({short(error)}): sweep again") from None
+
+
+def intact(folder: Path) -> bool:
+    """Return whether a store is as it was made, but for its results."""
+    return seals.is_whole(folder, folder / seals.OF_STORE, thorough=True)
 
 
 def complete(folder: Path, shard: int) -> bool:
-    """Return whether a shard is there."""
-    return (folder / RESULTS / "reason" / "c" / str(shard)).exists()
+    """Return whether a shard is there, of every array."""
+    return seals.is_whole(folder, seals.of_shard(folder, shard))
 
 
 def part_of(folder: Path, first: int, whole: bool = True) -> Path:
@@ -256,15 +276,9 @@ def part_of(folder: Path, first: int, whole: bool = True) -> Path:
 
 def write_part(folder: Path, first: int, columns: Mapping[str, Array], whole: bool = True) -> None:
     """Write the results of some scenes, of all of their batch if `whole`."""
-    path = part_of(folder, first, whole)
-    aside = path.with_name(f".{path.stem}.{token_hex(4)}.partial")
-    try:
-        with open(aside, "wb") as opened:
-            rows: Any = {name: np.ascontiguousarray(values) for name, values in columns.items()}
-            np.savez(opened, allow_pickle=False, **rows)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
+    with replacing(part_of(folder, first, whole)) as aside, open(aside, "wb") as opened:
+        rows: Any = {name: np.ascontiguousarray(values) for name, values in columns.items()}
+        np.savez(opened, allow_pickle=False, **rows)
     if whole:
         part_of(folder, first, whole=False).unlink(missing_ok=True)
 
@@ -282,9 +296,7 @@ def read_part(path: Path, name: str, column: Column) -> Array:
         raise
     except Exception as error:
         # whatever a damaged file makes numpy and zipfile raise
-        raise InputError.at(
-            str(path), f"cannot be read ({error}): remove it, and sweep again"
-        ) from None
+        raise InputError.at(str(path), f"cannot be read ({error}): sweep again") from None
 
 
 def gather(folder: Path, layout: Layout, shard: int) -> None:
@@ -292,12 +304,7 @@ def gather(folder: Path, layout: Layout, shard: int) -> None:
     parts = [part_of(folder, first) for first in layout.batches(shard)]
     if not complete(folder, shard):
         try:
-            store = open_store(folder, writing=True)
-            for name, column in layout.columns.items():
-                # reason is the last
-                values: Any = np.concatenate([read_part(path, name, column) for path in parts])
-                values = values.astype(object) if column.dtype is str else values
-                store[name][shard * layout.shard : shard * layout.shard + len(values)] = values
+            _write_shard(folder, layout, shard, parts)
         except FileNotFoundError:
             # another process was faster
             if not complete(folder, shard):
@@ -305,6 +312,24 @@ def gather(folder: Path, layout: Layout, shard: int) -> None:
     # only now that the shard is whole
     for path in parts:
         path.unlink(missing_ok=True)
+
+
+def _write_shard(folder: Path, layout: Layout, shard: int, parts: Sequence[Path]) -> None:
+    """Write a shard of every array from its parts, and seal it when it is on the disk."""
+    store = open_store(folder, writing=True)
+    for name, column in layout.columns.items():
+        values: Any = np.concatenate([read_part(path, name, column) for path in parts])
+        values = values.astype(object) if column.dtype is str else values
+        store[name][shard * layout.shard : shard * layout.shard + len(values)] = values
+    # of scenes without any answer no shard is written
+    files = [path for name in layout.columns for path in _shard_files(folder, name, shard)]
+    seals.write_seal(folder, seals.of_shard(folder, shard), files)
+
+
+def _shard_files(folder: Path, name: str, shard: int) -> list[Path]:
+    """Return the file of a shard of an array, if there is one."""
+    place = folder / RESULTS / name / "c" / str(shard)
+    return [path for path in (place, *place.rglob("*")) if path.is_file()]
 
 
 def parts_of(folder: Path) -> dict[int, Path]:
@@ -326,13 +351,40 @@ def _parts(folder: Path, kind: str) -> dict[int, Path]:
 
 def clean(folder: Path, layout: Layout) -> None:
     """Remove what killed processes have left half done."""
-    for path in [*(folder / PARTS).glob(".*.partial"), *(folder / RESULTS).rglob("*.partial*")]:
-        path.unlink(missing_ok=True)
+    for place in (folder / PARTS, folder / RESULTS):
+        for path in place.rglob("*.partial*"):
+            if HALF_WRITTEN.fullmatch(path.name):
+                path.unlink(missing_ok=True)
     for path in folder.glob(f".{RESULTS}.*.partial"):
         shutil.rmtree(path, ignore_errors=True)
     for first, path in parts_of(folder).items():
         if complete(folder, first // layout.shard):
             path.unlink(missing_ok=True)
+
+
+def forget_damaged(folder: Path, layout: Layout) -> None:
+    """Take what is damaged of the results for not done, so that it is computed again."""
+    for shard in range(layout.shards):
+        seal = seals.of_shard(folder, shard)
+        if not seals.is_whole(folder, seal, thorough=True):
+            seal.unlink(missing_ok=True)
+            # zarr would read it before it writes the shard anew
+            for name in layout.columns:
+                for path in _shard_files(folder, name, shard):
+                    path.unlink()
+    for path in parts_of(folder).values():
+        try:
+            for name, column in layout.columns.items():
+                read_part(path, name, column)
+        except (InputError, FileNotFoundError):
+            path.unlink(missing_ok=True)
+
+
+def remove(folder: Path) -> None:
+    """Remove a folder of results, unless anything in it is not lmpchain's."""
+    names = [path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir()]
+    if all(OWN.fullmatch(name.as_posix()) for name in names):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def read(
@@ -344,22 +396,28 @@ def read(
 ) -> Array:
     """Return an array at these scenes and entries, NaN where there are no results yet."""
     array = open_store(folder)[name]
-    rows: Any = numbers
-    if (np.diff(numbers) == 1).all():
+    column = layout.columns[name]
+    shards = numbers // layout.shard
+    whole = [shard for shard in np.unique(shards).tolist() if complete(folder, shard)]
+    spots = np.flatnonzero(np.isin(shards, whole))
+    lengths = [entry.size for entry in entries] if entries else column.shape
+    values: Array = np.full((numbers.size, *lengths), column.fill, array.dtype)
+    rows: Any = numbers[spots]
+    if spots.size and (np.diff(rows) == 1).all():
         # a slice is read much faster
-        first = int(numbers[0]) if numbers.size else 0
-        rows = slice(first, first + numbers.size)
+        rows = slice(int(rows[0]), int(rows[0]) + spots.size)
     try:
-        values = np.array(array.oindex[(rows, *entries)] if entries else array.oindex[rows])
+        if spots.size:
+            values[spots] = array.oindex[(rows, *entries)] if entries else array.oindex[rows]
     except Exception as error:
         # whatever a damaged file makes zarr raise
         raise InputError.at(
-            str(folder / RESULTS / name), f"is damaged ({error}): remove it, and sweep again"
+            str(folder / RESULTS / name), f"is damaged ({error}): sweep again"
         ) from None
     batches = set(np.unique(numbers // layout.batch * layout.batch).tolist())
     for first, path in parts_of(folder).items():
-        if first in batches and not complete(folder, first // layout.shard):
-            results = read_part(path, name, layout.columns[name])
+        if first in batches and first // layout.shard not in whole:
+            results = read_part(path, name, column)
             spots = np.flatnonzero((numbers >= first) & (numbers < first + len(results)))
             results = results[numbers[spots] - first]
             for axis, entry in enumerate(entries, 1):

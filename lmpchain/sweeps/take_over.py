@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from ..errors import InputError
 from .file import Sweep, is_name
 from .results import read_results
-from .store import NAME, NOT_DONE, Layout, read, write_part
+from .store import NAME, NOT_DONE, Layout, clean, forget_damaged, read, remove, write_part
 
 
 def list_earlier(folder: Path, results: Path) -> list[Path]:
@@ -30,6 +29,8 @@ def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None
     except InputError:
         # damaged, or of another version
         return
+    clean(earlier, old_layout)
+    forget_damaged(earlier, old_layout)
     if _shapes(layout) != _shapes(old_layout) or old_plan.keep != plan.keep:
         return
     keys, old_numbers = _done(old_plan, old_layout, earlier)
@@ -92,4 +93,4 @@ def drop(plan: Sweep, earlier: Path) -> None:
     keys, _ = _done(old_plan, old_layout, earlier)
     new_keys = [plan.key(number) for number in range(plan.count)]
     if old_plan.keep == plan.keep and np.isin(keys, new_keys).all():
-        shutil.rmtree(earlier, ignore_errors=True)
+        remove(earlier)

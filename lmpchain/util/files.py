@@ -12,7 +12,7 @@ import secrets
 import stat
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from io import BytesIO
@@ -76,6 +76,13 @@ def _to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def flush_to_disk(paths: Iterable[Path]) -> None:
+    """Return when files, and the names of them in their folders, are on the disk."""
+    paths = list(paths)
+    for path in (*paths, *{path.parent for path in paths}):
+        _to_disk(path)
 
 
 def check_readable(path: Path, largest: int) -> None:

@@ -92,7 +92,7 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
     assert velocity.metadata.dimension_names == ("scene", "a", "b")
     assert dict(peak.attrs) == {"units": "m", "long_name": ""}
     assert np.isnan(velocity.fill_value)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["results.zarr"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["results.zarr", "store.json"]
     assert len(list((tmp_path / "results.zarr").iterdir())) == 4
     batch, arrays = store_check.check_store(tmp_path / "results.zarr")
     assert (batch, sorted(arrays)) == (4, ["peak", "reason", "velocity"])
@@ -166,7 +166,7 @@ def test_what_killed_processes_leave_is_cleaned_away(split: Any):
     store.gather(folder, made, 0)  # once more: another process was faster
     left = [
         folder / "parts" / ".0000006.1.partial",
-        folder / "results.zarr" / "peak" / "c" / "0.partial1",
+        folder / "results.zarr" / "peak" / "c" / f"0.{'a' * 32}.partial",
     ]
     for path in left:
         path.touch()
@@ -174,7 +174,12 @@ def test_what_killed_processes_leave_is_cleaned_away(split: Any):
     np.savez(part_of(folder, 3), peak=np.zeros(3))  # of a shard that is there
     store.clean(folder, made)
     assert not any(path.exists() for path in left)
-    assert sorted(path.name for path in folder.iterdir()) == ["parts", "results.zarr"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "parts",
+        "results.zarr",
+        "shards",
+        "store.json",
+    ]
     assert sorted(parts_of(folder)) == [6, 9]
     with pytest.raises(FileNotFoundError):
         store.gather(folder, made, 1)

@@ -59,7 +59,7 @@ def chains(count: int, **more: Any) -> dict[str, Any]:
 
 def begun(folder: Path) -> bool:
     """Say whether a part of a sweep is done; quicker than to count."""
-    return any(folder.glob("*/parts/*.npz")) or any(folder.glob("*/results.zarr/reason/c/*"))
+    return any(folder.glob("*/parts/[0-9]*.npz")) or any(folder.glob("*/results.zarr/reason/c/*"))
 
 
 # --- what is swept
@@ -432,21 +432,16 @@ def test_the_example(tmp_path, capsys):
 
 
 def test_arrays_are_read_when_they_are_used(tmp_path):
-    """Of the files only those that are asked for; the rest of the dataset works without them."""
+    """Of the files only those that are asked for, and of these the entries that are."""
     found = sweep({"scene": SHORT, "grid": {"chain.gravity": GRAVITIES}}, tmp_path)
     whole = load_sweep(tmp_path).velocity.load()
     for row, part in enumerate(
         [(slice(1, 5), [2, 2, 0]), (-1, slice(None, None, -3)), ([3, 1], 4)]
     ):
         assert np.array_equal(found.velocity[row][part], whole[row][part])
-    (
-        tmp_path
-        / json.loads((tmp_path / "sweep.json").read_text())["results"]
-        / "results.zarr/velocity/c/0/0/0"
-    ).unlink()
-    again = load_sweep(tmp_path)
-    assert np.array_equal(again.displacement[0], load_sweep(tmp_path).displacement[0])
-    assert np.isnan(again.velocity[1]).all()
+    (one,) = tmp_path.glob("*/results.zarr/velocity/c/0/0/0")
+    one.write_bytes(bytes(one.stat().st_size))
+    assert np.isfinite(load_sweep(tmp_path).displacement).all()
 
 
 @pytest.mark.parametrize(
@@ -659,8 +654,8 @@ def test_folders_that_are_no_sweeps(tmp_path):
         load_sweep(tmp_path)
     sweep(chains(2), tmp_path)
     one = next(tmp_path.glob("*/results.zarr/velocity/c/0/0/0"))
-    one.write_bytes(one.read_bytes()[:-9])
-    with pytest.raises(InputError, match="velocity"):
+    one.write_bytes(bytes(one.stat().st_size))
+    with pytest.raises(InputError, match="velocity: is damaged"):
         load_sweep(tmp_path).velocity.load()
     metadata = next(tmp_path.glob("*/results.zarr/velocity/zarr.json"))
     whole = metadata.read_text()

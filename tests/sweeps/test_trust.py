@@ -216,7 +216,7 @@ def test_a_lock_is_no_link(tmp_path):
     (tmp_path / "precious").write_text("precious")
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / ".lock").symlink_to(tmp_path / "precious")
-    with pytest.raises(InputError, match="is a link"):
+    with pytest.raises(InputError, match="is not lmpchain's, but a link"):
         sweep(ASKED, tmp_path / "sweep")
     assert (tmp_path / "precious").read_text() == "precious"
 

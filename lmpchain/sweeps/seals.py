@@ -1,0 +1,52 @@
+"""Seals of the store of a sweep: what tells that its shards, and its coordinates, are whole.
+
+    store.json              of the descriptions of all arrays, and of the coordinates
+    shards/0000003.json     of one shard of every array
+
+A seal lists files with their sizes and hashes. It is written when these are on the disk, and what
+has none counts as not done: a shard may be empty or missing after a power cut or a copy that was
+cut short, and Zarr reads such a one as a shard that nobody has written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..util.files import flush_to_disk, read_sealed_json, replacing, sealed_json
+from ..util.provenance import checksum
+
+OF_STORE = "store.json"
+OF_SHARDS = "shards"
+
+
+def of_shard(folder: Path, shard: int) -> Path:
+    """Return the path of the seal of a shard."""
+    return folder / OF_SHARDS / f"{shard:07d}.json"
+
+
+def write_seal(folder: Path, seal: Path, files: Iterable[Path]) -> None:
+    """Seal files below a folder, once they are on the disk."""
+    files = sorted(files)
+    flush_to_disk(files)
+    listed = {
+        path.relative_to(folder).as_posix(): [path.stat().st_size, checksum(path)] for path in files
+    }
+    seal.parent.mkdir(exist_ok=True)
+    with replacing(seal) as aside:
+        aside.write_text(sealed_json({"files": listed}), encoding="utf-8")
+
+
+def is_whole(folder: Path, seal: Path, thorough: bool = False) -> bool:
+    """Return whether all that a seal lists is there, by its size, or `thorough`, by its hash."""
+    record = read_sealed_json(seal)
+    if record is None:
+        return False
+    try:
+        return all(
+            (folder / name).stat().st_size == size
+            and (not thorough or checksum(folder / name) == digest)
+            for name, (size, digest) in record["files"].items()
+        )
+    except (OSError, LookupError, TypeError, ValueError, AttributeError):
+        return False
