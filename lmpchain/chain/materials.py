@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
@@ -11,6 +11,10 @@ from pydantic import BeforeValidator, Field
 from ..errors import shown
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Real
+
+# of grains that may be meant; what is below is given in GPa or g/cm3 as a rule
+LEAST_MODULUS = 1e6  # Pa
+LEAST_DENSITY = 100.0  # kg/m3
 
 
 class Material(Checked):
@@ -33,6 +37,14 @@ class Material(Checked):
     poissons_ratio: Annotated[Real, Field(gt=-1, le=0.5)]
     name: str = ""
     source: str = ""
+
+    def _remarks(self) -> Iterator[str]:
+        if self.youngs_modulus < LEAST_MODULUS:
+            soft = f"{self.youngs_modulus:g} Pa is softer than rubber"
+            yield f"youngs_modulus: {soft}; moduli are in pascals (62 GPa is 62e9)"
+        if self.density < LEAST_DENSITY:
+            light = f"{self.density:g} kg/m3 is lighter than foam"
+            yield f"density: {light}; densities are in kg/m3 (2.4 g/cm3 is 2400)"
 
     def __repr__(self) -> str:
         return f"Material({self.name!r})" if self.name else super().__repr__()

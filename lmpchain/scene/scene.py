@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LONGEST_DURATION = 3600.0  # s: of one that may be meant
+# s and m: of one that may be meant where grains are as narrow, in which a wave takes microseconds
+DURATION_OF_NARROW = 1.0
+NARROW = 0.05
 # omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is
 # known between them
 GATHERING_TURN = 0.5
@@ -96,8 +99,10 @@ class Scene(Recording):
         yield from self.faults(self.chain)
 
     def _remarks(self) -> Iterator[str]:
-        if self.duration > LONGEST_DURATION:
-            long = f"{self.duration:g} s is long for a wave in a chain"
+        narrowest = float(np.min(self.chain.diameter))
+        longest = DURATION_OF_NARROW if narrowest < NARROW else LONGEST_DURATION
+        if self.duration > longest:
+            long = f"{self.duration:g} s is long for a wave in grains of {1e3 * narrowest:.3g} mm"
             yield f"duration: {long}; times are in seconds (100 us is 1e-4)"
         if not self._gentle:
             yield from strike_remarks(

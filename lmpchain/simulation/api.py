@@ -27,6 +27,7 @@ from .task import Task
 if TYPE_CHECKING:
     from .run_folder import RunFolder
 
+PATIENCE_S = 120.0  # of a run that is announced
 ESTIMATE_S = 2.0  # between two error estimates for the progress bar
 
 
@@ -170,6 +171,7 @@ def _answer(
     policy = task.policy
     scene = task.scene
     attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
+    _announce(attempt)
     with output.requests:
         while True:
             engine = output.prepare(policy.engine(attempt))
@@ -190,6 +192,14 @@ def _answer(
                 compiled_s=cost.compile_s,
             )
     return output.finish(outcome, gathered), outcome
+
+
+def _announce(attempt: Attempt) -> None:
+    """Warn of a run that takes minutes, before it begins."""
+    if attempt.candidate.cost_s > PATIENCE_S:
+        minutes = f"the run takes some {attempt.candidate.cost_s / 60:.2g} minutes"
+        cure = "a shorter duration or a larger tolerance takes less, a folder keeps what is done"
+        warnings.warn(f"{minutes}: {cure}", stacklevel=4)
 
 
 def _solve(

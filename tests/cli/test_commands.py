@@ -75,7 +75,8 @@ def test_the_summary_of_a_run_number_by_number(
     assert said == {
         "engine": "native, which solves Eq. (1), on 3 ranks",
         "scene": "20 grains, 11 samples over 2e-05 s",
-        "integrator": f"{answer.cost.integrator}, 1234 steps of 2.5e-08 s",
+        "integrator": f"{answer.cost.integrator}, 1234 steps of 1.621e-08 s on average, "
+        "2.5e-08 s at most",
         "estimated error": "0.003 = 0.003 (equation) + 2e-05 (solver) (tolerance 0.0001)",
         "time spent": "1.25 s integration, 0.5 s error estimate, 0.125 s set-up, 9 s compilation",
         "file": str(scene.with_suffix(".nc")),

@@ -310,7 +310,8 @@ def refused(path: Path | str, capsys: pytest.CaptureFixture[str]) -> list[str]:
     said = capsys.readouterr()
     assert code == 2, said.err
     assert said.out == ""
-    lines = said.err.splitlines()
+    # a warning may name the slip behind a fault
+    lines = [line for line in said.err.splitlines() if not line.startswith("warning: ")]
     assert lines
     assert all(line.startswith("error: ") for line in lines), said.err
     return [line.removeprefix("error: ").split(": ")[0] for line in lines]

@@ -8,7 +8,19 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.linalg import eigh
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, InputError, Packet, Profile, Scene
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Material,
+    Packet,
+    Profile,
+    Scene,
+    simulate,
+)
 from lmpchain.scene.excitation import EXCITATIONS
 from lmpchain.util.validation import make_unchecked
 
@@ -128,12 +140,53 @@ def test_samples_and_durations_have_limits() -> None:
 
 def test_a_long_duration_is_remarked_on() -> None:
     keys = {"chain": COLUMN, "excitation": Impulse(velocity=1e-6), "samples": 11}
+    assert not list(make_unchecked(Scene, duration=1.0, **keys)._remarks())
+    (text,) = make_unchecked(Scene, duration=100.0, **keys)._remarks()
+    long = "duration: 100 s is long for a wave in grains of 1 mm"
+    assert text == f"{long}; times are in seconds (100 us is 1e-4)"
+
+
+def test_boulders_take_their_time() -> None:
+    boulders = Chain(grains=11, diameter=0.2, gravity=0, bottom="wall")
+    keys = {"chain": boulders, "excitation": Impulse(velocity=1e-6), "samples": 11}
     assert not list(make_unchecked(Scene, duration=3600.0, **keys)._remarks())
     (text,) = make_unchecked(Scene, duration=3601.0, **keys)._remarks()
-    assert (
-        text
-        == "duration: 3601 s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
-    )
+    assert text.startswith("duration: 3601 s is long for a wave in grains of 200 mm")
+
+
+@pytest.mark.parametrize(
+    ("constants", "remark"),
+    [
+        ({"youngs_modulus": 62.0}, r"youngs_modulus: 62 Pa .*; moduli are in pascals \(62 GPa is"),
+        ({"youngs_modulus": 62e3}, r"youngs_modulus: 62000 Pa .*pascals"),
+        ({"density": 2.4}, r"density: 2.4 kg/m3 .* \(2.4 g/cm3 is 2400\)"),
+    ],
+)
+def test_materials_in_other_units_are_remarked_on(constants: dict[str, float], remark: str) -> None:
+    usual = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
+    with pytest.warns(UserWarning, match=f"^{remark}"):
+        Material(**usual | constants)
+
+
+def test_usual_materials_are_not_remarked_on(recwarn: pytest.WarningsRecorder) -> None:
+    # cork and rubber, the softest and lightest that grains are made of
+    Material(density=120.0, youngs_modulus=1e6, poissons_ratio=0.0)
+    assert not recwarn.list
+
+
+def test_a_run_of_minutes_says_so_before_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Begun(Exception):
+        """The run has begun."""
+
+    def begin(*_: object) -> None:
+        raise Begun
+
+    chain = Chain(grains=10_000, diameter=1e-3, gravity=0, top_load=1)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1.0)
+    monkeypatch.setattr("lmpchain.simulation.api._solve", begin)
+    said = "takes some [0-9.e+]+ minutes: a shorter duration"
+    with pytest.warns(UserWarning, match=said), pytest.raises(Begun):
+        simulate(scene, "native")
 
 
 # --- the linear chain

@@ -94,7 +94,7 @@ def test_a_trajectory_says_what_it_is():
     assert rows["error estimate"] == "0.0021 = 0.002 (model) + 0.0001 (solver)"
     assert rows["cost"] == "1.75 s, 80 steps of 5e-08 s by rkn4, 6 grains computed"
     stepless = replace(t, cost=COST._replace(integrator="", steps=1))
-    assert dict(stepless._summary())["cost"] == "1.75 s, 1 steps, 6 grains computed"
+    assert dict(stepless._summary())["cost"] == "1.75 s, 1 step, 6 grains computed"
     assert t.cost.total_s == 1.75
     assert t.error_estimate.total == pytest.approx(2.1e-3, rel=1e-15)
 
