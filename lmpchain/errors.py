@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import reprlib
 from collections.abc import Iterable
 from typing import Any
@@ -93,11 +94,15 @@ class ToleranceNotMet(LmpchainError):
         What was computed, with its error estimate; None if nothing was run.
     reason : str
         Why the tolerance was missed and what to do.
+    known_until : float
+        Time at which round-off that the scene amplifies exceeds the tolerance, s; infinite if that
+        is not the reason.
     """
 
-    def __init__(self, reason: str, trajectory: Any = None):
+    def __init__(self, reason: str, trajectory: Any = None, known_until: float = math.inf):
         self.reason = reason
         self.trajectory = trajectory
+        self.known_until = known_until
         super().__init__(reason)
 
 

@@ -69,6 +69,10 @@ class Attempt(NamedTuple):
         Truncation errors of the attempts before it that ran through.
     breakdowns : int
         How many did not.
+    best : (float, Candidate), optional
+        The least error of these attempts, and the steps that gave it.
+    repeats : bool
+        Whether it is this best one again, for none met the tolerance.
     """
 
     engine: str
@@ -80,6 +84,8 @@ class Attempt(NamedTuple):
     compiled_s: float = 0.0
     truncations: tuple[float, ...] = ()
     breakdowns: int = 0
+    best: tuple[float, Candidate] | None = None
+    repeats: bool = False
 
     @property
     def number(self) -> int:
@@ -103,6 +109,8 @@ class Outcome(NamedTuple, Generic[Collected]):
         With the planning and the attempts before.
     missed : str
         Empty if the tolerance was met, or none is enforced.
+    known_until : float
+        Time at which amplified round-off exceeds the tolerance, s; infinite if it never does.
     """
 
     collected: Collected
@@ -111,6 +119,7 @@ class Outcome(NamedTuple, Generic[Collected]):
     error: ErrorBudget
     cost: Cost
     missed: str
+    known_until: float = math.inf
 
 
 def first_attempt(
@@ -197,7 +206,9 @@ def solve_to_tolerance(
                 estimate_s=cost.estimate_s + attempt.spent_s,
                 compile_s=compiled_s() - compiled,
             )
-            return Outcome(collected, attempt, errors, error, cost, attempt.refusal or missed)
+            missed = attempt.refusal or missed
+            known_s = _known_until(error, attempt.tolerance, scenes[0]) if missed else math.inf
+            return Outcome(collected, attempt, errors, error, cost, missed, known_s)
         run_s = cost.integration_s + cost.estimate_s
         planned_s = attempt.planned_s + clock() - began - run_s
         attempt = following._replace(planned_s=planned_s, spent_s=attempt.spent_s + run_s)
@@ -224,14 +235,36 @@ def next_attempt(
         return attempt._replace(candidate=better, breakdowns=attempt.breakdowns + 1), ""
     if candidate.fixed or error.solver <= attempt.tolerance:
         return None, ""
-    better = engine.refine(candidate, error, attempt.tolerance)
-    if better is None and patient and error.truncation > attempt.tolerance:
-        # who wants the best answer there is gets one that is right as long as round-off allows
-        better = engine.refine(candidate, error._replace(roundoff=0.0), attempt.tolerance)
-    attempt = attempt._replace(truncations=(*attempt.truncations, error.truncation))
-    if better is None or _stalls(attempt):
+    if attempt.repeats:
         return None, _explain(scene, error, attempt)
-    return attempt._replace(candidate=better), ""
+    best = attempt.best
+    if best is None or error.solver < best[0]:
+        best = error.solver, candidate
+    attempt = attempt._replace(truncations=(*attempt.truncations, error.truncation), best=best)
+    better = None if _stalls(attempt) else _shorten(engine, attempt, error, patient)
+    if better:
+        return attempt._replace(candidate=better), ""
+    if best[1] != candidate:
+        # shorter steps may have been worse by chance, and samples of one run alone are held
+        return attempt._replace(candidate=best[1], repeats=True), ""
+    return None, _explain(scene, error, attempt)
+
+
+def _shorten(
+    engine: Engine, attempt: Attempt, error: ErrorBudget, patient: bool
+) -> Candidate | None:
+    """Return shorter steps, for the tolerance or the best that rounding leaves; None if none help.
+
+    Where rounding alone is too much, a patient user gets what is right as long as round-off allows,
+    and others an error that is no more than twice that of rounding.
+    """
+    candidate = attempt.candidate
+    tolerance = attempt.tolerance
+    better = engine.refine(candidate, error, tolerance)
+    floor = tolerance if patient else max(tolerance, error.roundoff)
+    if better is None and error.truncation > floor:
+        better = engine.refine(candidate, error._replace(roundoff=0.0), floor)
+    return better
 
 
 def loosen(
@@ -274,16 +307,25 @@ def _stalls(attempt: Attempt) -> bool:
 def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     """Return why an attempt missed its tolerance, and the cure."""
     tolerance = attempt.tolerance
-    reason = (
-        f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}, "
-        f"and steps shorter than {attempt.candidate.step:.2g} s do not help"
-    )
+    reason = f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}"
+    if len(attempt.truncations) == PATIENCE.attempts:
+        reason += f", after {PATIENCE.attempts} attempts at ever shorter steps"
+    elif _stalls(attempt):
+        reason += f", and steps shorter than {attempt.candidate.step:.2g} s do not help"
     if error.roundoff > tolerance / 2:
-        reason += f", for round-off alone makes {error.roundoff:.2g}"
-    time_s = error.last_known(tolerance / 2, scene.time)
+        reason += f", for round-off alone may make {error.roundoff:.2g}"
+    time_s = _known_until(error, tolerance, scene)
     if time_s == math.inf:
         return f"{reason}: ask for less"
     return (
         f"{reason}: this scene amplifies round-off beyond the tolerance at t = {time_s:.4g} s; "
         "record up to there, or ask for less"
     )
+
+
+def _known_until(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
+    """Return when amplified round-off takes half the tolerance, s; infinite if it never does."""
+    if error.amplified.max(initial=0.0) <= tolerance:
+        return math.inf
+    # from the beginning on it is rounding as it is, and no later time is to be named
+    return error.last_known(tolerance / 2, scene.time) or math.inf

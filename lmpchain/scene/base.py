@@ -88,9 +88,9 @@ class Excitation(Checked):
         return self.waveform is None or self.waveform.smooth_until(duration)
 
     @property
-    def knot_spacing(self) -> float:
-        """Least time between knots of a spline, at which adaptive steps end, s; else infinite."""
-        return np.inf if self.waveform is None else self.waveform.knot_spacing
+    def corner_spacing(self) -> float:
+        """Least time between corners, at which adaptive steps end, s; infinite if it has none."""
+        return np.inf if self.waveform is None else self.waveform.corner_spacing
 
     @property
     def fastest(self) -> float:

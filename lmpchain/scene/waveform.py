@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ..util.arrays import Array, numbers
+from ..util.arrays import EPSILON, Array, numbers
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 Interpolation = Literal["pchip", "linear", "spline"]
-ROUNDED = 1e-12  # of a time, by which sample times may be off
+ROUNDED = 4 * EPSILON  # of a time, by which sample times may be off
 
 
 def curve_through(times: Array, values: Array, interpolation: Interpolation, holds: bool) -> PPoly:
@@ -175,14 +175,14 @@ class Waveform:
     def fastest(self) -> float:
         """Highest frequency that a step must resolve, rad/s."""
         if self.spline is not None:
-            return 1 / self.knot_spacing
+            return 1 / self.corner_spacing
         # the upper side band of a burst
         return float(self.omega + 2 * self.envelope)
 
     @property
-    def knot_spacing(self) -> float:
-        """Least time between knots of a spline, at which adaptive steps end, s; else infinite."""
-        return np.inf if self.spline is None else float(np.diff(self.spline.x).min())
+    def corner_spacing(self) -> float:
+        """Least time between corners, at which adaptive steps end, s; infinite if it has none."""
+        return self.end if self.spline is None else float(np.diff(self.spline.x).min())
 
     def largest(self, order: int = 0) -> float:
         """Return the largest value or derivative: of a burst a bound, of a spline nearly."""

@@ -256,7 +256,7 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
         warnings.warn(remark.rstrip(". "), stacklevel=3)
     if outcome.missed:
         if not task.best_effort:
-            raise ToleranceNotMet(outcome.missed, trajectory)
+            raise ToleranceNotMet(outcome.missed, trajectory, outcome.known_until)
         warnings.warn(outcome.missed, stacklevel=3)
     return trajectory
 

@@ -129,8 +129,14 @@ QUANTITIES = {
 }
 
 
+UNSURE = 0.1  # of the largest of a quantity: with a larger error it says nothing
 # quantities of all times, which a run can gather on its way
 ALONG_THE_RUN = ("peak_displacement", "peak_velocity", "arrival_time", "wall_force")
+
+
+def is_extreme(name: str) -> bool:
+    """Say whether a quantity is one of all times: a largest value, or when a front passes."""
+    return name in ALONG_THE_RUN or of_contact(name)
 
 
 def of_contact(name: str) -> bool:
@@ -168,7 +174,7 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     gathered_names = {
         _gathered_name(scene, name)
         for name in keep
-        if of_contact(name) or (swift and moves_grains and name in ALONG_THE_RUN)
+        if of_contact(name) or (swift and moves_grains and is_extreme(name))
     }
     missing = sorted(gathered_names - {*scene.quantities, ""})
     return scene.replace(quantities=(*scene.quantities, *missing)) if missing else scene
@@ -215,3 +221,36 @@ def _read(
         # a grain that is held presses with its own weight, too
         value = value + motion.scene.chain.held_weight
     return value, gathered_arrays[f"{along}_error"]
+
+
+def is_gathered(scene: Scene, name: str) -> bool:
+    """Say whether a run of the scene gathers a quantity on its way."""
+    return _gathered_name(scene, name) in scene.quantities
+
+
+def add_rest(arrays: dict[str, Array], whole: Mapping[str, Array]) -> None:
+    """Add to errors how far quantities of the beginning of a scene are from those of the whole.
+
+    What is larger later on was not the largest of all times.
+    """
+    for name, values in whole.items():
+        error = f"{name}_error"
+        if error in arrays:
+            arrays[error] = arrays[error] + np.abs(arrays[name] - values)
+
+
+def leave_out_unsure(arrays: dict[str, Array], names: Iterable[str]) -> list[str]:
+    """Make those of these quantities NaN whose error is above a tenth of them, and name them.
+
+    A tenth of the largest of all grains, for many hardly move.
+    """
+    unsure = []
+    for name in names:
+        value, error = (gathered.file_name(key) for key in (name, f"{name}_error"))
+        largest = np.abs(arrays[value]).max(initial=0.0, where=~np.isnan(arrays[value]))
+        doubtful = arrays[error] > UNSURE * largest
+        if doubtful.any():
+            unsure.append(name)
+            for key in (value, error):
+                arrays[key] = np.where(doubtful, np.nan, arrays[key])
+    return unsure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from ..simulation.many import in_batches
 from ..trajectory.trajectory import Trajectory
 from .file import Sweep, read_text
 from .labels import find_recorded
-from .quantities import measured
+from .quantities import add_rest, is_extreme, is_gathered, leave_out_unsure, measured, with_gathered
 from .realisations import scenes
 from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
 
@@ -51,6 +52,25 @@ class TaskLimits(NamedTuple):
 
 
 TASKS = TaskLimits()
+KNOWN = 0.9  # of the time up to which a scene can be predicted
+
+
+class Beginning(NamedTuple):
+    """Answer to the beginning of a scene whose end cannot be predicted.
+
+    Attributes
+    ----------
+    known : Trajectory
+        Up to the time up to which it can.
+    whole : Trajectory
+        The best answer there is to all of it.
+    reason : str
+        Why the whole is not within the tolerance.
+    """
+
+    known: Trajectory
+    whole: Trajectory
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +122,12 @@ def answer(task: Task) -> None:
         # scenes that cannot be made are errors already
         batch = {row: scene for row, scene in remaining.items() if isinstance(scene, Scene)}
         for row, result in in_batches(engine, batch, plan.tolerance):
-            del remaining[row]
-            _put(columns, row, result, plan, task)
+            # alone it shows what is known in spite of a tolerance that is missed
+            if isinstance(result, Trajectory):
+                del remaining[row]
+                _put(columns, row, result, plan, task)
         for row, scene in remaining.items():
-            _put(columns, row, _answer_alone(scene, engine, plan.tolerance), plan, task)
+            _put(columns, row, _answer_alone(scene, engine, plan), plan, task)
     columns["reason"] = np.array(columns["reason"], dtype=str)
     write_part(task.folder, task.first, _insert_earlier(columns, task))
 
@@ -145,7 +167,7 @@ def _make_columns(task: Task) -> dict[str, Any]:
 def _put(
     columns: Mapping[str, Any],
     row: int,
-    result: Trajectory | LmpchainError,
+    result: Trajectory | Beginning | LmpchainError,
     plan: Sweep,
     task: Task,
 ) -> None:
@@ -153,6 +175,13 @@ def _put(
     if isinstance(result, LmpchainError):
         columns["reason"][row] = str(result)
         return
+    keep = list(plan.keep)
+    reason = ""
+    if isinstance(result, Beginning):
+        keep = [name for name in keep if is_extreme(name)]
+        reason = result.reason
+        whole = result.whole
+        result = result.known
     position = plan.place(task.first + row)
     scene = result.scene
     grains = find_recorded(plan, position, scene.chain.grains)
@@ -161,7 +190,17 @@ def _put(
         "time": slice(scene.samples),
         "grain": order[np.searchsorted(task.grains, grains, sorter=order)],
     }
-    for name, values in measured(motion_of(result), plan.keep, grains, result.gathered).items():
+    arrays = measured(motion_of(result), keep, grains, result.gathered)
+    if reason:
+        add_rest(arrays, measured(motion_of(whole), keep, grains, whole.gathered))
+        leave_out_unsure(arrays, keep)
+    else:
+        read = [name for name in keep if is_extreme(name) and not is_gathered(scene, name)]
+        unsure = leave_out_unsure(arrays, read)
+        if unsure:
+            reason = f"samples are too far apart to show {', '.join(unsure)}: record more of them"
+    columns["reason"][row] = reason
+    for name, values in arrays.items():
         index = tuple(places[dimension] for dimension in task.layout.columns[name].dimensions)
         # a view of the row, also where it is a single number
         columns[name][row, ...][index] = values
@@ -174,12 +213,31 @@ def _put(
 
 
 def _answer_alone(
-    scene: Scene | InputError, engine: Engine, tolerance: float
-) -> Trajectory | LmpchainError:
-    """Answer one scene, or return the reason why there is no answer."""
+    scene: Scene | InputError, engine: Engine, plan: Sweep
+) -> Trajectory | Beginning | LmpchainError:
+    """Answer one scene or its beginning, or return the reason why there is no answer."""
     if isinstance(scene, InputError):
         return scene
     try:
-        return simulate(scene, engine, tolerance)
-    except (InputError, ToleranceNotMet, RunFailed) as error:
+        return simulate(scene, engine, plan.tolerance)
+    except ToleranceNotMet as missed:
+        return _answer_beginning(scene, engine, plan, missed) or missed
+    except (InputError, RunFailed) as error:
         return error
+
+
+def _answer_beginning(
+    scene: Scene, engine: Engine, plan: Sweep, missed: ToleranceNotMet
+) -> Beginning | None:
+    """Answer a scene as long as it can be predicted; None if nothing that is kept is known then."""
+    keep = [name for name in plan.keep if is_extreme(name)]
+    if missed.known_until == math.inf or not keep:
+        return None
+    # a little earlier, for the error of all runs together is to be within the tolerance there
+    beginning = scene.replace(duration=KNOWN * missed.known_until, samples=2)
+    beginning = with_gathered(beginning, keep, engine.moves_grains)
+    try:
+        known = simulate(beginning, engine, plan.tolerance)
+    except LmpchainError:
+        return None
+    return Beginning(known, missed.trajectory, str(missed))

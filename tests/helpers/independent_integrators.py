@@ -232,7 +232,7 @@ class Curve:
         behind = np.array([[y[-1], fall, 0, 0], [rest, 0, 0, 0]], dtype=kind).T
         self.pieces = np.append(np.array(pieces), behind, axis=1)
         # the last point is one of the curve, also where its time is rounded up
-        begins = np.append(knots[:-1], knots[-1] * (1 + kind(1e-12)))
+        begins = np.append(knots[:-1], knots[-1] * (1 + kind(4 * 2.0**-52)))
         self.knots = np.append(begins, begins[-1] + length[-1] * np.arange(1, 3))
         if knots[0] > 0:
             begin = max(knots[0] - length[0], kind(0))

@@ -87,7 +87,7 @@ def test_a_missed_tolerance_comes_with_the_trajectory():
     with pytest.raises(ToleranceNotMet) as early:
         simulate(SCENE, "native", 1e-16)
     assert early.value.trajectory is None
-    with pytest.warns(UserWarning, match="round-off alone makes") as said:
+    with pytest.warns(UserWarning, match="round-off alone may make") as said:
         best = simulate(SCENE, "native", 1e-16, on_miss="warn")
     assert said[0].filename == __file__
     assert best.error_estimate.total < 1e-11

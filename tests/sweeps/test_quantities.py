@@ -215,3 +215,47 @@ def test_what_happens_between_far_samples_is_kept(bottom: str, tmp_path: Path):
             assert (np.abs(value - truth) <= error + 1e-5 * truth).all(), name
         times = row.arrival_time.values
         assert np.isfinite(times).sum() > 10
+
+
+TAPER = Scene(
+    chain=Chain(grains=12, diameter=1e-3 * 0.95 ** np.arange(12), bottom="wall"),
+    excitation=Impulse(velocity=0.05),
+    duration=3e-3,
+    samples=2,
+)
+
+
+def test_what_is_settled_before_a_scene_cannot_be_predicted_is_kept(tmp_path: Path):
+    """A wall force at 0.02 ms was lost, for nobody knows where grains are after 1.5 ms."""
+    kept = ["wall_force", "peak_velocity", "peak_displacement", "velocity"]
+    plan = {"scene": TAPER.to_dict(), "keep": kept, "grid": {"chain.gravity": [9.81]}}
+    results = sweep(plan, tmp_path).load()
+    assert "amplifies round-off" in str(results.reason[0].values)
+    early = TAPER.replace(duration=1.4e-3, samples=28001)
+    truth, _ = reference(early, 1e-14)
+    overlap = TAPER.chain.contacts.overlap[-1] + truth.displacement[:, -1]
+    force = TAPER.chain.wall_constants[1] * max(overlap.max(), 0.0) ** 1.5
+    error = float(results.wall_force_error[0])
+    assert float(results.wall_force[0]) == pytest.approx(force, rel=1e-5, abs=error)
+    assert error < 1e-3 * force
+    speeds = np.abs(truth.velocity).max(0)
+    assert results.peak_velocity[0].values == pytest.approx(speeds, rel=1e-3)
+    # grain 1 flies on, and what is kept of all times would be known at the end alone
+    assert np.isnan(results.peak_displacement[0, 0])
+    assert np.isnan(results.velocity).all()
+
+
+def test_what_samples_do_not_show_to_a_tenth_is_left_out_with_the_reason(tmp_path: Path):
+    """The continuum gathers nothing along its way."""
+    scene = Scene(
+        chain=Chain(grains=60, diameter=1e-3),
+        excitation=Impulse(velocity=1e-7),
+        duration=5e-5,
+        samples=4,
+    )
+    plan = {"scene": scene.to_dict(), "engine": "continuum", "tolerance": 1e-3}
+    plan |= {"keep": ["velocity", "peak_velocity"], "grid": {"chain.gravity": [9.81]}}
+    results = sweep(plan, tmp_path).load()
+    assert "too far apart to show peak_velocity" in str(results.reason[0].values)
+    assert np.isnan(results.peak_velocity).any()
+    assert np.isfinite(results.velocity).all()

@@ -324,6 +324,9 @@ class CompanionRun(Run):
         scene = self._scenes[real]
         companions = self._companions
         opens = motion.lowest <= OPENINGS.near
+        if scene.recorded[0] > scene.chain.movable:
+            # grains that are held do not move, in any precision
+            return ErrorBudget(0.0, 0.0, self.method.order)
         order = companions.order(opens, scene.excitation.smooth_until(scene.duration))
         truncation = companions.truncation(real, distances[self._twin :], order, opens)
         roundoff = self._round(real, motion, opens)
@@ -336,7 +339,7 @@ class CompanionRun(Run):
         elif self._may_amplify(real, motion, opens, truncation + roundoff):
             began = clock()
             amplified = amplify_rounding(scene, motion.evaluations)
-            roundoff += float(amplified.max())
+            roundoff = max(roundoff, float(amplified.max()))
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
 

@@ -77,6 +77,7 @@ class Openings:
 
 
 OPENINGS = Openings()
+LONGER = (2.0, 4.0)  # steps of companions over those of the answer
 FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
 
 
@@ -191,17 +192,12 @@ def _arrange(
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
     """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
 
-    None where these are unstable, too few, or would be cut by the knots of a drive as those of the
-    answer are.
+    None where these are unstable or too few.
     """
     if candidate.steps(scenes[0].samples) < FEWEST_STEPS:
         return []
     reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
-    ratios = [ratio for ratio in (2.0, 4.0) if ratio * reach <= method.stability_limit]
-    if not candidate.adaptive:
-        return ratios
-    knots = min(scene.excitation.knot_spacing for scene in scenes)
-    return [ratio for ratio in ratios if ratio * candidate.step <= knots]
+    return [ratio for ratio in LONGER if ratio * reach <= method.stability_limit]
 
 
 def recurs(scene: Scene) -> bool:

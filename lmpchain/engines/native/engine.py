@@ -78,14 +78,16 @@ class Native(TimeSteppingEngine):
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Propose the steps of a choice, unless round-off alone exceeds the tolerance."""
         candidate = super().propose(scene, tolerance, choice)
-        # a given step is taken, whatever it leaves
-        if not candidate.fixed:
+        # a given step is taken, whatever it leaves, and what is held has no error
+        if not candidate.fixed and scene.recorded[0] <= scene.chain.movable:
             evaluations = candidate.steps(scene.samples) * choice.method.evaluations
             floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
             if floor > tolerance:
+                cure = "ask for less"
+                if self.integrator != "auto" and choice.method.order < METHODS["rkn6"].order:
+                    cure = f'use integrator "rkn6", which takes fewer steps, or {cure}'
                 raise ToleranceNotMet(
-                    f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
-                    'use a higher order (integrator "rkn6") or less accuracy'
+                    f"round-off alone may make an error of {floor:.1g}, above the tolerance: {cure}"
                 )
         return candidate
 

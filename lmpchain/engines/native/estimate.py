@@ -3,7 +3,7 @@
 The estimate of the largest relative error of an answer at steps h is
 
     e = max(2 d12 / (g - 1),  b)                                 truncation
-        + eps (2 + w(n) + 1.5 omega T) + w(n) A                  round-off, as it is and amplified
+        + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      round-off, as it is or amplified
 
 with b = 0.7 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
 at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where

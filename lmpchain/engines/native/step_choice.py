@@ -20,7 +20,7 @@ from ...errors import InputError
 from ...integrators.method import Method
 from ...scene.scene import Scene
 from ..base import ErrorBudget
-from .companions import OPENINGS
+from .companions import LONGER, OPENINGS
 from .estimate import TRUST
 from .round_off import interpolation_loss
 
@@ -236,8 +236,10 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
         alone = min(reach / 2, FIRST_STEP.longest_opening * stable) if strain < math.inf else 0.0
         reach = max(min(reach, stable / 4), alone)
     if adaptive:
-        # steps end on the knots of a drive, which cut longer ones
-        reach = min(reach, scene.highest_frequency * scene.excitation.knot_spacing)
+        # all runs end steps on the corners of what acts: the longest steps of a companion, too, fit
+        # between two corners, or those of all would be cut to the same length
+        spacing = scene.excitation.corner_spacing / LONGER[-1]
+        reach = min(reach, scene.highest_frequency * spacing)
     return reach
 
 
