@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..chain.chain import Chain
+    from ..scene.base import Push
+    from ..scene.scene import Scene
 
 __dir__ = listed(__name__)
+
+# Gauss and Legendre's quadrature from corner to corner, exact up to the ninth power
+MOST_TURN = 1000.0  # radians of a waveform between two samples that are looked at one by one
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -222,6 +229,20 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     )
 
 
+class _Pieces(NamedTuple):
+    """Integrals over the intervals in which a waveform shows them, (T-1,), NaN over others.
+
+    Attributes
+    ----------
+    work, push, top : (T-1,) arrays
+        Of the power and of the force of a push, J and N s, and of that of the top wall, N s.
+    """
+
+    work: Array
+    push: Array
+    top: Array
+
+
 def _share_out(
     chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
 ) -> Array:
@@ -270,16 +291,20 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     momentum = v @ chain.masses
     drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
+    push = scene.excitation.push(chain, time, force, rate, v)
+    pieces = _known_pieces(scene, time, push, u, v) if push else None
     if chain.top == "wall":
-        impulse, impulse_error = _integral(time, force[:, 0], rate[:, 0])
-    if push := scene.excitation.push(chain, time, force, rate, v):
+        impulse, impulse_error = _integral(
+            time, force[:, 0], rate[:, 0], pieces.top if pieces else None
+        )
+    if push and pieces:
         speed = push.speed
         power = push.force * speed
         change = push.rate * speed + push.force * push.acceleration
-        work, drive_error = _integral(time, power, change)
-        push_impulse, error = _integral(time, push.force, push.rate)
+        work, drive_error = _integral(time, power, change, pieces.work)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
         if push.on_grain:
+            push_impulse, error = _integral(time, push.force, push.rate, pieces.push)
             impulse = impulse + push_impulse + push.inertia * (speed - speed[0])
             impulse_error += error
     if chain.bottom != "free":
@@ -310,13 +335,73 @@ def _contact_forces(contacts: Contacts, closer: Array, closing: Array) -> tuple[
     return contacts.force_change(closer), np.where(overlap > 0, stiffness * closing, 0.0)
 
 
-def _integral(time: Array, value: Array, slope: Array) -> tuple[Array, float]:
-    """Return the integral of samples up to each, (T,), and its shift with every second one."""
+def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> _Pieces:
+    """Return what a push gives in each interval that no cubic through two samples can show.
+
+    These are all of a force, and those in which a motion has a corner: a comparison with every
+    second sample does not show that, either. The waveform itself is known at all times; what it is
+    multiplied by, a speed, or a displacement in the law of a contact, is smooth once its own share
+    is taken out: of a force F with the impulse P on a mass m, P/m of the speed.
+
+        int F v dt = [P^2 / 2m] + int F (v - P/m) dt
+    """
+    wave = scene.excitation.waveform
+    assert wave
+    moves = bool(scene.excitation.driven or scene.excitation.wall)
+    unknown = np.full(time.size - 1, np.nan)
+    corners = np.array(wave.corners)
+    corners = corners[(corners > 0) & (corners <= time[-1])]
+    # a slope at a corner is that behind it: an interval that ends there has a corner, too
+    known = (np.diff(np.searchsorted(corners, time, side="right")) > 0) | (not moves)
+    if not known.any():
+        return _Pieces(unknown, unknown, unknown)
+    turn = min(wave.fastest * time[-1] / (time.size - 1), MOST_TURN)
+    count = 1 if moves else math.ceil(turn)
+    between = np.interp(np.arange(count * (time.size - 1)) / count, np.arange(time.size), time)
+    edges = np.unique(np.concatenate((time, between, corners)))
+    half = np.diff(edges)[:, None] / 2
+    x = edges[:-1, None] + half * (1 + NODES)
+    begin = np.searchsorted(edges, time[:-1])
+
+    def integrate(values: Array) -> Array:
+        return np.where(known, np.add.reduceat((half * values) @ WEIGHTS, begin), np.nan)
+
+    contacts = scene.chain.contacts
+    if scene.excitation.wall:
+        below = CubicHermiteSpline(time, u[:, 0], v[:, 0])(x)
+        force = contacts.of(0).force_change(wave.at(x) - below)
+        return _Pieces(integrate(force * wave.at(x, 1)), unknown, integrate(force))
+    if scene.excitation.driven:
+        below = CubicHermiteSpline(time, u[:, 1], v[:, 1])(x)
+        above = contacts.of(0).force_change(-wave.at(x))
+        force = contacts.of(1).force_change(wave.at(x) - below) - above
+        return _Pieces(integrate(force * wave.at(x, 1)), integrate(force), integrate(above))
+    mass = scene.chain.masses[scene.excitation.reach(scene.chain)[0] - 1]
+    impulse = wave.integral(time)
+    speed = push.speed - impulse / mass
+    slope = push.acceleration - push.force / mass
+    others = integrate(wave.at(x) * CubicHermiteSpline(time, speed, slope)(x))
+    return _Pieces(np.diff(impulse**2) / (2 * mass) + others, np.diff(impulse), unknown)
+
+
+def _integral(
+    time: Array, value: Array, slope: Array, known: Array | None = None
+) -> tuple[Array, float]:
+    """Return the integral of samples up to each, (T,), and its shift with every second one.
+
+    Integrals over intervals that are `known` otherwise are (T-1,), NaN of the others; then the
+    shift without them counts, too.
+    """
     # cubic Hermite pieces: the error of the finer one is about 1/15 of their difference
-    fine, coarse = (
+    cubic, coarse = (
         CubicHermiteSpline(time[::n], value[::n], slope[::n]).antiderivative()(time[::n])
         if len(value) > n
         else np.full(1, np.inf)
         for n in (1, 2)
     )
-    return fine, float(np.abs(fine[::2] - coarse).max())
+    fine = cubic
+    if known is not None and np.isfinite(known).any():
+        pieces = np.where(np.isfinite(known), known, np.diff(cubic))
+        fine = np.append(0.0, np.cumsum(pieces))
+    shift = max(np.abs(fine[::2] - coarse).max(), np.abs(fine - cubic).max())
+    return fine, float(shift)

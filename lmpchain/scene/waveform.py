@@ -151,6 +151,16 @@ class Waveform:
         third = third * w - 4 * e**2 * sin * slope
         return self.amplitude * (sin * hann, first, second, third)[order]
 
+    def integral(self, t: float | Array) -> Array:
+        """Return its integral from 0 to these times, s."""
+        t = numbers(t, "t")
+        if self.spline is not None:
+            return np.asarray(self.spline.antiderivative()(t))
+        until = np.minimum(t, self.end)
+        # 1 - cos x in this form keeps its digits; a side band of one cycle has no frequency
+        parts = [2 * a / w * np.sin(w * until / 2) ** 2 for a, w in self.sines if w]
+        return np.asarray(sum(parts, np.zeros(until.shape)))
+
     @property
     def sines(self) -> tuple[tuple[float, float], ...]:
         """Amplitude and frequency, rad/s, of the sines that it is the sum of up to its end."""

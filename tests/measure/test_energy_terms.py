@@ -108,6 +108,39 @@ def test_every_term_and_what_was_given(name: str):
     )
 
 
+HAMMERS = {
+    "half a sine": Force(grain=2, shape="half-sine", amplitude=1e-2, duration=1e-5),
+    "a triangle": Force(grain=2, times=[0, 3e-6, 1e-5], force=[0, 1e-2, 0], interpolation="linear"),
+    "a burst": Force(grain=1, amplitude=1e-2, frequency=2e5, cycles=2),
+    "a wall": Drive(
+        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear", grain=0
+    ),
+    "grain 1": Drive(times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear"),
+}
+
+
+@pytest.mark.parametrize("name", HAMMERS)
+@pytest.mark.parametrize("within", [0.6, 1.5, 2.5, 3.3, 5.5, 8.5, 11.5])
+def test_a_hammer_is_accounted_for_by_few_samples(name: str, within: float):
+    """So many intervals in a hammer: its corners lie between samples, where no comparison with
+    every second sample shows them. The truth is what the chain has gained.
+    """
+    top = "wall" if name == "a wall" else "free"
+    chain = Chain(grains=60, diameter=5e-3, top_load=1.0, gravity=0.0, top=top)
+    samples = 25
+    scene = Scene(
+        chain=chain,
+        excitation=HAMMERS[name],
+        duration=(samples - 1) * 1e-5 / within,
+        samples=samples,
+    )
+    seen = energy.ledger(simulate(scene, "native", 1e-9))
+    assert np.abs(seen.drift).max() <= seen.drive_error + 1e-8 * seen.total.max()
+    # momenta cancel in a burst
+    rounding = 1e-8 * max(np.abs(seen.momentum).max(), 1e-2 * 1e-5)
+    assert np.abs(seen.momentum_drift).max() <= seen.impulse_error + rounding
+
+
 def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
     """Return the integral up to each sample: the trapezoid with its first correction, that of a
     cubic.
@@ -140,12 +173,13 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
         fine = corrected_trapezoid(t.time[1], value, slope)
         coarse = corrected_trapezoid(2 * t.time[1], value[::2], slope[::2])
         errors.append((fine, np.abs(fine[::2] - coarse).max()))
-    (work, work_error), (pushed, push_error), (held, hold_error) = errors
-    assert seen.drive == pytest.approx(work, rel=1e-9, abs=1e-12 * np.abs(work).max())
-    assert seen.drive_error == pytest.approx(work_error, rel=1e-6)
-    given = pushed - held
+    (work, work_error), (_, push_error), (held, hold_error) = errors
+    # that of every sample is better than a cubic makes of them
+    assert seen.drive == pytest.approx(work, abs=0.1 * work_error)
+    assert seen.drive_error == pytest.approx(work_error, rel=0.1)
+    given = 1e-3 / omega * (1 - np.cos(omega * t.time)) - held
     assert seen.impulse == pytest.approx(given, rel=1e-9, abs=1e-9 * np.abs(given).max())
-    assert seen.impulse_error == pytest.approx(push_error + hold_error, rel=1e-6)
+    assert seen.impulse_error == pytest.approx(push_error + hold_error, rel=0.1)
 
 
 def swinging(**more: Any) -> EnergyLedger:

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
 from lmpchain.measure.front import Front, asymptotic, exponent, track
+from lmpchain.report import panels
 
 Array = NDArray[np.float64]
 
@@ -425,3 +426,29 @@ def test_grains_without_motion_are_passed_over():
     )
     assert short.grain.tolist() == long.grain.tolist()
     assert short.time == pytest.approx(long.time, rel=1e-8)
+
+
+def test_a_front_that_samples_do_not_resolve_says_how_many_do():
+    """Times that may be off by most of the run came without a word, and the page of the run then
+    said that there is no front.
+    """
+    scene = Scene(
+        chain=Chain(grains=2000, diameter=1e-3),
+        excitation=Impulse(velocity=1e-5),
+        duration=2e-3,
+        samples=401,
+    )
+    coarse = simulate(scene, "native")
+    with pytest.raises(
+        InputError, match=r"samples: 401 do not show .*: record (\d+) of them"
+    ) as no:
+        track(coarse)
+    with pytest.raises(InputError, match="record"):
+        panels.arrival(coarse)
+    needed = int(str(no.value).rpartition("record ")[2].split()[0])
+    front = track(simulate(scene.replace(samples=needed), "native"))
+    truth = track(simulate(scene.replace(samples=4001), "native"))
+    assert front.grain.size > 700
+    assert np.array_equal(front.grain, truth.grain)
+    assert (np.abs(front.time - truth.time) <= front.time_error + truth.time_error).all()
+    assert front.time_error.max() < 1e-6 * scene.duration

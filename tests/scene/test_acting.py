@@ -2,6 +2,7 @@
 integrators.
 """
 
+import itertools
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -36,6 +37,7 @@ from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.measure import contact, energy
 from lmpchain.scene.excitation import EXCITATIONS
+from lmpchain.scene.waveform import Waveform
 
 Array = NDArray[np.float64]
 every = pytest.mark.parametrize("integrator", sorted(METHODS))
@@ -413,6 +415,25 @@ def test_adaptive_steps_restart_exactly_too(monkeypatch: pytest.MonkeyPatch):
 
 
 # --- balances
+
+
+@pytest.mark.parametrize(
+    "wave",
+    [
+        Waveform.sine(2.0, 3.0),
+        Waveform.sine(2.0, 3.0, cycles=1),
+        Waveform.sine(2.0, 3.0, cycles=2.5),
+        Waveform.half_sine(2.0, 0.4),
+        Waveform.through(np.array([0.1, 0.3, 0.4]), np.array([1.0, 3.0, 2.0]), "linear", True),
+        Waveform.through(np.array([0.1, 0.3, 0.4]), np.array([1.0, 3.0, 2.0]), "pchip", False),
+    ],
+)
+def test_the_integral_of_what_acts(wave: Waveform):
+    """By quadrature, through its end and from corner to corner."""
+    edges = np.unique(np.append([0.0, 0.25, 0.9], [t for t in wave.corners if t < 0.9]))
+    parts = [quad(wave.at, a, b, epsabs=1e-13)[0] for a, b in itertools.pairwise(edges)]
+    assert wave.integral(edges[1:]) == pytest.approx(np.cumsum(parts), rel=1e-11, abs=1e-12)
+    assert wave.integral(0.0) == 0
 
 
 @pytest.mark.parametrize("kind", STRONG)
