@@ -56,15 +56,18 @@ def read(path: str) -> Scene:
 
 def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
     """Return the path of a file to write, after checking that it can be written."""
-    path = Path(name)
+    from ..util.files import expanded
+
+    path = expanded(name)
     if path.is_dir() or name.endswith(("/", os.sep)):
         example = path if suffixes else path / "run.nc"
         raise InputError.at(name, f"is a folder; name a file, such as {example}")
     if path.exists() and not path.is_file():
         raise InputError.at(name, "is a device or a pipe, not a file; name a file")
+    source = expanded(scene)
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError.at(name, f"must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}")
-    if path.exists() and Path(scene).exists() and path.samefile(scene):
+    if path.exists() and source.exists() and path.samefile(source):
         raise InputError.at(name, "is the file that is read; name another file")
     if not path.parent.is_dir():
         raise InputError.at(name, f"there is no folder {path.parent}; make it first")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
@@ -57,11 +56,12 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     axis = arguments.axis
     # the mistakes that are likely, each with its cure, before anything heavy is loaded
     from ..trajectory.dump_frames import is_dump
+    from ..util.files import expanded
 
     dump = is_dump(path)
     if scene is None and dump:
         raise InputError.at(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")
-    if scene is not None and not dump and Path(path).is_file():
+    if scene is not None and not dump and expanded(path).is_file():
         raise InputError.at(
             "scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run"
         )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
+from ..util.files import expanded
 from ..util.tables import align, counted
 from .common import beside, complain, gather, on_terminal, output, read
 
@@ -99,7 +100,7 @@ def resume(arguments: argparse.Namespace) -> int:
             ranks=arguments.ranks,
         ),
         state["tolerance"],
-        Path(arguments.folder),
+        expanded(arguments.folder),
     )
 
 
@@ -110,14 +111,14 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
     name = getattr(arguments, "output", None)
     if arguments.command is not run or not name:
         return None
-    return name if name.endswith(("/", os.sep)) or Path(name).is_dir() else None
+    return name if name.endswith(("/", os.sep)) or expanded(name).is_dir() else None
 
 
 def _new_folder(name: str, force: bool) -> Path:
     from ..simulation.folder_files import check_new, check_replaceable
     from ..simulation.task import is_run, is_sealed, resume_command
 
-    if not (is_run(name) and is_sealed(Path(name))):
+    if not (is_run(name) and is_sealed(expanded(name))):
         return check_new(name)
     if not force:
         raise InputError.at(
@@ -196,7 +197,7 @@ def deck(arguments: argparse.Namespace) -> int:
 
     from ..engines.lammps.export import write_deck
 
-    folder = Path(arguments.output)
+    folder = expanded(arguments.output)
     write_deck(
         scene,
         folder,

@@ -18,7 +18,7 @@ from ..integrators.halving import SAFETY
 from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags, numbers
-from ..util.files import replacing
+from ..util.files import expanded, replacing
 from ..util.progress import ProgressBar
 from . import parameters as params
 from .changes import changed
@@ -230,7 +230,7 @@ def optimise(
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         numbers = box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed
         task = repr((scene.to_text(), type(objective).__name__, vars(objective), names, numbers))
-    store = None if folder is None else _Store(Path(folder), sha256(task.encode()).hexdigest())
+    store = None if folder is None else _Store(expanded(folder), sha256(task.encode()).hexdigest())
     finished = [] if store is None else store.read()
     sign = -1.0 if maximise else 1.0
     first = _value(changed(scene, box.values(box.start)), objective, tolerance)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -93,13 +92,13 @@ class Traces:
         InputError
             If the file cannot be read, or has no such table.
         """
-        from ..util.files import check_readable
+        from ..util.files import check_readable, expanded
 
         columns = len(places) + 1
         rows = []
         try:
-            check_readable(Path(path), LARGEST_FILE)
-            lines = Path(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
+            check_readable(expanded(path), LARGEST_FILE)
+            lines = expanded(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
         except OSError as error:
             raise InputError.at(str(path), error.strerror or "cannot be read") from error
         # decimal points only: a comma may part the columns

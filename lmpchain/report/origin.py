@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 
-from ..util.files import check_readable
+from ..util.files import check_readable, expanded
 
 NOT_RECORDED = {"date": "not recorded", "command": "not recorded"}
 
@@ -18,7 +18,7 @@ def origin(path: str | PathLike[str] | None) -> dict[str, str]:
     answer = dict(NOT_RECORDED)
     if path is None:
         return answer
-    path = Path(path)
+    path = expanded(path)
     with suppress(OSError, ValueError):
         written = datetime.fromtimestamp(path.stat().st_mtime, UTC)
         answer["date"] = f"{_in_minutes(written)} (file)"

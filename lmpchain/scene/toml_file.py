@@ -17,7 +17,7 @@ from ..chain.chain import Chain
 from ..chain.impurities import Impurity
 from ..chain.materials import MATERIALS, Material
 from ..errors import InputError, short, shown
-from ..util.files import check_readable
+from ..util.files import check_readable, expanded
 from ..util.suggestions import did_you_mean, not_among
 from ..util.validation import Checked
 from .base import Excitation
@@ -65,7 +65,7 @@ CURES = (
 
 def read(path: str | PathLike[str]) -> dict[str, Any]:
     """Return the fields of a scene from a file; raises `InputError` with every fault in it."""
-    path = Path(path)
+    path = expanded(path)
     return fields(parse(path), path.parent)
 
 
@@ -265,7 +265,7 @@ def _csv(folder: Path | None, name: Any, names: Sequence[str]) -> dict[str, Any]
     if folder is None:
         cure = "give the numbers themselves"
         raise InputError.at("file", f"a scene without a folder can name no file: {cure}")
-    path = folder / name
+    path = folder / expanded(name)
     header, rows = _read_table(path)
     # where a row is a grain, and no instant, a column may count the grains
     _check_header(path, header, names, set() if "time" in names else {"grain"})

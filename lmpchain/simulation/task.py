@@ -72,10 +72,10 @@ def check_run(folder: str | PathLike[str]) -> Path:
             str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one"
         )
     try:
-        check_tree(Path(folder))
+        check_tree(path_of(folder))
     except OSError as error:
         raise InputError.at(str(folder), error.strerror or str(error)) from None
-    return Path(folder)
+    return path_of(folder)
 
 
 def write(folder: Path, task: Task) -> None:

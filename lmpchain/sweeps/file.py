@@ -23,7 +23,7 @@ from ..errors import InputError, check_tolerance, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
-from ..util.files import check_readable
+from ..util.files import check_readable, expanded
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
@@ -225,8 +225,8 @@ def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -
     hashes = {}
     for name in sorted({name for name in names if isinstance(name, str)}):
         try:
-            check_readable(folder / name, FILE_SIZES.table)
-            with open(folder / name, "rb") as opened:
+            check_readable(folder / expanded(name), FILE_SIZES.table)
+            with open(folder / expanded(name), "rb") as opened:
                 hashes[name] = hashlib.file_digest(opened, "sha256").hexdigest()
         except (OSError, ValueError):
             hashes[name] = ""
@@ -243,7 +243,8 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
     """
     if isinstance(source, Mapping):
         return _plan(dict(source), Path())
-    return _plan(parse(Path(source)), Path(source).parent)
+    path = expanded(source)
+    return _plan(parse(path), path.parent)
 
 
 def read_text(text: str, folder: Path) -> Sweep:
@@ -305,7 +306,7 @@ def _take_scene(source: Any, folder: Path) -> tuple[dict[str, Any], Path]:
     if isinstance(source, Scene):
         return source.to_dict(), folder
     if isinstance(source, str):
-        path = folder / source
+        path = folder / expanded(source)
         source = parse(path)
         folder = path.parent
     if not isinstance(source, dict):

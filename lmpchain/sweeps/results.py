@@ -14,7 +14,7 @@ from xarray.core import indexing
 
 from ..errors import InputError, short
 from ..util.arrays import Array
-from ..util.files import LARGEST_JSON, check_readable, check_tree
+from ..util.files import LARGEST_JSON, check_readable, check_tree, expanded
 from .file import FORMAT, Sweep, is_name, read_text
 from .store import NAME, SCALARS, Layout, open_store, read, read_layout
 
@@ -44,7 +44,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     InputError
         If the folder holds no sweep, or a damaged one.
     """
-    folder = Path(folder)
+    folder = expanded(folder)
     index = _read(folder / NAME)
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         index = {}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, short
 from ..util.arrays import Array
-from ..util.files import check_readable
+from ..util.files import check_readable, expanded
 
 BEGIN = b"ITEM: TIMESTEP"
 # dump_modify units and time put these lines above it
@@ -88,7 +88,7 @@ class _Frame(NamedTuple):
 
 def is_dump(path: str | PathLike[str]) -> bool:
     """Return whether a file, possibly compressed by gzip, is a LAMMPS dump."""
-    path = Path(path)
+    path = expanded(path)
     try:
         # reading a pipe would block
         check_readable(path, sys.maxsize)

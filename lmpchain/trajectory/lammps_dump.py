@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from os import PathLike
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.files import expanded
 from .dump_checks import (
     CHECKS,
     FirstFrame,
@@ -59,7 +59,7 @@ def read(
     InputError
         If it cannot be read, or is not of this scene.
     """
-    path = Path(path)
+    path = expanded(path)
     name = str(path)
     if axis not in (None, *AXES):
         raise InputError.at(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.files import expanded
 from ..util.notebook import Shown
 from ..util.tables import counted
 from .record import Record, read_result, select_gathered
@@ -208,7 +208,7 @@ class Trajectory(Shown, Record):
         """
         from . import netcdf, zarr_store
 
-        path = Path(path)
+        path = expanded(path)
         # never raises
         folder = os.path.isdir(path)
         if folder and not (path / zarr_store.NAME).is_dir():

@@ -121,7 +121,7 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
     InputError
         If `path` cannot be written.
     """
-    path = Path(path)
+    path = expanded(path)
     try:
         if path.exists() and not path.is_file():
             raise InputError.at(str(path), "is a folder or a device; name a file")
@@ -200,11 +200,21 @@ def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
     return np.frombuffer(data.read(), dtype).reshape(shape).copy()
 
 
+def expanded(name: str | PathLike[str]) -> Path:
+    """Return a name as a path, ~ and ~user at its beginning being home folders, as in a shell."""
+    path = Path(name)
+    try:
+        return path.expanduser()
+    # of no such user: a name that begins so
+    except RuntimeError:
+        return path
+
+
 def path_of(name: Any, key: str = "folder") -> Path:
     """Return a name as a path; raises `InputError` if no file or folder can bear it."""
     if not isinstance(name, str | PathLike) or not str(name):
         raise InputError.at(key, f"must be a name in quotes (got {shown(name)})")
-    path = Path(name)
+    path = expanded(name)
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

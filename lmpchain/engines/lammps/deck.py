@@ -14,7 +14,7 @@ from ...chain.materials import Material
 from ...errors import InputError
 from ...integrators.splittings import Splitting
 from ...scene.scene import Scene
-from ...util.files import write_aside
+from ...util.files import expanded, write_aside
 from ...util.templates import render, render_text
 from . import drive
 from .column import Column
@@ -28,7 +28,7 @@ CLOSED = (Material,)
 
 def read_user_text(key: str, path: str | PathLike[str]) -> str:
     """Return the text of a file of the user's; raises `InputError` under `key`."""
-    path = Path(path)
+    path = expanded(path)
     if not path.is_file():
         raise InputError.at(key, f"there is no file {path}")
     try:

@@ -17,7 +17,7 @@ from ...integrators.splittings import SPLITTINGS
 from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.files import make_folder
+from ...util.files import expanded, make_folder
 from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
 from ..native import Native
@@ -134,7 +134,7 @@ class Lammps(TimeSteppingEngine):
         self.include = "" if include is None else deck.read_user_text("include", include)
         cure = "it holds fixes, computes and dumps, and the run comes after it"
         deck.refuse_run("include", self.include, cure)
-        self.keep = None if keep is None else Path(keep)
+        self.keep = None if keep is None else expanded(keep)
         self.whole = keep is not None or bool(self.template or self.include)
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:

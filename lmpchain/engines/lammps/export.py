@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ...errors import InputError, check_tolerance
 from ...scene.scene import Scene
+from ...util.files import expanded
 from . import deck
 from .engine import Lammps
 
@@ -52,4 +53,4 @@ def write_deck(
     deck.check_carried(engine.splitting, "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
-    return engine.write_deck(scene, tolerance, Path(folder))
+    return engine.write_deck(scene, tolerance, expanded(folder))
