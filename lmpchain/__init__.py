@@ -8,12 +8,18 @@ from .util.lazy import attributes, listed
 
 # type checkers and editors read these lines, which never run
 if TYPE_CHECKING:
+    from . import benchmark as benchmark
+    from . import chain as chain
     from . import design as design
     from . import disorder as disorder
+    from . import doctor as doctor
     from . import engines as engines
     from . import measure as measure
     from . import orbits as orbits
+    from . import report as report
+    from . import stability as stability
     from . import theory as theory
+    from . import trajectory as trajectory
     from .benchmark.bench import work_precision as work_precision
     from .chain import patterns as patterns
     from .chain.chain import Chain as Chain
@@ -66,7 +72,20 @@ _MODULES = {
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
     "chain": "patterns",
 }
-_PACKAGES = ("design", "disorder", "engines", "measure", "orbits", "theory")
+_PACKAGES = (
+    "benchmark",
+    "chain",
+    "design",
+    "disorder",
+    "doctor",
+    "engines",
+    "measure",
+    "orbits",
+    "report",
+    "stability",
+    "theory",
+    "trajectory",
+)
 __all__ = [*_PACKAGES, *" ".join(_MODULES.values()).split()]
 __getattr__ = attributes(__name__, _PACKAGES, _MODULES)
 __dir__ = listed(__name__)

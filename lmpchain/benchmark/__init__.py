@@ -1,1 +1,7 @@
 """Engines against a reference solution: errors, and speed against accuracy."""
+
+from ..util.lazy import attributes, listed
+
+__all__ = ["bench", "comparison", "curves", "reference"]
+__getattr__ = attributes(__name__, __all__)
+__dir__ = listed(__name__)

@@ -98,9 +98,6 @@ class Chain(AtRest, Checked):
     bottom_material: OneMaterial = NOT_GIVEN
     given_wall_constants: Vector = Field(NOT_GIVEN, alias="wall_constants")
 
-    # equal chains may be given by different fields, of which pydantic would make the hash
-    __hash__ = None  # type: ignore[assignment]
-
     def _faults(self) -> Iterator[tuple[str, str]]:
         faults = [*self._misfits(), *self._falls(), *self._tiny_forces()]
         yield from faults

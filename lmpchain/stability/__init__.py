@@ -2,8 +2,9 @@
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["Boundary", "Curve", "Stability", "stability"]
+_MODULES = ["linear_theory", "predictability", "roundoff", "step_limit"]
+__all__ = ["Boundary", "Curve", "Stability", "stability", *_MODULES]
 __getattr__ = attributes(
-    __name__, names={"find": "stability", "result": "Boundary Curve Stability"}
+    __name__, _MODULES, {"find": "stability", "result": "Boundary Curve Stability"}
 )
 __dir__ = listed(__name__)

@@ -164,7 +164,17 @@ class Checked(Shown, BaseModel):
             np.array_equal(getattr(self, key), getattr(other, key)) for key in self.arguments
         )
 
-    __hash__ = None  # type: ignore[assignment]  # arrays inside: compare, do not hash
+    def __hash__(self) -> int:
+        # equal values may be given by different fields, of which pydantic would make the hash
+        values = (getattr(self, key) for key in self.arguments)
+        return hash((type(self), *map(_hashable, values)))
+
+    def __dir__(self) -> list[str]:
+        """Return the names of this value, without those that pydantic adds to every one."""
+        of_python = set(dir(object))
+        of_pydantic = set(dir(BaseModel)) - of_python
+        names = set(super().__dir__()) - of_pydantic
+        return [name for name in names if not name.startswith("__") or name in of_python]
 
 
 Value = TypeVar("Value", bound=Checked)
@@ -193,6 +203,11 @@ def with_derived(value: Value, **derived: Any) -> Value:
     """Return a new value whose cached properties have these values, which follow from others."""
     value.__dict__.update(derived)
     return value
+
+
+def _hashable(value: Any) -> Any:
+    """Return what equal values have in common; 0 and -0 are equal, and have other bytes."""
+    return (value + 0.0).tobytes() if isinstance(value, np.ndarray) else value
 
 
 def _plain(value: Any) -> Any:
