@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 
-from ..util.files import check_readable, expanded
+from ..util.files import check_readable, check_seal, expanded
 
 NOT_RECORDED = {"date": "not recorded", "command": "not recorded"}
 
@@ -40,6 +40,7 @@ def _of_file(path: Path) -> tuple[str, str]:
     """Return the date and the command in the attribute `history` of a NetCDF file."""
     import h5py
 
+    check_seal(path)
     with h5py.File(path, "r") as file:
         date, _, command = str(file.attrs["history"]).partition(" ")
     return date, command

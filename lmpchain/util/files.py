@@ -25,6 +25,7 @@ import numpy as np
 from ..errors import InputError, shown
 
 SEAL = b"lmpchain sha256 "
+UNSEALED = "it ends without the seal of lmpchain: copy it again, or save it anew"
 SEALED = "seal"  # key of the hash of a JSON file, by which lmpchain knows what it wrote
 LARGEST_JSON = 2**30  # bytes of a file that describes a store, a run or a sweep
 
@@ -139,18 +140,22 @@ def seal(content: Any) -> bytes:
 
 
 def check_seal(path: Path) -> None:
-    """Raise `ValueError` if the content of a file does not match its seal.
+    """Raise `ValueError` unless the content of a file matches the seal at its end.
 
-    HDF5 may search damaged files without end.
+    HDF5 may search damaged files without end, and cannot be stopped then: what bears no seal never
+    reaches it.
     """
-    if not path.stat().st_size:
-        return
+    length = len(seal(b""))
+    # an empty file cannot be mapped
+    if path.stat().st_size < length:
+        raise ValueError(UNSEALED)
     # mapped, not read: a file may be larger than the memory
     content = np.memmap(path, np.uint8, "r")
-    length = len(seal(b""))
     end = content[-length:].tobytes()
-    if SEAL in end and end != seal(content[:-length]):
-        raise ValueError("it is not as it was written")
+    if not end.startswith(SEAL):
+        raise ValueError(UNSEALED)
+    if end != seal(content[:-length]):
+        raise ValueError("it is not as it was written: copy it again, or save it anew")
 
 
 def sealed_json(record: Mapping[str, Any]) -> str:

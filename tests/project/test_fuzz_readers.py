@@ -23,6 +23,7 @@ from lmpchain.engines.native import companion_run
 from lmpchain.simulation import task as tasks
 from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read as read_sweep
+from lmpchain.util.files import seal
 
 MEMORY = 500_000  # kB more than before
 HOSTILE = [
@@ -265,9 +266,12 @@ def test_dumps(originals: Path, tmp_path: Path, count: int):
 @fuzzed(30, 5000)
 def test_netcdf_files(originals: Path, tmp_path: Path, count: int):
     content = (originals / "run.nc").read_bytes()
+    sealed = content[: -len(seal(b""))]
 
     def case(turn: random.Random) -> None:
-        (tmp_path / "run.nc").write_bytes(damaged(content, turn))
+        changed = damaged(sealed, turn)
+        # a new seal would let files through over which HDF5 hangs, which no user has
+        (tmp_path / "run.nc").write_bytes(changed + turn.choice([b"", seal(sealed)]))
         Trajectory.load(tmp_path / "run.nc")
 
     examine(case, count)

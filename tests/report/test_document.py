@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from helpers.seals import seal_anew
 
 from lmpchain import Chain, Drive, Impulse, Profile, Scene, Trajectory, simulate
 from lmpchain.report import document, origin, page, write
@@ -324,6 +325,7 @@ def test_a_file_says_it_in_its_history(tmp_path: Path):
     path = tmp_path / "run.nc"
     with h5py.File(path, "w") as file:
         file.attrs["history"] = "2024-05-06T07:08:09+00:00 lmpchain run s.toml -o run.nc"
+    seal_anew(path)
     expected = {"date": "2024-05-06 07:08 UTC", "command": "lmpchain run s.toml -o run.nc"}
     assert origin.origin(path) == expected
     path.write_bytes(b"no such file")

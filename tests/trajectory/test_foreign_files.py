@@ -18,12 +18,15 @@ import numcodecs
 import numpy as np
 import pytest
 from helpers.child_processes import finish
+from helpers.seals import seal_anew
 from numcodecs.abc import Codec
 
 from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines.native import companion_run
+from lmpchain.report.origin import origin
 from lmpchain.simulation import task as tasks
+from lmpchain.util.files import seal
 
 SCENE = Scene(
     chain=Chain(grains=12, material="glass", diameter=1e-3),
@@ -433,7 +436,55 @@ def test_only_plain_arrays_of_the_file_itself_are_read(
     with h5py.File(path, "r+") as file:
         del file["velocity"]
         kind(file, outside)
-    refused(path, capsys)
+    seal_anew(path)
+    assert "seal" not in refused(path, capsys)
+
+
+def changed_bytes(content: bytes, seed: int) -> bytes:
+    """Return the bytes of a file with some changed, lost, doubled or put in."""
+    random = np.random.default_rng(seed)
+    changed = bytearray(content)
+    for _ in range(random.integers(1, 6)):
+        place = int(random.integers(len(changed)))
+        length = int(random.choice([1, 8, 64, 500]))
+        how = random.choice(["bits", "lost", "doubled", "zeros", "cut"])
+        if how == "bits":
+            changed[place] ^= 1 << int(random.integers(8))
+        elif how == "lost":
+            del changed[place : place + length]
+        elif how == "doubled":
+            changed[place:place] = changed[place : place + length]
+        elif how == "zeros":
+            changed[place : place + length] = bytes(length)
+        else:
+            del changed[max(place, len(changed) // 4) :]
+    return bytes(changed)
+
+
+@pytest.mark.parametrize("sealed", [True, False])
+@pytest.mark.parametrize("seed", range(30))
+def test_no_changed_file_reaches_the_library_that_may_hang(
+    originals: Path, tmp_path: Path, seed: int, sealed: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """HDF5 searched two of 756 such files for ever, and no signal but a kill stopped it."""
+    content = (originals / "run.nc").read_bytes()
+    end = len(content) - len(seal(b""))
+    reached = []
+    monkeypatch.setattr(h5py, "File", lambda *words, **options: reached.append(words))
+    path = tmp_path / "run.nc"
+    kinds = {
+        "changed": changed_bytes(content[:end], seed) + content[end:] * sealed,
+        "without its seal": content[: end + seed * sealed],
+        "with more at its end": content + bytes(seed + 1),
+    }
+    for changed in kinds.values():
+        path.write_bytes(changed)
+        with pytest.raises(InputError, match="save it anew") as caught:
+            Trajectory.load(path)
+        assert str(caught.value).startswith(f"{path}: is not a trajectory that lmpchain saved")
+        assert "\n" not in str(caught.value)
+        assert origin(path)["command"] == "not recorded"
+    assert not reached
 
 
 def test_a_damaged_file_is_refused_in_one_line(originals: Path, tmp_path: Path):

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
+from helpers.seals import seal_anew
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
 from lmpchain.util.provenance import command
@@ -168,6 +169,7 @@ def test_a_file_without_a_part_is_refused(trajectory: Trajectory, tmp_path: Path
     for number, data in enumerate(damaged):
         path = tmp_path / f"{number}.nc"
         data.to_netcdf(path, engine="h5netcdf")
+        seal_anew(path)
         with pytest.raises(InputError) as caught:
             Trajectory.load(path)
         assert [key for key, _ in caught.value.faults] == [str(path)]
@@ -176,5 +178,6 @@ def test_a_file_without_a_part_is_refused(trajectory: Trajectory, tmp_path: Path
 def test_arrays_that_do_not_fit_the_scene_are_refused(trajectory: Trajectory, tmp_path: Path):
     data = trajectory.to_xarray().isel(time=slice(0, 5))
     data.to_netcdf(tmp_path / "part.nc", engine="h5netcdf")
+    seal_anew(tmp_path / "part.nc")
     with pytest.raises(InputError):
         Trajectory.load(tmp_path / "part.nc")

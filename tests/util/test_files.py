@@ -217,9 +217,13 @@ def test_a_seal_is_the_hash_of_the_content(tmp_path: Path):
     path = tmp_path / "run.nc"
     assert seal(content)[-32:] == hashlib.sha256(content).digest()
     whole = content + seal(content)
-    for sound in (whole, content, b"", b"short"):  # files of other programs bear no seal
-        path.write_bytes(sound)
-        check_seal(path)
+    path.write_bytes(whole)
+    check_seal(path)
+    # of other programs, or cut short
+    for unsealed in (content, b"", b"short", whole[:-1], whole + b" "):
+        path.write_bytes(unsealed)
+        with pytest.raises(ValueError, match="ends without the seal of lmpchain"):
+            check_seal(path)
     for place in (0, len(content) - 1, len(whole) - 1, len(whole) - 32):
         damaged = bytearray(whole)
         damaged[place] ^= 1
