@@ -2,7 +2,7 @@
 
 Squares are the native engine, circles LAMMPS, both for Eq. (1); the line is the linear theory, Eq.
 (19). The paper finds "a satisfactory correspondence"; but the strike is weak at none of the three.
-Its strike number v0* must be below 0.04 for linear theory to be right to 1 %; at g it is 8.5, and
+Its strike number v0* must be below 0.037 for linear theory to be right to 1 %; at g it is 8.5, and
 contact 1 all but opens.
 """
 

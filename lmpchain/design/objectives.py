@@ -33,6 +33,9 @@ class Objective(Protocol):
         """Return the value and its derivatives."""
 
 
+AHEAD = 1e-100  # m/s: of a grain far ahead of a wave, which falls off faster than any power there
+
+
 def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
     """Return these grains; raises `InputError` unless all are among those of the scene."""
     last = scene.chain.grains
@@ -232,11 +235,12 @@ class ArrivalTime:
         v = view.velocity[:, view.column(self.grain)]
         above = np.flatnonzero(np.sign(self.velocity) * v >= abs(self.velocity))
         if not above.size or above[0] == 0:
-            reason = f"is never faster than {np.abs(v).max():.3g} m/s"
+            reason = f"is never faster than {np.abs(v).max():.3g} m/s: use another threshold"
             if above.size:
-                reason = "has that velocity at once"
-            message = f"grain {self.grain} {reason}: use another threshold"
-            raise InputError.at("velocity", message)
+                reason = "has that velocity at once: use another threshold"
+            elif np.abs(v).max() < AHEAD:
+                reason = "is reached by no wave: record for longer"
+            raise InputError.at("velocity", f"grain {self.grain} {reason}")
         # the crossing lies between the second and the third time, except at the ends
         first = int(np.clip(above[0] - 2, 0, v.size - 4))
         near = v[first : first + 4]

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 ROWS = 12  # of a table
 # of drawn chains: they are some 5 % off where an answer is well beyond first order
 PAIRS = 16
+# in SI units: a momentum or energy far ahead of a wave, which falls off faster than any power there
+NOTHING = 1e-150
+AT_REST = 1e-9  # of the force at rest, by which one that no wave changes may be rounded
 # in the order of a table: what a chain is, then what happens to it
 CANDIDATES = (
     "diameters",
@@ -78,6 +81,8 @@ class Sensitivity:
         Standard deviation and mean change of the answer beyond first order, by `PAIRS` pairs of
         drawn chains that differ from the scene by as much to either side; NaN where one of them has
         no such answer.
+    remark : str
+        That no wave reaches what the answer is about, if so.
     """
 
     of: str
@@ -87,6 +92,7 @@ class Sensitivity:
     uncertainty: dict[str, float]
     scatter: float
     shift: float
+    remark: str = ""
 
     @property
     def value(self) -> float:
@@ -113,7 +119,8 @@ class Sensitivity:
 
         size = abs(self.value) or 1.0
         error = self.gradient.value_error
-        lines = [f"{self.of}: {self.value:.8g} {self.unit} (error {error:.1e})", ""]
+        remarks = [self.remark] if self.remark else []
+        lines = [f"{self.of}: {self.value:.8g} {self.unit} (error {error:.1e})", *remarks, ""]
         rows = [("for 1 % more", f"{self.unit}", "%")]
         for name, change in self.ranked()[:ROWS]:
             rows.append((name, f"{change:+.4g}", f"{100 * change / size:+.4f}"))
@@ -149,6 +156,7 @@ class Sensitivity:
             "uncertainty": self.uncertainty | {"all": self.deviation},
             "scatter": self.scatter,
             "shift": self.shift,
+            "remark": self.remark,
         }
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -284,7 +292,19 @@ def sensitivity(
     }
     scatter, shift = _draw_pairs(scene, answer, slopes, relative, uncertain)
     name = of if isinstance(of, str) else repr(of)
-    return Sensitivity(name, unit, slopes, relative, deviations, scatter, shift)
+    remark = _remark(scene, answer, slopes.value)
+    return Sensitivity(name, unit, slopes, relative, deviations, scatter, shift, remark)
+
+
+def _remark(scene: Scene, answer: Objective, value: float) -> str:
+    """Return that no wave reaches what an answer is about; empty if one does."""
+    within = f"within {scene.duration:g} s: record for longer"
+    if isinstance(answer, PeakForce):
+        rest = float(scene.chain.contacts.force[answer.contact])
+        at_rest = abs(value - rest) <= AT_REST * rest
+        words = f"no wave reaches contact {answer.contact} {within}; this is its force at rest"
+        return words if at_rest else ""
+    return f"no wave reaches these grains {within}" if abs(value) < NOTHING else ""
 
 
 def _draw_pairs(

@@ -204,6 +204,9 @@ class Engine(ABC):
         Whether like scenes are answered in less time together.
     whole : bool
         Whether it needs all grains of a scene, also those outside of the light cone.
+    suspect : str
+        What of a user's own may move grains as the scene does not say, and what to do; named where
+        an estimate fails.
     ranks_of_mpi : bool
         Whether it shares a scene out over the ranks of MPI.
     start_up_s, seconds_per_grain_step : float
@@ -221,6 +224,7 @@ class Engine(ABC):
     start_up_s: ClassVar[float] = 3e-4
     seconds_per_grain_step: ClassVar[float] = 0.0
     whole: bool = False
+    suspect: str = ""
     integrator: str = ""
     step: float | None = None
 

@@ -189,9 +189,11 @@ def solve_to_tolerance(
         try:
             collected = collect(run)
             errors = run.errors()
-        except RunFailed:
+        except RunFailed as failure:
             # a given step is not shortened
             if attempt.candidate.fixed or attempt.breakdowns == PATIENCE.breakdowns:
+                if engine.suspect:
+                    raise RunFailed(f"{engine.suspect}; {failure}") from failure
                 raise
         finally:
             cost = run.cost()
@@ -207,6 +209,8 @@ def solve_to_tolerance(
                 compile_s=compiled_s() - compiled,
             )
             missed = attempt.refusal or missed
+            if missed and engine.suspect:
+                missed = f"{engine.suspect}; {missed}"
             known_s = _known_until(error, attempt.tolerance, scenes[0]) if missed else math.inf
             return Outcome(collected, attempt, errors, error, cost, missed, known_s)
         run_s = cost.integration_s + cost.estimate_s

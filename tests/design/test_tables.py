@@ -88,6 +88,28 @@ def test_without_uncertainty_nothing_scatters_and_beyond_what_may_be_nothing_is_
     assert "beyond first order: unknown" in often.table()
 
 
+def test_a_contact_that_no_wave_reaches_says_so():
+    column = Scene(
+        chain=Chain(grains=60, diameter=1e-3),
+        excitation=Impulse(velocity=1e-4),
+        duration=2e-6,
+        samples=9,
+    )
+    # by weight alone: that of the 50 grains above
+    weight = 50 * column.chain.masses[0] * 9.81
+    far = sensitivity(column, "peak_force:50")
+    assert far.value == pytest.approx(weight, rel=1e-12)
+    said = "no wave reaches contact 50 within 2e-06 s: record for longer; this is its force at rest"
+    assert far.table().splitlines()[1] == far.remark == said
+    assert far.to_json()["remark"] == said
+    for of in ("momentum:50", "kinetic_energy:40-50", "energy:40-50"):
+        assert sensitivity(column, of).remark.startswith("no wave reaches these grains within 2e-0")
+    for of in ("peak_force:1", "momentum:2", "energy:1-60"):
+        assert sensitivity(column, of).remark == ""
+    with pytest.raises(InputError, match="grain 50 is reached by no wave: record for longer"):
+        sensitivity(column, "arrival_time:50@1e-6")
+
+
 def shown(scatter: float = 0.25, **uncertainty: float) -> Sensitivity:
     """Return a sensitivity of given numbers."""
     relative = {
@@ -161,6 +183,7 @@ def test_all_numbers_are_written():
         "uncertainty": {"diameters": 0.3, "gravity": 0.4, "all": 0.5},
         "scatter": 0.25,
         "shift": -0.0125,
+        "remark": "",
     }
 
 

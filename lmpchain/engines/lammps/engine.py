@@ -135,6 +135,9 @@ class Lammps(TimeSteppingEngine):
         cure = "it holds fixes, computes and dumps, and the run comes after it"
         deck.refuse_run("include", self.include, cure)
         self.keep = None if keep is None else expanded(keep)
+        if own := [key for key in ("template", "include") if getattr(self, key)]:
+            commands = f"the commands of your {' and '.join(own)} may move the grains"
+            self.suspect = f"{commands} as the scene does not say: run without, to see"
         self.whole = keep is not None or bool(self.template or self.include)
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:

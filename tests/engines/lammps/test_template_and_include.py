@@ -14,7 +14,7 @@ from helpers.command_output import SCENE, keys, names
 from helpers.independent_integrators import relative_error
 from helpers.standalone_lammps import lmp, small
 
-from lmpchain import InputError, Scene, Trajectory, simulate
+from lmpchain import InputError, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.export import write_deck
@@ -101,6 +101,15 @@ def test_what_an_include_does_to_the_motion_is_an_error():
     error = relative_error(t.displacement, t.velocity, native.displacement, native.velocity)
     assert t.error_estimate.total == pytest.approx(error, rel=0.1)
     assert error > 1e-3
+
+
+def test_an_include_is_the_suspect_where_an_estimate_fails():
+    Path("my.include").write_text("fix drag all viscous 1e-3\n")
+    suspect = "^the commands of your include may move the grains .*: run without, to see; the error"
+    with pytest.raises(ToleranceNotMet, match=suspect):
+        simulate(small(), engine=Lammps(include="my.include"))
+    Path("my.include").write_text("compute ke all ke\n")
+    assert simulate(small(), engine=Lammps(include="my.include")).error_estimate.total < 1e-6
 
 
 # --- templates
