@@ -66,6 +66,11 @@ class StepSchedule(NamedTuple):
             step=self.step * ratio,
         )
 
+    @property
+    def filled(self) -> int:
+        """Samples from one that the run fills, by landing or interpolation, to the next."""
+        return self.dense or self.stride
+
     def total(self, samples: int) -> int:
         """Return the steps from sample 0 to the sample of this number, if all are equal."""
         landings, remaining = divmod(samples, self.stride)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..engines.base import Candidate
 from ..engines.native import Native
-from ..engines.native.amplification import divergence
-from ..errors import InputError
+from ..engines.native.amplification import separate
+from ..errors import InputError, RunFailed
+from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
@@ -154,6 +156,24 @@ def growth(
     """
     candidate = Native("rkn6").candidate(scene.reached, accuracy)
     return scene.time, divergence(scene, candidate, perturbation)
+
+
+def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
+    """Return the relative distance of a run and a perturbed one at every sample, (T,).
+
+    Both have the integrator and the steps of the candidate. What remains is the change, rounding,
+    and what the scene makes of them.
+
+    Raises
+    ------
+    RunFailed
+        If a run breaks down.
+    """
+    schedule = candidate.sampled.schedule()
+    distance = separate(scene.reached, (change,), METHODS[candidate.integrator], schedule)[0]
+    if not np.isfinite(distance).all():
+        raise RunFailed("two runs that begin a little apart broke down: use a shorter step")
+    return distance
 
 
 def predictability_time(scene: Scene, tolerance: float) -> float:

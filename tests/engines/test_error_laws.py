@@ -17,7 +17,6 @@ from lmpchain.engines.native.amplification import (
     GROWTH,
     amplify_rounding,
     could_grow,
-    divergence,
     perturb,
 )
 from lmpchain.engines.native.estimate import TRUST, estimate_truncation
@@ -29,6 +28,7 @@ from lmpchain.engines.native.round_off import (
     rounded_energy,
 )
 from lmpchain.engines.native.step_choice import STEP_CONTROL
+from lmpchain.stability.predictability import divergence
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util.arrays import EPSILON
 

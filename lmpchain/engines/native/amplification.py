@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import RunFailed
 from ...integrators.batch import ChainBatch
 from ...integrators.method import Method
 from ...integrators.methods import METHODS
@@ -21,7 +20,6 @@ from ...integrators.stepper import NativeStepper
 from ...scene.excitation import Profile
 from ...scene.scene import Scene
 from ...util.arrays import EPSILON, Array
-from ..base import Candidate
 from .round_off import accumulate
 
 BLOCK_BYTES = 2**24  # of samples held at a time
@@ -110,24 +108,6 @@ def separate(
     largest = stepper.largest()[0]
     scale = np.where(largest > 0, largest, 1.0)
     return (distances / scale[:, None, None]).max(0)
-
-
-def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
-    """Return the relative distance of a run and a perturbed one at every sample, (T,).
-
-    Both have the integrator and the steps of the candidate. What remains is the change, rounding,
-    and what the scene makes of them.
-
-    Raises
-    ------
-    RunFailed
-        If a run breaks down.
-    """
-    schedule = candidate.sampled.schedule()
-    distance = separate(scene.reached, (change,), METHODS[candidate.integrator], schedule)[0]
-    if not np.isfinite(distance).all():
-        raise RunFailed("two runs that begin a little apart broke down: use a shorter step")
-    return distance
 
 
 def could_grow(scene: Scene, evaluations: float) -> float:

@@ -351,8 +351,8 @@ class CompanionRun(Run):
         # grains in contact fly nowhere, and none turns faster than the fastest motion
         free_flights = max(min(flights, radians), 1.0) if opens else 0.0
         roundoff = native_floor(motion.evaluations, radians, free_flights)
-        steps = motion.evaluations / self.method.evaluations
-        if self._chains.plain[real] and steps:
+        steps = max(motion.evaluations / self.method.evaluations, 1.0)
+        if self._chains.plain[real]:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
         if self.candidate.stride > 1:
             roundoff += interpolation_loss(steps, flights)
@@ -365,8 +365,8 @@ class CompanionRun(Run):
         """
         # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self._sample == self.scene.samples - 1
-        # contacts open, grains collide, and what comes of it returns to contacts that opened
-        recurs = opens and self.closest[real] > 0 and self._companions.recurrent[real]
+        # contacts open, and what comes of it returns to contacts that opened
+        recurs = opens and self._companions.recurrent[real]
         counts = min(estimate, self.candidate.solver_error)
         return complete and recurs and could_grow(self._scenes[real], motion.evaluations) > counts
 

@@ -116,7 +116,7 @@ class Companions:
         self._candidate = candidate
         exponent = scenes[0].chain.exponent
         self._order_at_openings = min(method.order, OPENINGS.trusted_order(exponent, candidate))
-        longer = longer_steps(method, scenes, candidate)
+        longer = longer_steps(method, scenes[0], candidate)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._nearby = len(longer) == 2 and candidate.adaptive and any(self.recurrent)
         if self._nearby:
@@ -150,14 +150,14 @@ class Companions:
             Whether contacts open or nearly so.
         """
         proper = len(self.schedules) - self._nearby
-        scatters = self._nearby and opens and self.recurrent[real]
+        scatters = opens and self.recurrent[real]
         settled = order == self._method.order and not self._candidate.adaptive
         return max(
             estimate_truncation(
                 field[:proper],
                 self.ratios[:proper],
                 order,
-                nearby=field[-1] if scatters else 0.0,
+                nearby=sum(field[proper:]) if scatters else 0.0,
                 settled=settled,
             )
             for field in distances.T.tolist()
@@ -184,19 +184,19 @@ def _arrange(
     runs = (*[answer] * twin, *schedules)
     # each is compared with the one of the next shorter steps, but the nearby one with the answer
     against = np.array([*range(len(runs) - nearby), *[0] * nearby])
-    strides = np.array([schedule.dense or schedule.stride for schedule in runs])
+    strides = np.array([schedule.filled for schedule in runs])
     together = math.lcm(4, *(schedule.stride for schedule in runs))
     return Arrangement(schedules, ratios, against, strides, together)
 
 
-def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
+def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[float]:
     """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
 
     None where these are unstable or too few.
     """
-    if candidate.steps(scenes[0].samples) < FEWEST_STEPS:
+    if candidate.steps(scene.samples) < FEWEST_STEPS:
         return []
-    reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
+    reach = candidate.step * scene.chain.band_edge
     return [ratio for ratio in LONGER if ratio * reach <= method.stability_limit]
 
 

@@ -176,7 +176,7 @@ def kind(scene: Scene) -> tuple:
 
 def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return a key of scenes whose answers and errors in a batch are those that they have alone."""
-    longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
+    longer = longer_steps(METHODS[candidate.integrator], scene, candidate)
     return (
         *kind(scene),
         candidate.schedule(),
