@@ -19,7 +19,7 @@ import numpy as np
 from .. import engines
 from ..chain.materials import MATERIALS
 from ..disorder.draws import Law, Of, realisation
-from ..errors import InputError, check_tolerance, shown
+from ..errors import InputError, check_tolerance, short, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
@@ -32,6 +32,7 @@ from .quantities import QUANTITIES, of_contact, with_gathered
 FORMAT = 3  # version of the files of results
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
 MOST_GRAINS = 10**8  # as of a chain: arrays of more would fill the memory first
+MOST_DIGITS = 10  # of the number of an entry, as of the most grains
 DRAWS_TRIED = 32  # before a sweep is refused, as none of them makes a scene
 Place = tuple[int, ...]
 
@@ -358,9 +359,10 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
             for name in ("density", "youngs_modulus", "poissons_ratio")
         }
     if isinstance(table, list):
-        if not (first.isdecimal() and int(first) < len(table)):
+        # no number of thousands of digits, which Python refuses to read
+        if not (first.isdecimal() and len(first) < MOST_DIGITS and int(first) < len(table)):
             raise InputError.at(
-                key, f"there is no entry {first}: the scene has {len(table)}, counted from 0"
+                key, f"there is no entry {short(first)}: the scene has {len(table)}, counted from 0"
             )
         entry = int(first)
         return [*table[:entry], _set_value(table[entry], rest, value, key), *table[entry + 1 :]]

@@ -153,8 +153,9 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
     if not (np.abs(times - scene.time) <= CHECKS.clock * scene.duration).all():
         raise InputError.at(
             name,
-            f"its frames are {times[-1] / (samples - 1):.6g} s apart by ITEM: TIME, the samples of "
-            f"the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or {CURE}",
+            f"its frames are {times[-1] / (samples - 1):.6g} s apart by ITEM: TIME or v_time, the "
+            f"samples of the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or "
+            f"{CURE}",
         )
 
 

@@ -37,6 +37,7 @@ AXES = ("x", "y", "z")
 UNWRAPPED = ("xu", "yu", "zu")
 IMAGES = ("ix", "iy", "iz")
 MOTION = ("vx", "vy", "vz", "v_phi")
+CLOCK = "v_time"  # of decks of ours, as a line ITEM: TIME makes dumps unreadable for MDAnalysis
 GRAINS = ("radius", "diameter", "mass")
 COLUMNS = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
 
@@ -256,13 +257,17 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
             name, "is cut short in its first frame: run LAMMPS to its end, or write it anew"
         )
     steps = np.array(sorted(rows))
-    columns = np.array([rows[step] for step in steps]).transpose(1, 0, 2)
+    values = np.array([rows[step] for step in steps]).transpose(1, 0, 2)
+    columns = dict(zip(names[1:], values, strict=True))
+    clock = np.array([times[step] for step in steps])
+    if CLOCK in columns and np.isnan(clock).all():
+        clock = columns[CLOCK][:, 0]
     return Frames(
         steps=steps,
-        times=np.array([times[step] for step in steps]),
+        times=clock,
         sides=np.array([sides[step] for step in steps]),
         periodic=periodic,
-        columns=dict(zip(names[1:], columns, strict=True)),
+        columns=columns,
     )
 
 
@@ -276,7 +281,7 @@ def _needed(name: str, columns: Sequence[str]) -> list[str]:
         missing.append("vz")
     if missing:
         raise InputError.at(name, f"has no column {', '.join(missing)}: {COLUMNS}")
-    optional = (*MOTION, *GRAINS, *(() if unwrapped else IMAGES))
+    optional = (*MOTION, *GRAINS, CLOCK, *(() if unwrapped else IMAGES))
     return ["id", *positions, *(key for key in optional if key in columns)]
 
 

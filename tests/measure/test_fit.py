@@ -610,7 +610,7 @@ def test_a_dump_without_displacements(dumped: tuple[Path, Path]):
     coarse.write_text(
         "\n".join(
             " ".join([*words[:4], f"{float(words[4]):g}", *words[5:]])
-            if len(words := line.split()) == 8
+            if len(words := line.split()) == 9
             else line
             for line in text
         )

@@ -292,6 +292,14 @@ def test_material_and_impurity_keys(tmp_path):
     assert np.array_equal(found.velocity[1, 1], alone.velocity)
 
 
+@pytest.mark.parametrize("entry", ["2", "\N{SUPERSCRIPT ONE}", "1" * 5000])
+def test_entries_that_are_not_there(entry: str, tmp_path):
+    """Python reads no number of 5000 digits."""
+    scene = SHORT | {"chain": SHORT["chain"] | {"impurity": [{"grain": 3, "mass": 1e-6}]}}
+    with pytest.raises(InputError, match=r"there is no entry .*: the scene has 1, counted from 0"):
+        sweep({"scene": scene, "grid": {f"chain.impurity.{entry}.mass": [1e-6]}}, tmp_path)
+
+
 def test_what_is_swept_may_be_missing_from_the_scene(tmp_path):
     scene = SHORT | {"excitation": {"kind": "impulse"}}
     found = sweep({"scene": scene, "grid": {"excitation.velocity": [1e-5, 1e-4]}}, tmp_path)

@@ -155,6 +155,7 @@ def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **va
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
         "fix": "nve" if kicks else "nve/noforce",
+        "steps_a_step": deck_steps(splitting),
         "first_step": done * deck_steps(splitting),
         "start_time": done * step,
         # fix move wants steps of one length; else the speeds come from outside
