@@ -13,14 +13,14 @@ import sys
 import threading
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from typing import Any
 
 from ..errors import InputError, LmpchainError
 from ..util import mpi
 from .common import complain
 from .parser import Parser, ShowVersion
-from .run import run, run_folder, sweep
+from .run import resume, run, run_folder, sweep
 from .verbs import VERBS
 
 
@@ -31,11 +31,20 @@ class _Terminated(BaseException):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code; under mpirun, rank 0 runs it.
 
+    Only a run in LAMMPS joins the processes of mpirun. A command that another program started may
+    have its variables, but is none of them.
+
     Parameters
     ----------
     argv : list of str, optional
         Arguments without the name of the program; those of the process by default.
     """
+    if mpi.count_processes() > 1 and not _uses_ranks(argv):
+        if mpi.is_launched() and not mpi.is_first():
+            # the first one does it all
+            return 0
+        mpi.leave()
+        return _run(argv)
     if mpi.count_processes() == 1:
         return _run(argv)
     try:
@@ -55,6 +64,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         # else the other ranks would wait for ever
         shutdown_workers(world)
+
+
+def _uses_ranks(argv: Sequence[str] | None) -> bool:
+    """Return whether a command runs a scene in LAMMPS, which all processes of mpirun can share."""
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        try:
+            arguments = _parser().parse_args(argv)
+        except SystemExit:
+            # wrong, as the first process is about to say
+            return False
+    if arguments.command is resume:
+        from ..simulation.task import engine_of
+
+        return engine_of(arguments.folder) == "lammps"
+    return arguments.command is run and arguments.engine == "lammps"
 
 
 def _run(argv: Sequence[str] | None) -> int:

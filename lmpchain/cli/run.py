@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         remove(path)
     for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
         warnings.warn(warning, stacklevel=1)
-    if mpi.current_world() and not (policy.chosen and policy.chosen.ranks_of_mpi):
+    if mpi.count_idle():
         warnings.warn(
             f"the engine {policy.name} runs on one rank; --engine lammps would use them all",
             stacklevel=1,
@@ -218,7 +218,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     """Solve the missing scenes of a sweep, and print how many failed."""
     from ..sweeps.run import dask, sweep
 
-    if mpi.current_world():
+    if mpi.count_idle():
         raise InputError.at(
             "sweep", "does not run under mpirun: use --workers, or --scheduler for several machines"
         )

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from hashlib import sha256
-from pathlib import Path
+from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,10 +16,11 @@ from ..integrators.halving import SAFETY
 from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags, numbers
-from ..util.files import expanded, replacing
+from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
 from ..util.progress import ProgressBar
 from . import parameters as params
 from .changes import changed
+from .fingerprint import fingerprint
 from .gradients import RUNS, Answer, at_step, refine
 from .objectives import Objective
 
@@ -164,7 +163,7 @@ def optimise(
     runs: int = 200,
     seed: int = 0,
     tolerance: float = 1e-5,
-    folder: str | Path | None = None,
+    folder: str | PathLike[str] | None = None,
     progress: bool = False,
 ) -> Optimum:
     """Return the scene that makes an objective least, or largest.
@@ -192,7 +191,8 @@ def optimise(
     tolerance : float
         Relative, of the value at the end. Steps on the way are those that it needs at the start.
     folder : path, optional
-        Keeps every finished start; a call with the same task goes on from there.
+        Keeps every finished start; a call with the same task, constraints and all other options
+        included, goes on from there.
     progress : bool
         Whether to show a progress bar.
 
@@ -226,12 +226,15 @@ def optimise(
     box = _Box(scene, names, bounds)
     drawn = qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))
     begins = np.vstack([box.start, drawn])[:starts]
-    # a folder belongs to one task, whose numbers are written in full
-    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
-        numbers = box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed
-        task = repr((scene.to_text(), type(objective).__name__, vars(objective), names, numbers))
-    store = None if folder is None else _Store(expanded(folder), sha256(task.encode()).hexdigest())
-    finished = [] if store is None else store.read()
+    store = None
+    finished = []
+    if folder is not None:
+        # what constraints say where starts begin is also of the files and values that they look at
+        limits = [constraint(box.values(at)) for constraint in constraints for at in begins]
+        options = (maximise, starts, runs, seed, tolerance)
+        subject = (scene.to_text(), objective, names, box.low, box.width, constraints, limits)
+        store = _Store(folder, fingerprint(subject, options), box.start.size)
+        finished = store.read()
     sign = -1.0 if maximise else 1.0
     first = _value(changed(scene, box.values(box.start)), objective, tolerance)
     descent = _Descent(box, objective, constraints, sign, runs, min(RUNS.turn, first.turn))
@@ -370,25 +373,35 @@ def _descend(descent: _Descent, begin: Array) -> Start:
 class _Store:
     """The folder that keeps finished starts."""
 
-    def __init__(self, folder: Path, task: str):
-        self.path = folder / "starts.json"
+    def __init__(self, folder: str | PathLike[str], task: str, size: int):
+        self.path = make_folder(folder) / "starts.json"
         self.task = task
-        folder.mkdir(parents=True, exist_ok=True)
+        self._size = size
 
     def read(self) -> list[Start]:
         """Return the starts that are finished; raises `InputError` if they are of another task."""
         if not self.path.exists():
             return []
         try:
+            check_readable(self.path, LARGEST_JSON)
             text = json.loads(self.path.read_text(encoding="utf-8"))
             task = text["task"]
             starts = [
-                Start(float(start["value"]), np.array(start["at"]), np.array(start["history"]))
+                Start(
+                    float(start["value"]),
+                    np.array(start["at"], float),
+                    np.array(start["history"], float),
+                )
                 for start in text["starts"]
             ]
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError.at("folder", f"{self.path} is damaged: remove it") from error
-        if task != self.task:
+            if not isinstance(task, str) or any(start.history.ndim != 1 for start in starts):
+                raise ValueError("it holds no starts")
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise InputError.at(
+                "folder",
+                f"{self.path} is damaged, or not lmpchain's: move it, or use another folder",
+            ) from error
+        if task != self.task or any(start.at.shape != (self._size,) for start in starts):
             message = f"{self.path} is of another task: use another folder, or remove it"
             raise InputError.at("folder", message)
         return starts

@@ -65,6 +65,14 @@ def is_sealed(folder: Path) -> bool:
     return order is not None and order["sha256"] == _seal(order, text)
 
 
+def engine_of(folder: str | PathLike[str]) -> str:
+    """Return the engine that a run folder asks for, empty where it does not say."""
+    try:
+        return str(json.loads((path_of(folder) / RUN).read_bytes())["engine"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return ""
+
+
 def check_run(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder; raises `InputError` if it is none."""
     if not is_run(folder):

@@ -12,8 +12,14 @@ from typing import Any, NoReturn
 from ..errors import EngineUnavailable
 from .leftovers import end_with_parent, unname_shared_memory
 
+# variables by which processes of mpirun and srun know each other; a child of one inherits them
+VARIABLES = ("PMI_", "PMIX_", "OMPI_", "MPI_LOCAL", "SLURM_PROCID")
+RANKS = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK", "SLURM_PROCID")
+# begin the names of programs that start the processes of mpirun and srun
+LAUNCHERS = ("hydra", "mpiexec", "mpirun", "orted", "prte", "pmi_proxy", "slurmstepd")
 MESSAGE_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
 _joined: list[Any] = []
+_idle: list[int] = []
 
 
 def count_processes() -> int:
@@ -22,6 +28,37 @@ def count_processes() -> int:
     if "SLURM_PROCID" in os.environ and "SLURM_STEP_ID" in os.environ:
         counts.append(os.environ.get("SLURM_STEP_NUM_TASKS", ""))
     return max((int(count) for count in counts if count.isdigit()), default=1)
+
+
+def is_launched() -> bool:
+    """Return whether mpirun or srun itself has started this process, not a program of theirs."""
+    try:
+        parent = Path(f"/proc/{os.getppid()}/comm").read_text().strip()
+    except OSError:
+        return False
+    return count_processes() > 1 and parent.startswith(LAUNCHERS)
+
+
+def is_first() -> bool:
+    """Return whether this process is the first of those that know each other."""
+    return not any(os.environ.get(key, "0").strip("0") for key in RANKS)
+
+
+def count_idle() -> int:
+    """Return the number of processes that mpirun started beside this one, which it has left."""
+    return _idle[0] if _idle else 0
+
+
+def leave() -> None:
+    """Make this process one of its own, whoever has started it under mpirun or srun.
+
+    Else MPI, as soon as LAMMPS is loaded, would look for the peers of another program, and end this
+    process where there are none.
+    """
+    if is_launched():
+        _idle[:] = [count_processes() - 1]
+    for key in [key for key in os.environ if key.startswith(VARIABLES)]:
+        del os.environ[key]
 
 
 def join() -> Any:

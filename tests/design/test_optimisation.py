@@ -1,5 +1,8 @@
 """Optima against those of colliding balls, which are known exactly."""
 
+import sys
+from copy import deepcopy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,7 @@ import pytest
 from lmpchain import Chain, InputError, Profile, Scene
 from lmpchain.design import Momentum, optimise
 from lmpchain.design.changes import changed
+from lmpchain.design.fingerprint import fingerprint
 from lmpchain.design.parameters import values
 
 # three balls with gaps: m_2 = sqrt(m_1 m_3) gives the third one most (Huygens)
@@ -85,6 +89,119 @@ def test_what_was_finished_is_not_done_again(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "starts.json").write_text('{"task": 3')
     with pytest.raises(InputError, match="damaged"):
         optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3, folder=tmp_path)
+
+
+LIMIT = 2e-3
+
+
+def below(limit: float):
+    def light(by_name):
+        return 2e3 * (limit - by_name["masses"][1]), {"masses": np.array([0, -2e3, 0])}
+
+    return light
+
+
+def below_a_global(by_name):
+    return 2e3 * (LIMIT - by_name["masses"][1]), {"masses": np.array([0, -2e3, 0])}
+
+
+def test_a_folder_is_of_one_task_constraints_included(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """With one constraint more the old optimum, 3 g, was returned for one of 2 g."""
+    task: Any = dict(maximise=True, starts=1, runs=12, folder=tmp_path / "starts")
+    arguments = (BALLS, Momentum([3]), ["masses"], BOUNDS)
+    free = optimise(*arguments, **task)
+    assert free.values["masses"][1] > 2.5e-3
+    others = [
+        {"constraints": [below(2e-3)]},
+        {"constraints": [below_a_global]},
+        {"tolerance": 1e-6},
+        {"runs": 13},
+        {"seed": 1},
+        {"maximise": False},
+    ]
+    for change in others:
+        with pytest.raises(InputError, match="of another task: use another folder"):
+            optimise(*arguments, **task | change)
+    task = task | {"folder": tmp_path / "light", "constraints": [below(2e-3)]}
+    light = optimise(*arguments, **task)
+    assert light.values["masses"][1] == pytest.approx(2e-3, rel=1e-5)
+    # the same constraint, defined again, is the same task
+    assert optimise(*arguments, **task | {"constraints": [below(2e-3)]}).value == light.value
+    for constraints in ([], [below(2.1e-3)], [below(2e-3), below(4e-3)]):
+        with pytest.raises(InputError, match="of another task"):
+            optimise(*arguments, **task | {"constraints": constraints})
+    task |= {"folder": tmp_path / "global", "constraints": [below_a_global]}
+    optimise(*arguments, **task)
+    monkeypatch.setattr(sys.modules[__name__], "LIMIT", 2.5e-3)
+    with pytest.raises(InputError, match="of another task"):
+        optimise(*arguments, **task)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[" * 100_000,
+        '{"task": ' + "[" * 100_000,
+        "[1]",
+        '{"task": "a"}',
+        '{"task": "a", "starts": [{}]}',
+        '{"task": "a", "starts": [{"value": "x", "at": [], "history": []}]}',
+        '{"mine": 1}',
+    ],
+)
+def test_a_foreign_starts_json_is_refused_and_kept(content: str, tmp_path: Path):
+    (tmp_path / "starts.json").write_text(content)
+    with pytest.raises(InputError, match=r"^folder: .*starts\.json is damaged, or not lmpchain's"):
+        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=tmp_path)
+    assert (tmp_path / "starts.json").read_text() == content
+
+
+@pytest.mark.parametrize("name", [3, 1.5, True, "a" * 300, "a\0b", ["a"], b"a"])
+def test_names_that_no_folder_can_bear(name: Any):
+    with pytest.raises(InputError, match=r"^folder: "):
+        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=name)
+
+
+def test_a_file_is_no_folder(tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="is no folder and cannot be made one"):
+        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (lambda x: x + 1, lambda x: x + 2),
+        (lambda x: np.sin(x), lambda x: np.cos(x)),
+        (lambda x, a=1: x, lambda x, a=2: x),
+        (below(1.0), below(2.0)),
+        (partial(max, 1), partial(max, 2)),
+        (np.zeros(2000), np.append(np.zeros(1999), 1e-9)),
+        ([1, 2], [2, 1]),
+        ([1, 2], (1, 2)),
+        (1, 1.0),
+        (["a", "bc"], ["ab", "c"]),
+        ({"a": 1}, {"a": 2}),
+        (Momentum([3]), Momentum([2])),
+        (Momentum([3]).grains, Momentum([2]).grains),
+    ],
+)
+def test_a_fingerprint_tells_apart(one: Any, other: Any):
+    assert fingerprint(one) != fingerprint(other)
+    assert fingerprint(one) == fingerprint(deepcopy(one))
+
+
+def test_a_fingerprint_is_of_the_contents():
+    assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
+    assert fingerprint(lambda x: x + LIMIT) == fingerprint(lambda x: x + LIMIT)
+
+    def endless(x):
+        return endless(x)
+
+    assert fingerprint(endless) == fingerprint(endless)
 
 
 def test_scenes_change_by_name():

@@ -48,6 +48,25 @@ def test_how_many_processes_mpirun_has_started(
     assert mpi.count_processes() == count
 
 
+@pytest.mark.parametrize("key", [*SIZES, "SLURM_STEP_NUM_TASKS"])
+def test_a_process_leaves_the_world_of_another_program(key: str, monkeypatch: Any):
+    monkeypatch.setattr(mpi, "_idle", [])
+    for name in ("PMI_RANK", "SLURM_PROCID", "OMPI_COMM_WORLD_RANK"):
+        monkeypatch.setenv(name, "01")
+    monkeypatch.setenv("SLURM_STEP_ID", "0")
+    monkeypatch.setenv("SLURM_JOB_NODELIST", "n[1-4]")
+    monkeypatch.setenv(key, "4")
+    assert mpi.count_processes() == 4
+    assert not mpi.is_launched()
+    assert not mpi.is_first()
+    mpi.leave()
+    assert mpi.count_processes() == 1
+    assert mpi.count_idle() == 0
+    assert mpi.is_first()
+    # a job may still ask for its nodes
+    assert os.environ["SLURM_JOB_NODELIST"] == "n[1-4]"
+
+
 def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any):
     done: list[str] = []
     world = SimpleNamespace(size=3, Barrier=lambda: done.append("all are there"))

@@ -174,6 +174,37 @@ def test_plain_mpirun_of_the_command_line(tmp_path):
     assert "leave the number of ranks out" in said
 
 
+OF_OTHERS = {
+    "mpich": {"PMI_SIZE": "4", "PMI_RANK": "1", "PMI_FD": "99"},
+    "open mpi": {"OMPI_COMM_WORLD_SIZE": "4", "OMPI_COMM_WORLD_RANK": "3"},
+    "slurm": {"SLURM_PROCID": "2", "SLURM_STEP_ID": "0", "SLURM_STEP_NUM_TASKS": "4"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", OF_OTHERS)
+def test_the_variables_of_another_program(kind: str, tmp_path):
+    """A command that it starts runs by itself, on each of its ranks; so does LAMMPS within it."""
+    MIDDLE.to_toml(tmp_path / "scene.toml")
+    scene = f"{tmp_path}/scene.toml"
+    for words, output in (
+        (("run", scene, "--engine", "native", "-o"), "run.nc"),
+        (("run", scene, "-o"), "folder/"),
+        (("compare", scene, "--engines", "lammps,native", "--json"), "compared.json"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "lmpchain.cli", *words, f"{tmp_path}/{output}"],
+            env=os.environ | OF_OTHERS[kind],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert "rank" not in done.stderr
+        assert (tmp_path / output).exists()
+    assert same(Trajectory.load(tmp_path / "run.nc"), simulate(MIDDLE, "native"))
+
+
 @pytest.mark.slow
 def test_ranks_on_the_command_line(tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
@@ -353,8 +384,10 @@ def test_lammps_errors_are_those_of_one_rank():
 
 
 def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
+    MIDDLE.to_toml(tmp_path / "scene.toml")
+    words = ["run", str(tmp_path / "scene.toml"), "--engine", "lammps"]
     done = subprocess.run(
-        [sys.executable, "-m", "lmpchain.cli", "--version"],
+        [sys.executable, "-m", "lmpchain.cli", *words],
         env=os.environ | {"OMPI_COMM_WORLD_SIZE": "2"},
         capture_output=True,
         text=True,
