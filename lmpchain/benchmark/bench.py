@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,6 +22,7 @@ from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
 from ..util.lazy import listed
 from ..util.progress import ProgressBar
+from ..util.remarks import warnings_aside
 from .comparison import Row, compare
 from .curves import Curve, Point, WorkPrecision
 from .pareto import KNOWN, front
@@ -209,7 +209,7 @@ class Bench:
             {"on_miss": "warn"} if tolerance is None else {"tolerance": tolerance}
         )
         # engines warn of errors that are measured here
-        with warnings.catch_warnings(action="ignore"):
+        with warnings_aside():
             answer = simulate(self.scene, engine, **options)
         self.versions |= {
             key: answer.provenance[key] for key in VERSIONS if key in answer.provenance

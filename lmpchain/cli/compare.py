@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ from ..errors import (
     check_tolerance,
     shown,
 )
+from ..util.remarks import warnings_aside
 from .common import (
     PICTURES,
     beside,
@@ -98,7 +98,7 @@ def _solve(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Traje
     failures = []
     for name in names:
         try:
-            with warnings.catch_warnings(action="ignore"):
+            with warnings_aside():
                 # the table shows the errors
                 answer = simulate(scene, name, tolerance, progress=on_terminal())
                 if answer.cost.total_s < SHORT_S:

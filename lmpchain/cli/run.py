@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.files import expanded
+from ..util.remarks import warn
 from ..util.tables import align, counted
 from .common import beside, complain, gather, on_terminal, output, read
 
@@ -58,9 +58,9 @@ def run(arguments: argparse.Namespace) -> int:
     if in_folder and is_run(path):
         remove(path)
     for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
-        warnings.warn(warning, stacklevel=1)
+        warn(warning, stacklevel=1)
     if mpi.count_idle():
-        warnings.warn(
+        warn(
             f"the engine {policy.name} runs on one rank; --engine lammps would use them all",
             stacklevel=1,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import partial
-from types import CodeType, FunctionType, MethodType
+from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -65,8 +65,10 @@ def _contents(value: Any) -> tuple[list[Any], bool]:
         return [value.co_code, value.co_consts, value.co_names], True
     if isinstance(value, FunctionType):
         return _of_function(value), True
+    if isinstance(value, ModuleType):
+        return [value.__name__], True
     if isinstance(value, type) or not hasattr(value, "__dict__"):
-        # such as a class, a module or a function of C
+        # such as a class, or a function of C
         return [getattr(value, "__module__", ""), getattr(value, "__qualname__", repr(value))], True
     return [vars(value)], True
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,6 +12,7 @@ from ..engines.base import Engine
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
+from ..util.remarks import warnings_aside
 from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
 from .streaming import Average, Averages, Draw, draw_mean, take_average
 
@@ -182,5 +182,5 @@ def at_the_end(
     end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)
     averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]
     # the averages say how far from linear the chains are
-    with warnings.catch_warnings(action="ignore"):
+    with warnings_aside():
         return simulate(end, "chebyshev").velocity[-1], averages

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, NamedTuple
 from warnings import catch_warnings
 
@@ -48,6 +49,7 @@ class Newton:
 
 
 NEWTON = Newton()
+FILTERS = Lock()  # of warnings: one list for all threads, which they change in turns
 
 
 class Point(NamedTuple):
@@ -407,6 +409,7 @@ def solve_step(slopes: Array, residual: Array) -> Array:
     """Solve the linear equations of a Newton step, by least squares if they are singular."""
     if slopes.shape[0] == slopes.shape[1]:
         with (
+            FILTERS,
             suppress(LinAlgError, LinAlgWarning),
             catch_warnings(action="error", category=LinAlgWarning),
         ):

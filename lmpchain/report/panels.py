@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import warnings
 from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,6 +17,7 @@ from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, axes_in_units, figure, legend, si
+from ..util.remarks import warnings_aside
 from .live import crop, extent
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def waveforms(run: Trajectory) -> Panel:
 def _linear(run: Trajectory) -> Array | None:
     """Return the velocity by linear theory, (T, G) m/s, None where it does not apply."""
     try:
-        with warnings.catch_warnings(action="ignore"):
+        with warnings_aside():
             # the difference is drawn
             return simulate(run.scene, "chebyshev").velocity
     except InputError:

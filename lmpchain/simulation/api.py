@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mmap
 import time
-import warnings
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
 from os import PathLike
@@ -20,6 +19,7 @@ from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
 from ..util.progress import RATE, ProgressBar
+from ..util.remarks import warn
 from .gathering import GatheringRun, of_engine
 from .policy import policy_for, record
 from .task import Task
@@ -199,7 +199,7 @@ def _announce(attempt: Attempt) -> None:
     if attempt.candidate.cost_s > PATIENCE_S:
         minutes = f"the run takes some {attempt.candidate.cost_s / 60:.2g} minutes"
         cure = "a shorter duration or a larger tolerance takes less, a folder keeps what is done"
-        warnings.warn(f"{minutes}: {cure}", stacklevel=4)
+        warn(f"{minutes}: {cure}", stacklevel=4)
 
 
 def _solve(
@@ -246,18 +246,18 @@ def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
 def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
     """Return the trajectory, with warnings; raise `ToleranceNotMet` if the tolerance was missed."""
     if "redone" in trajectory.provenance:
-        warnings.warn(trajectory.provenance["redone"], stacklevel=3)
+        warn(trajectory.provenance["redone"], stacklevel=3)
     model = trajectory.error_estimate.model
     bound = outcome.error.model_bound
     if model > task.tolerance:
         limit = f" (at most {bound:.2g})" if bound > model else ""
         error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{limit}"
         remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
-        warnings.warn(remark.rstrip(". "), stacklevel=3)
+        warn(remark.rstrip(". "), stacklevel=3)
     if outcome.missed:
         if not task.best_effort:
             raise ToleranceNotMet(outcome.missed, trajectory, outcome.known_until)
-        warnings.warn(outcome.missed, stacklevel=3)
+        warn(outcome.missed, stacklevel=3)
     return trajectory
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import platform
 import time
-import warnings
 from pathlib import Path
 
 from .. import engines
@@ -15,6 +14,7 @@ from ..engines.cost_model import PLAUSIBLE, cache_file, measured, speed
 from ..scene.excitation import Impulse
 from ..scene.scene import Scene
 from ..util.files import replacing
+from ..util.remarks import warnings_aside
 from .api import simulate
 
 # of the answers that are timed
@@ -86,7 +86,7 @@ def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
     start, slowness = speed(engine.name, engine.start_up_s)
     work = (engine.candidate(engine.part(scene), TOLERANCE).cost_s - start) / slowness
     times = []
-    with warnings.catch_warnings(action="ignore"):
+    with warnings_aside():
         for _ in range(REPEATS):
             began = time.perf_counter()
             simulate(scene, engine, TOLERANCE)

@@ -26,7 +26,6 @@ import math
 import os
 import platform
 import time
-import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from os import PathLike
@@ -44,6 +43,7 @@ from ..util.arrays import Array
 from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json
 from ..util.locks import take_lock
 from ..util.provenance import now
+from ..util.remarks import warn
 from ..util.tables import finite
 from . import checkpoints
 from . import task as tasks
@@ -208,7 +208,7 @@ class RunFolder:
             damaged = True
         if damaged:
             start = f"the one before, at sample {self.samples}" if self.attempt else "the start"
-            warnings.warn(
+            warn(
                 f"{self.name}: the newest checkpoint is damaged; going on from {start}",
                 stacklevel=2,
             )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-import warnings
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +15,7 @@ from ..scene.scene import Scene
 from ..util import mpi
 from ..util.files import SEALED, check_tree, path_of, read_sealed_json, replacing, sealed_json
 from ..util.provenance import describe_session
+from ..util.remarks import warn
 from .policy import Named, Policy, policy_for
 
 AT_WORK = "another process is at work here; wait for it, or stop it"
@@ -169,7 +169,7 @@ def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
         if new.get(name) != version
     ]
     if changes:
-        warnings.warn(
+        warn(
             f"the run went so far with other versions, and may now differ: {'; '.join(changes)}",
             stacklevel=3,
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import warnings
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.recording import Recording
 from ..util.arrays import Array
+from ..util.remarks import warnings_aside
 from .file import Place, Sweep
 from .store import Column
 
@@ -54,7 +54,7 @@ def make_labels(plan: Sweep) -> Labels:
     shapes = set()
     for position in itertools.product(*map(range, lengths)):
         # warnings are those of the trial scenes
-        with suppress(InputError), warnings.catch_warnings(action="ignore"):
+        with suppress(InputError), warnings_aside():
             shapes.add(_find_shape(plan, position))
     times = {(shape.samples, shape.duration) for shape in shapes}
     recordings = {shape.recorded for shape in shapes}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -20,6 +19,7 @@ from ..errors import InputError, short, shown
 from ..util.files import check_tree, make_folder, read_sealed_json, sealed_json, write_aside
 from ..util.locks import take_lock
 from ..util.progress import ProgressBar
+from ..util.remarks import warn, warnings_aside
 from .executors import Here, Processes, end_if_imported
 from .file import FORMAT, Sweep, read
 from .labels import Labels, make_labels
@@ -110,21 +110,18 @@ def sweep(
         # of workers that died on the way
         clean(results, layout)
     if faults:
-        warnings.warn(
-            f"some scenes could not be done this time; of the first: {faults[0]}", stacklevel=2
-        )
+        warn(f"some scenes could not be done this time; of the first: {faults[0]}", stacklevel=2)
     return load_sweep(folder)
 
 
 def _try_scenes(plan: Sweep) -> int:
     """Make a scene of each value, with warnings; return the number of scenes in a batch."""
-    with warnings.catch_warnings(record=True, action="always") as caught:
+    with warnings_aside() as texts:
         batch = min(count_scenes(plan.engine, scene) for scene in plan.trials())
     # one warning of each kind, the first: they differ in their numbers
-    texts = [str(warning.message) for warning in caught]
     remarks = {re.sub(r"\d\S*", "", text): text for text in reversed(texts)}
     for remark in remarks.values():
-        warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=3)
+        warn(f"{remark}; perhaps in other scenes, too", stacklevel=3)
     return batch
 
 
@@ -239,7 +236,7 @@ def dask(address: str) -> Iterator[Executor]:
         ) from None
     with client:
         if not client.nthreads():
-            warnings.warn(
+            warn(
                 f"no workers are there yet; start some: dask worker {address} --nthreads 1",
                 stacklevel=3,
             )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +19,7 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..simulation.many import in_batches
 from ..trajectory.trajectory import Trajectory
+from ..util.remarks import warnings_aside
 from .file import Sweep, read_text
 from .labels import find_recorded
 from .quantities import add_rest, is_extreme, is_gathered, leave_out_unsure, measured, with_gathered
@@ -116,7 +116,7 @@ def answer(task: Task) -> None:
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1
     # warnings were given when the sweep began; the error of an answer stands in the result
-    with warnings.catch_warnings(action="ignore"):
+    with warnings_aside():
         columns = _make_columns(task)
         remaining = dict(enumerate(scenes(plan, task.first, task.count, alike)))
         # scenes that cannot be made are errors already

@@ -7,12 +7,14 @@ kill leaves none half written.
 
 from __future__ import annotations
 
+import json
 import math
-import warnings
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from secrets import token_hex
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any
 
@@ -59,9 +61,25 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     for name, layout in gathered.arrays(scene).items():
         shape = {"shape": layout.shape, "chunks": layout.shape}
         make(gathered.file_name(name), layout.dimensions, layout.labels, **shape, **unknown)
-    # consolidated metadata, which xarray reads first; zarr warns that they are no standard yet
-    with warnings.catch_warnings(action="ignore"):
-        zarr.consolidate_metadata(folder / NAME)
+    _consolidate(folder / NAME)
+
+
+def _consolidate(store: Path) -> None:
+    """Gather the descriptions of all arrays in that of the group, where xarray looks first.
+
+    As `zarr.consolidate_metadata`, which warns that they are no standard yet: to put that aside
+    takes Python's filters, which are one list for all threads.
+    """
+    described = {
+        path.parent.name: json.loads(path.read_bytes()) for path in store.glob("*/zarr.json")
+    }
+    group = json.loads((store / "zarr.json").read_bytes())
+    gathered_in = {"kind": "inline", "must_understand": False}
+    group["consolidated_metadata"] = gathered_in | {"metadata": dict(sorted(described.items()))}
+    # as zarr names what it has not written in full
+    aside = store / f"zarr.{token_hex(16)}.partial"
+    aside.write_text(json.dumps(group, indent=2), encoding="utf-8")
+    os.replace(aside, store / "zarr.json")
 
 
 class Writer:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-import warnings
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from inspect import Parameter, Signature
@@ -16,6 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from ..errors import InputError, shown
 from .arrays import Array, numbers, objection, plain, read_only
 from .notebook import Shown
+from .remarks import warn
 from .suggestions import did_you_mean
 
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
@@ -84,7 +84,7 @@ class Checked(Shown, BaseModel):
         # only values that are right are worth a remark
         for remark in self._remarks():
             # from one line, so that Python says each once
-            warnings.warn(remark, stacklevel=1)
+            warn(remark, stacklevel=1)
 
     def _remarks(self) -> Iterator[str]:
         """Yield warnings of values that are allowed but hardly meant."""

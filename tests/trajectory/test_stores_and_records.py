@@ -273,3 +273,13 @@ def test_metadata_that_make_no_sense_are_refused(change: dict[str, Any], why: st
         read_result(RECORD.attributes() | change)
     read_result(RECORD.attributes() | {"model_error": 0.0, "solver_error": math.inf})
     read_result(RECORD.attributes() | {"cost": json.dumps(RECORD.cost._asdict() | {"step_s": 1})})
+
+
+def test_descriptions_are_gathered_as_zarr_does(tmp_path: Path):
+    """By hand, for zarr warns of it, and Python's filters of warnings are one list for threads."""
+    zarr_store.create(tmp_path, SCENE, {"engine": "native"})
+    file = tmp_path / zarr_store.NAME / "zarr.json"
+    by_hand = json.loads(file.read_text())
+    with pytest.warns(UserWarning, match="Consolidated metadata"):
+        zarr.consolidate_metadata(tmp_path / zarr_store.NAME)
+    assert by_hand == json.loads(file.read_text())

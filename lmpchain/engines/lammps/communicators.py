@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from ...errors import EngineUnavailable, LmpchainError, RunFailed
 from ...util import mpi
+from .library import SIGNALS, signals_blocked
 from .worker import Worker
 
 # a follower polls at full speed for the first time, and then pauses for the second, s
 POLLING_S = 2e-3
 PAUSE_S = 5e-4
-SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
 
 class Serial:
@@ -117,13 +115,3 @@ def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...])
 def _by_lammps(error: Exception) -> bool:
     """Return whether LAMMPS raised an error, by its text: handlers of signals raise any class."""
     return str(*error.args[:1]).startswith("ERROR")
-
-
-@contextmanager
-def signals_blocked() -> Iterator[None]:
-    """Block signals, so that Ctrl-C does not come while only some ranks have their orders."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

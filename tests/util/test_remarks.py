@@ -1,0 +1,80 @@
+"""Warnings in threads: what one puts aside, no other loses, and Python's filters stay."""
+
+import threading
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lmpchain import Chain, Impulse, Scene, simulate
+from lmpchain.util.remarks import warn, warnings_aside
+
+# far from linear: Eq. (3) warns of its error
+STRONG = Scene(
+    chain=Chain(grains=6, diameter=1e-3),
+    excitation=Impulse(velocity=0.1),
+    duration=2e-5,
+    samples=5,
+)
+
+
+def in_threads(work: Callable[[int], Any], count: int = 8) -> None:
+    """Do the same in several threads; raise what one of them raised."""
+    faults: list[BaseException] = []
+
+    def run(number: int) -> None:
+        try:
+            work(number)
+        except BaseException as error:
+            faults.append(error)
+
+    threads = [threading.Thread(target=run, args=(number,)) for number in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if faults:
+        raise faults[0]
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+def test_runs_in_folders_in_threads_leave_the_filters_of_python(tmp_path: Path):
+    """Python's way to put warnings aside left "ignore" there for good."""
+    # libraries add filters of their own as they are first used
+    simulate(STRONG, "chebyshev", folder=tmp_path / "first")
+    before = list(warnings.filters)
+    for round_number in range(3):
+        in_threads(
+            lambda number, at=round_number: simulate(
+                STRONG, "chebyshev", folder=tmp_path / f"{at} {number}"
+            )
+        )
+    assert list(warnings.filters) == before
+    with pytest.warns(UserWarning, match=r"Eq\. \(3\) leaves out"):
+        simulate(STRONG, "chebyshev")
+
+
+def test_what_one_thread_puts_aside_another_still_says():
+    put_aside = threading.Barrier(2)
+    said = threading.Barrier(2)
+    texts = []
+
+    def quiet() -> None:
+        with warnings_aside() as mine:
+            put_aside.wait()
+            said.wait()
+            warn("not to be heard")
+            texts.extend(mine)
+
+    thread = threading.Thread(target=quiet)
+    thread.start()
+    put_aside.wait()
+    with pytest.warns(UserWarning, match="to be heard") as heard:
+        warn("to be heard")
+    said.wait()
+    thread.join()
+    assert [str(warning.message) for warning in heard] == ["to be heard"]
+    assert heard[0].filename == __file__
+    assert texts == ["not to be heard"]
