@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, files
@@ -77,12 +78,27 @@ def close_lammps(instance: Any) -> None:
 
 @contextmanager
 def signals_blocked() -> Iterator[None]:
-    """Block signals, which come afterwards."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    """Have Ctrl-C and SIGTERM come afterwards.
+
+    A mask of signals holds for one thread, and another, of a library, would take them in its place.
+    """
+    # Python answers them in the main thread only
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    noted: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in SIGNALS}
     try:
+        for number, handler in handlers.items():
+            if handler not in (signal.SIG_IGN, None):
+                signal.signal(number, lambda number, _: noted.append(number))
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            if handler not in (signal.SIG_IGN, None):
+                signal.signal(number, handler)
+        for number in noted[:1]:
+            signal.raise_signal(number)
 
 
 def _load_mpi() -> None:
