@@ -97,8 +97,8 @@ def signals_blocked() -> Iterator[None]:
         for number, handler in handlers.items():
             if handler not in (signal.SIG_IGN, None):
                 signal.signal(number, handler)
-        for number in noted[:1]:
-            signal.raise_signal(number)
+        for arrived in noted[:1]:
+            signal.raise_signal(arrived)
 
 
 def _load_mpi() -> None:
