@@ -16,7 +16,7 @@ from .. import engines
 from ..engines.base import Engine
 from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet
 from ..integrators.methods import METHODS
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..simulation.api import simulate
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
@@ -265,6 +265,7 @@ def work_precision(
     """
     if not 0 < budget_s < math.inf:
         raise InputError.at("budget", f"must be a time above 0 s (got {budget_s:g})")
+    check_scene(scene)
     needed = expected_seconds(scene)
     if needed > EFFORT.reference_s:
         message = f"the reference alone would take about {needed:.2g} s: shorten it"

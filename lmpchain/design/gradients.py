@@ -255,6 +255,9 @@ def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
     )
 
 
+MOST_STEPS = 1e9  # of a run
+
+
 def gradient(
     scene: Scene,
     objective: Objective,
@@ -318,6 +321,9 @@ def gradient(
     check_flags(adaptive=adaptive)
     if step is not None and not 0 < step < math.inf:
         raise InputError.at("step", f"must be above 0, in s (got {shown(step)})")
+    if step is not None and not scene.duration / step < MOST_STEPS:
+        least = f"longer than {scene.duration / MOST_STEPS:.1g} s, or a run takes hours"
+        raise InputError.at("step", f"must be {least} (got {step:g})")
     chosen = integrator or ("rkn4" if objective.dense else "rkn6")
     if chosen not in SPLITTINGS:
         raise InputError.at("integrator", not_among(chosen, tuple(SPLITTINGS)))

@@ -19,7 +19,7 @@ from ..chain.contacts import pair_slopes
 from ..errors import InputError, shown
 from ..integrators.adjoint import Inputs
 from ..scene.acting import Drive, Force
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 
@@ -44,6 +44,7 @@ DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
     """Return the names; raises `InputError` for those that are unknown or have no derivative."""
+    check_scene(scene)
     names = (names,) if isinstance(names, str) else tuple(names)
     faults = [(name if name in UNITS else "parameters", _refuse(scene, name)) for name in names]
     if not names:

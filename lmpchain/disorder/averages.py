@@ -13,7 +13,7 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
 from ..util.remarks import warnings_aside
-from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
+from .draws import Law, Of, check, disordered, factors, fault_of_count, fault_of_whole, realisation
 from .streaming import Average, Averages, Draw, draw_mean, take_average
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def at_the_end(
     InputError
         As `ensemble`.
     """
-    check(fault_of_whole("realisations", realisations, 2), fault_of_whole("seed", seed, 0))
+    check(fault_of_count(realisations, 2), fault_of_whole("seed", seed, 0))
     end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)
     averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]
     # the averages say how far from linear the chains are

@@ -28,6 +28,7 @@ Law = Literal["dyson", "paper"]
 Of = Literal["stiffness", "constant", "mass", "diameter", "modulus"]
 OF_CONTACTS = ("stiffness", "constant")
 # smallest factor, drawn once in 10^9 at m = 0.1: at 0 there would be no contact
+MOST_CHAINS = 10**6  # to average over: a mean is then known to a thousandth of its scatter
 SOFTEST = 1e-90
 
 
@@ -227,10 +228,18 @@ def check(*faults: Fault) -> None:
         raise InputError(present)
 
 
-def fault_of_whole(key: str, value: object, low: int) -> Fault:
-    """Return the fault of a value that is no whole number from `low` on, if it has one."""
-    valid = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= low
-    return None if valid else (key, f"must be a whole number from {low} (got {shown(value)})")
+def fault_of_whole(key: str, value: object, low: int, most: int = 2**63 - 1) -> Fault:
+    """Return the fault of a value that is no whole number from `low` to `most`, if it has one."""
+    integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if integer and low <= int(value) <= most:  # type: ignore[call-overload]
+        return None
+    end = f" to {most}" if most < 2**63 - 1 else ""
+    return key, f"must be a whole number from {low}{end} (got {shown(value)})"
+
+
+def fault_of_count(value: object, low: int) -> Fault:
+    """Return the fault of a number of chains to average over, if it has one."""
+    return fault_of_whole("realisations", value, low, MOST_CHAINS)
 
 
 def _fault_of_choice(key: str, value: object, options: Sequence[str]) -> Fault:

@@ -12,7 +12,7 @@ from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .draws import Law, Of, check, fault_of_whole
+from .draws import Law, Of, check, fault_of_count
 from .streaming import Average, Averages, Draw, draw_mean, take_average
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def spreading(
     if scene.at_rest or scene.excitation.does_work:
         message = "must give the chain energy at t = 0 and leave it alone from then on"
         raise InputError.at("excitation", message)
-    check(fault_of_whole("realisations", realisations, 1))
+    check(fault_of_count(realisations, 1))
     scene = scene.replace(grains="all")
     # the scatter of 16 groups of chains gives the error of an exponent
     groups = np.zeros((min(16, realisations), scene.samples))

@@ -18,7 +18,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
 from ..util.progress import ProgressBar
-from .draws import Law, Of, check, fault_of_whole, realisation
+from .draws import Law, Of, check, fault_of_count, realisation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,7 +135,7 @@ def take_average(
         As `ensemble`.
     """
     check_tolerance(tolerance)
-    check(fault_of_whole("realisations", realisations, 1))
+    check(fault_of_count(realisations, 1))
     solver = engines.get(engine)
     if not solver.batches:
         names = ", ".join(name for name in engines.names() if engines.get(name).batches)

@@ -16,6 +16,9 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
+from ..util.remarks import warn
+
+PATIENCE_S = 60.0  # of work that is announced
 PLAUSIBLE = 1e4  # largest factor between a machine and the one of the shipped numbers
 
 
@@ -23,6 +26,13 @@ def seconds(engine: str, start_up_s: float, work_s: float) -> float:
     """Return the expected time of an answer here, s, from its times on the reference machine."""
     start, slowness = speed(engine, start_up_s)
     return start + slowness * work_s
+
+
+def announce(cost_s: float, work: str) -> None:
+    """Warn of work that takes minutes, before it begins."""
+    if cost_s > PATIENCE_S:
+        cure = "a shorter duration or a larger tolerance takes less, a folder keeps what is done"
+        warn(f"{work} takes some {cost_s / 60:.2g} minutes: {cure}", stacklevel=4)
 
 
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from pydantic import InstanceOf
 from ..chain.chain import Chain
 from ..chain.picture import DETAILED_GRAINS, DRAWN_POINTS
 from ..chain.plausible import LIMITS
+from ..errors import InputError, shown
 from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
@@ -365,6 +366,13 @@ class Scene(Recording):
         """Write a scene file that `from_toml` reads back equal."""
         with write_aside(path) as aside:
             aside.write_text(self.to_text(), encoding="utf-8")
+
+
+def check_scene(scene: object) -> None:
+    """Raise `InputError` unless this is a scene."""
+    if not isinstance(scene, Scene):
+        cure = "make one, or read its file with Scene.from_toml"
+        raise InputError.at("scene", f"must be a Scene (got {shown(scene)}): {cure}")
 
 
 class LightCone(NamedTuple):

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..engines.base import Engine, Run
+from ..engines.cost_model import announce
 from ..engines.step_control import Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
-from ..scene.scene import LightCone, Scene
+from ..scene.scene import LightCone, Scene, check_scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
@@ -27,7 +28,6 @@ from .task import Task
 if TYPE_CHECKING:
     from .run_folder import RunFolder
 
-PATIENCE_S = 120.0  # of a run that is announced
 ESTIMATE_S = 2.0  # between two error estimates for the progress bar
 
 
@@ -91,6 +91,7 @@ def simulate(
     >>> t.displacement.shape, bool(t.error_estimate.total <= 1e-9)
     ((101, 40), True)
     """
+    check_scene(scene)
     check_tolerance(tolerance)
     check_on_miss(on_miss)
     check_flags(progress=progress)
@@ -171,7 +172,7 @@ def _answer(
     policy = task.policy
     scene = task.scene
     attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
-    _announce(attempt)
+    announce(attempt.candidate.cost_s, "the run")
     with output.requests:
         while True:
             engine = output.prepare(policy.engine(attempt))
@@ -192,14 +193,6 @@ def _answer(
                 compiled_s=cost.compile_s,
             )
     return output.finish(outcome, gathered), outcome
-
-
-def _announce(attempt: Attempt) -> None:
-    """Warn of a run that takes minutes, before it begins."""
-    if attempt.candidate.cost_s > PATIENCE_S:
-        minutes = f"the run takes some {attempt.candidate.cost_s / 60:.2g} minutes"
-        cure = "a shorter duration or a larger tolerance takes less, a folder keeps what is done"
-        warn(f"{minutes}: {cure}", stacklevel=4)
 
 
 def _solve(

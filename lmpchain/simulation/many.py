@@ -12,7 +12,7 @@ from ..engines.base import Engine
 from ..engines.native.time_stepping import alike
 from ..engines.step_control import Attempt, first_attempt, next_attempt
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance, shown
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
@@ -82,6 +82,8 @@ def simulate_many(
         raise InputError.at("scenes", "must be a list of scenes; simulate takes one alone")
     policy = policy_for(engine, **options)
     numbered = dict(enumerate(scenes))
+    for scene in numbered.values():
+        check_scene(scene)
     for number, scene in numbered.items():
         if not isinstance(scene, Scene):
             raise InputError.at(f"scenes.{number}", f"must be a scene (got {shown(scene)})")

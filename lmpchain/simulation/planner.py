@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import check_tolerance
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
 from ..util.tables import align, number
@@ -140,6 +140,7 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     >>> plan(scene).engine
     'native'
     """
+    check_scene(scene)
     check_tolerance(tolerance)
     proposals = propose(scene, tolerance, every=True)
     best = cheapest(proposals)

@@ -18,7 +18,7 @@ from ..benchmark.reference import expected_seconds
 from ..chain.plausible import LIMITS
 from ..errors import InputError, LmpchainError
 from ..integrators.methods import METHODS
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
 from ..util.progress import ProgressBar
 from .linear_theory import strike_number_where
@@ -51,6 +51,7 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     Stability
         Limits and curves, predicted and measured.
     """
+    check_scene(scene)
     boundaries: list[Boundary] = []
     curves: list[Curve] = []
     left_out: list[str] = []

@@ -1,6 +1,7 @@
 """Numbers, remarks, tables and pictures of a scene, against what they are defined to be."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,16 @@ from lmpchain import (
     Packet,
     Profile,
     Scene,
+    plan,
     simulate,
+    simulate_many,
+    work_precision,
 )
+from lmpchain.design import Momentum, gradient
+from lmpchain.disorder import ensemble, spreading
+from lmpchain.engines.lammps.export import write_deck
 from lmpchain.scene.excitation import EXCITATIONS
+from lmpchain.stability import stability
 from lmpchain.util.validation import make_unchecked
 
 COLUMN = Chain(grains=9, diameter=1e-3)
@@ -172,6 +180,44 @@ def test_usual_materials_are_not_remarked_on(recwarn: pytest.WarningsRecorder) -
     # cork and rubber, the softest and lightest that grains are made of
     Material(density=120.0, youngs_modulus=1e6, poissons_ratio=0.0)
     assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    "take", [simulate, plan, stability, work_precision, lambda scene: simulate_many([scene])]
+)
+@pytest.mark.parametrize("thing", [None, "scene.toml", {"chain": {}}, COLUMN])
+def test_what_is_no_scene_is_refused(take: Any, thing: Any) -> None:
+    with pytest.raises(InputError, match=r"^scene: must be a Scene \(got .*Scene.from_toml"):
+        take(thing)
+
+
+@pytest.mark.parametrize("step", [1e-320, 1e-30])
+def test_steps_that_cannot_be_counted_are_refused(step: float) -> None:
+    scene = scene_of(Impulse(velocity=1e-6))
+    for engine in ("native", "lammps"):
+        with pytest.raises(InputError, match=r"^step: must be longer than .* cannot be counted"):
+            simulate(scene, engine, step=step)
+    with pytest.raises(InputError, match=r"^step: must be longer than .* or a run takes hours"):
+        gradient(scene, Momentum([2]), ["masses"], step=step)
+
+
+def test_chains_to_average_over_are_bounded() -> None:
+    scene = scene_of(Impulse(velocity=1e-12))
+    for average in (ensemble, spreading):
+        with pytest.raises(InputError, match=r"^realisations: must be a whole number from 1 to 10"):
+            average(scene, 5.0, realisations=10**11, seed=1)
+
+
+def test_decks_have_no_more_steps_than_lammps_counts(tmp_path: Path) -> None:
+    scene = scene_of(Impulse(velocity=1e-6), duration=1e-5, samples=2)
+    # ten times 300 million steps are more than 32 bits hold
+    file = write_deck(scene, tmp_path, step=1e-5 / 3e8)
+    assert "index 300000000 " in file.read_text()
+    assert "thermo          ${every}" in file.read_text()
+    usual = write_deck(scene.replace(samples=11), tmp_path, step=1e-8)
+    assert "thermo          $(10*v_every)" in usual.read_text()
+    with pytest.raises(InputError, match=r"^duration: 3000000000 steps are more than LAMMPS"):
+        write_deck(scene, tmp_path, step=1e-5 / 3e9)
 
 
 def test_a_run_of_minutes_says_so_before_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ RUN_COMMAND = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\
 # the names of materials are the only free text of a scene: what came with a scene file stays out of
 # decks
 CLOSED = (Material,)
+MOST_STEPS = 2**31 - 1  # that a run of LAMMPS takes
 
 
 def read_user_text(key: str, path: str | PathLike[str]) -> str:
@@ -146,10 +147,17 @@ def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **va
     scene = column.scene
     # velocity Verlet and its compositions kick in LAMMPS; else the kicks come from outside
     kicks = carries(splitting) and not kicks_by_force(scene, splitting)
+    every = round(scene.duration / (scene.samples - 1) / step)
+    count = every * (scene.samples - 1) * deck_steps(splitting)
+    if values["alone"] and count > MOST_STEPS:
+        most = f"{count} steps are more than LAMMPS counts in a run, {MOST_STEPS}"
+        raise InputError.at(
+            "duration", f"{most}: shorten it, take longer steps, or let lmpchain run the scene"
+        )
     values |= {
         "column": column,
         "step": step,
-        "every": round(scene.duration / (scene.samples - 1) / step),
+        "every": every,
         "samples": scene.samples - 1,
         "integrator": splitting.name,
         "substeps": splitting.substeps,

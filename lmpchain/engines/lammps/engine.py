@@ -20,11 +20,12 @@ from ...util.files import expanded, make_folder
 from ...util.remarks import warn
 from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
+from ..cost_model import announce
 from ..native import Native
 from ..native.companion_run import CompanionRun
 from ..native.step_choice import StepChoice
 from ..native.time_stepping import TimeSteppingEngine
-from ..step_control import loosen, run_to_tolerance
+from ..step_control import first_attempt, loosen, run_to_tolerance
 from . import deck
 from .column import PAIR_STYLES, Column
 from .launch import gather
@@ -174,6 +175,8 @@ class Lammps(TimeSteppingEngine):
             return candidate._replace(solver_error=math.nan, choices=_choices(gauge, "as asked"))
         native = Native(self.splitting.name, self.step, adaptive=False)
         # half of the tolerance is for the step, half for round-off
+        asked = first_attempt(native, scene, tolerance / 2).candidate
+        announce(asked.cost_s, "the native trial that finds the step for LAMMPS")
         trial = run_to_tolerance(native, scene, tolerance / 2, _largest_motion)
         peaks, closest = trial.collected
         steps = trial.attempt.candidate.steps(scene.samples)

@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from ...errors import InputError, check_tolerance
-from ...scene.scene import Scene
+from ...scene.scene import Scene, check_scene
 from ...util.files import expanded
 from . import deck
 from .engine import Lammps
@@ -48,6 +48,7 @@ def write_deck(
     InputError
         If LAMMPS cannot do the scene, or an option is wrong.
     """
+    check_scene(scene)
     check_tolerance(tolerance)
     engine = Lammps(integrator, step, diameter, pair_style, template=template, include=include)
     deck.check_carried(engine.splitting, "integrator")

@@ -166,6 +166,9 @@ class StepChoice(NamedTuple):
     work: float
 
 
+MOST_STEPS = 2**53  # from one sample to the next: larger numbers have no ones any more
+
+
 def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
     """Return the largest step up to the one that was given, s, which divides the sample interval.
 
@@ -180,6 +183,9 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
         why = f"where {method.name} stops being stable on this chain (got {step:g})"
         raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
     interval = scene.duration / (scene.samples - 1)
+    if not interval / step < MOST_STEPS:
+        least = f"longer than {interval / MOST_STEPS:.1g} s"
+        raise InputError.at("step", f"must be {least}, or steps cannot be counted (got {step:g})")
     # a step that divides it but for round-off does
     steps = math.ceil(interval / step * (1 - 1e-12))
     return StepChoice(method, steps, 1, False, False, method.evaluations * steps)
