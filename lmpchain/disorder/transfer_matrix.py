@@ -10,6 +10,10 @@ that of the grain above. At omega
 so that nothing grows with the length of the chain. The mean of log|u_(n+1) / u_n| is the Lyapunov
 exponent, the inverse of the localisation length; the share of negative ratios is the integrated
 density of states (F. J. Dyson, Phys. Rev. 92, 1331, 1953; H. Schmidt, Phys. Rev. 105, 425, 1957).
+
+In a chain shorter than its localisation length all waves end at about the same phase, and log|u|
+and the count of nodes with it, so that their means were off by more than their scatter. At the two
+ends the amplitude and the phase of the wave in the mean chain take the place of u and of nodes.
 """
 
 from __future__ import annotations
@@ -36,6 +40,8 @@ PIECE = 2**16  # grains drawn at a time
 # share of each chain before counting begins, where the ratios still depend on its top
 # analysis/calibration/transfer_matrices.py
 WARM_UP = 0.1
+# of 2 - 2 cos(q), q being the wave number in the mean chain: from rest to just below the band edge
+EDGES = (1e-300, 3.96)
 
 
 class Distribution(Protocol):
@@ -156,7 +162,9 @@ def lyapunov(
     omega, growth, _ = _transfer(
         frequency, stiffness, masses, ratios, grains, chains, seed, progress
     )
-    return Localisation(omega, *_mean(growth))
+    exponent, error = _mean(growth)
+    # of chains far shorter than a localisation length the mean may scatter below 0
+    return Localisation(omega, np.maximum(exponent, 0.0), error)
 
 
 def density_of_states(
@@ -205,7 +213,8 @@ def density_of_states(
     omega, _, nodes = _transfer(
         frequency, stiffness, masses, ratios, grains, chains, seed, progress
     )
-    return DensityOfStates(omega, *_mean(nodes))
+    share, error = _mean(nodes)
+    return DensityOfStates(omega, np.clip(share, 0.0, 1.0), error)
 
 
 def _transfer(
@@ -233,16 +242,46 @@ def _transfer(
         for chain in range(chains):
             # nothing is above the first grain: the force below is all that accelerates it
             z = omega**2
+            begin = z
             position = 0
+            slowness = 0.0
             rng = np.random.default_rng([seed, chain])
             for a, b in _pieces(stiffness, masses, ratios, grains, rng):
+                slowness += (1 / a).sum()
                 # grains of the warm-up move z on, and their growth is thrown away
                 skip = min(max(warm_up - position, 0), a.size)
                 _pass(a[:skip], b[:skip], omega**2, z, np.empty(omega.size), np.empty(omega.size))
+                if position <= warm_up < position + a.size:
+                    begin = z.copy()
                 _pass(a[skip:], b[skip:], omega**2, z, growth[chain], nodes[chain])
                 position += a.size
                 bar.reach(chain * grains + position)
+            before, after = (_wave(x, omega**2, slowness / grains) for x in (begin, z))
+            growth[chain] += after[0] - before[0]
+            nodes[chain] += (after[1] - before[1]) / np.pi
     return omega, growth / (grains - warm_up), nodes / (grains - warm_up)
+
+
+def _wave(z: Array, omega2: Array, slowness: float) -> tuple[Array, Array]:
+    """Return log of the amplitude over |u|, and the phase, of the wave in the mean chain.
+
+    There ``u_n = A cos(q n + phi)``, so that ``u_n^2 + t^2 - 2 cos(q) u_n t = A^2 sin(q)^2`` with
+    ``t = u_(n+1)``.
+
+    Parameters
+    ----------
+    z, omega2 : (F,) arrays
+        omega2 is the square of the frequency.
+    slowness : float
+        Mean of m_n / k_n, s2.
+    """
+    # 2 - 2 cos(q), below its value at the band edge: beyond, waves are short, and any phase does
+    turn = np.clip(omega2 * slowness, EDGES[0], EDGES[1])
+    # 1 - t / u_n
+    slope = z * slowness
+    amplitude = np.log(slope**2 + turn * (1 - slope)) / 2
+    phase = np.arctan((slope - turn / 2) / np.sqrt(turn * (1 - turn / 4)))
+    return amplitude, phase
 
 
 def _pieces(
