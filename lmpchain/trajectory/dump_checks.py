@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import InputError
+from ..scene.excitation import Impulse
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .dump_frames import Frames
@@ -58,6 +59,8 @@ class SampledMotion(NamedTuple):
 
     Attributes
     ----------
+    fewest : int
+        Samples from which on integrals over a motion that begins from rest are good.
     single : float
         Largest angle at which grains are compared one by one, and not in groups.
     group : float
@@ -70,6 +73,7 @@ class SampledMotion(NamedTuple):
         Largest angle at which accelerations are compared with forces.
     """
 
+    fewest: int = 6
     single: float = 0.8
     group: float = 3.0
     slowest: float = 0.6
@@ -294,7 +298,7 @@ def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: flo
     digit : float
         The last digit of a displacement, m.
     """
-    if scene.samples < 3:
+    if scene.samples < SAMPLED.fewest:
         return
     interval = scene.duration / (scene.samples - 1)
     angle = scene.highest_frequency * interval / 2
@@ -302,7 +306,14 @@ def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: flo
     # velocities of a long step of velocity Verlet are off by a sixth of its angle squared
     slip = CHECKS.course + (scene.highest_frequency * scene.duration / steps) ** 2 / 3
     single = angle <= SAMPLED.single
-    ratio, doubt = _compare(*_grouped(scene, motion, angle), interval)
+    # of a grain that is moved or pushed, velocities may jump between samples
+    lawful = _lawful(scene)
+    u = motion.displacement[:, lawful]
+    v = motion.velocity[:, lawful]
+    masses = scene.chain.masses
+    sums = (u, v) if single else _grouped(scene, motion, angle)
+    last = digit if single else digit * masses.max() * masses.size
+    ratio, doubt = _compare(*sums, interval, last)
     if _factor(ratio) - 1 > slip + 2 * doubt + (angle**3 / 2 if single else SAMPLED.leak):
         cure = f"{CURE}: one with its duration, and with as many samples as it has frames"
         raise InputError.at(
@@ -312,10 +323,9 @@ def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: flo
         )
     if angle > SAMPLED.forces:
         return
-    acceleration = _accelerations(scene, motion)
-    lawful = _lawful(scene)
-    ratio, doubt = _compare(motion.velocity[:, lawful], acceleration[:, lawful], interval)
-    size = float(np.square(acceleration[:, lawful]).mean()) or np.inf
+    acceleration = _accelerations(scene, motion)[:, lawful]
+    ratio, doubt = _compare(v, acceleration, interval, 0.0)
+    size = float(np.square(acceleration).mean()) if acceleration.any() else np.inf
     # digits that are cut off make accelerations at random, of which none are in the velocities
     noise = (scene.highest_frequency**2 * digit) ** 2 / size
     if _factor(ratio) - 1 > slip + 2 * doubt + angle**3 / 2 + noise:
@@ -329,27 +339,27 @@ def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: flo
 def _grouped(scene: Scene, motion: Motion, angle: float) -> tuple[Array, Array]:
     """Return the momenta of groups of grains that the samples resolve, and their integrals.
 
-    Forces within a group cancel, so that its momentum changes slowly: the more grains, the slower.
-    They are (T, B) kg m and kg m/s each; without groups where not even the whole column is slow.
+    Forces within a group cancel, so that the momentum that a strike gives it changes slowly: the
+    more grains, the slower. They are (T, B) kg m and kg m/s each; without groups where not even the
+    whole column is slow, or what sets it in motion gives it no momentum.
     """
     masses = scene.chain.masses
-    width = math.ceil(SAMPLED.group * angle) if angle > SAMPLED.single else 1
-    width = min(width, masses.size)
-    slow = angle * math.sin(math.pi / (2 * width + 2)) if width > 1 else angle
-    count = masses.size // width if slow <= SAMPLED.slowest else 0
-    starts = width * np.arange(count)
     u = masses * motion.displacement
     v = masses * motion.velocity
-    if width == 1 or not count:
-        return u[:, starts], v[:, starts]
+    width = min(math.ceil(SAMPLED.group * angle), masses.size)
+    slow = angle * math.sin(math.pi / (2 * width + 2))
+    if not isinstance(scene.excitation, Impulse) or slow > SAMPLED.slowest:
+        return u[:, :0], v[:, :0]
+    starts = width * np.arange(masses.size // width)
     return np.add.reduceat(u, starts, axis=1), np.add.reduceat(v, starts, axis=1)
 
 
-def _compare(values: Array, rates: Array, interval: float) -> tuple[float, float]:
+def _compare(values: Array, rates: Array, interval: float, digit: float) -> tuple[float, float]:
     """Return how many times the changes of values are those by their rates, and how far it is off.
 
     It is fitted by least squares to all changes from sample to sample, (T, B): to integrals of
-    fourth order. That differs from a fit to those of second order by more than it is off.
+    fourth order. That differs from a fit to those of second order by more than it is off; what is
+    cut off behind the last `digit` of values adds at random.
     """
     changes = np.diff(values, axis=0)
     coarse = interval * (rates[1:] + rates[:-1]) / 2
@@ -358,7 +368,7 @@ def _compare(values: Array, rates: Array, interval: float) -> tuple[float, float
     if not (fine.any() and coarse.any()):
         return 1.0, 0.0
     ratios = [float((changes * part).sum() / np.square(part).sum()) for part in (coarse, fine)]
-    return ratios[1], abs(ratios[1] - ratios[0])
+    return ratios[1], abs(ratios[1] - ratios[0]) + 2 * digit / float(np.linalg.norm(fine))
 
 
 def _factor(ratio: float) -> float:
