@@ -272,14 +272,6 @@ def _cache() -> Iterator[Finding]:
 
     from .integrators.kernels.splitting import march
 
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        yield Finding(
-            "numba cache",
-            "warning",
-            "kernels are not compiled at all, so slow",
-            "unset NUMBA_DISABLE_JIT",
-        )
-        return
     # numba writes to it, or raises
     path = str(numba.njit(cache=True)(march.py_func).stats.cache_path)
     yield Finding("numba cache", "ok", path)

@@ -43,7 +43,8 @@ NOT_DONE = "not done"
 SCALARS = {"model_error": "of the equation that was solved", "solver_error": "of its solution"}
 # all that is in a folder of results
 OWN = re.compile(
-    rf"{re.escape(NAME)}|{PARTS}/[0-9]{{7}}(\.some)?\.npz|{seals.OF_STORE}|{seals.OF_SHARDS}/[0-9]+\.json|"
+    rf"{re.escape(NAME)}|{PARTS}/[0-9]{{7}}(\.some)?\.npz|"
+    rf"{seals.OF_STORE}|{seals.OF_SHARDS}/[0-9]+\.json|"
     rf"{re.escape(RESULTS)}/([^/]+/)?zarr\.json|{re.escape(RESULTS)}/[^/]+/c(/[0-9]+)+"
 )
 HALF_WRITTEN = re.compile(r"[^/]+\.[0-9a-f]{32}\.partial|\.[0-9]{7}(\.some)?\..*partial(\.npz)?")

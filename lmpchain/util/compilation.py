@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import secrets
 import sys
@@ -10,12 +11,16 @@ import time
 from collections.abc import Callable
 from functools import cache, partial
 from hashlib import sha256
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core.bytecode import FunctionIdentity
+from numba.core.caching import IndexDataCacheFile
 from numba.core.event import Event, Listener, register
+
+from .remarks import warn
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
 # numba counts from 1 what each process compiles, to tell functions of one name apart. What two
@@ -24,8 +29,15 @@ BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
 # (https://github.com/numba/numba/issues/10486). Random numbers differ in forks, too.
 FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
 
+if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    # the records of the kernels are none of Python
+    warn("NUMBA_DISABLE_JIT is ignored: the kernels run compiled only; unset it")
+    numba.config.DISABLE_JIT = 0  # type: ignore[attr-defined]
+
 _messages: dict[Callable, str] = {}  # for the compilation of each function
 _announced: set[str] = set()
+_complained: set[Path] = set()
+DIGEST = sha256().digest_size
 
 
 class _Announcer(Listener):
@@ -88,12 +100,68 @@ def _sources(module: Path) -> str:
     return sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()
 
 
+class _KeptFile(IndexDataCacheFile):
+    """A file of compiled code, with its hash: what is damaged counts as not there.
+
+    numba would end in whatever its contents make pickle raise, or run what they say.
+    """
+
+    def load(self, key: Any) -> Any:
+        """Return what is kept for a key, None where there is none."""
+        try:
+            return super().load(key)
+        except OSError as error:
+            _complain(error.filename or self._index_path, error)
+            return None
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep what was compiled, where there is room."""
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _complain(error.filename or self._index_path, error)
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception as error:
+            # whatever a damaged file makes pickle raise
+            _complain(self._index_path, error)
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        path = Path(self._data_path(name))
+        content = path.read_bytes()
+        if sha256(content[DIGEST:]).digest() != content[:DIGEST]:
+            _complain(path, "it is not as it was written")
+            return None
+        return pickle.loads(content[DIGEST:])
+
+    def _save_data(self, name: str, data: Any) -> None:
+        content = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as opened:
+            opened.write(sha256(content).digest() + content)
+
+
+def _complain(path: str | PathLike[str], reason: object) -> None:
+    """Warn, once a folder, that compiled code cannot be used or kept."""
+    folder = Path(path).parent
+    if folder not in _complained:
+        _complained.add(folder)
+        why = getattr(reason, "strerror", None) or reason or type(reason).__name__
+        warn(
+            f"{path}: compiled code is not kept there ({why}): it is compiled anew, which takes "
+            f"minutes; make room in {folder}, remove what is damaged, or set NUMBA_CACHE_DIR",
+            stacklevel=2,
+        )
+
+
 def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
     """Return a decorator for `numba.njit` with a persistent cache and a message on stderr.
 
     The result is kept beside the source; if that folder may not be written to, in the user's cache
     or in NUMBA_CACHE_DIR. It is used until the module changes, or one beside it that it imports.
-    Where nothing can be kept, every process compiles anew.
+    Where nothing can be kept, every process compiles anew; what is damaged is compiled anew, too.
 
     Parameters
     ----------
@@ -114,6 +182,7 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
             # records that are no longer there.
             file: Any = dispatcher._cache._cache_file
             file._version = f"{file._version} {_sources(Path(function.__code__.co_filename))}"
+            file.__class__ = _KeptFile
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
             dispatcher = numba.njit(**options)(function)

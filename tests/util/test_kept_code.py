@@ -1,0 +1,90 @@
+"""Compiled code that is damaged, or cannot be kept, is compiled anew; a line names the file."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+MODULE = """
+from lmpchain.util.compilation import compiled_once
+
+@compiled_once("a test", 1)
+def twice(x):
+    return 2 * x
+"""
+SCRIPT = """
+import kept
+print(kept.twice(21), sum(kept.twice.stats.cache_hits.values()))
+"""
+
+
+def run(folder: Path, *limit: str, **variables: str) -> tuple[str, str]:
+    """Call the function in a process of its own; return its output, and what it complains of."""
+    words = [sys.executable, "-c", SCRIPT]
+    done = subprocess.run(
+        ["bash", "-c", f'{" ".join(limit) or ":"}; exec "$@"', "bash", *words],
+        cwd=folder,
+        env=os.environ | {"NUMBA_CACHE_DIR": f"{folder}/cache"} | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    complaints = [line for line in done.stderr.splitlines() if "UserWarning" in line]
+    return done.stdout.strip(), "\n".join(complaints)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "kept.py").write_text(MODULE)
+    (tmp_path / "cache").mkdir()
+    return tmp_path
+
+
+def flip(content: bytes) -> bytes:
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda _: b"",
+    "cut": lambda content: content[: len(content) // 2],
+    "zeros": lambda content: bytes(len(content)),
+    "one bit": flip,
+    "text": lambda _: b"not found",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_files_are_compiled_anew(suffix: str, damage: str, folder: Path):
+    assert run(folder) == ("42 0", "")
+    assert run(folder) == ("42 1", "")
+    (path,) = (folder / "cache").rglob(f"*.{suffix}")
+    path.write_bytes(DAMAGE[damage](path.read_bytes()))
+    said, complaints = run(folder)
+    # one bit of an index may be of its version, or of a name that nobody looks up
+    assert said == "42 0" or (damage, suffix) == ("one bit", "nbi")
+    if (damage, suffix) != ("one bit", "nbi"):
+        assert str(path) in complaints
+        assert "set NUMBA_CACHE_DIR" in complaints
+    run(folder)
+    assert run(folder) == ("42 1", "")
+
+
+def test_a_full_disk_keeps_nothing_and_says_so(folder: Path):
+    said, complaints = run(folder, "ulimit -f 0")
+    assert said == "42 0"
+    assert f"{folder}/cache" in complaints
+    assert "File too large" in complaints
+    assert run(folder) == ("42 0", "")
+
+
+def test_kernels_run_compiled_only(folder: Path):
+    said, complaints = run(folder, NUMBA_DISABLE_JIT="1")
+    assert said == "42 0"
+    assert "NUMBA_DISABLE_JIT is ignored" in complaints
