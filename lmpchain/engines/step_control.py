@@ -248,8 +248,9 @@ def next_attempt(
     better = None if _stalls(attempt) else _shorten(engine, attempt, error, patient)
     if better:
         return attempt._replace(candidate=better), ""
-    if best[1] != candidate:
-        # shorter steps may have been worse by chance, and samples of one run alone are held
+    if best[1] != candidate and error.roundoff <= attempt.tolerance:
+        # shorter steps may have been worse by chance, and samples of one run alone are held; where
+        # rounding is the limit, the shortest are right for longest
         return attempt._replace(candidate=best[1], repeats=True), ""
     return None, _explain(scene, error, attempt)
 
@@ -322,8 +323,8 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     if time_s == math.inf:
         return f"{reason}: ask for less"
     return (
-        f"{reason}: this scene amplifies round-off beyond the tolerance at t = {time_s:.4g} s; "
-        "record up to there, or ask for less"
+        f"{reason}: this scene amplifies round-off, which may exceed the tolerance at "
+        f"t = {time_s:.4g} s; record up to there, or ask for less"
     )
 
 

@@ -9,8 +9,18 @@ import mpmath
 import numpy as np
 import pytest
 from helpers.example_scenes import paper, smooth
+from helpers.taylor_series import reference
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, engines, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    InputError,
+    Scene,
+    engines,
+    simulate,
+)
 from lmpchain.engines import Native
 from lmpchain.engines.base import Candidate, ErrorBudget
 from lmpchain.engines.native.amplification import (
@@ -434,3 +444,15 @@ def test_a_record_of_what_is_held_has_no_error(engine: str):
     assert not answer.displacement.any()
     assert not answer.velocity.any()
     assert answer.error_estimate.solver == 0
+
+
+@pytest.mark.parametrize("duration", [2e-4, 2.5e-4, 3e-4])
+def test_runs_with_the_steps_of_an_answer_show_what_the_scene_makes_of_its_rounding(duration):
+    """Walk times growth is up to hundreds of times as much, and refused what can be had."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0, top="wall", bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=duration, samples=21)
+    tolerance = 1e-11 if duration == 2e-4 else 5e-11
+    answer = simulate(scene, "native", tolerance)
+    error = reference(scene, 1e-20)[0].error(answer.displacement, answer.velocity)
+    assert error <= answer.error_estimate.solver <= tolerance
+    assert amplify_rounding(scene, answer.cost.force_evaluations).max() > tolerance

@@ -20,6 +20,7 @@ from ...integrators.stepper import NativeStepper
 from ...scene.excitation import Profile
 from ...scene.scene import Scene
 from ...util.arrays import EPSILON, Array
+from ..base import Candidate
 from .round_off import accumulate
 
 BLOCK_BYTES = 2**24  # of samples held at a time
@@ -45,6 +46,11 @@ class DigitGrowth:
     broken : float
         Relative distance beyond which a run broke down, for two that keep to the largest motion are
         never so far apart.
+    safety : float
+        Factor on the distance of runs with the steps of an answer, which scatters.
+    pessimism : float
+        How many times too large the product of walk and growth may be: up to there such runs tell
+        whether a tolerance is met.
     """
 
     digit: float = 1e-15
@@ -52,6 +58,8 @@ class DigitGrowth:
     reach: float = 0.2
     rate: float = 0.06
     broken: float = 4.0
+    safety: float = 4.0
+    pessimism: float = 1e3
 
 
 GROWTH = DigitGrowth()
@@ -130,6 +138,18 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
     # a run that broke down says nothing of the growth in the others
     followed = distances.max(1) <= GROWTH.broken
     return _digits(evaluations) * distances.max(0, where=followed[:, None], initial=0.0)
+
+
+def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:
+    """Return the rounding of an answer at each sample, (T,), as runs with its steps show it.
+
+    They begin a last digit apart, and round in other ways from there on. They take several times
+    the time of the answer.
+    """
+    changes = [GROWTH.digit * change for change in GROWTH.changes]
+    schedule = candidate.sampled.schedule()
+    distances = separate(scene, changes, METHODS[candidate.integrator], schedule)
+    return GROWTH.safety * distances.max(0)
 
 
 def _digits(evaluations: float) -> float:

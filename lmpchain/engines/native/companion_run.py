@@ -25,7 +25,7 @@ from ...trajectory.record import Block, Cost
 from ...util.arrays import Array, as_slice
 from ...util.compilation import clock
 from ..base import Candidate, ErrorBudget, Run
-from .amplification import amplify_rounding, could_grow
+from .amplification import GROWTH, amplify_rounding, could_grow, repeat_rounding
 from .companions import OPENINGS, Companions
 from .round_off import interpolation_loss, native_floor, plain_loss, rounded_energy
 
@@ -339,6 +339,9 @@ class CompanionRun(Run):
         elif self._may_amplify(real, motion, opens, truncation + roundoff):
             began = clock()
             amplified = amplify_rounding(scene, motion.evaluations)
+            tolerance = self.candidate.solver_error
+            if tolerance / 2 < amplified.max() < GROWTH.pessimism * tolerance:
+                amplified = np.fmin(amplified, repeat_rounding(scene, self.candidate))
             roundoff = max(roundoff, float(amplified.max()))
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
