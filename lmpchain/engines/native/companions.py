@@ -77,6 +77,7 @@ class Openings:
 
 
 OPENINGS = Openings()
+STRIKES = ("impulse", "displacement")  # of one grain
 LONGER = (2.0, 4.0)  # steps of companions over those of the answer
 FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
 
@@ -205,8 +206,8 @@ def recurs(scene: Scene) -> bool:
 
     Where the force has a kink at an opening, once is enough.
     """
-    # what acts all along opens contacts again without a reflection
-    crossed = 1 if scene.excitation.does_work else scene.chain.grains
+    # what acts all along, or on many grains, opens contacts again without a reflection
+    crossed = scene.chain.grains if scene.excitation.kind in STRIKES else 1
     returns = scene.highest_frequency * scene.duration > OPENINGS.returning * crossed
     opens = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
     return opens and (returns or OPENINGS.kinks(scene.chain.exponent))
