@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .benchmark.bench import work_precision as work_precision
     from .chain import patterns as patterns
     from .chain.chain import Chain as Chain
+    from .chain.damping import Damping as Damping
     from .chain.impurities import Impurity as Impurity
     from .chain.materials import BRASS as BRASS
     from .chain.materials import GLASS as GLASS
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 # few
 _MODULES = {
     "chain.chain": "Chain",
+    "chain.damping": "Damping",
     "chain.impurities": "Impurity",
     "chain.materials": "Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
     "scene.excitation": "Impulse Displacement Profile Packet Drive Force",

@@ -124,7 +124,7 @@ def evaluations(sizes: Sequence[int]) -> Row:
             )
             works.append(partial(go_through, engine, scene, every))
         usual, shorter, denser = least_times(works)
-        force = (shorter - usual) / (400 * engine.methods[0].evaluations)
+        force = (shorter - usual) / (400 * engine.methods(scene)[0].evaluations)
         over.append((denser - usual) / 3600 / force)
     middle = quantile(over, 0.5)
     listed = ", ".join(f"{grains}: {value:.2g}" for grains, value in zip(sizes, over, strict=True))

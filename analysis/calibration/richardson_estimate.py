@@ -93,7 +93,7 @@ def looks(
             continue
         for reach in reaches:
             candidate = with_reach(case.scene, proposed, reach)._replace(coarse_openings=coarse)
-            if reach < engine.methods[0].stability_limit:
+            if reach < engine.methods(case.scene)[0].stability_limit:
                 found.append(look(engine, case, candidate, opens))
     return [each for each in found if each]
 

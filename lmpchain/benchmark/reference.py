@@ -126,6 +126,7 @@ def reference(scene: Scene) -> Reference:
     RunFailed
         If steps become too short to continue.
     """
+    scene.chain.refuse_damping("the reference solution")
     motion = _Motion(scene)
     solution, largest = motion.solve(ANSWER)
     answer = Reference(scene.time, solution[0], solution[1], math.nan, "", largest)

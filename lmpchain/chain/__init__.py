@@ -2,10 +2,16 @@
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["Chain", "Contacts", "Impurity", "Material", "patterns"]
+__all__ = ["Chain", "Contacts", "Damping", "Impurity", "Material", "patterns"]
 __getattr__ = attributes(
     __name__,
     ["patterns"],
-    {"chain": "Chain", "contacts": "Contacts", "impurities": "Impurity", "materials": "Material"},
+    {
+        "chain": "Chain",
+        "contacts": "Contacts",
+        "damping": "Damping",
+        "impurities": "Impurity",
+        "materials": "Material",
+    },
 )
 __dir__ = listed(__name__)

@@ -26,6 +26,7 @@ from ..util.validation import (
 from . import walls
 from .bounds import Bounds, bounds
 from .contacts import FEW_GRAINS, Contacts
+from .damping import NO_DAMPING, OneDamping
 from .equilibrium import Equilibrium, Grains, derive_chain
 from .impurities import Impurities, Kinds, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
@@ -68,6 +69,9 @@ class Chain(AtRest, Checked):
     wall_constants : (top, bottom), optional
         N/m^delta, instead of those of the materials; 0 where there is no wall. One of ``2^delta K``
         mirrors the chain.
+    damping : Damping or dict, optional
+        Viscosity of the contacts, s, and drag on the grains, 1/s; by default there is none, and
+        energy is conserved.
 
     Raises
     ------
@@ -97,6 +101,7 @@ class Chain(AtRest, Checked):
     top_material: OneMaterial = NOT_GIVEN
     bottom_material: OneMaterial = NOT_GIVEN
     given_wall_constants: Vector = Field(NOT_GIVEN, alias="wall_constants")
+    damping: OneDamping = NO_DAMPING
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         faults = [*self._misfits(), *self._falls(), *self._tiny_forces()]
@@ -168,6 +173,7 @@ class Chain(AtRest, Checked):
             if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
         yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)
+        yield from self.damping.misfits(self.grains)
         ends = (self.top, self.bottom)
         materials = (self.top_material, self.bottom_material)
         yield from walls.misfits(ends, materials, self.given_wall_constants)
@@ -317,6 +323,27 @@ class Chain(AtRest, Checked):
         return self.gravity > 0 or self.top_load > 0
 
     @property
+    def damped(self) -> bool:
+        """Whether contacts or a drag take energy."""
+        return self.damping.acts
+
+    def refuse_damping(self, what: str) -> None:
+        """Raise `InputError` if the chain has damping, of which `what` knows nothing."""
+        if self.damped:
+            cure = "leave it out, as chain.replace(damping=None) does"
+            raise InputError.at("chain.damping", f"{what} knows no damping: {cure}")
+
+    @cached_property
+    def contact_viscosity(self) -> Array:
+        """Time A over which every contact relaxes, walls included, (N+1,) s; 0 without damping."""
+        return self.damping.times(self.grains)
+
+    @cached_property
+    def drag(self) -> Array:
+        """Rate gamma at which every grain alone comes to rest, (N,) 1/s; 0 without damping."""
+        return self.damping.rates(self.grains)
+
+    @property
     def movable(self) -> int:
         """Number of grains that move: N - 1 with a fixed bottom, N otherwise."""
         return self.grains - (self.bottom == "fixed")
@@ -358,6 +385,8 @@ class Chain(AtRest, Checked):
         if "wall_constants" in fields:
             outer = [first == 1, last == self.grains]
             fields["wall_constants"] = read_only(self.wall_constants * outer)
+        if self.damped:
+            fields["damping"] = self.damping.part(first, last)
         # the weight of the grains above presses on, without their motion
         if first > 1:
             fields |= {"top": "free", "top_load": self._force_on(first)}
@@ -399,6 +428,11 @@ class Chain(AtRest, Checked):
         from .band_edge import band_edges
 
         return float(band_edges(*(elements[None] for elements in self.dynamical_matrix()))[0])
+
+    @property
+    def fastest_rate(self) -> float:
+        """Band edge or, if that is faster, the decay that damping makes of it, 1/s."""
+        return self.damping.fastest_rate(self.band_edge)
 
     @cached_property
     def load_over_mass(self) -> float:

@@ -112,7 +112,8 @@ MATERIALS = {m.name: m for m in (GLASS, STEEL, PTFE, BRASS, TUNGSTEN_CARBIDE)}
 
 
 # a scene file has names and tables, Python may have materials
-def _one_material(value: Any) -> Material:
+def one_material(value: Any) -> Material:
+    """Return a material, or the one of this name or of this table."""
     if isinstance(value, Material):
         return value
     if isinstance(value, dict):
@@ -127,11 +128,11 @@ def _one_material(value: Any) -> Material:
 
 def _one_or_many_materials(value: Any) -> Material | tuple[Material, ...]:
     if isinstance(value, list | tuple):
-        return tuple(_one_material(item) for item in value)
-    return _one_material(value)
+        return tuple(one_material(item) for item in value)
+    return one_material(value)
 
 
 OneOrManyMaterials = Annotated[
     Material | str | dict | Sequence[Material | str | dict], BeforeValidator(_one_or_many_materials)
 ]
-OneMaterial = Annotated[Material | str | dict, BeforeValidator(_one_material)]
+OneMaterial = Annotated[Material | str | dict, BeforeValidator(one_material)]

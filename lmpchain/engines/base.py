@@ -207,6 +207,8 @@ class Engine(ABC):
     suspect : str
         What of a user's own may move grains as the scene does not say, and what to do; named where
         an estimate fails.
+    dissipates : bool
+        Whether it knows chains that lose energy.
     ranks_of_mpi : bool
         Whether it shares a scene out over the ranks of MPI.
     start_up_s, seconds_per_grain_step : float
@@ -220,6 +222,7 @@ class Engine(ABC):
     inputs: ClassVar[tuple[str, ...]] = ()
     logs: ClassVar[tuple[str, ...]] = ()
     batches: ClassVar[bool] = False
+    dissipates: ClassVar[bool] = False
     ranks_of_mpi: ClassVar[bool] = False
     start_up_s: ClassVar[float] = 3e-4
     seconds_per_grain_step: ClassVar[float] = 0.0
@@ -228,9 +231,8 @@ class Engine(ABC):
     integrator: str = ""
     step: float | None = None
 
-    @property
-    def methods(self) -> Sequence[Method]:
-        """The methods that it may take; none if it does not step through time."""
+    def methods(self, scene: Scene) -> Sequence[Method]:
+        """Return the methods that it may take; none if it does not step through time."""
         return ()
 
     @property
@@ -305,6 +307,9 @@ class Engine(ABC):
     def obstacles(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why a scene cannot be answered or its quantities not gathered: (key, reason)."""
         reasons = self.refuses(self.part(scene))
+        if scene.chain.damped and not self.dissipates:
+            cure = "leave damping out, or use native or lammps"
+            reasons = [*reasons, ("chain.damping", f"{self.name} conserves energy: {cure}")]
         # quantities are gathered from accelerations, which the two chain equations give
         if scene.quantities and not self.moves_grains:
             why = f"{self.name} solves no equation of motion of the grains, which gathering needs"

@@ -13,7 +13,7 @@ from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels.contact_forces import FORMS, ROOTS, Form
-from .kernels.layout import ALONE, PAD, WAVE, Chains, Imposed, Links, Team
+from .kernels.layout import ALONE, PAD, WAVE, Chains, Dissipation, Imposed, Links, Team
 from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
 
 # strike number from which the fastest form of the force loses nothing;
@@ -183,6 +183,20 @@ class ChainBatch:
     def openings(self) -> tuple[Array, Array]:
         """Weight and reach of each contact, (R, W), see `layout.Openings`."""
         return opening_weights(self.links, self.inverse_mass, self.omega, self.scale)
+
+    @cached_property
+    def dissipation(self) -> Dissipation:
+        """Viscosity of all contacts and drag on all grains, for the compiled loops."""
+        chains = [scene.chain for scene in self.scenes]
+        acts = any(chain.damped for chain in chains)
+        viscosity = np.zeros((len(chains), self.inverse_mass.shape[1] if acts else 0))
+        drag = np.zeros_like(viscosity)
+        if acts:
+            viscosity[:, PAD - 1 : PAD + self.grains] = [c.contact_viscosity for c in chains]
+            drag[:, PAD : PAD + self.grains] = [c.drag for c in chains]
+            # what is held or driven moves as it is told
+            drag[self.inverse_mass == 0.0] = 0.0
+        return Dissipation(acts, viscosity, drag)
 
 
 @cache

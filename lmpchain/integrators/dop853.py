@@ -33,14 +33,14 @@ class DormandPrince:
     interpolates: bool = False
 
     @cached_property
-    def tables(self) -> tuple[Array, Array, Array]:
-        """Nodes (12,), inner weights (12, 12), weights of a step (2, 12); see `kernels.dop853`."""
+    def tables(self) -> tuple[Array, Array, Array, Array]:
+        """Nodes, inner weights twice, weights, and inner weights once; see `kernels.dop853`."""
         from scipy.integrate import DOP853
 
         # of two integrations at once, of accelerations to displacements
         a = DOP853.A[:12, :12]
         b = DOP853.B
-        return DOP853.C[:12], a @ a, np.array([b @ a, b])
+        return DOP853.C[:12], a @ a, np.array([b @ a, b]), np.array(a)
 
     @cached_property
     def spread(self) -> float:
@@ -66,4 +66,4 @@ class DormandPrince:
         from .kernels.dop853 import march
 
         openings = shorten_steps(self.order, batch, schedules)
-        return March(march, (self.tables, openings, schedules[0].adaptive))
+        return March(march, (self.tables, openings, schedules[0].adaptive, batch.dissipation))

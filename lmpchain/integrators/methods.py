@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from .dop853 import DormandPrince
 from .gear import Gear
+from .lagged import LaggedVerlet
 from .method import Method
 from .splittings import SPLITTINGS
 
-_ALL: tuple[Method, ...] = (*SPLITTINGS.values(), DormandPrince(), Gear())
+_DOP853 = DormandPrince()
+_LAGGED = LaggedVerlet()
+_ALL: tuple[Method, ...] = (*SPLITTINGS.values(), _DOP853, Gear())
 METHODS = {method.name: method for method in _ALL}
+# of chains that lose energy, as they are asked for: forces that depend on velocities take others
+DAMPED: dict[str, Method] = {_DOP853.name: _DOP853, "verlet": _LAGGED}
+# of all chains, by the name that an answer states
+BY_NAME = METHODS | {_LAGGED.name: _LAGGED}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from ..chain.damping import viscous_force
 from ..errors import InputError, shown
 from ..trajectory.picture import scale
 from ..trajectory.trajectory import Trajectory
@@ -50,7 +51,8 @@ class ContactHistory(Shown):
     overlap, closing : (T, C) arrays
         m, negative for a gap; its rate, m/s.
     force, change : (T, C) arrays
-        N, never negative; above that at rest, N, where weak waves keep their digits.
+        N, never negative but where a viscous contact is about to open; above that at rest, N, where
+        weak waves keep their digits.
     """
 
     time: Array
@@ -205,16 +207,19 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
             raise InputError.at("numbers", f"the contacts are numbered {ends} (got {numbers})")
     u, v = motion(trajectory, np.stack([chosen, chosen + 1]))
     closer = u[:, 0] - u[:, 1]
+    closing = v[:, 0] - v[:, 1]
     law = all_contacts.of(chosen)
     overlap = law.overlap + closer
+    viscosity = trajectory.scene.chain.contact_viscosity[chosen]
+    viscous = viscous_force(law, viscosity, overlap, closing)
     return ContactHistory(
         time=trajectory.time,
         contact=chosen,
         overlap=overlap,
-        closing=v[:, 0] - v[:, 1],
-        force=law.force_at(overlap),
+        closing=closing,
+        force=law.force_at(overlap) + viscous,
         # not the difference of two forces, in which a weak wave would lose its digits
-        change=law.force_change(closer),
+        change=law.force_change(closer) + viscous,
     )
 
 
@@ -273,9 +278,9 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
 def drive_force(trajectory: Trajectory) -> Array:
     """Return the force of the driver on grain 1 or on the top wall, (T,) N, positive downward.
 
-    On grain 1 it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall above it; on the wall that
-    of its contact. At rest it is the top load, or 0 on grain 1 below a wall. The impulse that
-    starts a motion with a velocity at t = 0 is left out.
+    On grain 1, whose drag is left out, it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall
+    above it; on the wall that of its contact. At rest it is the top load, or 0 on grain 1 below a
+    wall. The impulse that starts a motion with a velocity at t = 0 is left out.
 
     Parameters
     ----------

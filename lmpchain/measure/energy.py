@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
 from ..chain.contacts import Contacts
+from ..chain.damping import viscous_force
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
@@ -58,13 +59,15 @@ class EnergyLedger(Shown):
     drive : (T,) array
         Work of a force, or of a driver beyond that of the load, since t = 0: the integral of (drive
         force - top load) times the velocity of the grain or wall that it acts on.
+    dissipated : (T,) array
+        Energy that viscous contacts and drag have taken since t = 0; see `losses` for each.
     momentum : (T,) array
         Of all grains, positive downward.
     impulse : (T,) array
-        What force, driver, walls and a held grain have given since t = 0 beyond the impulses that
-        balance at rest.
-    drive_error, impulse_error : float
-        How far the two may be off, as the contact forces are known at samples only: the shift when
+        What force, driver, walls, a held grain and drag have given since t = 0 beyond the impulses
+        that balance at rest.
+    drive_error, impulse_error, dissipated_error : float
+        How far these may be off, as the contact forces are known at samples only: the shift when
         every second sample is used, J and N s; infinite for fewer than three samples. Where forces
         are smooth and well sampled, the true error is about 1/15 of it.
     """
@@ -76,15 +79,17 @@ class EnergyLedger(Shown):
     load: Array
     total: Array
     drive: Array
+    dissipated: Array
     momentum: Array
     impulse: Array
     drive_error: float
     impulse_error: float
+    dissipated_error: float
 
     @property
     def drift(self) -> Array:
-        """Energy change beyond the work done on the chain, (T,) J; 0 for the exact motion."""
-        return self.total - self.total[0] - self.drive
+        """Energy change beyond work done and dissipation, (T,) J; 0 for the exact motion."""
+        return self.total - self.total[0] - self.drive + self.dissipated
 
     @property
     def momentum_drift(self) -> Array:
@@ -110,6 +115,8 @@ class EnergyLedger(Shown):
         ax.plot(self.time, self.total, label="total")
         ax.plot(self.time, self.kinetic, label="kinetic")
         ax.plot(self.time, self.total - self.kinetic, label="potential")
+        if self.dissipated.any():
+            ax.plot(self.time, self.dissipated, label="dissipated")
         if self.drive.any():
             work = self.total[0] + self.drive
             ax.plot(self.time, work, "k--", lw=1, label="given by strike and driver")
@@ -120,6 +127,30 @@ class EnergyLedger(Shown):
         )
         legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
         return ax
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyLosses(Shown):
+    """Energy that viscous contacts and drag have taken since t = 0, J.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    of_contact : (T, N+1) array
+        The integral of A dF/dt o', with F the elastic force, o the overlap; contact n lies below
+        grain n, 0 and N are those with walls.
+    of_grain : (T, N) array
+        The integral of m gamma v^2; that of a driven grain is left out.
+    error : float
+        How far the sum may be off, as the powers are known at samples only: the shift when every
+        second sample is used; infinite for fewer than three samples.
+    """
+
+    time: Array
+    of_contact: Array
+    of_grain: Array
+    error: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -287,28 +318,39 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     wall = scene.excitation.wall
     top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
     closer = chain.contacts.closer(u, top)
-    force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v, top_speed))
+    closing = chain.contacts.closer(v, top_speed)
+    overlap = chain.contacts.overlap + closer
+    force, rate = _contact_forces(chain.contacts, closer, closing)
+    dissipated, dissipated_error = _dissipated(trajectory)
+
+    def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
+        # the rates of viscous forces follow from no sample
+        return _integral(time, value, None if chain.damped else slope, known)
+
     momentum = v @ chain.masses
     drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
+    if chain.damped:
+        force = force + viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
+        impulse, impulse_error = _integral(time, -(v @ _drag(scene)))
     push = scene.excitation.push(chain, time, force, rate, v)
     pieces = _known_pieces(scene, time, push, u, v) if push else None
     if chain.top == "wall":
-        impulse, impulse_error = _integral(
-            time, force[:, 0], rate[:, 0], pieces.top if pieces else None
-        )
+        given, error = integral(force[:, 0], rate[:, 0], pieces.top if pieces else None)
+        impulse = impulse + given
+        impulse_error += error
     if push and pieces:
         speed = push.speed
         power = push.force * speed
         change = push.rate * speed + push.force * push.acceleration
-        work, drive_error = _integral(time, power, change, pieces.work)
+        work, drive_error = integral(power, change, pieces.work)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
         if push.on_grain:
-            push_impulse, error = _integral(time, push.force, push.rate, pieces.push)
+            push_impulse, error = integral(push.force, push.rate, pieces.push)
             impulse = impulse + push_impulse + push.inertia * (speed - speed[0])
             impulse_error += error
     if chain.bottom != "free":
-        bottom, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
+        bottom, error = integral(force[:, chain.movable], rate[:, chain.movable])
         impulse = impulse - bottom
         impulse_error += error
     elastic = chain.contacts.energy(closer).sum(1)
@@ -320,11 +362,69 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         load=-chain.top_load * (u[:, 0] * (chain.top == "free") if top is None else top),
         total=(chain.masses * v**2).sum(1) / 2 + elastic,  # as Chain.excess_energy
         drive=drive,
+        dissipated=dissipated,
         momentum=momentum,
         impulse=impulse,
         drive_error=drive_error,
         impulse_error=impulse_error,
+        dissipated_error=dissipated_error,
     )
+
+
+def losses(trajectory: Trajectory) -> EnergyLosses:
+    """Return the energy that each viscous contact, and the drag on each grain, has taken over time.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With all grains that move.
+
+    Returns
+    -------
+    EnergyLosses
+
+    Raises
+    ------
+    InputError
+        If a grain that moves was not recorded.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=20, diameter=1e-3, damping={"viscoelastic": 1e-7})
+    >>> strike = lmpchain.Impulse(velocity=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=5e-5)
+    >>> lost = losses(lmpchain.simulate(scene, engine="native", tolerance=1e-9))
+    >>> f"{lost.of_contact[-1].sum() / scene.energy:.3f} of the strike"
+    '0.148 of the strike'
+    """
+    scene, u, v = motion_of_all(trajectory)
+    chain = scene.chain
+    time = trajectory.time
+    wall = scene.excitation.wall
+    top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
+    closing = chain.contacts.closer(v, top_speed)
+    overlap = chain.contacts.overlap + chain.contacts.closer(u, top)
+    viscous = viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
+    power = np.hstack((viscous * closing, _drag(scene) * v**2))
+    taken, error = _integral(time, power)
+    contacts = chain.grains + 1
+    return EnergyLosses(time, taken[:, :contacts], taken[:, contacts:], error)
+
+
+def _dissipated(trajectory: Trajectory) -> tuple[Array, float]:
+    """Return the energy that has been taken, (T,) J, and how far it may be off, J."""
+    if not trajectory.scene.chain.damped:
+        return np.zeros(trajectory.time.size), 0.0
+    lost = losses(trajectory)
+    return lost.of_contact.sum(1) + lost.of_grain.sum(1), lost.error
+
+
+def _drag(scene: Scene) -> Array:
+    """Return m gamma of every grain that is not driven, (N,) kg/s."""
+    drag = scene.chain.masses * scene.chain.drag
+    drag[: scene.excitation.driven] = 0.0
+    return drag
 
 
 def _contact_forces(contacts: Contacts, closer: Array, closing: Array) -> tuple[Array, Array]:
@@ -353,7 +453,8 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     corners = corners[(corners > 0) & (corners <= time[-1])]
     # a slope at a corner is that behind it: an interval that ends there has a corner, too
     known = (np.diff(np.searchsorted(corners, time, side="right")) > 0) | (not moves)
-    if not known.any():
+    # viscous forces on what moves ask for more than displacements
+    if not known.any() or (moves and scene.chain.damped):
         return _Pieces(unknown, unknown, unknown)
     turn = min(wave.fastest * time[-1] / (time.size - 1), MOST_TURN)
     count = 1 if moves else math.ceil(turn)
@@ -380,28 +481,42 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     impulse = wave.integral(time)
     speed = push.speed - impulse / mass
     slope = push.acceleration - push.force / mass
+    if scene.chain.damped:
+        slope = CubicSpline(time, speed)(time, 1)
     others = integrate(wave.at(x) * CubicHermiteSpline(time, speed, slope)(x))
     return _Pieces(np.diff(impulse**2) / (2 * mass) + others, np.diff(impulse), unknown)
 
 
 def _integral(
-    time: Array, value: Array, slope: Array, known: Array | None = None
+    time: Array, value: Array, slope: Array | None = None, known: Array | None = None
 ) -> tuple[Array, float]:
-    """Return the integral of samples up to each, (T,), and its shift with every second one.
+    """Return the integral of samples up to each, (T, ...), and its shift with every second one.
 
-    Integrals over intervals that are `known` otherwise are (T-1,), NaN of the others; then the
-    shift without them counts, too.
+    Without slopes, it is that of a spline of degree 7. Integrals over intervals that are `known`
+    otherwise are (T-1,), NaN of the others; then the shift without them counts, too.
     """
-    # cubic Hermite pieces: the error of the finer one is about 1/15 of their difference
-    cubic, coarse = (
-        CubicHermiteSpline(time[::n], value[::n], slope[::n]).antiderivative()(time[::n])
-        if len(value) > n
-        else np.full(1, np.inf)
-        for n in (1, 2)
-    )
-    fine = cubic
+    smooth = _integrate(time, value, slope)
+    fine = smooth
     if known is not None and np.isfinite(known).any():
-        pieces = np.where(np.isfinite(known), known, np.diff(cubic))
+        pieces = np.where(np.isfinite(known), known, np.diff(smooth))
         fine = np.append(0.0, np.cumsum(pieces))
-    shift = max(np.abs(fine[::2] - coarse).max(), np.abs(fine - cubic).max())
-    return fine, float(shift)
+    coarse = _integrate(time[::2], value[::2], None if slope is None else slope[::2])
+    # of all that are summed
+    shifts = (
+        np.abs(x).reshape(len(x), -1).sum(1).max() for x in (fine[::2] - coarse, fine - smooth)
+    )
+    return fine, float(max(shifts))
+
+
+def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
+    """Return the integral of the curve through samples up to each; infinite for a single one."""
+    if len(time) < 2:
+        return np.full((1, *value.shape[1:]), np.inf)
+    if slope is None:
+        # an odd degree, of few samples a lower one
+        degree = min(7, (len(time) - 2) // 2 * 2 + 1)
+        curve = make_interp_spline(time, value, degree)
+    else:
+        # cubic Hermite pieces: their error is about 1/15 of the difference to every second sample
+        curve = CubicHermiteSpline(time, value, slope)
+    return np.asarray(curve.antiderivative()(time))

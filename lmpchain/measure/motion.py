@@ -119,7 +119,8 @@ class Motion:
         """Whether the forces of the chain give the acceleration of each body, (N+2,)."""
         chain = self.scene.chain
         lawful = np.ones(self._column.size, dtype=bool)
-        if self._equation in (1, 3):
+        # the rates of viscous forces ask for more derivatives than samples have
+        if self._equation in (1, 3) and not chain.damped:
             recorded = self._column != UNKNOWN
             exists = chain.contacts.exists
             # a contact that does not exist needs no neighbour

@@ -66,6 +66,7 @@ class Flow:
 
     def __post_init__(self) -> None:
         chain = self.chain
+        chain.refuse_damping("an orbit")
         drive = self.drive
         if drive is not None:
             if drive.times is not None or getattr(drive, "cycles", None) is not None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..chain.chain import Chain
 from ..chain.contacts import FEW_GRAINS
 from .base import Excitation
@@ -41,7 +43,8 @@ def reached(
     Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel
     function I_2d(W t) over d grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms
     of the series of the exact solution are positive there. The stiffest contact is bounded by the
-    energy above rest; a driven chain has no such bound, and the light cone is all of it.
+    energy above rest; a driven chain has no such bound, and the light cone is all of it. A drag
+    leaves the bound as it is; with viscous contacts it is that of `_damped_distance`.
 
     Parameters
     ----------
@@ -64,7 +67,11 @@ def reached(
         if last - first + 1 > CUT.share * grains:
             return 1, grains
         omega = _fastest(chain, first, last, energy)
-        needed = _distance(2 * omega * duration)
+        viscosity = chain.damping.longest_time
+        if viscosity > 0:
+            needed = _damped_distance(omega * viscosity, omega * duration)
+        else:
+            needed = _distance(2 * omega * duration)
         if needed <= reach:
             return max(1, top - needed), min(grains, bottom + needed)
         reach = max(needed, 2 * reach)
@@ -102,3 +109,26 @@ def _distance(x: float) -> int:
         correction = excess / slope
         d += correction
     return max(8, math.ceil(d)) + 2
+
+
+def _damped_distance(viscosity: float, time: float) -> int:
+    """Return d from which no displacement behind viscous contacts is large enough to be seen.
+
+    Springs k (1 + A d/dt) between masses m pass on at most what follows from x'' = (k/m) (1 + A
+    d/dt) (x_(n-1) + 2 x_n + x_(n+1)), whose terms are all positive. Its Laplace transform falls by
+    the factor q a grain, with q + 1/q + 2 = s^2 / (k/m) / (1 + A s), so that no more than s exp(s
+    t) q^d arrives over d grains, for any s at which q < 1 exists.
+
+    Parameters
+    ----------
+    viscosity, time : float
+        A and t in units of sqrt(m / k).
+    """
+    rates = np.geomspace(2.0, 1e6, 400)
+    # q + 1/q - 2, which is above 0 where the transform falls
+    excess = rates**2 / (1 + viscosity * rates) - 4
+    falls = excess > 0
+    rates = rates[falls]
+    exponent = rates * time + np.log(rates) - math.log(CUT.unseen)
+    needed = exponent / np.arccosh(1 + excess[falls] / 2)
+    return max(8, math.ceil(float(needed.min(initial=2.0**31)))) + 2

@@ -46,6 +46,7 @@ LONGEST_DURATION = 3600.0  # s: of one that may be meant
 # s and m: of one that may be meant where grains are as narrow, in which a wave takes microseconds
 DURATION_OF_NARROW = 1.0
 NARROW = 0.05
+DASHPOT = 10.0  # A omega beyond which a contact hardly gives way in a period
 # omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is
 # known between them
 GATHERING_TURN = 0.5
@@ -105,6 +106,11 @@ class Scene(Recording):
         if self.duration > longest:
             long = f"{self.duration:g} s is long for a wave in grains of {1e3 * narrowest:.3g} mm"
             yield f"duration: {long}; times are in seconds (100 us is 1e-4)"
+        if self.chain.damped:
+            turn = self.chain.damping.longest_time * self.highest_frequency
+            if turn > DASHPOT:
+                cure = "A is in seconds, 1e-9 to 1e-6 for most grains"
+                yield f"chain.damping.viscoelastic: A omega is {turn:.2g}, a dashpot; {cure}"
         if not self._gentle:
             yield from strike_remarks(
                 self.chain, self.excitation, self._surroundings, self._squeeze.compression
@@ -261,8 +267,8 @@ class Scene(Recording):
     def highest_frequency(self) -> float:
         """The highest frequency that can be excited, rad/s, which bounds the steps of every method.
 
-        The band edge of the chain at rest, that of two grains pressed together by the strike, or
-        that of a drive.
+        The band edge of the chain at rest, that of two grains pressed together by the strike, that
+        of a drive, or the rate at which damping stops the fastest of them.
         """
         bounds = self.chain.bounds
         fastest = max(self.chain.band_edge, self.excitation.fastest)
@@ -270,7 +276,7 @@ class Scene(Recording):
         if not (bounds and bounds.frequency(self._overlap_bound) <= fastest):
             fastest = max(fastest, self._pair_frequency)
         # nothing moves in a vacuum that is not struck: any frequency above 0 does
-        return fastest or 1 / self.duration
+        return self.chain.damping.fastest_rate(fastest) or 1 / self.duration
 
     @property
     def _pair_frequency(self) -> float:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..chain.chain import Chain
+from ..chain.damping import Damping
 from ..chain.impurities import Impurity
 from ..chain.materials import MATERIALS, Material
 from ..errors import InputError, short, shown
@@ -333,7 +334,7 @@ def _toml(value: Any) -> Any:
         if MATERIALS.get(value.name) == value:
             return value.name
         return {key: constant for key, constant in value.given().items() if constant != ""}
-    if isinstance(value, Impurity | Profile):
+    if isinstance(value, Damping | Impurity | Profile):
         return _table(value)
     if isinstance(value, np.ndarray | tuple):
         return [_toml(item) for item in value]

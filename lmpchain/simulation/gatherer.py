@@ -74,6 +74,8 @@ class Gatherer:
         self._law = law_of(part.chain, linear)
         self._column = np.arange(-1, size + 1)
         self._column[-1] = STILL
+        self._lawful = np.full(self._column.size, not part.chain.damped)
+        self._lawful[part.chain.movable + 1 :] = True
 
     def _contacts(self, kind: str) -> list[int]:
         """Return the contacts of the part of which this is gathered, in the order asked for."""
@@ -102,12 +104,14 @@ class Gatherer:
         begin = int(state["interval"])
         # the misfit of an interval is known when the sample behind the next one is
         end = self._final if last == self._final else max(last - 1, 0)
-        if begin < end:
+        # where no law gives accelerations, four samples do
+        enough = not self._part.chain.damped or last == self._final or len(rows_u) > 3
+        if begin < end and enough:
             block = Block(
                 by_body(rows_u),
                 by_body(rows_v),
                 self._column,
-                np.ones(self._column.size, dtype=bool),
+                self._lawful,
                 self._step,
                 self._law,
                 imposed,

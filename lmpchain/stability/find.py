@@ -52,6 +52,7 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
         Limits and curves, predicted and measured.
     """
     check_scene(scene)
+    scene.chain.refuse_damping("the search for limits")
     boundaries: list[Boundary] = []
     curves: list[Curve] = []
     left_out: list[str] = []

@@ -25,7 +25,7 @@ def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> I
         excess = f"Hertz's law is {percent} off there by the shape of spheres alone"
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
     if engine and engine.step is not None:
-        method = engine.methods[0]
+        method = engine.methods(scene)[0]
         edge = scene.reached.chain.band_edge
         longest = limit(scene, method.name)
         if scene.largest_strain > FIRST_STEP.safe_strain:

@@ -11,7 +11,7 @@ from ..engines.base import Candidate
 from ..engines.native import Native
 from ..engines.native.amplification import separate
 from ..errors import InputError, RunFailed
-from ..integrators.methods import METHODS
+from ..integrators.methods import BY_NAME
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
@@ -170,7 +170,7 @@ def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
         If a run breaks down.
     """
     schedule = candidate.sampled.schedule()
-    distance = separate(scene.reached, (change,), METHODS[candidate.integrator], schedule)[0]
+    distance = separate(scene.reached, (change,), BY_NAME[candidate.integrator], schedule)[0]
     if not np.isfinite(distance).all():
         raise RunFailed("two runs that begin a little apart broke down: use a shorter step")
     return distance

@@ -64,6 +64,7 @@ class Cell:
         InputError
             If the chain is under gravity or not compressed.
         """
+        chain.refuse_damping("a band")
         uniform = "must be 0: contacts that stiffen with depth do not repeat"
         require(
             ("gravity", chain.gravity == 0, uniform),
@@ -283,6 +284,7 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     >>> f"{modes.participation[0]:.2f} grains around {modes.centre[0]:.0f}"
     '1.57 grains around 20'
     """
+    chain.refuse_damping("a mode in a gap")
     modes = eigenmodes(chain)
     low, high = _outside(cell).T[..., None]
     # modes at an edge belong to the band

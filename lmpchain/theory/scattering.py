@@ -98,6 +98,7 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     '0.071997'
     """
     load = "carries no force at rest: nothing linear travels without gravity or a load"
+    chain.refuse_damping("the transmission")
     leads = "must be two or more: the first and the last contact are those of the leads"
     require(("chain", chain.compressed, load), ("grains", chain.grains > 1, leads))
     return _scatter(chain.masses, chain.linear_stiffness, real(frequency, "frequency"))

@@ -252,6 +252,22 @@ def _one_or_many(value: Any) -> Any:
     return _positive_vector(value)
 
 
+def non_negative(value: Any) -> Any:
+    """Return a number from 0 as a float, or a list of them as an array."""
+    value = _plain(value)
+    if isinstance(value, bool | str):
+        raise ValueError(f"must be a number or a list of numbers (got {shown(value)})")
+    if isinstance(value, int | float):
+        if not 0 <= value <= sys.float_info.max:
+            raise ValueError(f"must be a finite number from 0 (got {shown(value)})")
+        return float(value)
+    array = _vector(value)
+    if not (array >= 0).all():
+        entry = int(np.argmin(array >= 0))
+        raise ValueError(f"must be from 0, but entry {entry + 1} is {array[entry]:g}")
+    return array
+
+
 Real = Annotated[float, BeforeValidator(_plain)]
 Positive = Annotated[float, BeforeValidator(_plain), Field(gt=0)]
 Whole = Annotated[int, BeforeValidator(_plain), Field(lt=2**63)]

@@ -40,9 +40,9 @@ def test_what_engines_are():
         "bessel": (4, False, True, False),
         "continuum": (27, False, True, False),
     }
-    assert Modes().methods == ()
-    assert [method.name for method in Native().methods] == ["rkn4", "rkn6"]
-    assert [method.name for method in Native("verlet").methods] == ["verlet"]
+    assert Modes().methods(smooth()) == ()
+    assert [method.name for method in Native().methods(smooth())] == ["rkn4", "rkn6"]
+    assert [method.name for method in Native("verlet").methods(smooth())] == ["verlet"]
 
 
 @pytest.mark.parametrize("integrator", METHODS)

@@ -102,11 +102,13 @@ static REAL crossing(const REAL *a, int p, REAL h, int sign, int from_start, REA
 }
 
 /* Returns 0, 1 if `most` contact-steps were too few, 2 if a step became too short. */
-int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REAL *eps, const REAL *mobility, int kind,
-              int grain, int sines, const REAL *sine, int knots, const REAL *knot_times, const REAL *pieces, const REAL *start, int T,
+int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REAL *eps, const REAL *mobility,
+              const REAL *viscosity, const REAL *drag, int kind, int grain, int sines, const REAL *sine, int knots, const REAL *knot_times, const REAL *pieces, const REAL *start, int T,
               const REAL *times, double tol_, int p, double most, double *out, double *peak, double *stats) {
   const REAL delta = *delta_, tol = tol_;
   const int whole = delta == 1 || delta == 2 || delta == 3;
+  int damped = 0; /* K (1 + A d/dt) o^delta - F in a shut contact, and - gamma v */
+  for (int c = 0; c <= N; c++) damped |= viscosity[c] > 0 || (c < N && drag[c] > 0);
   Drive drive = {kind, grain, sines, sine, sine + sines, sine[2 * sines], knots, knot_times, pieces};
   REAL *X = calloc((size_t)(p + 1) * N, sizeof(REAL)), *O = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL));
   REAL *G = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL)), *Q = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL));
@@ -154,7 +156,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
   }
   REAL knot_end = end;
   while (sample < T) {
-    int pad = p / 2 + 2, first = lo - pad > 0 ? lo - pad : 0, last = hi + pad < N ? hi + pad : N; /* grains */
+    int pad = (damped ? p : p / 2) + 2, first = lo - pad > 0 ? lo - pad : 0, last = hi + pad < N ? hi + pad : N; /* grains */
     if (kind) knot_end = corner(&drive, t, end);
     for (int n = first; n < last; n++) {
       X[n] = x[n];
@@ -172,13 +174,13 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
       O[c] = o;
       if (!shut[c] || rate >= 0) continue;
       REAL mob = fmax(c > 0 ? mobility[c - 1] : 0, c < N ? mobility[c] : 0);
-      if (o <= 0 || K[c] * pow(o, delta) * (o / -rate) * mob <= tol * V_peak) {
+      if (o <= 0 || K[c] * pow(o, delta) * (o / -rate + viscosity[c]) * mob <= tol * V_peak) {
         shut[c] = 0;
         root[c] = t;
         events++;
       }
     }
-    for (int k = 0; k <= p - 2; k++) {
+    for (int k = 0; k <= p - 2 + damped; k++) {
       REAL *g = G + (size_t)k * (N + 1), *o = O + (size_t)k * (N + 1), *above = X + (size_t)k * N;
       if (k)
         for (int c = first; c <= last; c++) o[c] = ABOVE(k, c) - (c < last ? above[c] : 0);
@@ -216,6 +218,18 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
           else for (int c = first; c <= last; c++) g[c] += by * left[c] * (right[c] + F[c]);
         }
         for (int c = first; c <= last; c++) g[c] = shut[c] ? g[c] / (k * O[c]) : 0;
+      }
+      if (damped) { /* x of order k + 1 needs the rates of forces of order k - 1, which are those of order k */
+        if (k == 0) continue;
+        REAL *next = X + (size_t)(k + 1) * N, *now = X + (size_t)k * N, *before = G + (size_t)(k - 1) * (N + 1);
+        for (int n = first; n < last; n++) {
+          REAL pull = before[n] - before[n + 1] + k * (viscosity[n] * g[n] - viscosity[n + 1] * g[n + 1]);
+          next[n] = pull * mobility[n] / (k * (k + 1));
+          if (mobility[n] > 0) next[n] -= drag[n] * now[n] / (k + 1);
+        }
+        if (kind && grain == 0) next[0] = driven[k + 1];
+        if (kind && grain > 0) next[grain - 1] += driven[k - 1] * mobility[grain - 1] / (k * (k + 1));
+        continue;
       }
       REAL *next = X + (size_t)(k + 2) * N;
       for (int n = first; n < last; n++) next[n] = (g[n] - g[n + 1]) * mobility[n] / ((k + 1) * (k + 2));
@@ -262,14 +276,14 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
       REAL mob = fmax(c > 0 ? mobility[c - 1] : 0, c < N ? mobility[c] : 0), good = when, bad = -1;
       for (int i = 0; i <= 2 * SCAN; i++) { /* a touch may be shorter than what the scan resolves after it */
         REAL at = i <= SCAN ? when + (beyond - when) * i / SCAN : beyond + (h - beyond) * (i - SCAN) / SCAN, o = value(a, p, at);
-        if (o > 0 && K[c] * pow(o, delta) * (t + at - root[c]) * mob > tol * V_peak) { bad = at; break; }
+        if (o > 0 && K[c] * pow(o, delta) * (t + at - root[c] + viscosity[c]) * mob > tol * V_peak) { bad = at; break; }
         good = at;
       }
       if (bad < 0) continue;
       if (bad > when)
         for (int b = 0; b < 60; b++) {
           REAL mid = (good + bad) / 2, o = value(a, p, mid);
-          if (o > 0 && K[c] * pow(o, delta) * (t + mid - root[c]) * mob > tol * V_peak) bad = mid; else good = mid;
+          if (o > 0 && K[c] * pow(o, delta) * (t + mid - root[c] + viscosity[c]) * mob > tol * V_peak) bad = mid; else good = mid;
         }
       if (bad < h) { h = bad; flip = c; }
     }

@@ -114,20 +114,21 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
         force / unit,
         overlap / length,
         mobile * (mass.min() / mass),
+        *_damping(chain, time),
         np.concatenate((sines[:, 0] / value, sines[:, 1] * time, [end / time])),
         knots / time,
         pieces.reshape(-1, 4) * (time ** np.arange(4) / value),
         np.array([u / length, v * (time / length)]),
         np.asarray(scene.time, dtype=wide) / time,
     ]
-    k, f, eps, mobility, sine, knots, pieces, start, instants = (
+    k, f, eps, mobility, viscosity, drag, sine, knots, pieces, start, instants = (
         np.ascontiguousarray(x, dtype=real) for x in fields
     )
     out = np.empty((scene.samples, 2, chain.grains))
     peak = np.empty(2)
     stats = np.empty(3)
     tolerance = max(tolerance, FINEST[kind])
-    at = [np.ascontiguousarray(delta, dtype=real), k, f, eps, mobility]
+    at = [np.ascontiguousarray(delta, dtype=real), k, f, eps, mobility, viscosity, drag]
     result = _library(kind).integrate(
         chain.grains,
         *map(_address, at),
@@ -159,6 +160,21 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
         int(stats[0]),
         int(stats[1]),
     )
+
+
+def _damping(chain: Any, time: Any) -> tuple[Array, Array]:
+    """Return viscosities of contacts (N+1,) and drags on grains (N,) in units of this time."""
+    size = chain.grains
+    viscosity = np.zeros(size + 1, np.longdouble)
+    drag = np.zeros(size, np.longdouble)
+    if damping := getattr(chain, "damping", None):
+        viscosity[1:-1] = damping.viscoelastic
+        # a wall is as viscous as the contact next to it
+        first, last = np.broadcast_to(damping.viscoelastic, max(size - 1, 1))[[0, -1]]
+        viscosity[0] = first
+        viscosity[-1] = last
+        drag[:] = damping.drag
+    return viscosity / time, drag * time
 
 
 def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:

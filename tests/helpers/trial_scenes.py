@@ -44,6 +44,23 @@ def trial_scene(
             continue
 
 
+def damped(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Return the scene with viscous contacts, a drag or both, from hardly any to overdamped."""
+    omega = scene.highest_frequency
+    grains = scene.chain.grains
+    while True:
+        viscosity = _log(rng, 1e-4, 2) / omega * (rng.random() < 0.8)
+        drag = _log(rng, 1e-4, 2) * omega * (rng.random() < 0.5)
+        if viscosity + drag > 0:
+            break
+    damping: dict[str, Any] = {"viscoelastic": viscosity, "drag": drag}
+    if rng.random() < 0.3 and grains > 1:
+        damping["viscoelastic"] = viscosity * rng.random(grains - 1)
+    if rng.random() < 0.3:
+        damping["drag"] = drag * (rng.random(grains) < 0.5)
+    return scene.replace(chain=scene.chain.replace(damping=damping))
+
+
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 

@@ -195,6 +195,7 @@ def swinging(**more: Any) -> EnergyLedger:
         "load": zero,
     }
     rest = {"momentum": zero, "impulse": zero, "drive_error": 0.0, "impulse_error": 0.0}
+    rest |= {"dissipated": zero, "dissipated_error": 0.0}
     return EnergyLedger(**terms | {"total": total, "drive": zero} | rest | more)
 
 

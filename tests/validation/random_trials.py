@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from helpers.taylor_series import FINEST, Reference, Unresolved, reference, solve
-from helpers.trial_scenes import acted_trial_scene, trial_scene
+from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
 from lmpchain import InputError, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.engines.native import Native
@@ -34,7 +34,7 @@ LONGEST = 60.0  # s of this process; a scene that takes longer is a finding
 LOW = 3.0  # an estimate below a third of the truth is one too
 ROUND = 2.3e-16  # two answers in double precision may differ by so much
 SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
-FAMILIES = ("native", "step", "auto", "linear", "lammps", "acted")
+FAMILIES = ("native", "step", "auto", "linear", "lammps", "acted", "damped")
 # least tolerance that makes sense
 LOOSE = {
     "verlet": 1e-7,
@@ -111,6 +111,11 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
         case "acted":
             engine = rng.choice(["auto", "native"]).item()
             scene = acted_trial_scene(rng, work=work)
+        case "damped":
+            engine = rng.choice(["auto", "native"]).item()
+            acted = rng.random() < 0.5
+            scene = acted_trial_scene(rng, work=work) if acted else trial_scene(rng, work=work)
+            scene = damped(rng, scene)
         case "linear":
             engine = rng.choice(["modes", "chebyshev", "bessel", "continuum"]).item()
             scene = trial_scene(rng, work=work)

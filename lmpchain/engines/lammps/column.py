@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from ...chain.chain import Chain
+from ...chain.contacts import pair_value
 from ...errors import InputError
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
@@ -15,7 +18,23 @@ from ...util.arrays import Array
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128
-LOSSLESS = "0.0 tangential linear_nohistory 0.0 0.0 damping velocity"
+NO_TANGENTIAL = "tangential linear_nohistory 0.0 0.0"
+
+
+class Contact(NamedTuple):
+    """Constants of a contact in LAMMPS's terms: k_n of its force, and eta of its damping.
+
+    The force is k_n sqrt(R o) o + eta m sqrt(R o) o', with reduced radius R and mass m, in the
+    model hertz with damping viscoelastic, and k_n o + eta o' in hooke with damping velocity.
+    """
+
+    stiffness: float
+    damping: float
+
+    def same(self, other: Contact) -> bool:
+        """Say whether both are the same contact but for rounding."""
+        pairs = zip(self, other, strict=True)
+        return all(abs(one - another) <= 1e-14 * one for one, another in pairs)
 
 
 @dataclass(frozen=True)
@@ -27,11 +46,7 @@ class Wall:
     constant: float
     lo: str
     hi: str
-
-    @property
-    def contact(self) -> str:
-        """Arguments of the contact model."""
-        return f"{self.constant!r} {LOSSLESS}"
+    contact: str
 
 
 @dataclass(frozen=True)
@@ -91,6 +106,30 @@ class Column:
         """Impulse of the scene, which a deck keeps as a variable."""
         return self.scene.excitation if isinstance(self.scene.excitation, Impulse) else None
 
+    @property
+    def drag(self) -> float:
+        """Rate gamma of the drag, 1/s.
+
+        Raises
+        ------
+        InputError
+            If it is not the same for all grains that move.
+        """
+        first, last = self.mobile
+        drag = self.chain.drag[first - 1 : last]
+        if drag.size and (drag != drag[0]).any():
+            fault = "LAMMPS has one number for all grains: use that, or the engine native"
+            raise InputError.at("chain.damping.drag", fault)
+        return float(drag[0]) if drag.size else 0.0
+
+    @property
+    def drag_on_all(self) -> float | None:
+        """Drag m gamma of every grain that moves, kg/s; None if their masses differ."""
+        first, last = self.mobile
+        masses = self.chain.masses[first - 1 : last]
+        alike = np.ptp(masses) <= 1e-14 * masses.max()
+        return self.drag * float(masses[0]) if alike else None
+
     @cached_property
     def diameters(self) -> Array:
         """(N,) m."""
@@ -121,13 +160,48 @@ class Column:
         radius = self.diameters[[0, -1]] / 2
         gaps = radius - self.chain.contacts.overlap[[0, -1]]
         above, below = (self.heights[[0, -1]] + [1, -1] * gaps).tolist()
-        scale = 1.0 if self.model == "hooke" else np.sqrt(radius)
-        top, bottom = (self.chain.wall_constants / scale).tolist()
+        ends = self._contacts(
+            self.chain.wall_constants, radius, self.chain.masses[[0, -1]], [0, -1]
+        )
+        top, bottom = ends
         walls = (
-            Wall("top", 1, top, "NULL", repr(above)),
-            Wall("bottom", self.chain.grains, bottom, repr(below), "NULL"),
+            Wall("top", 1, top.stiffness, "NULL", repr(above), self._arguments(top)),
+            Wall(
+                "bottom",
+                self.chain.grains,
+                bottom.stiffness,
+                repr(below),
+                "NULL",
+                self._arguments(bottom),
+            ),
         )
         return [wall for wall in walls if wall.constant > 0]
+
+    def _contacts(
+        self, constants: Array, radius: Array, mass: Array, numbers: Sequence[int] | slice
+    ) -> list[Contact]:
+        """Return contacts in LAMMPS's terms.
+
+        Parameters
+        ----------
+        constants, radius, mass : (C,) arrays
+            K, N/m^delta, and reduced radii, m, and masses, kg.
+        numbers : sequence of C int or slice
+            Of these among all contacts of the chain.
+        """
+        viscosity = self.chain.contact_viscosity[numbers]
+        if self.model == "hooke":
+            rows = constants, viscosity * constants
+        else:
+            stiffness = constants / np.sqrt(radius)
+            rows = stiffness, 1.5 * viscosity * stiffness / mass
+        return list(map(Contact, *(row.tolist() for row in rows)))
+
+    def _arguments(self, contact: Contact) -> str:
+        """Return the arguments of the contact model of `pair_coeff` and `fix wall/gran`."""
+        # that of a lossless contact is 0 times a velocity
+        model = "viscoelastic" if self.model == "hertz" and contact.damping else "velocity"
+        return f"{contact.stiffness!r} {contact.damping!r} {NO_TANGENTIAL} damping {model}"
 
     @cached_property
     def skin(self) -> float:
@@ -149,18 +223,20 @@ class Column:
     @cached_property
     def types(self) -> list[int]:
         """Type of every grain, from 1."""
-        return self._types_and_constants[0]
+        return self._types_and_contacts[0]
 
     @cached_property
     def coefficients(self) -> list[str]:
         """Arguments of the pair_coeff commands."""
         if self.pair_style != "granular":
             return ["* *"]
-        pairs = self._types_and_constants[1]
-        lines = [f"* * {self.model} {next(iter(pairs.values()), 1.0)!r} {LOSSLESS}"]
+        pairs = self._types_and_contacts[1]
+        first = next(iter(pairs.values()), Contact(1.0, 0.0))
+        lines = [f"* * {self.model} {self._arguments(first)}"]
         if len(pairs) > 1:
             lines += [
-                f"{i} {j} {self.model} {value!r} {LOSSLESS}" for (i, j), value in pairs.items()
+                f"{i} {j} {self.model} {self._arguments(contact)}"
+                for (i, j), contact in pairs.items()
             ]
         return lines
 
@@ -169,35 +245,32 @@ class Column:
         """Argument of the pair_style command."""
         if self.pair_style == "granular":
             return "granular"
-        return (
-            f"{self.pair_style} {self._types_and_constants[1].get((1, 1), 1.0)!r} 0.0 0.0 0.0 0.0 0"
-        )
+        contact = self._types_and_contacts[1].get((1, 1), Contact(1.0, 0.0))
+        return f"{self.pair_style} {contact.stiffness!r} 0.0 {contact.damping!r} 0.0 0.0 0"
 
     @cached_property
-    def _types_and_constants(self) -> tuple[list[int], dict[tuple[int, int], float]]:
-        """Types of the grains, and the constant of each pair of types that touches.
+    def _types_and_contacts(self) -> tuple[list[int], dict[tuple[int, int], Contact]]:
+        """Types of the grains, and the contact of each pair of types that touches.
 
-        A grain takes a type whose pair with the grain above has the right constant already; or else
+        A grain takes a type whose pair with the grain above has the right contact already; or else
         the type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2
         N) types.
         """
         chain = self.chain
-        constants = chain.contact_constants
-        if self.model == "hertz":
-            d = self.diameters
-            # hertz multiplies by the root of the effective radius d1 d2 / (2 (d1 + d2))
-            constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
+        d = self.diameters
+        # of spheres, d1 d2 / (2 (d1 + d2))
+        radius = d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2
+        mass = pair_value(chain.masses)
+        contacts = self._contacts(chain.contact_constants, radius, mass, slice(1, -1))
         limit = MOST_TYPES if self.pair_style == "granular" else 1
-        pairs: dict[tuple[int, int], float] = {}
-        # of each type: the types it touches, and the constants
-        partners: dict[int, dict[int, float]] = {1: {}}
+        pairs: dict[tuple[int, int], Contact] = {}
+        # of each type: the types it touches, and the contacts
+        partners: dict[int, dict[int, Contact]] = {1: {}}
         types = [1]
-        for constant in constants.tolist():
+        for contact in contacts:
             above = types[-1]
             equal = [
-                grain_type
-                for grain_type, value in partners[above].items()
-                if abs(value - constant) <= 1e-14 * constant
+                grain_type for grain_type, value in partners[above].items() if value.same(contact)
             ]
             if equal:
                 below = equal[0]
@@ -214,8 +287,8 @@ class Column:
                     f"cannot express that in pair_style {self.pair_style}; use {cure}",
                 )
             partners.setdefault(below, {})
-            partners[above].setdefault(below, constant)
-            partners[below].setdefault(above, constant)
-            pairs.setdefault((min(above, below), max(above, below)), constant)
+            partners[above].setdefault(below, contact)
+            partners[below].setdefault(above, contact)
+            pairs.setdefault((min(above, below), max(above, below)), contact)
             types.append(below)
         return types, pairs

@@ -12,7 +12,9 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
-from ...integrators.splittings import SPLITTINGS
+from ...integrators.method import Method
+from ...integrators.methods import DAMPED, METHODS
+from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
 from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
@@ -123,11 +125,11 @@ class Lammps(TimeSteppingEngine):
     ):
         plain = template is None and include is None
         super().__init__(integrator or ("rkn6" if plain else "verlet"), step)
-        self.splitting = SPLITTINGS[self.integrator]
+        self._free = integrator is None
         _check_options(diameter, pair_style, ranks)
         for key, path in (("keep", keep), ("template", template), ("include", include)):
             if path is not None:
-                deck.check_carried(self.splitting, key)
+                deck.check_carried(SPLITTINGS[self.integrator], key)
         self.diameter = diameter
         self.pair_style = pair_style
         self.ranks = ranks
@@ -141,8 +143,22 @@ class Lammps(TimeSteppingEngine):
             self.suspect = f"{commands} as the scene does not say: run without, to see"
         self.whole = keep is not None or bool(self.template or self.include)
 
+    def splitting(self, scene: Scene) -> Splitting:
+        """Return how LAMMPS moves a scene: with damping, by its own velocity Verlet."""
+        if scene.chain.damped and self._free:
+            return VERLET
+        return SPLITTINGS[self.integrator]
+
+    def methods(self, scene: Scene) -> list[Method]:
+        """Return the method that it takes."""
+        name = self.splitting(scene).name
+        return [DAMPED[name] if scene.chain.damped else METHODS[name]]
+
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why LAMMPS cannot do this scene."""
+        if scene.chain.damped and self.splitting(scene) != VERLET:
+            fault = "kicks from outside know no velocities: use verlet, or leave it out"
+            return [("integrator", fault)]
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         if scene.chain.exponent not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
@@ -157,9 +173,9 @@ class Lammps(TimeSteppingEngine):
                 self.diameter
             ]:
                 column = Column(scene, gauge, self.pair_style, (), self.template, self.include)
-                _ = column.types
+                _ = column.types, column.drag
             if self.template:
-                deck.check_template(column, self.splitting)
+                deck.check_template(column, self.splitting(scene))
         except InputError as error:
             return error.faults
         return []
@@ -173,7 +189,7 @@ class Lammps(TimeSteppingEngine):
             candidate = super().propose(scene, tolerance, choice)
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
             return candidate._replace(solver_error=math.nan, choices=_choices(gauge, "as asked"))
-        native = Native(self.splitting.name, self.step, adaptive=False)
+        native = Native(self.splitting(scene).name, self.step, adaptive=False)
         # half of the tolerance is for the step, half for round-off
         asked = first_attempt(native, scene, tolerance / 2).candidate
         announce(asked.cost_s, "the native trial that finds the step for LAMMPS")
@@ -182,7 +198,7 @@ class Lammps(TimeSteppingEngine):
         steps = trial.attempt.candidate.steps(scene.samples)
         gauge = gauge_diameter(scene, closest)
         errors = tuple(self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, gauge))
-        small = self._takes_gauge(errors, tolerance, fixed)
+        small = self._takes_gauge(scene, errors, tolerance, fixed)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         reason = (
@@ -196,7 +212,9 @@ class Lammps(TimeSteppingEngine):
             choices=choices,
         )
 
-    def _takes_gauge(self, errors: tuple[float, ...], tolerance: float, fixed: bool) -> bool:
+    def _takes_gauge(
+        self, scene: Scene, errors: tuple[float, ...], tolerance: float, fixed: bool
+    ) -> bool:
         """Return whether to take the gauge diameter, by the round-off with the physical one and it.
 
         Raises
@@ -211,7 +229,7 @@ class Lammps(TimeSteppingEngine):
             cure = "the engine native keeps displacements and has no such floor"
             if not small and gauge < tolerance:
                 cure = f"the gauge diameter leaves {gauge:.1g}, and {cure}"
-            elif self.splitting.order == 2:
+            elif self.splitting(scene).order == 2 and not scene.chain.damped:
                 cure = f'integrator "rkn6" needs far fewer steps, and {cure}'
             raise ToleranceNotMet(
                 "LAMMPS holds heights in double precision, which leaves an error of about "
@@ -228,7 +246,7 @@ class Lammps(TimeSteppingEngine):
         """
         column = Column(scene, gauge, self.pair_style)
         ulp = np.spacing(np.abs(column.heights).max())
-        walk = HEIGHTS.rounding * ulp * math.sqrt(steps * self.splitting.evaluations)
+        walk = HEIGHTS.rounding * ulp * math.sqrt(steps * self.splitting(scene).evaluations)
         # what does not move has no relative error
         u, v = np.where(peaks > 0, peaks, np.inf)
         return float(max(walk / u, walk * scene.highest_frequency / v))
@@ -271,16 +289,17 @@ class Lammps(TimeSteppingEngine):
         communicator = gather(self.ranks, log)
         if self.log:
             communicator.ask("commands", f'log "{word(self.log)}" append')
+        splitting = self.splitting(scene)
         stepper = LammpsStepper(
             column,
-            self.splitting,
+            splitting,
             schedule.step,
             state,
             communicator,
             every=schedule.steps,
             keep=self.keep,
         )
-        if self.log and self.splitting.order > 2:
+        if self.log and splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper
 
@@ -290,7 +309,7 @@ class Lammps(TimeSteppingEngine):
         expected = "not estimated beforehand" if math.isnan(error) else f"{error:.1g}"
         remarks = (
             f"{candidate.choices['diameter']} diameter: {candidate.choices['why']}",
-            f"{self.splitting.name}, expected error {expected}",
+            f"{self.splitting(scene).name}, expected error {expected}",
             *([remark] if remark else []),
         )
         return Column(
@@ -309,7 +328,9 @@ class Lammps(TimeSteppingEngine):
         fault = "LAMMPS cannot go on with that after a stop; leave it out with a run folder"
         if faults := [(key, fault) for key in UNKEPT if getattr(self, key)]:
             raise InputError(faults)
-        return {key: value for key, value in super().options().items() if key not in UNKEPT}
+        options = {key: value for key, value in super().options().items() if key not in UNKEPT}
+        # what the scene asks for is chosen again
+        return options | {"integrator": None} if self._free else options
 
     def prepare(self, folder: Path) -> Self:
         """Return an engine whose LAMMPS writes its log to this run folder."""
@@ -328,11 +349,12 @@ class Lammps(TimeSteppingEngine):
     ) -> None:
         """Write the deck of the run; where no deck can carry it, that of Verlet at equal cost."""
         driven = scene.excitation.does_work
-        integrator = self.integrator
+        splitting = self.splitting(scene)
+        integrator = splitting.name
         step = candidate.step
-        if not deck.carries(self.splitting) or (driven and self.splitting.order > 2):
+        if not deck.carries(splitting) or (driven and splitting.order > 2):
             integrator = "verlet"
-            step /= self.splitting.evaluations
+            step /= splitting.evaluations
         diameter = "physical" if driven else candidate.choices["diameter"]
         try:
             engine = Lammps(integrator, step, diameter, self.pair_style)
@@ -351,7 +373,7 @@ class Lammps(TimeSteppingEngine):
         column = self.column(scene, candidate, remark)
         make_folder(folder)
         deck.write_data(column, folder / "column.data")
-        return deck.write_deck(column, folder, candidate.step, self.splitting)
+        return deck.write_deck(column, folder, candidate.step, self.splitting(scene))
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the pair style, the version of LAMMPS, and the text of the user's template."""

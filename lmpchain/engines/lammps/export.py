@@ -51,7 +51,7 @@ def write_deck(
     check_scene(scene)
     check_tolerance(tolerance)
     engine = Lammps(integrator, step, diameter, pair_style, template=template, include=include)
-    deck.check_carried(engine.splitting, "integrator")
+    deck.check_carried(engine.splitting(scene), "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
     return engine.write_deck(scene, tolerance, expanded(folder))

@@ -76,7 +76,7 @@ class LammpsStepper:
                 deck.write_deck(column, keep, step, splitting)
                 dump = word(keep / "column.lammpstrj")
                 communicator.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
-            start = (state["z"], state["vz"]) if state else None
+            start = (state["z"], state["vz"], state["fz"]) if state else None
             self._take(communicator.ask("begin", plan, start))
             self._check()
         except BaseException:
@@ -112,8 +112,8 @@ class LammpsStepper:
         return np.array([self._done])
 
     def _take(self, shares: list[LocalState]) -> None:
-        """Take heights and velocities from all ranks; raises `RunFailed` if they are no numbers."""
-        self._z, self._vz = _join(shares)
+        """Take the motion from all ranks; raises `RunFailed` if they are no numbers."""
+        self._z, self._vz, self._fz = _join(shares)
         if np.isnan(self._z).any():
             raise RunFailed("LAMMPS: heights are no longer numbers; use a shorter step")
         if not all(share.straight for share in shares):
@@ -130,22 +130,24 @@ class LammpsStepper:
         return self._communicator.ranks
 
     def state(self) -> dict[str, Array]:
-        """Return heights as LAMMPS holds them, velocities and steps, from which a run goes on."""
-        return {"z": self._z.copy(), "vz": self._vz.copy(), "done": np.array(self._done)}
+        """Return heights as LAMMPS holds them, velocities, forces and steps, to go on from."""
+        fields = {"z": self._z, "vz": self._vz, "fz": self._fz}
+        return {key: field.copy() for key, field in fields.items()} | {"done": np.array(self._done)}
 
     def close(self) -> None:
         """End the LAMMPS instances."""
         self._communicator.close()
 
 
-def _join(shares: list[LocalState]) -> tuple[Array, Array]:
-    """Return heights and velocities of all grains, from the top."""
+def _join(shares: list[LocalState]) -> tuple[Array, Array, Array]:
+    """Return heights, velocities and forces of all grains, from the top."""
     if len(shares) == 1:
-        return shares[0].z, shares[0].vz
+        return shares[0].z, shares[0].vz, shares[0].fz
     shares = sorted((share for share in shares if share.z.size), key=lambda share: share.start)
     z = np.concatenate([share.z for share in shares])
     vz = np.concatenate([share.vz for share in shares])
-    return z, vz
+    fz = np.concatenate([share.fz for share in shares])
+    return z, vz, fz
 
 
 def word(path: Path) -> str:

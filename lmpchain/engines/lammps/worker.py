@@ -74,11 +74,12 @@ class StepPlan:
 
 
 class LocalState(NamedTuple):
-    """Heights and velocities of grains from `start`, and whether they lie on the axis."""
+    """Heights, velocities and forces of grains from `start`, and whether they lie on the axis."""
 
     start: int
     z: Array
     vz: Array
+    fz: Array
     straight: bool
 
 
@@ -100,8 +101,12 @@ class Worker:
         """Execute commands."""
         self._lammps.commands_string(text)
 
-    def begin(self, plan: StepPlan, state: tuple[Array, Array] | None) -> LocalState:
-        """Set heights and velocities, compute the first forces, and keep views of the arrays."""
+    def begin(self, plan: StepPlan, state: tuple[Array, Array, Array] | None) -> LocalState:
+        """Set heights and velocities, compute the first forces, and keep views of the arrays.
+
+        The forces of a state take the place of those: with damping, these know the velocities of
+        half a step before.
+        """
         self._plan = plan
         self._done = plan.done
         self._piece = 0
@@ -109,8 +114,9 @@ class Worker:
         count = self._lammps.extract_global("nlocal")
         self._start = self._first_grain(count)
         if state and count:
-            for name, values in zip("xv", state, strict=True):
-                arrays.extract_atom(name)[:count, 2] = values[self._start : self._start + count]
+            grains = slice(self._start, self._start + count)
+            for name, values in zip("xv", state, strict=False):
+                arrays.extract_atom(name)[:count, 2] = values[grains]
         if plan.walled:
             self._move_wall(plan.done * plan.step)
         elif plan.done and plan.pieces and plan.splitting.order == 2:
@@ -119,6 +125,8 @@ class Worker:
             self._use_piece(next(k for k, end in enumerate(ends) if end >= plan.done))
         self._lammps.command("run 0 post no")
         self._view_arrays(count)
+        if state and count:
+            self._f[:, 2] = state[2][grains]
         return self._share()
 
     def _view_arrays(self, count: int) -> None:
@@ -221,7 +229,8 @@ class Worker:
 
     def _share(self) -> LocalState:
         # a column that buckles leaves its axis, and x or y is no longer exactly 0
-        return LocalState(self._start, self._x[:, 2], self._v[:, 2], not self._x[:, :2].any())
+        straight = not self._x[:, :2].any()
+        return LocalState(self._start, self._x[:, 2], self._v[:, 2], self._f[:, 2], straight)
 
     def close(self) -> None:
         """End the instance."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...integrators.batch import ChainBatch
 from ...integrators.method import Method
-from ...integrators.methods import METHODS
+from ...integrators.methods import BY_NAME, DAMPED, METHODS
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper
 from ...scene.excitation import Profile
@@ -134,7 +134,8 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
     steps = math.ceil(interval * scene.highest_frequency / GROWTH.reach)
     schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
     changes = GROWTH.digit * np.array(GROWTH.changes)
-    distances = separate(scene, changes.tolist(), METHODS["verlet"], schedule)
+    method = (DAMPED if scene.chain.damped else METHODS)["verlet"]
+    distances = separate(scene, changes.tolist(), method, schedule)
     # a run that broke down says nothing of the growth in the others
     followed = distances.max(1) <= GROWTH.broken
     return _digits(evaluations) * distances.max(0, where=followed[:, None], initial=0.0)
@@ -148,7 +149,7 @@ def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:
     """
     changes = [GROWTH.digit * change for change in GROWTH.changes]
     schedule = candidate.sampled.schedule()
-    distances = separate(scene, changes, METHODS[candidate.integrator], schedule)
+    distances = separate(scene, changes, BY_NAME[candidate.integrator], schedule)
     return GROWTH.safety * distances.max(0)
 
 

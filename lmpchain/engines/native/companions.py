@@ -197,7 +197,7 @@ def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[flo
     """
     if candidate.steps(scene.samples) < FEWEST_STEPS:
         return []
-    reach = candidate.step * scene.chain.band_edge
+    reach = candidate.step * scene.chain.fastest_rate
     return [ratio for ratio in LONGER if ratio * reach <= method.stability_limit]
 
 

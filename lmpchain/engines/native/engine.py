@@ -11,7 +11,7 @@ from ...errors import InputError, ToleranceNotMet, shown
 from ...integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ...integrators.kernels.contact_forces import ROOTS
 from ...integrators.kernels.layout import PAD
-from ...integrators.methods import METHODS
+from ...integrators.methods import BY_NAME, METHODS
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper
 from ...scene.scene import Scene
@@ -101,7 +101,7 @@ class Native(TimeSteppingEngine):
         The phase shifts by a quarter of what `native_floor` allows for.
         """
         walk = native_floor(
-            steps * self.methods[0].evaluations, scene.highest_frequency * scene.duration / 4
+            steps * self.methods(scene)[0].evaluations, scene.highest_frequency * scene.duration / 4
         )
         if force_form(scene, self.force) in ROOTS:
             walk += plain_loss(scene, steps) / speed
@@ -124,7 +124,7 @@ class Native(TimeSteppingEngine):
         """Make the stepper of the answer and its companions."""
         answer, *companions = schedules
         chains = ChainBatch(scenes, self.force)
-        method = METHODS[candidate.integrator]
+        method = BY_NAME[candidate.integrator]
         return NativeStepper(chains, method, answer, state, self.threads, companions)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:

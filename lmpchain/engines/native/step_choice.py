@@ -37,6 +37,8 @@ class FirstStep:
         Longest step over the stability limit.
     longest_opening : float
         The same where contacts may open.
+    longest_damped : float
+        The same in a chain that loses energy.
     foreseen : float
         Tolerance up to which an error is foreseen where nothing bounds the strain: for a tighter
         one the first attempt shows how long steps may be.
@@ -56,6 +58,7 @@ class FirstStep:
     radians: float = 60.0
     longest: float = 0.5
     longest_opening: float = 0.45
+    longest_damped: float = 0.25
     foreseen: float = 1e-6
     safe_strain: float = 0.3
     opening_error: float = 4.0
@@ -178,7 +181,7 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
         If the method is not stable at it.
     """
     stable = method.stability_limit
-    edge = scene.chain.band_edge
+    edge = scene.chain.fastest_rate
     if step * edge > stable:
         why = f"where {method.name} stops being stable on this chain (got {step:g})"
         raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
@@ -227,8 +230,11 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     if strain == math.inf:
         tolerance = max(tolerance, FIRST_STEP.foreseen)
     radians = scene.highest_frequency * scene.duration
-    error = method.error_constant * max(1.0, radians / FIRST_STEP.radians)
-    error *= FIRST_STEP.opening_factor(strain, adaptive)
+    error = method.error_constant
+    # an order of 1 loses nothing where contacts open, and the motion dies away as its error grows
+    if method.order > 1:
+        error *= max(1.0, radians / FIRST_STEP.radians)
+        error *= FIRST_STEP.opening_factor(strain, adaptive)
     reach = (tolerance / TRUST.safety / error) ** (1 / method.order)
     # some methods are stable for longer steps than half a period of the fastest motion, and no good
     # there
@@ -239,7 +245,8 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
         # two companions, at up to four times the step, show the rate at which the error falls; of
         # one alone the distance itself counts, which is 2^order times the error. Where nothing
         # bounds the strain, errors of longer steps scatter, and two runs may agree by chance.
-        alone = min(reach / 2, FIRST_STEP.longest_opening * stable) if strain < math.inf else 0.0
+        longest = FIRST_STEP.longest_damped if scene.chain.damped else FIRST_STEP.longest_opening
+        alone = min(reach / 2, longest * stable) if strain < math.inf else 0.0
         reach = max(min(reach, stable / 4), alone)
     if adaptive:
         # all runs end steps on the corners of what acts: the longest steps of a companion, too, fit

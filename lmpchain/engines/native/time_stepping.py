@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from ...errors import InputError, shown
 from ...integrators.method import Method
-from ...integrators.methods import METHODS
+from ...integrators.methods import BY_NAME, DAMPED, METHODS
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import Stepper
 from ...scene.scene import Scene
@@ -23,6 +23,7 @@ from .companions import longer_steps
 from .step_choice import FIRST_STEP, STEP_CONTROL, StepChoice, choose_given_step, choose_step
 
 AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
+AUTOMATIC_DAMPED = ("dop853",)  # the cheapest at every tolerance where forces know velocities
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grains; analysis/calibration/cost_model.py
 
@@ -41,6 +42,7 @@ class TimeSteppingEngine(Engine):
 
     adaptive: bool = False
     twin: ClassVar[bool] = True
+    dissipates: ClassVar[bool] = True
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
@@ -55,11 +57,20 @@ class TimeSteppingEngine(Engine):
         self.integrator = integrator
         self.step = step
 
-    @property
-    def methods(self) -> list[Method]:
-        """The methods that it may take."""
-        names = AUTOMATIC if self.integrator == "auto" else [self.integrator]
-        return [METHODS[name] for name in names]
+    def methods(self, scene: Scene) -> list[Method]:
+        """Return the methods that it may take."""
+        damped = scene.chain.damped
+        automatic = AUTOMATIC_DAMPED if damped else AUTOMATIC
+        names = automatic if self.integrator == "auto" else [self.integrator]
+        return [(DAMPED if damped else METHODS)[name] for name in names]
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why a scene cannot be done: a method that cannot move a chain with damping."""
+        if not scene.chain.damped or self.integrator in ("auto", *DAMPED):
+            return []
+        cure = f"use {' or '.join(DAMPED)}, or leave it out"
+        fault = f"{self.integrator} is a method for chains without damping: {cure}"
+        return [("integrator", fault)]
 
     @abstractmethod
     def stepper(
@@ -80,7 +91,7 @@ class TimeSteppingEngine(Engine):
             choose_step(scene, method, tolerance, self.adaptive)
             if self.step is None
             else choose_given_step(scene, method, self.step)
-            for method in self.methods
+            for method in self.methods(scene)
         ]
         return self.propose(scene, tolerance, min(choices, key=lambda choice: choice.work))
 
@@ -129,7 +140,7 @@ class TimeSteppingEngine(Engine):
         self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
     ) -> Candidate | None:
         """Shorten the step as the error asks for; let steps adapt where contacts open after all."""
-        method = METHODS[candidate.integrator]
+        method = BY_NAME[candidate.integrator]
         ratio = STEP_CONTROL.ratio(error, tolerance)
         if ratio is None:
             # to interpolate no sample loses less
@@ -154,7 +165,7 @@ class TimeSteppingEngine(Engine):
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
         make = partial(self.stepper, scenes, candidate)
-        method = METHODS[candidate.integrator]
+        method = BY_NAME[candidate.integrator]
         try:
             return CompanionRun(make, method, scenes, candidate, state, self.twin)
         except (LookupError, TypeError, ValueError) as error:
@@ -169,14 +180,14 @@ def kind(scene: Scene) -> tuple:
     """Return a key of scenes that fit into one batch: kind of chain, ends, and recording."""
     chain = scene.chain
     excitation = scene.excitation
-    built = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed
+    built = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed, chain.damped
     acted = excitation.driven, excitation.does_work
     return *built, *acted, scene.samples, scene.duration, scene.grains
 
 
 def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return a key of scenes whose answers and errors in a batch are those that they have alone."""
-    longer = longer_steps(METHODS[candidate.integrator], scene, candidate)
+    longer = longer_steps(BY_NAME[candidate.integrator], scene, candidate)
     return (
         *kind(scene),
         candidate.schedule(),

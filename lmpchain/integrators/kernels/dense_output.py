@@ -41,8 +41,8 @@ def passes(chain, clock, span, begin, end):
 
 
 @inlined
-def fill_jerk(chain, first, last, rates, beyond):
-    """Fill jerk of the bodies first ... last-1 from the forces.
+def fill_rates(chain, first, last, force, rate, beyond):
+    """Fill rate (W,) with dF/dt of the elastic forces of the contacts of bodies first ... last-1.
 
     `force` holds that of the contact below body n at n - beyond, less what it carries at rest.
     """
@@ -50,7 +50,6 @@ def fill_jerk(chain, first, last, rates, beyond):
     v = chain.v
     pressed = chain.links.precompressed
     delta = chain.links.coefficients[7]
-    force, _, rate, jerk = rates
     for n in range(first - 1, last):
         y = (x[n] - x[n + 1]) * chain.links.inverse_length[n] + pressed
         # the force is K y^delta
@@ -64,8 +63,14 @@ def fill_jerk(chain, first, last, rates, beyond):
         rate[PAD - 1] = (
             delta * force[PAD - 1 - beyond] / r * (v[PAD - 1] - v[PAD]) if r > 0.0 else 0.0
         )
+
+
+@inlined
+def fill_jerk(chain, first, last, rates, beyond):
+    """Fill jerk of the bodies first ... last-1 from the forces, see `fill_rates`."""
+    fill_rates(chain, first, last, rates.force, rates.rate, beyond)
     for n in range(first, last):
-        jerk[n] = chain.inverse_mass[n] * (rate[n - 1] - rate[n])
+        rates.jerk[n] = chain.inverse_mass[n] * (rates.rate[n - 1] - rates.rate[n])
 
 
 @inlined

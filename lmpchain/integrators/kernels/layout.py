@@ -255,6 +255,23 @@ class Shortening(NamedTuple):
     reach: Array
 
 
+class Dissipation(NamedTuple):
+    """What takes energy in R chains of W bodies; `chain.damping` has the law and its symbols.
+
+    Attributes
+    ----------
+    acts : bool
+        Whether anything does.
+    viscosity, drag : (R, W) arrays
+        A of the contact below each body, s, and gamma of each that moves freely, 1/s; (R, 0) if
+        nothing takes energy.
+    """
+
+    acts: bool
+    viscosity: Array
+    drag: Array
+
+
 class Goal(NamedTuple):
     """Chains begin ... end - 1 are moved to the sample `until`, or by some `steps` steps in all."""
 

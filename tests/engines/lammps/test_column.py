@@ -273,11 +273,18 @@ def test_which_splittings_a_deck_carries():
 
 def test_shares_of_ranks_are_put_together_from_the_top():
     shares = [
-        LocalState(3, np.array([-3.0, -4.0]), np.array([3.0, 4.0]), True),
-        LocalState(0, np.empty(0), np.empty(0), True),
-        LocalState(0, np.array([0.0, -1.0, -2.0]), np.array([0.0, 1.0, 2.0]), True),
+        LocalState(3, np.array([-3.0, -4.0]), np.array([3.0, 4.0]), np.array([8.0, 9.0]), True),
+        LocalState(0, np.empty(0), np.empty(0), np.empty(0), True),
+        LocalState(
+            0,
+            np.array([0.0, -1.0, -2.0]),
+            np.array([0.0, 1.0, 2.0]),
+            np.array([5.0, 6.0, 7.0]),
+            True,
+        ),
     ]
-    z, v = _join(shares)
+    z, v, f = _join(shares)
+    assert f.tolist() == [5.0, 6.0, 7.0, 8.0, 9.0]
     assert z.tolist() == [0.0, -1.0, -2.0, -3.0, -4.0]
     assert v.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
@@ -396,7 +403,7 @@ def test_options_that_are_refused():
     assert not Lammps().whole
     assert Lammps(include=__file__).integrator == "verlet"
     assert Lammps(step=1e-7).options() == {
-        "integrator": "rkn6", "step": 1e-7, "diameter": "auto", "pair_style": "granular",
+        "integrator": None, "step": 1e-7, "diameter": "auto", "pair_style": "granular",
         "ranks": None,
     }  # fmt: skip
 

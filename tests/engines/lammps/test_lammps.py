@@ -194,7 +194,7 @@ def test_unlike_contacts_share_few_types():
     )
     assert max(column.types) < 40
     given = [
-        column._types_and_constants[1][tuple(sorted(pair))]
+        column._types_and_contacts[1][tuple(sorted(pair))].stiffness
         for pair in zip(column.types, column.types[1:], strict=False)
     ]
     radius = column.diameters[0] / 4

@@ -198,7 +198,7 @@ def test_an_include_may_not_run(commands: str, capsys: pytest.CaptureFixture[str
         ("{{ '%s'.format(column) }}", "closed to it"),
         ("{{ column | attr('__init__') }}", "closed to it"),
         ("{{ column['__class__'] }}", "closed to it"),
-        ("{{ column._types_and_constants }}", "closed to it"),
+        ("{{ column._types_and_contacts }}", "closed to it"),
         ("{{ column.chain.material.name }}", "closed to it"),
         ("{% set x = column.scene.to_toml %}{{ x('spoilt') }}", "closed to it"),
         ("{{ namespace(a=1).a }}", "no placeholder 'namespace'"),

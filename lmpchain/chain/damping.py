@@ -1,0 +1,273 @@
+"""Dissipation: viscoelastic contacts and drag, and the rebound of two spheres that it leaves.
+
+A closed contact with the overlap o pushes with ``K (1 + A d/dt) o^delta`` (Kuwabara and Kono, Jpn.
+J. Appl. Phys. 26, 1230, 1987; Brilliantov et al., Phys. Rev. E 53, 5382, 1996), and a grain that
+moves is held back with ``m gamma v``. In the place of velocities v,
+
+    w = v - b(x) + gamma x,    b_n = (A_(n-1) F_(n-1) - A_n F_n) / m_n,
+
+where F_n are the elastic forces alone, makes equations of motion whose forces know no velocity:
+
+    x' = w + b(x) - gamma x,    w' = (F_(n-1) - F_n) / m_n + g.
+
+========  =============  ===============================================
+symbol    variable       meaning
+========  =============  ===============================================
+A         viscoelastic   time over which a contact relaxes, s
+gamma     drag           rate at which a grain alone comes to rest, 1/s
+w         reduced        the velocity that the method moves, m/s
+b         creep          what viscosity adds to the velocity, m/s
+========  =============  ===============================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cached_property, lru_cache
+from typing import Annotated, Any, NamedTuple, Self
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from ..errors import InputError, shown
+from ..util.arrays import Array, read_only
+from ..util.validation import Checked, non_negative
+from .contacts import Contacts, hertz_constant, pair_value
+from .materials import Material, one_material
+
+# relative error of a step of the rebound: its sum stays below 1e-12
+COLLISION_ERROR = 1e-13
+# A over the time of a collision: beyond, two spheres practically stick
+STICKS = 1e6
+
+Rates = Annotated[float | Array, BeforeValidator(non_negative)]
+
+
+class Damping(Checked):
+    """Dissipation of a chain: viscoelastic contacts and a drag on its grains.
+
+    A closed contact pushes with ``K (1 + A d/dt) o^delta``, a grain is held back with ``m gamma
+    v``. What else takes energy (plasticity, adhesion, friction, rotation) is left out.
+
+    Parameters
+    ----------
+    viscoelastic : float or (N-1,) array
+        A, s, of all contacts, or of those between grains from the top; a wall has that of the
+        contact next to it.
+    drag : float or (N,) array
+        gamma, 1/s, of all grains or of each.
+
+    Raises
+    ------
+    InputError
+        Unless all are numbers from 0.
+
+    Examples
+    --------
+    >>> Damping(viscoelastic=2e-8)
+    Damping(viscoelastic=2e-08)
+    """
+
+    viscoelastic: Rates = 0.0
+    drag: Rates = 0.0
+
+    @cached_property
+    def acts(self) -> bool:
+        """Whether it takes energy at all."""
+        return bool(np.any(self.viscoelastic) or np.any(self.drag))
+
+    @cached_property
+    def longest_time(self) -> float:
+        """The longest A of all contacts, s."""
+        return float(np.max(self.viscoelastic))
+
+    @cached_property
+    def largest_drag(self) -> float:
+        """The largest gamma of all grains, 1/s."""
+        return float(np.max(self.drag))
+
+    def fastest_rate(self, omega: float) -> float:
+        """Return the frequency omega, rad/s, or the rate A omega^2 + gamma of its decay, 1/s.
+
+        The larger of the two bounds the steps of explicit methods.
+        """
+        return max(omega, self.longest_time * omega**2 + self.largest_drag)
+
+    def misfits(self, grains: int) -> Iterator[tuple[str, str]]:
+        """Yield lists that do not fit a chain of this length."""
+        for key, values, length in (
+            ("viscoelastic", self.viscoelastic, grains - 1),
+            ("drag", self.drag, grains),
+        ):
+            if isinstance(values, np.ndarray) and len(values) != length:
+                cure = f"one number, or {length} for {grains} grains"
+                yield f"damping.{key}", f"must be {cure}, not {len(values)}"
+
+    def part(self, first: int, last: int) -> Damping:
+        """Return that of grains first ... last."""
+        return Damping(
+            viscoelastic=_cut(self.viscoelastic, first, last - 1), drag=_cut(self.drag, first, last)
+        )
+
+    def times(self, grains: int) -> Array:
+        """Return A of every contact of a chain, those with walls included, (N+1,) s."""
+        between = np.broadcast_to(self.viscoelastic, grains - 1 or 1)
+        return read_only(np.concatenate((between[:1], between, between[-1:]))[: grains + 1])
+
+    def rates(self, grains: int) -> Array:
+        """Return gamma of every grain, (N,) 1/s."""
+        return read_only(np.array(np.broadcast_to(self.drag, grains)))
+
+    @classmethod
+    def from_restitution(
+        cls,
+        restitution: float,
+        velocity: float,
+        material: Material | str,
+        diameter: float,
+        exponent: float = 1.5,
+    ) -> Self:
+        """Return the viscosity with which two equal spheres rebound so at this velocity.
+
+        Parameters
+        ----------
+        restitution : float
+            Relative velocity after the collision over that before it, above 0, at most 1.
+        velocity : float
+            That before it, m/s.
+        material : Material or name
+        diameter : float
+            m.
+        exponent : float
+            delta.
+
+        Raises
+        ------
+        InputError
+            If there is none: a number out of its range.
+
+        Examples
+        --------
+        >>> damping = Damping.from_restitution(0.93, velocity=0.3, material="steel", diameter=1e-2)
+        >>> f"{damping.viscoelastic:.3g} s"
+        '5.24e-07 s'
+        """
+        if not 0 < restitution <= 1:
+            fault = f"must be above 0, at most 1 (got {shown(restitution)})"
+            raise InputError.at("restitution", fault)
+        for key, value in (("velocity", velocity), ("diameter", diameter)):
+            if not 0 < value < math.inf:
+                raise InputError.at(key, f"must be a finite number above 0 (got {shown(value)})")
+        pair = equal_spheres(one_material(material), diameter, exponent)
+        viscosity = viscosity_of(float(restitution), float(exponent))
+        return cls(viscoelastic=viscosity * pair.time(velocity))
+
+
+def viscous_force(contacts: Contacts, viscosity: Array, overlap: Array, closing: Array) -> Array:
+    """Return the viscous force A dF/dt = A delta K o^(delta-1) o' of contacts, (..., C) N.
+
+    Parameters
+    ----------
+    contacts : Contacts
+    viscosity : (C,) array
+        A, s.
+    overlap, closing : (..., C) arrays
+        o, m, and o', m/s.
+    """
+    # an open contact gives way freely
+    stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
+    return np.where(overlap > 0, viscosity * stiffness * closing, 0.0)
+
+
+def _cut(values: float | Array, first: int, last: int) -> float | Array:
+    """Return the values numbered first ... last, or the one that serves for all."""
+    return values[first - 1 : last] if isinstance(values, np.ndarray) else values
+
+
+class Pair(NamedTuple):
+    """Two bodies that collide: constant of their contact, N/m^delta, reduced mass, kg, delta."""
+
+    constant: float
+    mass: float
+    exponent: float
+
+    def time(self, velocity: float) -> float:
+        """Return the unit of time of a collision at this velocity, (m v^2 / K)^(1/(delta+1)) / v.
+
+        In s; a collision takes some 3 of it.
+        """
+        length = (self.mass * velocity**2 / self.constant) ** (1 / (self.exponent + 1))
+        return length / velocity
+
+
+def equal_spheres(material: Material, diameter: float, exponent: float) -> Pair:
+    """Return two equal spheres."""
+    modulus = float(pair_value(np.full(2, material.plane_strain_modulus))[0])
+    radius = float(pair_value(np.full(2, diameter / 2))[0])
+    mass = material.density * math.pi / 6 * diameter**3
+    return Pair(hertz_constant(modulus, radius, diameter, exponent), mass / 2, exponent)
+
+
+@lru_cache(maxsize=1024)
+def rebound(viscosity: float, exponent: float) -> float:
+    """Return the restitution of two bodies, A in units of `Pair.time`; 0 where they stick.
+
+    Exact to 1e-12, by an integration of y' = w - A y^delta, w' = -y^delta from y = 0, w = 1 to
+    where y is 0 again: then -w is the restitution.
+    """
+    from scipy.integrate import solve_ivp
+
+    if viscosity == 0:
+        return 1.0
+    if exponent == 1:
+        ratio = viscosity / 2
+        if ratio >= 1:
+            return 0.0
+        return math.exp(-math.pi * ratio / math.sqrt(1 - ratio**2))
+
+    def move(_: float, state: Array) -> tuple[float, float]:
+        force = max(state[0], 0.0) ** exponent
+        return state[1] - viscosity * force, -force
+
+    def parts(_: float, state: Array) -> float:
+        return state[0]
+
+    parts.terminal = True  # type: ignore[attr-defined]
+    parts.direction = -1  # type: ignore[attr-defined]
+    options: dict[str, Any] = {"rtol": COLLISION_ERROR, "atol": 1e-3 * COLLISION_ERROR}
+    # a strong viscosity makes it stiff: implicit steps then are longer
+    method = "DOP853" if viscosity < 10 else "Radau"
+    run = solve_ivp(move, (0.0, STICKS), (0.0, 1.0), method=method, events=parts, **options)
+    return max(-float(run.y[1, -1]), 0.0)
+
+
+def viscosity_of(restitution: float, exponent: float) -> float:
+    """Return A in units of `Pair.time` with which two bodies rebound so, 0 < restitution <= 1."""
+    from scipy.optimize import brentq
+
+    if restitution == 1:
+        return 0.0
+    if exponent == 1:
+        decay = -math.log(restitution) / math.pi
+        return 2 * decay / math.sqrt(1 + decay**2)
+    highest = 1.0
+    while rebound(highest, exponent) > restitution:
+        highest *= 2
+        if highest > STICKS:
+            raise InputError.at("restitution", f"is too small to be told from 0 ({restitution:g})")
+    root = brentq(lambda a: rebound(a, exponent) - restitution, 0.0, highest, xtol=1e-15)
+    return float(root)
+
+
+def _damping(value: Any) -> Damping:
+    if isinstance(value, Damping):
+        return value
+    if isinstance(value, dict):
+        return Damping(**value)
+    cure = "give lmpchain.Damping(viscoelastic=..., drag=...), or a table with these keys"
+    raise ValueError(f"is no damping (got {shown(value)}): {cure}")
+
+
+OneDamping = Annotated[Damping, BeforeValidator(_damping)]
+NO_DAMPING = Damping()

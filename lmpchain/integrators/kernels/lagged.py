@@ -1,0 +1,78 @@
+"""Velocity Verlet of a chain that loses energy, as LAMMPS has it, compiled.
+
+A force that depends on velocities is found in the middle of a step, where LAMMPS has those of half
+a step before: the order is 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .contact_forces import compiled_march, inlined
+from .dense_output import fill_rates
+from .layout import PAD
+from .right_hand_side import accelerate, hold, impose, impose_velocity
+from .sample_loop import sample_loop
+from .window import look, watch, widen
+
+
+@inlined
+def _accelerate(chain, dissipation, work, t):
+    """Fill `chain.history` with the accelerations of bodies and velocities as they are now."""
+    force, pull, rate = work
+    first = chain.state.first
+    last = chain.state.last
+    number = chain.number
+    v = chain.v
+    a = chain.history[0]
+    impose(chain, chain.x, t, t)
+    impose_velocity(chain, v, PAD, t)
+    accelerate(chain, chain.x, first, last, force, pull)
+    fill_rates(chain, first, last, force, rate, first - 1)
+    viscosity = dissipation.viscosity[number]
+    for n in range(first, last):
+        pressed = viscosity[n - 1] * rate[n - 1] - viscosity[n] * rate[n]
+        a[n] = pull[n] + chain.inverse_mass[n] * pressed - dissipation.drag[number, n] * v[n]
+
+
+@inlined
+def _advance(chain, method, work, clock, span, out):
+    """Take one step: half a kick, a drift, the forces at the velocities of then, half a kick."""
+    (dissipation,) = method
+    state = chain.state
+    x = chain.x
+    v = chain.v
+    h = span.step
+    now = span.begin + state.done * h
+    then = span.begin + (state.done + 1) * h
+    widen(chain, 2)
+    a = chain.history[0]
+    # later ones are known from the end of the step before
+    if state.steps == 0:
+        _accelerate(chain, dissipation, work, now)
+    hold(chain, v)
+    for n in range(state.first, state.last):
+        v[n] += 0.5 * h * a[n]
+        x[n] += h * v[n]
+    _accelerate(chain, dissipation, work, then)
+    for n in range(state.first, state.last):
+        v[n] += 0.5 * h * a[n]
+    impose_velocity(chain, v, PAD, then)
+    watch(chain)
+    look(chain, clock, state.steps + 1, then, 1.0)
+    state.done += 1.0
+    return 1
+
+
+_march = sample_loop(_advance, True)
+
+
+@compiled_march()
+def march(chains, method, clocks, fields, goal):
+    """Advance as `sample_loop` says; `method` is `layout.Dissipation`, alone.
+
+    `chains.history` holds the accelerations.
+    """
+    width = chains.x.shape[1]
+    work = np.zeros(width), np.zeros(width), np.zeros(width)
+    return _march(chains, method, work, clocks, fields, goal)

@@ -1,0 +1,132 @@
+"""Damping of a chain: what may be given, and the rebound of two spheres."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from lmpchain import Chain, Damping, Impulse, InputError, Scene
+from lmpchain.chain.damping import Pair, rebound, viscosity_of
+
+
+def chain(**damping) -> Chain:
+    return Chain(grains=5, diameter=1e-3, damping=damping)
+
+
+def test_one_number_or_one_of_each():
+    one = chain(viscoelastic=2e-8, drag=3.0)
+    assert one.contact_viscosity == pytest.approx(np.full(6, 2e-8))
+    assert one.drag == pytest.approx(np.full(5, 3.0))
+    many = chain(viscoelastic=[1e-8, 2e-8, 3e-8, 4e-8], drag=[1.0, 2.0, 3.0, 4.0, 5.0])
+    # a wall is as viscous as the contact next to it
+    assert many.contact_viscosity.tolist() == [1e-8, 1e-8, 2e-8, 3e-8, 4e-8, 4e-8]
+    assert many.drag.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert many.part(2, 4).contact_viscosity.tolist() == [2e-8, 2e-8, 3e-8, 3e-8]
+    assert many.part(2, 4).drag.tolist() == [2.0, 3.0, 4.0]
+
+
+def test_a_dict_and_a_record_are_one_chain():
+    assert chain(drag=2.0) == Chain(grains=5, diameter=1e-3, damping=Damping(drag=2.0))
+    assert not Chain(grains=5, diameter=1e-3, damping={}).damped
+    assert not chain(drag=2.0).replace(damping=None).damped
+
+
+def test_a_scene_file_has_a_table():
+    damped = chain(viscoelastic=[1e-8, 2e-8, 3e-8, 4e-8], drag=3.0)
+    scene = Scene(chain=damped, excitation=Impulse(velocity=1e-3), duration=1e-5)
+    text = scene.to_text()
+    assert "[chain.damping]" in text
+    assert Scene.from_text(text) == scene
+
+
+@pytest.mark.parametrize(
+    ("damping", "key", "words"),
+    [
+        ({"viscoelastic": -1.0}, "damping.viscoelastic", "from 0"),
+        ({"drag": math.inf}, "damping.drag", "finite"),
+        ({"drag": "much"}, "damping.drag", "number"),
+        ({"viscoelastic": [1e-8, 2e-8]}, "damping.viscoelastic", "one number, or 4 for 5 grains"),
+        ({"drag": [1.0] * 4}, "damping.drag", "one number, or 5 for 5 grains"),
+        ({"drag": [1.0, -1.0, 1.0, 1.0, 1.0]}, "damping.drag", "entry 2 is -1"),
+        ({"viscous": 1.0}, "damping.viscous", "the keys here are viscoelastic, drag"),
+        (0.1, "damping", "lmpchain.Damping"),
+    ],
+)
+def test_what_is_no_damping(damping, key, words):
+    with pytest.raises(InputError, match=words) as raised:
+        Chain(grains=5, diameter=1e-3, damping=damping)
+    assert raised.value.faults[0][0] == key
+
+
+def test_a_dashpot_is_remarked_on():
+    damped = Chain(grains=5, diameter=1e-3, damping={"viscoelastic": 1e-4})
+    with pytest.warns(UserWarning, match="a dashpot"):
+        Scene(chain=damped, excitation=Impulse(velocity=1e-6), duration=1e-5)
+
+
+def collision(viscosity: float, exponent: float) -> float:
+    """Return the restitution by the velocity form, stopped where the overlap is 0 again."""
+
+    def move(_, state):
+        o, rate = state
+        o = max(o, 0.0)
+        return rate, -(o**exponent) - viscosity * exponent * o ** (exponent - 1) * rate
+
+    def apart(_, state):
+        return state[0]
+
+    apart.terminal = True
+    apart.direction = -1
+    # small steps at the end, where the force is not smooth
+    options = {"rtol": 1e-12, "atol": 1e-15, "max_step": 0.01, "events": apart}
+    return -solve_ivp(move, (0.0, 1e3), (0.0, 1.0), method="DOP853", **options).y[1, -1]
+
+
+@pytest.mark.parametrize("exponent", [1.2, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("viscosity", [1e-4, 1e-2, 0.3, 1.0])
+def test_the_rebound_is_that_of_the_velocity_form(viscosity, exponent):
+    assert rebound(viscosity, exponent) == pytest.approx(collision(viscosity, exponent), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("viscosity", "restitution"),
+    # of two spheres with K = m = 1, whose reduced mass is 1/2; DOP853 at 1e-13, in a study apart
+    [(0.01, 0.977478944277684), (0.02, 0.955559729739210), (0.05, 0.893193701608472)],
+)
+def test_known_rebounds(viscosity, restitution):
+    pair = Pair(constant=1.0, mass=0.5, exponent=1.5)
+    assert rebound(viscosity / pair.time(1.0), 1.5) == pytest.approx(restitution, abs=1e-12)
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 0.1, 0.5, 0.9])
+def test_springs_rebound_as_a_damped_oscillator(ratio):
+    exact = math.exp(-math.pi * ratio / math.sqrt(1 - ratio**2))
+    assert rebound(2 * ratio, 1.0) == pytest.approx(exact, rel=1e-12)
+    assert rebound(2.0, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.5])
+@pytest.mark.parametrize("restitution", [1e-3, 0.5, 0.93, 0.9999, 1.0])
+def test_a_restitution_gives_its_viscosity(restitution, exponent):
+    assert rebound(viscosity_of(restitution, exponent), exponent) == pytest.approx(
+        restitution, abs=1e-11
+    )
+
+
+def test_a_faster_collision_of_the_same_spheres_loses_more():
+    spheres = {"material": "steel", "diameter": 1e-2}
+    slow = Damping.from_restitution(0.93, velocity=0.3, **spheres)
+    fast = Damping.from_restitution(0.93, velocity=3.0, **spheres)
+    # the loss goes as A v^(1/5)
+    assert fast.viscoelastic == pytest.approx(slow.viscoelastic * 10**-0.2, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("restitution", 0.0), ("restitution", 1.1), ("velocity", 0.0), ("diameter", math.inf)],
+)
+def test_what_no_viscosity_follows_from(key, value):
+    options = {"restitution": 0.9, "velocity": 1.0, "material": "steel", "diameter": 1e-2}
+    with pytest.raises(InputError, match=key):
+        Damping.from_restitution(**options | {key: value})

@@ -1,0 +1,125 @@
+"""Chains that lose energy, in LAMMPS: its force is that of Kuwabara and Kono, its order is 1."""
+
+import numpy as np
+import pytest
+from helpers.standalone_lammps import lmp, read_dump
+from helpers.taylor_series import reference
+
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, simulate
+from lmpchain.chain.damping import Pair, rebound
+from lmpchain.engines import Lammps, Native
+from lmpchain.engines.lammps.export import write_deck
+
+UNIFORM = {"grains": 12, "diameter": 1e-3, "bottom": "wall"}
+VISCOUS = {"viscoelastic": 3e-8}
+CHAINS = {
+    "viscous": Chain(**UNIFORM, damping=VISCOUS),
+    "drag": Chain(**UNIFORM, damping={"drag": 3e3}),
+    "springs": Chain(**UNIFORM, exponent=1.0, top_load=1.0, damping={"viscoelastic": 3e-9}),
+    "unlike": Chain(
+        **UNIFORM | {"diameter": np.linspace(1e-3, 2e-3, 12)},
+        top="wall",
+        top_load=0.01,
+        damping={"viscoelastic": 1e-8 * np.arange(1, 12), "drag": 1e3},
+    ),
+    "held": Chain(**UNIFORM | {"bottom": "fixed"}, damping={**VISCOUS, "drag": 3e3}),
+}
+ACTS = {
+    "strike": Impulse(velocity=1e-3),
+    "drive": Drive(amplitude=1e-9, frequency=2e4),
+    "force": Force(grain=2, amplitude=1e-3, frequency=2e4),
+}
+
+
+def scene_of(chain: Chain, excitation=ACTS["strike"], samples: int = 7) -> Scene:
+    return Scene(chain=chain, excitation=excitation, duration=3e-5, samples=samples)
+
+
+@pytest.mark.parametrize("diameter", ["physical", "gauge"])
+@pytest.mark.parametrize("name", CHAINS)
+def test_lammps_makes_the_steps_of_the_native_engine(name, diameter):
+    scene = scene_of(CHAINS[name])
+    step = 0.05 / scene.highest_frequency
+    answer = simulate(scene, engine=Lammps("verlet", step=step, diameter=diameter))
+    native = simulate(scene, engine=Native("verlet", step=step))
+    assert answer.cost.integrator == "lagged-verlet"
+    heights = 1e-15 * UNIFORM["grains"] * scene.chain.diameters.max()
+    rounding = 3e-11 if diameter == "gauge" else 100 * heights / abs(native.displacement).max()
+    for field in ("displacement", "velocity"):
+        one = getattr(answer, field)
+        other = getattr(native, field)
+        assert abs(one - other).max() < rounding * abs(other).max()
+
+
+@pytest.mark.parametrize("act", ACTS)
+@pytest.mark.parametrize("name", CHAINS)
+def test_the_error_is_estimated(name, act):
+    scene = scene_of(CHAINS[name].replace(top="free", top_load=1.0), ACTS[act])
+    t = simulate(scene, engine="lammps", tolerance=1e-3)
+    true, doubt = reference(scene, 1e-12)
+    error = true.error(t.displacement, t.velocity)
+    assert error - doubt < min(1e-3, 3 * t.error_estimate.total)
+
+
+@pytest.mark.parametrize("name", ["viscous", "unlike", "held"])
+def test_a_deck_runs_by_itself(name, tmp_path):
+    scene = scene_of(CHAINS[name])
+    step = scene.duration / 6 / 200
+    write_deck(scene, tmp_path, step=step, diameter="physical")
+    text = (tmp_path / "in.column").read_text(encoding="utf-8")
+    assert "damping viscoelastic" in text
+    assert ("drag mobile viscous" in text) == (name == "held")
+    assert ("-1000.0*mass*vz" in text) == (name == "unlike")
+    lmp(tmp_path, "-log", "none", "-screen", "none")
+    u, v = read_dump(tmp_path / "column.lammpstrj")
+    answer = simulate(scene, engine=Lammps("verlet", step=step, diameter="physical"))
+    # to the last digit of a height
+    assert abs(u - answer.displacement).max() < 1e-15
+    assert abs(v - answer.velocity).max() < 1e-15 * scene.highest_frequency
+
+
+def test_ranks_give_the_bytes_of_one():
+    scene = scene_of(CHAINS["held"])
+    options = {"step": 3e-8, "diameter": "physical"}
+    one = simulate(scene, engine=Lammps("verlet", **options))
+    two = simulate(scene, engine=Lammps("verlet", **options, ranks=2))
+    assert one.velocity.tobytes() == two.velocity.tobytes()
+
+
+def test_a_run_goes_on_with_the_same_bits():
+    scene = scene_of(CHAINS["held"])
+    engine = Lammps("verlet", step=3e-8, diameter="physical")
+    candidate = engine.candidate(scene, 1e-3)
+    whole = simulate(scene, engine=engine)
+    u, v = np.empty((2, 1, 7, 12))
+    stepper = engine.stepper([scene], candidate, [candidate.schedule()], {})
+    for sample in range(1, 7):
+        stepper.fill(u, v, 0, sample, 10**6)
+        state = stepper.state()
+        stepper.close()
+        # another LAMMPS, which knows no velocities of half a step before
+        stepper = engine.stepper([scene], candidate, [candidate.schedule()], state)
+    stepper.close()
+    assert v[0, 1:].tobytes() == whole.velocity[1:].tobytes()
+
+
+@pytest.mark.parametrize("viscosity", [1e-7, 5e-7])
+def test_two_spheres_rebound_as_they_must(viscosity):
+    chain = Chain(
+        grains=2, diameter=1e-2, material="steel", gravity=0.0, bottom="free",
+        damping={"viscoelastic": viscosity},
+    )  # fmt: skip
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=3e-4, samples=2)
+    pair = Pair(chain.contact_constants[0], chain.masses[0] / 2, 1.5)
+    exact = rebound(viscosity / pair.time(0.1), 1.5)
+    for engine, error in (("native", 1e-9), ("lammps", 1e-4)):
+        v = simulate(scene, engine=engine, tolerance=error).velocity[-1]
+        assert (v[1] - v[0]) / 0.1 == pytest.approx(exact, abs=3 * error)
+
+
+def test_what_lammps_cannot_do():
+    scene = scene_of(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}))
+    with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS has one number"):
+        simulate(scene, engine="lammps")
+    with pytest.raises(InputError, match="use verlet, or leave it out"):
+        simulate(scene_of(CHAINS["viscous"]), engine=Lammps("rkn6"))

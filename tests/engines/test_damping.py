@@ -1,0 +1,135 @@
+"""Chains that lose energy: who answers, what is refused, where the wave can be, and the balance."""
+
+import numpy as np
+import pytest
+from helpers.taylor_series import reference
+
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, engines, plan, simulate
+from lmpchain.benchmark.reference import reference as series_reference
+from lmpchain.design import gradient
+from lmpchain.engines import Native
+from lmpchain.measure import contact, energy, motion
+from lmpchain.orbits import normal_mode
+from lmpchain.theory import bands, scattering
+
+DAMPING = {"viscoelastic": 3e-8, "drag": 1e3}
+WALLS = {"top": "wall", "bottom": "wall", "top_load": 0.1}
+ACTS = {
+    "strike": Impulse(velocity=1e-3),
+    "force": Force(grain=2, amplitude=1e-3, frequency=2e4),
+    "drive": Drive(amplitude=1e-10, frequency=2e4),
+    "wall": Drive(grain=0, amplitude=1e-10, frequency=2e4),
+}
+
+
+def scene_of(excitation, samples: int = 401, **chain) -> Scene:
+    column = Chain(**{"grains": 20, "diameter": 1e-3, "damping": DAMPING} | WALLS | chain)
+    return Scene(chain=column, excitation=excitation, duration=6e-5, samples=samples)
+
+
+@pytest.mark.parametrize("act", ACTS)
+def test_energy_and_momentum_balance(act):
+    t = simulate(scene_of(ACTS[act]), engine="native", tolerance=1e-11)
+    balance = energy.ledger(t)
+    put_in = balance.total.max()
+    assert balance.dissipated[-1] > 0.03 * put_in
+    error = balance.drive_error + balance.dissipated_error
+    assert abs(balance.drift).max() < error + 1e-10 * put_in
+    assert error < 1e-5 * put_in
+    assert (
+        abs(balance.momentum_drift).max()
+        < balance.impulse_error + 1e-9 * abs(balance.momentum).max()
+    )
+    lost = energy.losses(t)
+    assert lost.of_contact[-1].min() >= 0
+    assert lost.of_grain[-1].min() >= 0
+    total = lost.of_contact.sum(1) + lost.of_grain.sum(1)
+    assert total == pytest.approx(balance.dissipated)
+
+
+def test_an_undamped_chain_loses_nothing():
+    balance = energy.ledger(simulate(scene_of(ACTS["strike"], 21, damping={}), "native", 1e-9))
+    assert not balance.dissipated.any()
+    assert balance.dissipated_error == 0.0
+
+
+def test_forces_of_contacts_are_those_that_accelerate_grains():
+    t = simulate(scene_of(ACTS["strike"], 4001), "native", 1e-11)
+    history = contact.contacts(t)
+    inside = history.change[:, :-1] - history.change[:, 1:]
+    chain = t.scene.chain
+    a = inside / chain.masses - chain.drag * t.velocity
+    h = t.time[1]
+    # differences of velocities at five samples
+    v = t.velocity
+    slope = (8 * (v[3:-1] - v[1:-3]) - (v[4:] - v[:-4])) / (12 * h)
+    assert abs(a[2:-2] - slope).max() < 1e-5 * abs(slope).max()
+
+
+def test_peaks_between_samples_are_within_their_error():
+    fine = simulate(scene_of(ACTS["strike"], 4001), "native", 1e-9)
+    coarse = simulate(scene_of(ACTS["strike"], 161), "native", 1e-9)
+    peaks = motion.peaks(coarse)
+    exact = motion.peaks(fine).value
+    assert (abs(peaks.value - exact) <= peaks.error + 1e-6 * exact).all()
+    gathered = simulate(
+        scene_of(ACTS["strike"], 21).replace(quantities=["peak_velocity"]), "native", 1e-9
+    ).gathered
+    error = gathered["peak_velocity_error"]
+    assert (abs(gathered["peak_velocity"] - exact) <= error + 1e-6 * exact).all()
+    assert (error < 0.01 * exact).all()
+
+
+@pytest.mark.parametrize("engine", ["modes", "chebyshev", "bessel", "continuum"])
+def test_engines_that_conserve_energy_refuse(engine):
+    scene = scene_of(Impulse(velocity=1e-9), 11, top="free", bottom="fixed", top_load=0.0)
+    with pytest.raises(InputError, match=r"chain\.damping: .* conserves energy"):
+        simulate(scene, engine=engine)
+
+
+def test_the_choice_of_engine_knows():
+    scene = scene_of(Impulse(velocity=1e-9), 11)
+    assert plan(scene).engine == "native"
+    assert plan(scene).integrator == "dop853"
+    with pytest.raises(InputError, match="rkn6 is a method for chains without damping: use dop853"):
+        simulate(scene, engine=Native("rkn6"))
+    names = {"native", "lammps"}
+    assert {name for name in engines.names() if engines.get(name).dissipates} == names
+
+
+@pytest.mark.parametrize(
+    "compute",
+    [
+        lambda scene: gradient(scene, "peak_force:3", ["masses"]),
+        lambda scene: normal_mode(scene.chain, 1, 1e-15),
+        lambda scene: scattering.transmission(scene.chain, [1e3]),
+        lambda scene: bands.branches(scene.chain, [0.1]),
+        lambda scene: series_reference(scene),
+    ],
+)
+def test_what_knows_no_damping_refuses(compute):
+    scene = scene_of(ACTS["strike"], 5, gravity=0.0)
+    with pytest.raises(InputError, match=r"chain\.damping: .* knows no damping"):
+        compute(scene)
+
+
+@pytest.mark.parametrize("viscoelastic", [0.0, 1e-9, 3e-8, 1e-6])
+def test_beyond_the_light_cone_nothing_can_be_seen(viscoelastic):
+    """The front of a damped wave is no longer sharp: it spreads as in a parabolic equation."""
+    chain = Chain(
+        grains=900, diameter=1e-3, gravity=0.0, top_load=1.0,
+        damping={"viscoelastic": viscoelastic, "drag": 1e3},
+    )  # fmt: skip
+    strike = Impulse(velocity=1e-4, grain=450)
+    scene = Scene(chain=chain, excitation=strike, duration=2e-5, samples=2)
+    cone = scene.light_cone
+    assert cone is not None
+    true, _ = reference(scene, 1e-18)
+    beyond = np.ones(900, bool)
+    beyond[cone.columns] = False
+    assert beyond.any()
+    field = abs(true.displacement[-1])
+    assert field[beyond].max() < 1e-20 * field.max()
+    # and not much further than that
+    inside = np.flatnonzero(field > 1e-30 * field.max())
+    assert cone.scene.chain.grains < 1.5 * (inside[-1] - inside[0] + 1) + 100

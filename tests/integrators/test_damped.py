@@ -1,0 +1,134 @@
+"""Methods of chains that lose energy: order, bits, and the modes of linear chains."""
+
+import numpy as np
+import pytest
+from helpers.taylor_series import reference
+
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene, simulate
+from lmpchain.engines import Native
+from lmpchain.simulation.many import simulate_many
+from lmpchain.theory import modes
+
+
+def damped_chain(**options) -> Chain:
+    fields = {"grains": 12, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "bottom": "wall"}
+    return Chain(**fields | {"damping": {"viscoelastic": 1e-7, "drag": 2e4}} | options)
+
+
+def struck(chain: Chain, samples: int = 2, duration: float = 2e-5) -> Scene:
+    strike = Displacement(displacement=0.05 * chain.equilibrium_overlap[0], grain=3)
+    return Scene(chain=chain, excitation=strike, duration=duration, samples=samples)
+
+
+def slope(scene: Scene, integrator: str, counts: list[int]) -> float:
+    true, doubt = reference(scene, 1e-18)
+    errors = []
+    for count in counts:
+        t = simulate(scene, engine=Native(integrator, step=scene.duration / count))
+        assert t.cost.steps == count
+        errors.append(true.error(t.displacement, t.velocity))
+    assert min(errors) > 100 * doubt
+    # odd terms beside the first
+    n = np.array(counts, dtype=float)
+    laws = np.stack([np.ones(n.size), -np.log(n), 1 / n], axis=1)
+    return np.linalg.lstsq(laws, np.log(errors), rcond=None)[0][1]
+
+
+@pytest.mark.parametrize(
+    "damping",
+    [
+        {"viscoelastic": 1e-7},
+        {"drag": 2e5},
+        {"viscoelastic": 2e-8, "drag": 5e4},
+        {"viscoelastic": np.linspace(0, 2e-7, 11), "drag": np.linspace(0, 4e5, 12)},
+    ],
+)
+def test_order_of_convergence(damping):
+    scene = struck(damped_chain(damping=damping))
+    assert slope(scene, "dop853", [40, 50, 64, 80]) == pytest.approx(8, abs=0.05)
+    # as LAMMPS has it, forces see velocities half a step old
+    assert slope(scene, "verlet", [4000, 8000, 16000, 32000]) == pytest.approx(1, abs=0.05)
+
+
+EXCITATIONS = {
+    "impulse": Impulse(velocity=3e-2, grain=2),
+    "displacement": Displacement(displacement=2e-7, grain=5),
+    "drive": Drive(amplitude=1e-7, frequency=5e4),
+    "wall": Drive(grain=0, amplitude=1e-7, frequency=5e4),
+    "burst": Force(grain=4, amplitude=3.0, frequency=5e4, cycles=3),
+    "hammer": Force(grain=2, shape="half-sine", amplitude=3.0, duration=2e-5),
+    "profile": Profile(velocity=np.sin(np.arange(12.0))),
+}
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-11])
+def test_an_answer_meets_its_tolerance_and_its_estimate(kind, tolerance):
+    top = "wall" if kind == "wall" else "free"
+    chain = damped_chain(top=top, damping={"viscoelastic": 3e-8, "drag": 1e3})
+    scene = Scene(chain=chain, excitation=EXCITATIONS[kind], duration=6e-5, samples=8)
+    t = simulate(scene, engine="native", tolerance=tolerance)
+    true, doubt = reference(scene, 1e-4 * tolerance)
+    error = true.error(t.displacement, t.velocity)
+    assert t.cost.integrator == "dop853"
+    assert error - doubt < min(tolerance, 3 * t.error_estimate.total)
+
+
+def test_every_way_to_run_gives_the_same_bits():
+    chain = damped_chain()
+    strikes = [Impulse(velocity=speed) for speed in (1e-2, 3e-2)]
+    scenes = [
+        Scene(chain=chain, excitation=strike, duration=6e-5, samples=30) for strike in strikes
+    ]
+    alone = [simulate(scene, engine="native", tolerance=1e-8) for scene in scenes]
+    for engine in ("native", Native(threads=2)):
+        batch = simulate_many(scenes, engine=engine, tolerance=1e-8)
+        for one, other in zip(alone, batch, strict=True):
+            assert one.displacement.tobytes() == other.displacement.tobytes()
+            assert one.velocity.tobytes() == other.velocity.tobytes()
+
+
+def test_a_run_goes_on_with_the_same_bits(tmp_path):
+    from lmpchain.integrators.batch import ChainBatch
+    from lmpchain.integrators.methods import DAMPED
+    from lmpchain.integrators.step_schedule import StepSchedule
+    from lmpchain.integrators.stepper import NativeStepper
+
+    scene = Scene(
+        chain=damped_chain(), excitation=Impulse(velocity=3e-2), duration=6e-5, samples=10
+    )
+    schedule = StepSchedule(7, 1, scene.duration / 9 / 7, adaptive=True)
+    for method in DAMPED.values():
+        fields = np.empty((2, 2, 1, scene.samples, 12))
+        whole = NativeStepper(ChainBatch([scene]), method, schedule, {})
+        whole.fill(*fields[0], 0, 9, 10**6)
+        stopped = NativeStepper(ChainBatch([scene]), method, schedule, {})
+        # one step a call, and another stepper each time
+        while stopped.sample < 9:
+            stopped.fill(*fields[1], 0, 9, 1)
+            state = stopped.state()
+            stopped = NativeStepper(ChainBatch([scene]), method, schedule, state)
+        assert fields[0, :, :, 1:].tobytes() == fields[1, :, :, 1:].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("viscoelastic", "drag"), [(1e-8, 0.0), (3e-7, 0.0), (0.0, 3e4), (1e-7, 1e4), (1e-6, 0.0)]
+)
+def test_a_mode_decays_as_it_must(viscoelastic, drag):
+    """Under one viscosity and one drag modes keep their shape, also where they are overdamped."""
+    chain = damped_chain(
+        exponent=1.0, damping={"viscoelastic": viscoelastic, "drag": drag}, bottom="wall"
+    )
+    shapes = modes.eigenmodes(chain)
+    omega = shapes.frequency[4]
+    shape = 1e-3 * chain.equilibrium_overlap[0] * shapes.shape[:, 4] / abs(shapes.shape[:, 4]).max()
+    scene = Scene(
+        chain=chain, excitation=Profile(displacement=shape), duration=20 / omega, samples=41
+    )
+    t = simulate(scene, engine="native", tolerance=1e-11)
+    decay = viscoelastic * omega**2 / 2 + drag / 2
+    turn = np.emath.sqrt(omega**2 - decay**2)
+    course = np.exp(-decay * t.time) * (
+        np.cos(turn * t.time) + decay / turn * np.sin(turn * t.time)
+    )
+    assert np.abs(t.displacement / shape - course.real[:, None]).max() < 1e-10
