@@ -147,9 +147,9 @@ def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:
     They begin a last digit apart, and round in other ways from there on. They take several times
     the time of the answer.
     """
-    changes = [GROWTH.digit * change for change in GROWTH.changes]
+    changes = GROWTH.digit * np.array(GROWTH.changes)
     schedule = candidate.sampled.schedule()
-    distances = separate(scene, changes, BY_NAME[candidate.integrator], schedule)
+    distances = separate(scene, changes.tolist(), BY_NAME[candidate.integrator], schedule)
     return GROWTH.safety * distances.max(0)
 
 

@@ -336,7 +336,7 @@ class CompanionRun(Run):
             roundoff += float(distances[0].max())
             scale = motion.displacement, motion.velocity
             amplified = (self._differences[0, :, real] / scale).max(-1)
-        elif self._may_amplify(real, motion, opens, truncation + roundoff):
+        elif self._may_amplify(real, motion, truncation + roundoff):
             began = clock()
             amplified = amplify_rounding(scene, motion.evaluations)
             tolerance = self.candidate.solver_error
@@ -361,15 +361,15 @@ class CompanionRun(Run):
             roundoff += interpolation_loss(steps, flights)
         return roundoff
 
-    def _may_amplify(self, real: int, motion: Motion, opens: bool, estimate: float) -> bool:
+    def _may_amplify(self, real: int, motion: Motion, estimate: float) -> bool:
         """Say whether amplified rounding can count.
 
-        Contacts must open, waves must return to them, and there must be time for it to grow.
+        Contacts may open, waves must return to them, and there must be time for it to grow.
         """
         # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self._sample == self.scene.samples - 1
-        # contacts open, and what comes of it returns to contacts that opened
-        recurs = opens and self._companions.recurrent[real]
+        # where none opens after all, forces are no less nonlinear
+        recurs = self._companions.recurrent[real]
         counts = min(estimate, self.candidate.solver_error)
         return complete and recurs and could_grow(self._scenes[real], motion.evaluations) > counts
 
