@@ -94,6 +94,10 @@ class Damping(Checked):
         """
         return max(omega, self.longest_time * omega**2 + self.largest_drag)
 
+    def decay(self, omega: float, time: float) -> float:
+        """Return (A omega^2 + gamma) t / 2, the exponent of the decay of a motion in a time, s."""
+        return (self.longest_time * omega**2 + self.largest_drag) * time / 2
+
     def misfits(self, grains: int) -> Iterator[tuple[str, str]]:
         """Yield lists that do not fit a chain of this length."""
         for key, values, length in (

@@ -44,8 +44,11 @@ def trial_scene(
             continue
 
 
-def damped(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Return the scene with viscous contacts, a drag or both, from hardly any to overdamped."""
+def damped(rng: np.random.Generator, scene: Scene, alike: bool = False) -> Scene:
+    """Return the scene with viscous contacts, a drag or both, from hardly any to overdamped.
+
+    LAMMPS knows a drag that is alike for all grains.
+    """
     omega = scene.highest_frequency
     grains = scene.chain.grains
     while True:
@@ -56,7 +59,7 @@ def damped(rng: np.random.Generator, scene: Scene) -> Scene:
     damping: dict[str, Any] = {"viscoelastic": viscosity, "drag": drag}
     if rng.random() < 0.3 and grains > 1:
         damping["viscoelastic"] = viscosity * rng.random(grains - 1)
-    if rng.random() < 0.3:
+    if rng.random() < 0.3 and not alike:
         damping["drag"] = drag * (rng.random(grains) < 0.5)
     return scene.replace(chain=scene.chain.replace(damping=damping))
 

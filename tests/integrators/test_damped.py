@@ -114,6 +114,7 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path):
 @pytest.mark.parametrize(
     ("viscoelastic", "drag"), [(1e-8, 0.0), (3e-7, 0.0), (0.0, 3e4), (1e-7, 1e4), (1e-6, 0.0)]
 )
+@pytest.mark.filterwarnings("ignore:.*a dashpot")
 def test_a_mode_decays_as_it_must(viscoelastic, drag):
     """Under one viscosity and one drag modes keep their shape, also where they are overdamped."""
     chain = damped_chain(
@@ -132,3 +133,18 @@ def test_a_mode_decays_as_it_must(viscoelastic, drag):
         np.cos(turn * t.time) + decay / turn * np.sin(turn * t.time)
     )
     assert np.abs(t.displacement / shape - course.real[:, None]).max() < 1e-10
+
+
+def test_a_motion_that_dies_at_once_has_an_estimate():
+    """Its error is in the first samples, on which companions with longer steps must land, too."""
+    chain = damped_chain(damping={"drag": 2e6})
+    scene = struck(chain, samples=60, duration=1e-4)
+    true, _ = reference(scene, 1e-18)
+    for tolerance in (1e-2, 1e-6, 1e-9):
+        t = simulate(scene, engine="native", tolerance=tolerance)
+        error = true.error(t.displacement, t.velocity)
+        assert error < min(tolerance, 3 * t.error_estimate.total)
+    for steps in range(1, 10):
+        t = simulate(scene, engine=Native(step=scene.duration / 59 / steps))
+        error = true.error(t.displacement, t.velocity)
+        assert error < 3 * t.error_estimate.total

@@ -34,7 +34,7 @@ LONGEST = 60.0  # s of this process; a scene that takes longer is a finding
 LOW = 3.0  # an estimate below a third of the truth is one too
 ROUND = 2.3e-16  # two answers in double precision may differ by so much
 SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
-FAMILIES = ("native", "step", "auto", "linear", "lammps", "acted", "damped")
+FAMILIES = ("native", "step", "auto", "linear", "lammps", "acted", "damped", "damped-lammps")
 # least tolerance that makes sense
 LOOSE = {
     "verlet": 1e-7,
@@ -116,6 +116,10 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
             acted = rng.random() < 0.5
             scene = acted_trial_scene(rng, work=work) if acted else trial_scene(rng, work=work)
             scene = damped(rng, scene)
+        case "damped-lammps":
+            engine = "lammps"
+            tolerance = float(10 ** rng.uniform(-4, -1.5))
+            scene = damped(rng, trial_scene(rng, (1.0, 1.5, 1.5, 1.5), work / 30), alike=True)
         case "linear":
             engine = rng.choice(["modes", "chebyshev", "bessel", "continuum"]).item()
             scene = trial_scene(rng, work=work)

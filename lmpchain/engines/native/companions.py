@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...integrators.method import Method
-from ...integrators.step_schedule import StepSchedule
+from ...integrators.step_schedule import MANY_STEPS, StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ..base import Candidate
@@ -79,6 +79,8 @@ class Openings:
 OPENINGS = Openings()
 STRIKES = ("impulse", "displacement")  # of one grain
 LONGER = (2.0, 4.0)  # steps of companions over those of the answer
+# exponent of the decay between two samples from which on companions land on each
+DIES = 0.05
 FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
 
 
@@ -193,12 +195,18 @@ def _arrange(
 def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[float]:
     """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
 
-    None where these are unstable or too few.
+    None where these are unstable or too few. Where damping ends a motion within a few samples its
+    error is there in the first of them alone, and companions must land on each.
     """
     if candidate.steps(scene.samples) < FEWEST_STEPS:
         return []
     reach = candidate.step * scene.chain.fastest_rate
-    return [ratio for ratio in LONGER if ratio * reach <= method.stability_limit]
+    ratios = [ratio for ratio in LONGER if ratio * reach <= method.stability_limit]
+    interval = scene.duration / (scene.samples - 1)
+    dies = scene.chain.damping.decay(scene.highest_frequency, interval) > DIES
+    if dies and candidate.steps_per_landing < MANY_STEPS:
+        return [ratio for ratio in ratios if candidate.steps_per_landing % ratio == 0]
+    return ratios
 
 
 def recurs(scene: Scene) -> bool:
