@@ -23,7 +23,7 @@ b         creep          what viscosity adds to the velocity, m/s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property, lru_cache
 from typing import Annotated, Any, NamedTuple, Self
 
@@ -163,7 +163,7 @@ class Damping(Checked):
         for key, value in (("velocity", velocity), ("diameter", diameter)):
             if not 0 < value < math.inf:
                 raise InputError.at(key, f"must be a finite number above 0 (got {shown(value)})")
-        pair = equal_spheres(one_material(material), diameter, exponent)
+        pair = two_spheres([one_material(material)] * 2, [diameter] * 2, exponent)
         viscosity = viscosity_of(float(restitution), float(exponent))
         return cls(viscoelastic=viscosity * pair.time(velocity))
 
@@ -205,12 +205,15 @@ class Pair(NamedTuple):
         return length / velocity
 
 
-def equal_spheres(material: Material, diameter: float, exponent: float) -> Pair:
-    """Return two equal spheres."""
-    modulus = float(pair_value(np.full(2, material.plane_strain_modulus))[0])
-    radius = float(pair_value(np.full(2, diameter / 2))[0])
-    mass = material.density * math.pi / 6 * diameter**3
-    return Pair(hertz_constant(modulus, radius, diameter, exponent), mass / 2, exponent)
+def two_spheres(materials: Sequence[Material], diameters: Sequence[float], exponent: float) -> Pair:
+    """Return two spheres of these materials and diameters, m."""
+    modulus = pair_value(np.array([material.plane_strain_modulus for material in materials]))
+    radius = pair_value(np.array(diameters) / 2)
+    densities = np.array([material.density for material in materials])
+    mass = pair_value(densities * math.pi / 6 * np.power(diameters, 3))
+    length = sum(diameters) / 2
+    constant = hertz_constant(float(modulus[0]), float(radius[0]), length, exponent)
+    return Pair(constant, float(mass[0]), exponent)
 
 
 @lru_cache(maxsize=1024)

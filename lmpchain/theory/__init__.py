@@ -16,6 +16,7 @@ __all__ = [
     "dyson",
     "front",
     "modes",
+    "restitution",
     "scattering",
     "soliton",
 ]
