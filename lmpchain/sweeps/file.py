@@ -375,7 +375,7 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
 def _set_each_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str, Any]:
     """Return the tables with a value for each grain, in a material of its own if need be."""
     path = key.split(".")
-    if len(path) == 2:
+    if path[1] != "material":
         return _set_value(tables, path, values.tolist(), key)
     material = (tables.get("chain") or {}).get("material", "glass")
     materials = material if isinstance(material, list) else [material] * len(values)

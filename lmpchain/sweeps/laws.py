@@ -16,7 +16,10 @@ from ..util.validation import Checked, Positive, Real
 
 MARKS = {"low", "high", "mean", "deviation"}  # of a table that is a law
 CONTACT_CONSTANTS = "chain.contact_constants"
-# of the scene file, with a number for each grain or, the contact constants, for each contact
+VISCOSITY = "chain.damping.viscoelastic"
+BETWEEN_GRAINS = (CONTACT_CONSTANTS, VISCOSITY)
+DAMPING = (VISCOSITY, "chain.damping.drag")
+# of the scene file, with a number for each grain or, of `BETWEEN_GRAINS`, for each contact between two
 GRAIN_KEYS = (
     "chain.masses",
     "chain.diameter",
@@ -24,6 +27,7 @@ GRAIN_KEYS = (
     "chain.material.density",
     "chain.material.youngs_modulus",
     "chain.material.poissons_ratio",
+    *DAMPING,
 )
 ALWAYS = ("chain.masses", CONTACT_CONSTANTS)  # never one number for all grains
 
@@ -96,7 +100,7 @@ class GrainLaw:
     @property
     def of_contacts(self) -> bool:
         """Whether the numbers are those of contacts, of which there is one fewer."""
-        return self.key == CONTACT_CONSTANTS
+        return self.key in BETWEEN_GRAINS
 
     def values(self, index: int, grains: int) -> Array:
         """Return the numbers of a scene, one for each grain or contact."""

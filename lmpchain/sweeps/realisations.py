@@ -20,6 +20,7 @@ from ..util.arrays import Array
 from ..util.validation import make_unchecked, with_derived
 from .axes import INDEX
 from .file import Place, Sweep
+from .laws import DAMPING
 from .quantities import quantity, with_gathered
 
 Result = Scene | InputError
@@ -104,6 +105,9 @@ def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
     if chain.grains == 1 or (disorder and disorder.of not in OF_CONTACTS):
         return None
     values = [plan.draw_values(place, chain.grains) for place in places]
+    # nothing at rest follows from damping, which is drawn with the rest of a chain
+    if any(key in DAMPING for key in values[0]):
+        return None
     drawn = {
         key.removeprefix("chain."): np.array([row[key] for row in values]) for key in values[0]
     }

@@ -19,6 +19,8 @@ LAWS: dict[str, dict[str, Any]] = {
     "chain.material.density": {"mean": 2400.0, "deviation": 50.0},
     "chain.material.youngs_modulus": {"mean": 62e9, "deviation": 5e9, "log": True},
     "chain.material.poissons_ratio": {"low": 0.15, "high": 0.25},
+    "chain.damping.viscoelastic": {"low": 1e-9, "high": 1e-7, "log": True},
+    "chain.damping.drag": {"low": 10.0, "high": 1e3},
 }
 MATERIAL = [key for key in LAWS if "material" in key]
 ORDER = {"m": 5}
@@ -42,6 +44,7 @@ CHAINS: dict[str, dict[str, Any]] = {
         "bottom": "wall",
     },
     "diameters": {"diameter": np.linspace(1e-3, 1.3e-3, 12).tolist(), "top": "wall"},
+    "damped": {"damping": {"viscoelastic": 2e-8, "drag": 50.0}, "bottom": "wall"},
     "impurities": {
         "impurity": [
             {"grain": 4, "mass": 1e-6},
