@@ -202,11 +202,16 @@ class Motion:
         Raises
         ------
         InputError
-            If nothing stands still at the bottom, or a grain that touches it was not recorded.
+            If nothing stands still at the bottom, a grain that touches it was not recorded, or the
+            contact is viscous.
         """
         chain = self.scene.chain
         if chain.bottom == "free":
             raise InputError.at("end", "there is no wall at the end 'bottom' of this chain")
+        if chain.damping.longest_time > 0:
+            cure = "use measure.contact.wall_force, which has that at samples"
+            fault = f"of a viscous contact the largest force is not where it is closest: {cure}"
+            raise InputError.at("chain.damping.viscoelastic", fault)
         # a fixed grain N takes the place of the wall, and carries its own weight besides
         closer, error = self.closest(chain.movable)
         law = chain.contacts.of(np.array([chain.movable]))

@@ -19,7 +19,7 @@ CONTACT_CONSTANTS = "chain.contact_constants"
 VISCOSITY = "chain.damping.viscoelastic"
 BETWEEN_GRAINS = (CONTACT_CONSTANTS, VISCOSITY)
 DAMPING = (VISCOSITY, "chain.damping.drag")
-# of the scene file, with a number for each grain or, of `BETWEEN_GRAINS`, for each contact between two
+# of the scene file, with a number for each grain or, of `BETWEEN_GRAINS`, for each contact
 GRAIN_KEYS = (
     "chain.masses",
     "chain.diameter",

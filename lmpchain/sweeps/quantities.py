@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..measure.motion import RESOLVED, Motion
+from ..errors import InputError
+from ..measure.motion import RESOLVED, RESOLVED_BY_DIFFERENCES, Motion
 from ..measure.recorded import columns
 from ..scene.recording import contact_of
 from ..scene.scene import Scene
@@ -167,10 +168,17 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     Raises
     ------
     InputError
-        If there is no such contact.
+        If there is no such contact, or it is viscous.
     """
-    # between samples closer than this the equation of motion leaves no room for a larger value
-    swift = scene.highest_frequency * scene.duration / (scene.samples - 1) > RESOLVED
+    forces = [name for name in keep if of_contact(name) or name == "wall_force"]
+    if forces and scene.chain.damping.longest_time > 0:
+        cure = "keep displacement and velocity, of which measure.contact makes them"
+        fault = f"{forces[0]}: the largest force of a viscous contact is not gathered: {cure}"
+        raise InputError.at("keep", fault)
+    # between samples closer than this the equation of motion leaves no room for a larger value;
+    # with damping accelerations follow from samples, which must be closer
+    resolved = RESOLVED_BY_DIFFERENCES if scene.chain.damped else RESOLVED
+    swift = scene.highest_frequency * scene.duration / (scene.samples - 1) > resolved
     gathered_names = {
         _gathered_name(scene, name)
         for name in keep
