@@ -97,13 +97,13 @@ def reference(scene: Scene) -> Reference:
     """Solve Eq. (1) by Taylor series in time, in NumPy's long double.
 
     The series of a force follows term by term from that of the overlap,
-    ``y (y^delta)' = delta y' y^delta``. It converges until a contact opens or closes, where the
-    force is once differentiable at best; its last terms estimate how far. So the adaptive step size
-    shrinks towards an opening, the last step ends there, at a root of the series of the overlap,
-    and steps grow again after a closing: the order is never lost. Lengths are in units of the
-    largest excursion and forces are computed as differences from equilibrium,
-    ``F_n expm1(delta log1p(s))``: weak waves keep all their digits. Grains that the wave has not
-    reached are left out.
+    ``y (y^delta)' = delta y' y^delta``; that of a viscous force, from the next term. It converges
+    until a contact opens or closes, where the force is once differentiable at best; its last terms
+    estimate how far. So the adaptive step size shrinks towards an opening, the last step ends
+    there, at a root of the series of the overlap, and steps grow again after a closing: the order
+    is never lost. Lengths are in units of the largest excursion and forces are computed as
+    differences from equilibrium, ``F_n expm1(delta log1p(s))``: weak waves keep all their digits.
+    Grains that the wave has not reached are left out.
 
     Its error is the difference to a run of order 24 at a hundred times the tolerance, so with other
     steps, plus the part that both share: they begin with the same digits and end in double
@@ -126,7 +126,6 @@ def reference(scene: Scene) -> Reference:
     RunFailed
         If steps become too short to continue.
     """
-    scene.chain.refuse_damping("the reference solution")
     motion = _Motion(scene)
     solution, largest = motion.solve(ANSWER)
     answer = Reference(scene.time, solution[0], solution[1], math.nan, "", largest)
@@ -157,6 +156,8 @@ def expected_seconds(scene: Scene) -> float:
     duration = float(motion.instants[-1])
     width = (np.ptp(moving) if moving.size else 0) + ANSWER.order + duration
     grains = min(scene.chain.grains, width)
+    # a strong damping shortens the steps
+    duration *= float(scene.chain.damping.fastest_rate(1 / float(motion.time)) * motion.time)
     steps = duration / (COST.smooth if scene.strike_number < 1 else COST.broken) + 1
     return 2 * steps * (COST.step_s + COST.grain_s * float(grains))
 
@@ -203,6 +204,8 @@ class _Motion:
             self.mobility[0] = 0
         lighter = np.maximum(np.append(0, self.mobility), np.append(self.mobility, 0))
         self.push = self.strength * lighter
+        self.viscosity = chain.contact_viscosity.astype(Long) / self.time
+        self.drag = chain.drag.astype(Long) * self.time
 
         u, v = (x.astype(Long) for x in scene.initial())
         self.start = np.array([u / self.length, v * (self.time / self.length)])
@@ -252,11 +255,15 @@ class _Motion:
             # a grain that is acted on counts even while it rests
             moving = np.union1d(moving, self.pushed or 0).astype(int)
         first, last = (moving[0], moving[-1]) if moving.size else (0, 0)
-        return slice(max(0, first - order // 2), min(state.shape[1], last + 1 + order // 2))
+        # two orders a grain, and one where forces know velocities
+        reach = order if self.viscosity.any() else order // 2
+        return slice(max(0, first - reach), min(state.shape[1], last + 1 + reach))
 
     def _shut(self, overlap: Longs, grains: slice, tolerance: float) -> NDArray[np.bool_]:
         """Return which contacts push noticeably; others may be neglected for one unit of time."""
-        return self.push[_contacts(grains)] * np.maximum(overlap, 0) ** self.delta > tolerance
+        contacts = _contacts(grains)
+        impulse = self.push[contacts] * (1 + self.viscosity[contacts])
+        return impulse * np.maximum(overlap, 0) ** self.delta > tolerance
 
     def _series(self, t: Long, state: Longs, grains: slice, series: Series) -> tuple[Longs, Longs]:
         """Return the coefficients of displacements (order + 1, n) and overlaps (..., n + 1)."""
@@ -265,6 +272,8 @@ class _Motion:
         closer = self.closer[contacts]
         at_rest = self.at_rest[contacts]
         strength = self.strength[contacts]
+        viscosity = self.viscosity[contacts]
+        drag = self.drag[grains]
         x = np.zeros((order + 1, state.shape[1]), dtype=Long)
         y = np.zeros((order + 1, closer.size), dtype=Long)
         power = np.zeros_like(y)
@@ -279,10 +288,11 @@ class _Motion:
         elif self.pushed is not None:
             outside[:, self.pushed - grains.start] = self._imposed(t, order)
         k = np.arange(order + 1, dtype=Long)
+        change = np.zeros_like(y)
         for i in range(order + 1):
             y[i] = -np.diff(x[i], prepend=wall[i], append=Long(0)) * closer
-            if i > order - 2:
-                continue
+            if i == order:
+                break
             if i == 0:
                 strain = y[0].copy()
                 y[0] = at_rest + y[0]
@@ -291,15 +301,17 @@ class _Motion:
                 overlap = np.where(shut, y[0], 1)
                 power[0] = shut * overlap**self.delta
                 exact = np.expm1(self.delta * np.log1p(np.where(pressed, strain, 0)))
-                change = np.where(pressed, exact, power[0] - at_rest)
-            else:
-                # from y (y^delta)' = delta y' y^delta
-                weight = (self.delta + 1) * k[1 : i + 1] - i
-                total = np.einsum("j,jn,jn->n", weight, y[1 : i + 1], power[i - 1 :: -1])
-                change = power[i] = shut * total / (i * overlap)
-            force = strength * change
-            pull = (force[:-1] - force[1:] + outside[i]) * self.mobility[grains]
-            x[i + 2, driven:] = (pull / ((i + 1) * (i + 2)))[driven:]
+                change[0] = np.where(pressed, exact, power[0] - at_rest)
+                continue
+            # from y (y^delta)' = delta y' y^delta
+            weight = (self.delta + 1) * k[1 : i + 1] - i
+            total = np.einsum("j,jn,jn->n", weight, y[1 : i + 1], power[i - 1 :: -1])
+            change[i] = power[i] = shut * total / (i * overlap)
+            # the viscous force holds the next power of the elastic one
+            force = strength * (change[i - 1] + viscosity * i * change[i])
+            pull = (force[:-1] - force[1:] + outside[i - 1]) * self.mobility[grains]
+            following = pull / (i * (i + 1)) - drag * x[i] / (i + 1)
+            x[i + 1, driven:] = following[driven:]
         return x, y
 
     def _imposed(self, t: Long, order: int) -> Longs:
@@ -335,28 +347,43 @@ class _Motion:
                 displacement = (tolerance / last) ** (1 / Long(k))
                 velocity = (tolerance / (k * last)) ** (1 / Long(k - 1))
                 step = min(step, displacement, velocity)
-        push = self.push[_contacts(grains)]
+        contacts = _contacts(grains)
+        push = self.push[contacts]
+        viscosity = self.viscosity[contacts]
         shut = self._shut(y[0], grains, tolerance)
         change = _at(np.abs(y), step) - np.abs(y[0])
-        felt = push * (np.abs(y[0]) + change) ** self.delta * step > tolerance
+        felt = push * (np.abs(y[0]) + change) ** self.delta * (step + viscosity) > tolerance
         for contact in np.flatnonzero(felt & (np.where(shut, y[0], -y[0]) <= change)):
             overlap = y[:, contact]
             if shut[contact]:
                 step = min(step, _first_root(overlap, step))
             elif (root := _first_root(-overlap, step)) < step:
-                step = root + self._unfelt(overlap, root, step - root, push[contact], tolerance)
+                strength = push[contact], viscosity[contact]
+                step = root + self._unfelt(overlap, root, step - root, strength, tolerance)
         return step
 
     def _unfelt(
-        self, overlap: Longs, root: Long, longest: Long, push: Long, tolerance: float
+        self,
+        overlap: Longs,
+        root: Long,
+        longest: Long,
+        strength: tuple[Long, Long],
+        tolerance: float,
     ) -> Long:
-        """Return how long, up to `longest`, a contact that closes at `root` may be ignored."""
+        """Return how long, up to `longest`, a contact that closes at `root` may be ignored.
+
+        `strength` is its push and its viscosity.
+        """
+        push, viscosity = strength
         depth = np.maximum(_at(overlap, root), 0)
         rate = np.maximum(_at(_slope(overlap), root), 0)
         after = longest
         while True:
             deepest = depth + after * (rate + after * _bend(overlap, root + after) / 2)
-            if push * deepest**self.delta * after <= tolerance:
+            elastic = deepest**self.delta * after
+            # over a time, A dF/dt adds up to A times the change of the force
+            viscous = viscosity * (deepest**self.delta - depth**self.delta)
+            if push * (elastic + viscous) <= tolerance:
                 return after
             after /= 2
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper, random_scene, smooth
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.taylor_series import reference as independent_reference
+from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene
 from lmpchain.benchmark.reference import _first_root, reference
@@ -98,6 +100,37 @@ def test_random_scenes(seed: int):
     assert (
         relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * itself + 1e-14
     )
+
+
+# strikes, profiles, forces, drives and walls; contacts that open; all exponents and dampings
+@pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, 8, 13, 16, 17, 19, 23])
+def test_scenes_with_damping(seed: int):
+    rng = np.random.default_rng(seed)
+    draw = trial_scene if seed % 2 else acted_trial_scene
+    scene = damped(rng, draw(rng, work=1500))
+    truth = reference(scene.replace(samples=min(scene.samples, 11)))
+    other, itself = independent_reference(scene.replace(samples=truth.time.size), 1e-19)
+    assert truth.error < GOOD
+    assert other.error(truth.displacement, truth.velocity) < truth.error + itself + 2e-16
+
+
+@pytest.mark.parametrize(
+    ("viscosity", "restitution"),
+    [(0.01, 0.977478944277684), (0.02, 0.955559729739210), (0.05, 0.893193701608472)],
+)
+def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
+    """SciPy's DOP853 at 1e-13 in displacements and reduced velocities, K = m = v = 1."""
+    chain = Chain(
+        grains=2,
+        diameter=100.0,
+        masses=[1.0, 1.0],
+        contact_constants=[1.0],
+        gravity=0.0,
+        bottom="free",
+        damping={"viscoelastic": viscosity},
+    )
+    truth = reference(Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=9.0, samples=2))
+    assert np.diff(truth.velocity[-1]) == pytest.approx(restitution, rel=1e-12)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])

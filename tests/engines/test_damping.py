@@ -5,7 +5,6 @@ import pytest
 from helpers.taylor_series import reference
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, engines, plan, simulate
-from lmpchain.benchmark.reference import reference as series_reference
 from lmpchain.design import gradient
 from lmpchain.engines import Native
 from lmpchain.measure import contact, energy, motion
@@ -104,7 +103,6 @@ def test_the_choice_of_engine_knows():
         lambda scene: normal_mode(scene.chain, 1, 1e-15),
         lambda scene: scattering.transmission(scene.chain, [1e3]),
         lambda scene: bands.branches(scene.chain, [0.1]),
-        lambda scene: series_reference(scene),
     ],
 )
 def test_what_knows_no_damping_refuses(compute):
