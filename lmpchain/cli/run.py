@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
-from ..util.files import expanded
 from ..util.remarks import warn
 from ..util.tables import align, counted
 from .common import beside, complain, gather, on_terminal, output, read
@@ -83,6 +82,7 @@ def resume(arguments: argparse.Namespace) -> int:
     """Continue the run in a folder."""
     from ..simulation.api import resume
     from ..simulation.run_folder import status
+    from ..util.files import expanded
 
     state = status(arguments.folder)
     if state["state"] == "finished":
@@ -111,12 +111,15 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
     name = getattr(arguments, "output", None)
     if arguments.command is not run or not name:
         return None
+    from ..util.files import expanded
+
     return name if name.endswith(("/", os.sep)) or expanded(name).is_dir() else None
 
 
 def _new_folder(name: str, force: bool) -> Path:
     from ..simulation.folder_files import check_new, check_replaceable
     from ..simulation.task import is_run, is_sealed, resume_command
+    from ..util.files import expanded
 
     if not (is_run(name) and is_sealed(expanded(name))):
         return check_new(name)
@@ -196,6 +199,7 @@ def deck(arguments: argparse.Namespace) -> int:
     from shlex import quote
 
     from ..engines.lammps.export import write_deck
+    from ..util.files import expanded
 
     folder = expanded(arguments.output)
     write_deck(

@@ -99,13 +99,17 @@ def solve(
     # Gershgorin's bound on the frequencies, and velocity Verlet's omega h = 2
     longest = 0.9 * 2 / np.sqrt(2 * (rate[:-1] + rate[1:]).max(initial=rate[0]))
 
-    def begin(start: Callable[[Array], ArrayLike] | None) -> Array:
+    def begin(key: str, start: Callable[[Array], ArrayLike] | None) -> Array:
         if start is None:
             return np.zeros(moving)
-        return np.broadcast_to(real(start(centre[:-1])), moving).copy()
+        values = start(centre[:-1])
+        if np.asarray(values).dtype == bool:
+            # a condition on the depth, which is 1 where it holds
+            values = np.asarray(values, float)
+        return np.broadcast_to(real(values, key), moving).copy()
 
-    phi = begin(displacement)
-    speed = begin(velocity)
+    phi = begin("displacement", displacement)
+    speed = begin("velocity", velocity)
     record = np.zeros((2, tau.size, grains))
 
     def hold(time: float) -> None:

@@ -280,7 +280,9 @@ def check_grains(
             )
 
 
-def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: float) -> None:
+def check_course(
+    name: str, scene: Scene, motion: Motion, steps: int, digit: float, rounding: float
+) -> None:
     """Raise `InputError` if the motion is not one that the scene can have.
 
     Displacements must change as velocities say, and velocities as the forces of the chain do, so
@@ -297,6 +299,8 @@ def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: flo
         Of the run.
     digit : float
         The last digit of a displacement, m.
+    rounding : float
+        Of a height in a step, m.
     """
     if scene.samples < SAMPLED.fewest:
         return
@@ -308,27 +312,33 @@ def check_course(name: str, scene: Scene, motion: Motion, steps: int, digit: flo
     single = angle <= SAMPLED.single
     # of a grain that is moved or pushed, velocities may jump between samples
     lawful = _lawful(scene)
+    # in a vacuum neighbours of a grain that is pushed may hardly move: digits of the dump are not
+    # better than the answer
+    digit = max(digit, CHECKS.start * float(np.abs(motion.displacement).max()))
     u = motion.displacement[:, lawful]
     v = motion.velocity[:, lawful]
     masses = scene.chain.masses
     sums = (u, v) if single else _grouped(scene, motion, angle)
-    last = digit if single else digit * masses.max() * masses.size
-    ratio, doubt = _compare(*sums, interval, last)
-    if _factor(ratio) - 1 > slip + 2 * doubt + (angle**3 / 2 if single else SAMPLED.leak):
+    # steps below the last digit of a height are lost, all of them alike, and do not add at random
+    lost = rounding * steps / (scene.samples - 1)
+    last = digit + lost * math.sqrt(u.size)
+    ratio, doubt = _compare(*sums, interval, last if single else last * masses.max() * masses.size)
+    if _excess(ratio, doubt) > slip + (angle**3 / 2 if single else SAMPLED.leak):
         cure = f"{CURE}: one with its duration, and with as many samples as it has frames"
         raise InputError.at(
             name,
             f"its displacements change {ratio:.3g} times as much from frame to frame as its "
             f"velocities in {interval:.6g} s, the scene's time between two samples: {cure}",
         )
-    if angle > SAMPLED.forces:
+    # the forces of damping are none of contacts that know distances alone
+    if angle > SAMPLED.forces or scene.chain.damped:
         return
     acceleration = _accelerations(scene, motion)[:, lawful]
     ratio, doubt = _compare(v, acceleration, interval, 0.0)
     size = float(np.square(acceleration).mean()) if acceleration.any() else np.inf
     # digits that are cut off make accelerations at random, of which none are in the velocities
     noise = (scene.highest_frequency**2 * digit) ** 2 / size
-    if _factor(ratio) - 1 > slip + 2 * doubt + angle**3 / 2 + noise:
+    if _excess(ratio, doubt) > slip + angle**3 / 2 + noise:
         raise InputError.at(
             name,
             f"its grains are accelerated {ratio:.3g} times as much as by the forces of the scene: "
@@ -371,9 +381,10 @@ def _compare(values: Array, rates: Array, interval: float, digit: float) -> tupl
     return ratios[1], abs(ratios[1] - ratios[0]) + 2 * digit / float(np.linalg.norm(fine))
 
 
-def _factor(ratio: float) -> float:
-    """Return a ratio or its inverse, whichever is above 1."""
-    return max(ratio, 1 / ratio) if ratio > 0 else math.inf
+def _excess(ratio: float, doubt: float) -> float:
+    """Return how far a ratio or its inverse exceeds 1 at least, if it is off by twice a doubt."""
+    nearest = min(max(1.0, ratio - 2 * doubt), ratio + 2 * doubt)
+    return max(nearest, 1 / nearest) - 1 if nearest > 0 else math.inf
 
 
 def _lawful(scene: Scene) -> np.ndarray:

@@ -79,7 +79,8 @@ def read(
     written = columns[frames.position_columns[AXES.index(axis)]]
     z = frames.positions(axis)
     v_phi = columns.get("v_phi")
-    rounding = 2 * _last_digit(written[0]) + 4 * float(np.spacing(np.abs(z[0]).max()))
+    spacing = float(np.spacing(np.abs(z[0]).max()))
+    rounding = 2 * _last_digit(written[0]) + 4 * spacing
     column = _Column(z, columns[f"v{axis}"], v_phi, rounding)
     # lmpchain deck writes v_phi, and its z points up
     directions = [-1.0] if v_phi is not None and axis == "z" else _directions(scene, z[0], rest)
@@ -95,7 +96,7 @@ def read(
     total = int(frames.steps[-1] - frames.steps[0])
     # grains far from z = 0 have larger last digits than the one that moves most
     digit = _last_digit(numbers) if v_phi is not None else max(_last_digit(numbers), rounding / 2)
-    check_course(name, scene, motion, total, digit)
+    check_course(name, scene, motion, total, digit, spacing)
     recorded = scene.recorded - 1
     return Record(
         scene=scene,

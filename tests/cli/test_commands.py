@@ -53,6 +53,22 @@ def answer() -> Trajectory:
     return replace(run, error_estimate=ErrorEstimate(3e-3, 2e-5), cost=cost)
 
 
+def start_under_mpirun(monkeypatch: pytest.MonkeyPatch, rank: int) -> list[Any]:
+    """Make this process one of two of mpirun; the list tells which workers wait and are ended."""
+    calls: list[Any] = []
+    loops = "lmpchain.engines.lammps.communicators"
+    monkeypatch.setenv("PMI_SIZE", "2")
+    monkeypatch.setenv("PMI_RANK", str(rank))
+    monkeypatch.setattr(mpi, "_idle", [])
+    monkeypatch.setattr(mpi, "is_launched", lambda: True)
+    monkeypatch.setattr(mpi, "join", lambda: SimpleNamespace(rank=rank))
+    monkeypatch.setattr(f"{loops}.worker_loop", lambda world: calls.append(("work", world.rank)))
+    monkeypatch.setattr(
+        f"{loops}.shutdown_workers", lambda world: calls.append(("end", world.rank))
+    )
+    return calls
+
+
 def lines(text: str) -> dict[str, str]:
     return dict(re.split(r"  +", line, maxsplit=1) for line in text.splitlines())
 
@@ -104,8 +120,8 @@ def test_what_is_doubtful_is_said_before_the_run(
     assert main(["run", str(scene)]) == 0
     assert capsys.readouterr().err == "warning: it is rough\nwarning: it is long\n"
     monkeypatch.setattr("lmpchain.stability.pre_run.pre_run_warnings", lambda *_: [])
-    monkeypatch.setattr(mpi, "_joined", [object()])
     for engine, alone in (("auto", True), ("native", True), ("lammps", False)):
+        start_under_mpirun(monkeypatch, 0)
         assert main(["run", str(scene), "--force", "--engine", engine]) == 0
         one = f"warning: the engine {engine} runs on one rank; --engine lammps would use them all\n"
         assert capsys.readouterr().err == (one if alone else "")
@@ -234,7 +250,7 @@ def test_a_sweep_tells_how_many_scenes_have_an_answer(
     assert main([*words, "--workers", "3"]) == 0
     assert asked["workers"] == 3
     assert capsys.readouterr().out == f"4 of 4 scenes are answered in {tmp_path}\n"
-    monkeypatch.setattr(mpi, "_joined", [object()])
+    start_under_mpirun(monkeypatch, 0)
     assert main(words) == 2
     assert keys(capsys.readouterr()) == ["sweep"]
 
@@ -242,27 +258,28 @@ def test_a_sweep_tells_how_many_scenes_have_an_answer(
 # --- under mpirun
 
 
-def test_under_mpirun_rank_0_runs_the_command_and_ends_the_others(monkeypatch: Any, capsys: Any):
-    calls: list[Any] = []
-    monkeypatch.setattr(mpi, "count_processes", lambda: 2)
-    loops = "lmpchain.engines.lammps.communicators"
-    monkeypatch.setattr(f"{loops}.worker_loop", lambda world: calls.append(("work", world.rank)))
-    monkeypatch.setattr(
-        f"{loops}.shutdown_workers", lambda world: calls.append(("end", world.rank))
-    )
-    for rank, expected in ((0, "end"), (1, "work")):
-        monkeypatch.setattr(mpi, "join", lambda rank=rank: SimpleNamespace(rank=rank))
-        assert main(["--version"]) == 0
+def test_under_mpirun_rank_0_runs_lammps_and_ends_the_others(monkeypatch: Any, capsys: Any):
+    words = ["run", "none.toml", "--engine", "lammps"]
+    for rank, expected, code in ((0, "end", 2), (1, "work", 0)):
+        calls = start_under_mpirun(monkeypatch, rank)
+        assert main(words) == code
         assert calls == [(expected, rank)]
-        assert capsys.readouterr().out.startswith("lmpchain") == (rank == 0)
-        calls.clear()
+        assert ("none.toml" in capsys.readouterr().err) == (rank == 0)
 
     def fails() -> None:
         raise EngineUnavailable("of another MPI")
 
     monkeypatch.setattr(mpi, "join", fails)
-    assert main(["--version"]) == 1
+    assert main(words) == 1
     assert capsys.readouterr().err == "error: of another MPI\n"
+
+
+def test_under_mpirun_rank_0_alone_does_what_needs_no_lammps(monkeypatch: Any, capsys: Any):
+    for rank in (0, 1):
+        calls = start_under_mpirun(monkeypatch, rank)
+        assert main(["--version"]) == 0
+        assert calls == []
+        assert capsys.readouterr().out.startswith("lmpchain") == (rank == 0)
 
 
 # --- options

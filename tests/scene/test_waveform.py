@@ -41,7 +41,7 @@ def test_values_and_derivatives_are_those_of_the_definition(cycles: float | None
     assert wave.end == (np.inf if cycles is None else cycles / FREQUENCY)
     assert wave.corners == (() if cycles is None else (wave.end,))
     assert wave.smooth_until(1e3)
-    assert wave.knot_spacing == np.inf
+    assert wave.corner_spacing == wave.end
     sum_of_sines = sum(a * np.sin(w * times) for a, w in wave.sines)
     assert sum_of_sines == pytest.approx(wave.at(times), rel=0, abs=1e-14 * abs(AMPLITUDE))
     assert wave.fastest == pytest.approx(max(w for _, w in wave.sines), rel=1e-14)
@@ -68,7 +68,7 @@ def test_a_spline_is_that_through_its_points() -> None:
         assert np.array_equal(wave.at(times, order), spline(times, order))
         assert wave.largest(order) == pytest.approx(np.abs(spline(times, order)).max(), rel=0.02)
     assert wave.corners[:-1] == pytest.approx(KNOTS, rel=1e-11)
-    assert wave.knot_spacing == pytest.approx(0.1, rel=1e-12)
+    assert wave.corner_spacing == pytest.approx(0.1, rel=1e-12)
     assert wave.fastest == pytest.approx(10.0, rel=1e-12)
     line = Waveform.through(KNOTS[:2], VALUES[:2], "spline", holds=True)
     assert line.smooth_until(KNOTS[1])

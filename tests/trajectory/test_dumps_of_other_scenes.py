@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.standalone_lammps import lmp
+from helpers.taylor_series import reference
 
 from lmpchain import Chain, Displacement, Force, Impulse, InputError, Scene, Trajectory
 from lmpchain.cli import main
@@ -417,6 +418,33 @@ def test_a_deck_with_grains_drawn_smaller_has_the_forces_of_the_scene(tmp_path: 
     path = tmp_path / "column.lammpstrj"
     assert np.isfinite(Trajectory.from_dump(path, scene).velocity).all()
     refused(path, other({"gravity": 0.0, "top_load": load}), "accelerated .* times as much")
+
+
+@pytest.mark.parametrize("amplitude", [1e-6, 1e-5])
+def test_grains_that_move_less_than_a_digit_of_their_height(tmp_path: Path, amplitude: float):
+    """In a vacuum, beside a grain that is pushed, and moves as if it were alone."""
+    chain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0)
+    push = Force(grain=4, shape="half-sine", amplitude=amplitude, duration=5e-7)
+    scene = Scene(chain=chain, excitation=push, duration=1e-6, samples=41)
+    write_deck(scene, tmp_path, step=1.25e-9)
+    lmp(tmp_path)
+    u = Trajectory.from_dump(tmp_path / "column.lammpstrj", scene).displacement[:, 3]
+    phase = np.pi * scene.time / 5e-7
+    length = amplitude / chain.masses[3] * (5e-7 / np.pi) ** 2
+    alone = length * np.where(phase < np.pi, phase - np.sin(phase), 2 * phase - np.pi)
+    np.testing.assert_allclose(u, alone, rtol=0, atol=1e-3 * alone[-1])
+
+
+@pytest.mark.parametrize("damping", [{"viscoelastic": 3e-7}, {"drag": 1e6}])
+def test_a_dump_of_a_chain_that_loses_energy(tmp_path: Path, damping: dict[str, float]):
+    scene = other({"damping": damping})
+    write_deck(scene, tmp_path, step=1e-8)
+    lmp(tmp_path)
+    path = tmp_path / "column.lammpstrj"
+    t = Trajectory.from_dump(path, scene)
+    true, doubt = reference(scene, 1e-12)
+    assert true.error(t.displacement, t.velocity) + doubt < 0.01
+    refused(path, scene.replace(duration=8.8e-6), "apart by .* v_time")
 
 
 # --- files that take the memory
