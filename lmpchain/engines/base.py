@@ -308,7 +308,7 @@ class Engine(ABC):
         """Return why a scene cannot be answered or its quantities not gathered: (key, reason)."""
         reasons = self.refuses(self.part(scene))
         if scene.chain.damped and not self.dissipates:
-            cure = "leave damping out, or use native or lammps"
+            cure = "leave damping out, or use native, lammps or modes"
             reasons = [*reasons, ("chain.damping", f"{self.name} conserves energy: {cure}")]
         if scene.contacts and scene.chain.damping.longest_time > 0:
             cure = "use measure.contact.contacts, which has them at samples"

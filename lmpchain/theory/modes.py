@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 from scipy.special import ai_zeros, jv, jvp, roots_legendre
 
@@ -18,6 +18,8 @@ __dir__ = listed(__name__)
 
 # relative gap of modes of one space, and mixture whose square is rounding
 DEGENERATE = 1e-8
+# half the difference of the two rates of a critically damped mode, over its frequency
+CRITICAL = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +35,22 @@ class Modes:
         shape = 1``.
     mass : (M,) array
         kg.
+    decay : (M,) array or None
+        Rate, 1/s, ``(A w^2 + gamma) / 2`` for one A and one gamma: the amplitude of free motion
+        falls by ``exp(-decay t)``, its frequency is ``sqrt(w^2 - decay^2)``. None without damping.
     """
 
     frequency: Array
     shape: Array
     mass: Array
+    decay: Array | None = None
 
     def response(
         self, time: ArrayLike, displacement: ArrayLike = 0.0, velocity: ArrayLike = 0.0
     ) -> tuple[Array, Array]:
         """Return the motion after any initial displacement, Eq. (15), and velocity, by sin(wt)/w.
+
+        Damped modes move on by themselves as well, slower than critical ones too.
 
         Parameters
         ----------
@@ -67,15 +75,49 @@ class Modes:
         def project(start: ArrayLike) -> Array:
             return (np.broadcast_to(real(start, "start"), self.mass.shape) * self.mass) @ self.shape
 
-        amplitude = project(displacement)
-        rate = project(velocity)
-        angle = np.multiply.outer(real(time, "time"), self.frequency)
-        cos = np.cos(angle)
-        sin = np.sin(angle)
+        later = real(time, "time")[..., None]
+        amplitude, rate = self.free(later, project(displacement), project(velocity))
+        return amplitude @ self.shape.T, rate @ self.shape.T
+
+    def free(self, time: Array, amplitude: Array, rate: Array) -> tuple[Array, Array]:
+        """Return amplitudes of the modes and their rates a time later, (..., M).
+
+        Parameters
+        ----------
+        time, amplitude, rate : (..., M) arrays
+            s, sqrt(kg) m and sqrt(kg) m/s; they broadcast.
+        """
+        w = self.frequency
+        if self.decay is None:
+            angle = time * w
+            cos = np.cos(angle)
+            sin = np.sin(angle)
+            return amplitude * cos + rate / w * sin, rate * cos - amplitude * w * sin
+        slow, fast = self.exponents
+        apart = slow - fast
+        # of overdamped modes neither exponential overflows
+        lag = np.expm1(-apart * time)
+        left = np.exp(slow * time)
+        sine = (left * -lag / apart).real
+        cosine = (left * (1 + lag / 2)).real
+        decay = self.decay
         return (
-            (amplitude * cos + rate / self.frequency * sin) @ self.shape.T,
-            (rate * cos - amplitude * self.frequency * sin) @ self.shape.T,
+            amplitude * (cosine + decay * sine) + rate * sine,
+            rate * (cosine - decay * sine) - amplitude * w**2 * sine,
         )
+
+    @property
+    def exponents(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Both rates, 1/s, of the exponentials of every damped mode, the slower one first."""
+        assert self.decay is not None
+        w = self.frequency
+        # the roots of a critical mode are taken apart by less than shows
+        difference = (self.decay - w) * (self.decay + w)
+        difference = np.where(
+            np.abs(difference) < (CRITICAL * w) ** 2, (CRITICAL * w) ** 2, difference
+        )
+        fast = -(self.decay + np.sqrt(difference + 0j))
+        return w**2 / fast, fast
 
 
 def eigenmodes(chain: Chain) -> Modes:
@@ -95,12 +137,13 @@ def eigenmodes(chain: Chain) -> Modes:
     Returns
     -------
     Modes
-        Frequencies, rad/s, ascending, and shapes, orthonormal in mass.
+        Frequencies, rad/s, ascending, and shapes, orthonormal in mass; with damping, decays.
 
     Raises
     ------
     InputError
-        If no contact is compressed: nothing can be linearised.
+        If no contact is compressed: nothing can be linearised. If contacts or grains are damped
+        differently: no motion of one mode alone is left then.
 
     Examples
     --------
@@ -110,8 +153,34 @@ def eigenmodes(chain: Chain) -> Modes:
     [0.205435847948, 2.719178378759]
     """
     message = "carries no force at rest: nothing to linearise without gravity or a top load"
-    require(("chain", chain.compressed, message))
-    return between(chain.contacts.stiffness[: chain.movable + 1], chain.masses[: chain.movable])
+    require(("chain", chain.compressed, message), *unequal_damping(chain))
+    modes = between(chain.contacts.stiffness[: chain.movable + 1], chain.masses[: chain.movable])
+    return damped(modes, chain)
+
+
+def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
+    """Return whether all contacts are as viscous, and all grains dragged as much: rules."""
+    cure = "give one number, or use the engine native"
+    return [
+        (
+            "chain.damping.viscoelastic",
+            not np.ptp(chain.contact_viscosity),
+            f"differs from contact to contact, which couples the modes: {cure}",
+        ),
+        (
+            "chain.damping.drag",
+            not np.ptp(chain.drag),
+            f"differs from grain to grain, which couples the modes: {cure}",
+        ),
+    ]
+
+
+def damped(modes: Modes, chain: Chain) -> Modes:
+    """Return the modes with the decay that the one A and the one gamma of a chain give them."""
+    if not chain.damped:
+        return modes
+    decay = (chain.contact_viscosity[0] * modes.frequency**2 + chain.drag[0]) / 2
+    return replace(modes, decay=decay)
 
 
 def between(stiffness: Array, mass: Array) -> Modes:

@@ -28,6 +28,8 @@ MOST_MODES = 12_000  # 1.2 GB of eigenvectors
 # digits in the last place that a burst loses in modes, at the lowest of its frequencies:
 # analysis/calibration/roundoff.py
 CANCELS = 40.0
+# what the two nearly equal rates of a critically damped mode leave of its answer to a sine
+ROUNDING_OF_CRITICAL = 1e-10
 
 
 class LinearEngine(Engine):
@@ -138,6 +140,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
+    dissipates: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 2.4e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -146,6 +149,10 @@ class Modes(LinearEngine):
         if scene.chain.grains > MOST_MODES:
             why = f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"
             reasons.append(("grains", why))
+        if scene.chain.damped:
+            from ...theory.modes import unequal_damping
+
+            reasons += [(key, why) for key, equal, why in unequal_damping(scene.chain) if not equal]
         return reasons
 
     def round_off(self, scene: Scene) -> float:
@@ -160,6 +167,8 @@ class Modes(LinearEngine):
             begun = min(1.0, wave.envelope * scene.duration)
             highest = scene.chain.grains * wave.fastest / scene.chain.band_edge
             rounding += EPSILON * CANCELS / begun**2 * (1 + highest)
+        if wave and may_be_critical(scene):
+            rounding += ROUNDING_OF_CRITICAL
         return rounding
 
     def work(self, scene: Scene) -> float:
@@ -170,6 +179,12 @@ class Modes(LinearEngine):
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, whose start is all that is needed."""
         return ModalSolution(scene)
+
+
+def may_be_critical(scene: Scene) -> bool:
+    """Whether damping may be critical for some mode: any drag is for some slow one."""
+    chain = scene.chain
+    return chain.damping.longest_time * chain.band_edge > 1.99 or chain.damping.largest_drag > 0
 
 
 def _evaluations(scene: Scene) -> int:

@@ -116,7 +116,7 @@ class PhaseError:
         inverse_mass[: scene.excitation.driven] = 0.0
         overlap = np.where(contacts.pressed, contacts.overlap, np.inf)
         self._links = Links(contacts.stiffness, 1 / overlap, inverse_mass)
-        self._excess = chain.exponent - 1
+        self._excess = excess(scene)
         self._excitation = scene.excitation
         self._grain = scene.excitation.reach(chain)[0] - 1
         self._fastest = fastest(scene)
@@ -276,8 +276,27 @@ def expected_error(scene: Scene) -> float:
     radians = fastest(scene) * scene.duration
     # strains that keep step add up to omega t of them, others to its root
     walk = 1 + (radians if in_phase(scene) else math.sqrt(radians))
-    excess = scene.chain.exponent - 1
-    return min(1.0, FACTORS.doubt * FACTORS.strays * excess * scene.linear_strain * walk)
+    strains = excess(scene) * largest_strain(scene) * walk
+    return min(1.0, FACTORS.doubt * FACTORS.strays * strains)
+
+
+def excess(scene: Scene) -> float:
+    """Return delta - 1, by which a force bends away from a straight line; viscosity adds to it.
+
+    Its force (1 + A d/dt) s^2 is larger by the modulus of 1 + i A omega than that of s^2 alone.
+    """
+    turn = scene.chain.damping.longest_time * fastest(scene)
+    return math.hypot(1.0, turn) * (scene.chain.exponent - 1)
+
+
+def largest_strain(scene: Scene) -> float:
+    """Return a bound on the strain of the linear chain.
+
+    What drives a viscous contact works against more than stiffness.
+    """
+    if not scene.excitation.does_work:
+        return scene.linear_strain
+    return scene.linear_strain * (1 + scene.chain.damping.longest_time * fastest(scene))
 
 
 def in_phase(scene: Scene) -> bool:
@@ -287,7 +306,7 @@ def in_phase(scene: Scene) -> bool:
 
 def may_open(scene: Scene) -> bool:
     """Whether the energy put in could open a contact of the linear chain."""
-    return scene.linear_strain >= 1
+    return largest_strain(scene) >= 1
 
 
 def fastest(scene: Scene) -> float:

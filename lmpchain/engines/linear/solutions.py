@@ -58,14 +58,15 @@ class ModalSolution:
     """The sum over eigenmodes, and what a motion or a force that is made of sines does to each."""
 
     def __init__(self, scene: Scene):
-        from ...theory.modes import between
+        from ...theory.modes import between, damped
 
         chain = scene.chain
         excitation = scene.excitation
         first = excitation.driven
         last = chain.movable
         stiffness = chain.contacts.stiffness
-        self._modes = between(stiffness[first : last + 1], chain.masses[first:last])
+        modes = between(stiffness[first : last + 1], chain.masses[first:last])
+        self._modes = damped(modes, chain)
         u, v = scene.initial()
         self._initial = u[first:last], v[first:last]
         self._wave = excitation.waveform
@@ -73,7 +74,9 @@ class ModalSolution:
         if scene.drive:
             # a motion acts through the contact below it, a force at once
             self._pull = stiffness[first] * self._modes.shape[0]
+            self._viscosity = float(chain.contact_viscosity[first])
         else:
+            self._viscosity = 0.0
             self._pull = self._modes.shape[excitation.reach(chain)[0] - 1]
         self._held = chain.grains - last
 
@@ -100,7 +103,6 @@ class ModalSolution:
     def _forced(self, t: Array) -> tuple[Array, Array]:
         """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion after them."""
         assert self._wave
-        w = self._modes.frequency
         end = self._wave.end
         q, p = np.sum(
             [self._by_sine(np.minimum(t, end), *sine) for sine in self._wave.sines], axis=0
@@ -108,11 +110,12 @@ class ModalSolution:
         if np.isinf(end):
             return q, p
         # after its end the modes swing on freely
-        free = np.maximum(t - end, 0.0) * w
-        return q * np.cos(free) + p / w * np.sin(free), p * np.cos(free) - q * w * np.sin(free)
+        return self._modes.free(np.maximum(t - end, 0.0), q, p)
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
         """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
+        if self._modes.decay is not None:
+            return self._damped_by_sine(t, amplitude, omega)
         w = self._modes.frequency
         drive = abs(omega)
         m = (w + drive) / 2 * t
@@ -121,6 +124,21 @@ class ModalSolution:
         # sin(m) cos(h) - m cos(m) sin(h) / h cancels for short t; spherical Bessel functions do not
         q = f / w * m * (m * spherical_jn(1, m) * np.cos(h) - h * spherical_jn(1, h) * np.cos(m))
         return q, f * drive * np.sin(m) * t * np.sinc(h / np.pi)
+
+    def _damped_by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
+        """Return the same of damped modes: what a sine does to the exponentials of each.
+
+        A motion acts by its rate, too, through the viscosity of the contact.
+        """
+        turn = 1j * omega
+        force = amplitude * (1 + turn * self._viscosity) * np.exp(turn * t)
+        slow, fast = self._modes.exponents
+        # a decaying exponential each, so that nothing overflows
+        by_slow = force * np.expm1((slow - turn) * t) / (slow - turn)
+        by_fast = force * np.expm1((fast - turn) * t) / (fast - turn)
+        q = (by_slow - by_fast) / (slow - fast)
+        p = (slow * by_slow - fast * by_fast) / (slow - fast)
+        return self._pull * q.imag, self._pull * p.imag
 
     def state(self) -> dict[str, Array]:
         """Any time follows from the modes."""
