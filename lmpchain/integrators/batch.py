@@ -20,6 +20,8 @@ from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
 # analysis/calibration/roundoff.py
 STRONG = 1.0
 FORCES = ("auto", "exact", "plain")
+# of the largest speed that is imposed: more than the rounding of a velocity
+ROUNDED = 1e-6
 # bodies: shorter chains are computed as a whole, for less than it costs to follow the wave;
 # analysis/calibration/light_cone.py
 WINDOW_MIN = 14 * PAD
@@ -99,6 +101,9 @@ class ChainBatch:
         self.scale = layout.scale
         self.units = layout.units
         self.allowed = layout.allowed
+        if any(scene.chain.damped for scene in scenes):
+            # reduced velocities leave their rounding, also where nothing moves
+            self.allowed = self.allowed + self.masses.sum(1) * (ROUNDED * self.scale[:, 1]) ** 2
         forms = [force_form(scene, force) for scene in scenes]
         self.links = Links(
             inverse_length=layout.inverse_length,

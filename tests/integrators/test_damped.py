@@ -148,3 +148,12 @@ def test_a_motion_that_dies_at_once_has_an_estimate():
         t = simulate(scene, engine=Native(step=scene.duration / 59 / steps))
         error = true.error(t.displacement, t.velocity)
         assert error < 3 * t.error_estimate.total
+
+
+def test_what_does_not_move_stays():
+    """A grain that is taken away from a chain that nothing presses: only rounding is left."""
+    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, damping={"viscoelastic": 1e-8, "drag": 1e4})
+    away = Displacement(displacement=-1e-9, grain=1)
+    t = simulate(Scene(chain=chain, excitation=away, duration=1e-4, samples=9), engine="native")
+    assert abs(t.displacement - t.displacement[0]).max() < 1e-12 * 1e-9
+    assert abs(t.velocity).max() < 1e-12 * 1e-9 * 1e4

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RunFailed
-from ...integrators.batch import ChainBatch
+from ...integrators.batch import ROUNDED, ChainBatch
 from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, Runs, compare
 from ...integrators.method import Method
 from ...integrators.step_schedule import StepSchedule
@@ -301,11 +301,16 @@ class CompanionRun(Run):
         distances = self._differences.max(1) / scale  # (S, R, 2)
         distances[np.isnan(distances)] = np.inf
         lowest = self.native.watched["least_strain"].reshape(-1, self.realisations).min(0)
-        evaluations = self.native.steps * self.method.evaluations
+        evaluations = self.native.steps * self._rounded_in_step
         table = np.column_stack((scale, lowest, evaluations)).tolist()
         return [
             self._estimate(real, Motion(*row), distances[:, real]) for real, row in enumerate(table)
         ]
+
+    @property
+    def _rounded_in_step(self) -> float:
+        """Evaluations of the force that are rounded in a step, by the weight that they have."""
+        return max(self.method.evaluations, self.method.spread**2)
 
     def _scale(self) -> Array:
         """Return the largest displacement and velocity, (R, 2) m and m/s, to which errors refer."""
@@ -313,6 +318,9 @@ class CompanionRun(Run):
         if self._twin and not self.native.largest()[0, 1]:
             # only what rounding presses moves: its velocities are below those of its displacements
             scale[0, 1] = max(scale[0, 1], self.scene.highest_frequency * scale[0, 0])
+        if self._chains.dissipation.acts:
+            # reduced velocities leave their rounding where nothing moves
+            scale[:, 1] = np.maximum(scale[:, 1], ROUNDED * self._chains.scale[:, 1])
         # where nothing is set in motion, units take its place
         idle = self._chains.scale[:, 1] == 0.0
         scale[idle] = self._chains.units[idle]
@@ -354,7 +362,7 @@ class CompanionRun(Run):
         # grains in contact fly nowhere, and none turns faster than the fastest motion
         free_flights = max(min(flights, radians), 1.0) if opens else 0.0
         roundoff = native_floor(motion.evaluations, radians, free_flights)
-        steps = max(motion.evaluations / self.method.evaluations, 1.0)
+        steps = max(motion.evaluations / self._rounded_in_step, 1.0)
         if self._chains.plain[real]:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
         if self.candidate.stride > 1:
