@@ -374,11 +374,11 @@ class Scene(Recording):
             aside.write_text(self.to_text(), encoding="utf-8")
 
 
-def check_scene(scene: object) -> None:
-    """Raise `InputError` unless this is a scene."""
+def check_scene(scene: object, key: str = "scene") -> None:
+    """Raise `InputError` with this key unless this is a scene."""
     if not isinstance(scene, Scene):
         cure = "make one, or read its file with Scene.from_toml"
-        raise InputError.at("scene", f"must be a Scene (got {shown(scene)}): {cure}")
+        raise InputError.at(key, f"must be a Scene (got {shown(scene)}): {cure}")
 
 
 class LightCone(NamedTuple):

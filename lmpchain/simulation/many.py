@@ -11,7 +11,7 @@ import numpy as np
 from ..engines.base import Engine
 from ..engines.native.time_stepping import alike
 from ..engines.step_control import Attempt, first_attempt, next_attempt
-from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance, shown
+from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
@@ -82,11 +82,8 @@ def simulate_many(
         raise InputError.at("scenes", "must be a list of scenes; simulate takes one alone")
     policy = policy_for(engine, **options)
     numbered = dict(enumerate(scenes))
-    for scene in numbered.values():
-        check_scene(scene)
     for number, scene in numbered.items():
-        if not isinstance(scene, Scene):
-            raise InputError.at(f"scenes.{number}", f"must be a scene (got {shown(scene)})")
+        check_scene(scene, f"scenes.{number}")
         if reasons := policy.refuses(scene):
             raise InputError(InputError(reasons).under(f"scenes.{number}"))
     chosen = policy.chosen

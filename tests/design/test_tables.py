@@ -389,7 +389,7 @@ def test_starts_go_down_to_the_least_value_and_are_kept(
         with pytest.raises(InputError, match=r"^folder: .*starts.json is of another task"):
             optimise(**(task | change), folder=tmp_path / "new" / "folder")
     (tmp_path / "new" / "folder" / "starts.json").write_text("[]")
-    with pytest.raises(InputError, match=r"^folder: .*starts.json is damaged: remove it"):
+    with pytest.raises(InputError, match=r"^folder: .*starts.json is damaged, .*: move it"):
         optimise(**task, folder=tmp_path / "new" / "folder")
 
 

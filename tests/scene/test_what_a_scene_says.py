@@ -187,7 +187,7 @@ def test_usual_materials_are_not_remarked_on(recwarn: pytest.WarningsRecorder) -
 )
 @pytest.mark.parametrize("thing", [None, "scene.toml", {"chain": {}}, COLUMN])
 def test_what_is_no_scene_is_refused(take: Any, thing: Any) -> None:
-    with pytest.raises(InputError, match=r"^scene: must be a Scene \(got .*Scene.from_toml"):
+    with pytest.raises(InputError, match=r"^scene(s\.0)?: must be a Scene \(got .*Scene.from_toml"):
         take(thing)
 
 

@@ -111,7 +111,7 @@ def test_one_that_cannot_be_met():
 
 
 def test_what_is_refused():
-    with pytest.raises(InputError, match=r"scenes\.1: must be a scene"):
+    with pytest.raises(InputError, match=r"scenes\.1: must be a Scene"):
         simulate_many([struck(1e-6), 3])
     with pytest.raises(InputError, match="on_miss"):
         simulate_many([struck(1e-6)], on_miss="ignore")
