@@ -22,3 +22,8 @@ light = lmpchain.Chain(
     grains=41, diameter=1e-3, **level, impurity=[{"grain": 20, "diameter": 0.7e-3}]
 )
 picture_of_mode = bands.gap_modes(light, lmpchain.Chain(grains=2, diameter=1e-3, **level)).plot()
+
+# %%
+# With damping, waves of all frequencies are attenuated; in the gap they are without it, too.
+damped = dimer.replace(damping={"viscoelastic": 1e-7})
+picture_of_waves = bands.waves(damped, np.linspace(1e2, 6e4, 400)).plot()

@@ -4,6 +4,10 @@ A cell is repeated without end, and a wave turns its phase by the wavenumber fro
 rows of B are the extensions of the contacts, each by the root of its stiffness, of displacements by
 the roots of the masses: frequencies are the singular values of B, the lowest as accurate as the
 highest.
+
+At a real frequency the wavenumber of a damped chain, or in a gap, is complex: its imaginary part is
+what the amplitude falls by from cell to cell. Its springs then are ``k (1 - i w A)``, its masses
+``m (1 + i gamma / w)``.
 """
 
 from __future__ import annotations
@@ -27,7 +31,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
-__all__ = ["Bands", "Cell", "GapModes", "branches", "gap_modes", "gaps", "repeating"]
+__all__ = [
+    "Bands",
+    "Cell",
+    "GapModes",
+    "Waves",
+    "branches",
+    "gap_modes",
+    "gaps",
+    "repeating",
+    "waves",
+]
 
 # width of a gap over the highest frequency, and relative difference of equal grains
 NEGLIGIBLE = 1e-9
@@ -44,6 +58,8 @@ class Cell:
     resonators : (P, 2) array_like, optional
         Mass, kg, and stiffness, N/m, of an oscillator that each grain carries; mass 0 for none. For
         such chains L. Bonanomi, G. Theocharis and C. Daraio, Phys. Rev. E 91, 033208 (2015).
+    viscoelastic, drag : float or (P,) array_like
+        A of the contacts, s, and gamma of the grains, 1/s; resonators are not damped.
 
     Examples
     --------
@@ -54,6 +70,13 @@ class Cell:
     masses: ArrayLike
     stiffness: ArrayLike
     resonators: ArrayLike | None = None
+    viscoelastic: ArrayLike = 0.0
+    drag: ArrayLike = 0.0
+
+    @property
+    def damped(self) -> bool:
+        """Whether contacts or a drag take energy."""
+        return bool(np.any(self.viscoelastic) or np.any(self.drag))
 
     @classmethod
     def of(cls, chain: Chain) -> Cell:
@@ -64,7 +87,6 @@ class Cell:
         InputError
             If the chain is under gravity or not compressed.
         """
-        chain.refuse_damping("a band")
         uniform = "must be 0: contacts that stiffen with depth do not repeat"
         require(
             ("gravity", chain.gravity == 0, uniform),
@@ -78,7 +100,10 @@ class Cell:
         natural = hertz_constant(pair_value(modulus), pair_value(d / 2), length, chain.exponent)
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
         closing = Contacts.at_rest(np.array([constant]), np.array([chain.top_load]), chain.exponent)
-        return cls(chain.masses, np.append(chain.linear_stiffness, closing.stiffness))
+        stiffness = np.append(chain.linear_stiffness, closing.stiffness)
+        # the closing contact is as viscous as that next to it, like one with a wall
+        viscosity = chain.contact_viscosity[1:]
+        return cls(chain.masses, stiffness, viscoelastic=viscosity, drag=chain.drag)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,6 +196,75 @@ class GapModes(Shown):
         return ax
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Waves(Shown):
+    """Waves ``exp(i (q n - w t))`` of real frequencies that carry energy downward, or decay so.
+
+    Attributes
+    ----------
+    cell : Cell
+    frequency : (F,) array
+        rad/s.
+    wavenumber : (F,) complex array
+        q, radians a cell; its real part is below 0 where phases run upward, its imaginary part 0 or
+        more.
+    attenuation : (F,) array
+        A grain: the amplitude falls by ``exp(-attenuation)`` from each to the next, in the mean
+        over a cell.
+    """
+
+    cell: Cell
+    frequency: Array
+    wavenumber: NDArray[np.complex128]
+    attenuation: Array
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the attenuation over frequency, and return the axes."""
+        ax = axes_in_units(ax, "Hz", "")
+        ax.plot(self.frequency / (2 * np.pi), self.attenuation)
+        ax.set(xlabel="frequency", ylabel="attenuation a grain", ylim=(0, None))
+        return ax
+
+
+def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
+    """Return the wave of each real frequency in the chain that repeats a cell, damped or in a gap.
+
+    Where damping is weak, the attenuation a cell is ``(A w^2 + gamma) / 2`` over the group
+    velocity, for one A and one gamma.
+
+    Parameters
+    ----------
+    cell : Cell or Chain
+        All grains of the chain are one cell, under its load.
+    frequency : (F,) array_like
+        rad/s, above 0.
+
+    Returns
+    -------
+    Waves
+
+    Raises
+    ------
+    InputError
+        If a frequency is not above 0, or what is given is not a cell.
+
+    Examples
+    --------
+    >>> ends = {"gravity": 0.0, "top_load": 20.0, "damping": {"viscoelastic": 1e-7}}
+    >>> steel = Chain(grains=1, material="steel", diameter=1e-2, bottom="wall", **ends)
+    >>> waves(steel, 2 * np.pi * np.array([1e3, 5e3])).attenuation.round(6).tolist()
+    [3.3e-05, 0.000855]
+    """
+    cell = Cell.of(cell) if isinstance(cell, Chain) else cell
+    w = np.atleast_1d(real(frequency, "frequency"))
+    require(("frequency", (w > 0) & np.isfinite(w), "must be finite and above 0"))
+    # sin^2(q / 2), which keeps its digits for long waves
+    square = -_excess_trace(cell, w) / 4
+    q = 2 * np.arcsin(np.sqrt(square + 0j))
+    q = np.where(q.imag < 0, -q, q) if cell.damped else np.abs(q.real) + 1j * np.abs(q.imag)
+    return Waves(cell, w, q, q.imag / np.size(cell.masses))
+
+
 def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     """Return the Bloch branches of the chain that repeats a cell.
 
@@ -191,7 +285,8 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     Raises
     ------
     InputError
-        If masses or stiffnesses are not above 0 or not one a grain, or a chain is not a cell.
+        If masses or stiffnesses are not above 0 or not one a grain, or a chain is not a cell. If it
+        is damped: its waves have real frequencies and complex wavenumbers, see `waves`.
 
     Examples
     --------
@@ -201,7 +296,7 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     >>> (bands.gaps / (2 * np.pi)).round().tolist()
     [[3484.0, 6644.0]]
     """
-    cell = Cell.of(cell) if isinstance(cell, Chain) else cell
+    cell = _lossless(cell)
     q = np.atleast_1d(real(wavenumber, "wavenumber"))
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b)
@@ -296,9 +391,19 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     return GapModes(modes.frequency[inside], shape, 1 / (share**2).sum(1), share @ grain)
 
 
+def _lossless(cell: Cell | Chain) -> Cell:
+    """Return the cell; raise `InputError` if it has damping, and no real frequencies then."""
+    if isinstance(cell, Chain):
+        cell.refuse_damping("a band")
+        return Cell.of(cell)
+    cure = "a band knows no damping: leave it out, or see waves at real frequencies"
+    require(("cell", not cell.damped, cure))
+    return cell
+
+
 def _outside(cell: Cell | Chain) -> Array:
     """Return the gaps and the range above the highest band, (G + 1, 2) rad/s."""
-    cell = Cell.of(cell) if isinstance(cell, Chain) else cell
+    cell = _lossless(cell)
     b, _ = _extensions(cell, np.array([0.0, np.pi]))
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=1)
     # a branch may rise or fall between the two wavenumbers
@@ -370,17 +475,46 @@ def extensions(masses: Array, stiffness: Array, turn: NDArray[Any]) -> NDArray[A
 
 def _half_trace(cell: Cell, w: Array) -> Array:
     """Return cos(wavenumber) at frequencies: half the trace of the transfer matrix of a cell."""
+    return 1 + _excess_trace(cell, w) / 2
+
+
+def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
+    """Return 2 cos(wavenumber) - 2 at frequencies, by the transfer matrix of a cell less 1.
+
+    Real without damping.
+    """
     m, k, resonators = _check_cell(cell)
-    square = w.ravel() ** 2
+    w_flat = w.ravel()
+    square = w_flat**2
     # a grain is as heavy as the force that it takes: that of its resonator, too
     dynamic = np.broadcast_to(m[:, None], (m.size, w.size)).copy()
+    springs = np.broadcast_to(k[:, None], (k.size, w.size))
+    if cell.damped:
+        viscosity, drag = _check_damping(cell)
+        dynamic = dynamic * (1 + 1j * drag[:, None] / w_flat)
+        springs = springs * (1 - 1j * viscosity[:, None] * w_flat)
     with np.errstate(divide="ignore", invalid="ignore"):
         for grain, mass, stiffness in resonators:
             dynamic[int(grain)] += mass / (1 - square * mass / stiffness)
-    # of displacement and force
-    matrix = np.broadcast_to(np.eye(2), (w.size, 2, 2))
-    for inertia, stiff in zip(dynamic, k, strict=True):
-        step = np.broadcast_to(np.eye(2), (w.size, 2, 2)).copy()
-        step[:, 1, 0] = inertia * square
-        matrix = np.array([[1.0, -1 / stiff], [0.0, 1.0]]) @ step @ matrix
-    return matrix.trace(axis1=1, axis2=2).reshape(w.shape) / 2
+    # of displacement and force; the identity apart, so that long waves keep their digits
+    change = np.zeros((w.size, 2, 2), dynamic.dtype)
+    for inertia, stiff in zip(dynamic, springs, strict=True):
+        force = np.zeros_like(change)
+        force[:, 1, 0] = inertia * square
+        stretch = np.zeros_like(change)
+        stretch[:, 0, 1] = -1 / stiff
+        for step in (force, stretch):
+            change = change + step + step @ change
+    return change.trace(axis1=1, axis2=2).reshape(w.shape)
+
+
+def _check_damping(cell: Cell) -> tuple[Array, Array]:
+    """Return A and gamma of a cell, (P,) each."""
+    size = np.size(cell.masses)
+    values = []
+    for key in ("viscoelastic", "drag"):
+        x = real(getattr(cell, key), key)
+        fits = x.shape in ((), (size,)) and bool((x >= 0).all() and np.isfinite(x).all())
+        require((key, fits, f"must be 0 or more, one number or {size}"))
+        values.append(np.broadcast_to(x, size))
+    return values[0], values[1]

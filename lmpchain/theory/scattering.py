@@ -4,6 +4,10 @@ The leads are the ends of the chain, extended: above grain 1 as grain 1 and cont
 as grain N and contact N - 1. A wave of amplitude 1 comes from above. Transfer matrices carry
 displacement and force from the transmitted wave upward, where that solution is the one that grows:
 long pieces and gaps cost no digits.
+
+Of a damped chain the leads lose nothing, so that energy is counted there: what neither comes back
+nor passes is absorbed between grain 1 and grain N, by contacts ``k (1 - i w A)`` and grains
+``m (1 + i gamma / w)``.
 """
 
 from __future__ import annotations
@@ -47,7 +51,9 @@ class Transmission(Shown):
         Displacement of grain 1 by the reflected wave, and of grain N by the transmitted one, over
         that of grain 1 by the incoming one; with the time dependence exp(-i w t).
     reflected, transmitted : (F,) arrays
-        Shares of the energy; they add up to 1.
+        Shares of the energy.
+    absorbed : (F,) array
+        The rest of it, which damping takes; 0 without.
     """
 
     frequency: Array
@@ -56,11 +62,15 @@ class Transmission(Shown):
     amplitude_transmitted: Complex
     reflected: Array
     transmitted: Array
+    absorbed: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw both shares of the energy over frequency, and return the axes."""
+        """Draw the shares of the energy over frequency, and return the axes."""
         ax = axes_in_units(ax, "Hz", "")
-        for name in ("transmitted", "reflected"):
+        names = ["transmitted", "reflected"]
+        if self.absorbed.any():
+            names.append("absorbed")
+        for name in names:
             ax.plot(self.frequency / (2 * np.pi), getattr(self, name), label=name)
         ax.set(xlabel="frequency", ylabel="share of the energy", ylim=(-0.02, 1.02))
         legend(ax)
@@ -98,10 +108,9 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     '0.071997'
     """
     load = "carries no force at rest: nothing linear travels without gravity or a load"
-    chain.refuse_damping("the transmission")
     leads = "must be two or more: the first and the last contact are those of the leads"
     require(("chain", chain.compressed, load), ("grains", chain.grains > 1, leads))
-    return _scatter(chain.masses, chain.linear_stiffness, real(frequency, "frequency"))
+    return _scatter(chain, real(frequency, "frequency"))
 
 
 def transparent(
@@ -146,6 +155,7 @@ def transparent(
     >>> [f"{factor:.8f}" for factor in transparent(chain, w, [5, 6])]
     ['1.10000000']
     """
+    chain.refuse_damping("an impurity that reflects nothing")
     numbers = sorted(grains)
     mirror = [numbers[0] + numbers[-1] - n for n in numbers[::-1]] if numbers else None
     symmetric = numbers == mirror and len(set(numbers)) == len(numbers)
@@ -198,8 +208,10 @@ def _change(chain: Chain, grains: Sequence[int], vary: Property, factor: float) 
     return chain.replace(impurity=impurities)
 
 
-def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
-    """Return reflection and transmission of grains (N,), kg, and contacts (N-1,), N/m."""
+def _scatter(chain: Chain, frequency: Array) -> Transmission:
+    """Return reflection and transmission of a chain at frequencies, rad/s."""
+    mass = chain.masses
+    stiffness = chain.linear_stiffness
     square = frequency**2
     # sin(k/2) and exp(i k/2) in the lead above and in that below
     above = frequency / 2 * np.sqrt(mass[0] / stiffness[0])
@@ -209,19 +221,25 @@ def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
     edge = 2 * np.sqrt(stiffness[0] / mass[0])
     message = f"must be above 0 and below {edge:.6g} rad/s, the band edge of the lead above"
     require(("frequency", (above > 0) & (above < 1), message))
+    inertias: Sequence[Array | Complex] = list(mass)
+    springs: Sequence[Array | Complex] = list(stiffness)
+    if chain.damped:
+        inertias = [m * (1 + 1j * g / frequency) for m, g in zip(mass, chain.drag, strict=True)]
+        viscosity = chain.contact_viscosity[1:-1]
+        springs = [k * (1 - 1j * a * frequency) for k, a in zip(stiffness, viscosity, strict=True)]
     # displacement and force on the contact below, from the transmitted wave upward; the
     # logarithm of their size apart, as it may leave the range of numbers in a gap
     displacement = np.ones(frequency.shape, complex)
     force = -2j * stiffness[-1] * below * half_below
     logarithm = np.zeros(frequency.shape)
-    for inertia, stiff in zip(mass[:0:-1], stiffness[::-1], strict=True):
+    for inertia, stiff in zip(inertias[:0:-1], springs[::-1], strict=True):
         force = force - inertia * square * displacement
         displacement = displacement + force / stiff
-        size = np.maximum(np.abs(displacement), np.abs(force) / stiff)
+        size = np.maximum(np.abs(displacement), np.abs(force / stiff))
         displacement = displacement / size
         force = force / size
         logarithm = logarithm + np.log(size)
-    force = (force - mass[0] * square * displacement) / stiffness[0]
+    force = (force - inertias[0] * square * displacement) / stiffness[0]
     # exp(i k) - 1 and sin(k) in the lead above
     step = 2j * above * half_above
     sine = 2 * above * half_above.real
@@ -230,13 +248,16 @@ def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
     transmitted = np.exp(-logarithm) / incoming
     # energy flows at the rate k sin(wavenumber) times the square of the amplitude
     share = stiffness[-1] * below * half_below.real / (stiffness[0] * above * half_above.real)
+    returned = np.abs(reflected) ** 2
+    passed = np.abs(transmitted) ** 2 * share
     return Transmission(
         frequency=frequency,
         wavenumber=2 * np.arcsin(above),
         amplitude_reflected=reflected,
         amplitude_transmitted=transmitted,
-        reflected=np.abs(reflected) ** 2,
-        transmitted=np.abs(transmitted) ** 2 * share,
+        reflected=returned,
+        transmitted=passed,
+        absorbed=1 - returned - passed if chain.damped else np.zeros(frequency.shape),
     )
 
 

@@ -101,7 +101,7 @@ def test_the_choice_of_engine_knows():
     [
         lambda scene: gradient(scene, "peak_force:3", ["masses"]),
         lambda scene: normal_mode(scene.chain, 1, 1e-15),
-        lambda scene: scattering.transmission(scene.chain, [1e3]),
+        lambda scene: scattering.transparent(scene.chain, 1e3, [5, 6]),
         lambda scene: bands.branches(scene.chain, [0.1]),
     ],
 )
