@@ -187,6 +187,8 @@ def test_scene_files_of_the_page(tmp_path: Path):
     for text in (paper, grains, f"{grains}\n{damping}"):
         (tmp_path / "scene.toml").write_text(text)
         assert Scene.from_toml(tmp_path / "scene.toml").samples == 101
+    (tmp_path / "scene.toml").write_text(f"{paper}\n{damping}")
+    assert Scene.from_toml(tmp_path / "scene.toml").chain.damped
 
 
 @pytest.mark.slow
