@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -141,11 +141,15 @@ class Comparison(Shown):
     trajectories : tuple of Trajectory
     rows : tuple of Row
         One a trajectory, in the same order.
+    lossless : Row, optional
+        The chain without its damping: its error is what leaving damping out changes, and what was
+        expected of it is `Scene.damping_effect`.
     """
 
     reference: Reference
     trajectories: tuple[Trajectory, ...]
     rows: tuple[Row, ...]
+    lossless: Row | None = None
 
     def errors_over_time(self) -> list[Array]:
         """Return the error of every trajectory sample by sample, (T,) each."""
@@ -154,12 +158,10 @@ class Comparison(Shown):
     def to_json(self) -> dict[str, Any]:
         """Return the rows for a JSON file; numbers that are not finite become None."""
         reference = finite({"method": self.reference.method, "error": self.reference.error})
-        rows = []
-        for row in self.rows:
-            fields = finite(asdict(row))
-            del fields["integrator"]
-            rows.append(fields)
-        return {"reference": reference, "rows": rows}
+        numbers = {"reference": reference, "rows": [_numbers(row) for row in self.rows]}
+        if self.lossless:
+            numbers["without_damping"] = _numbers(self.lossless)
+        return numbers
 
     def _summary(self) -> Iterator[Sequence[str]]:
         yield (
@@ -172,7 +174,7 @@ class Comparison(Shown):
             "steps",
             "force evaluations",
         )
-        for row in self.rows:
+        for row in (*self.rows, *([self.lossless] if self.lossless else [])):
             errors = f"{row.error:.2e}", f"{row.expected_error:.2e}"
             counts = number(row.integration_s, unit="s"), str(row.steps), str(row.force_evaluations)
             yield row.engine, f"({row.equation})", row.integrator, *errors, *counts
@@ -185,7 +187,10 @@ class Comparison(Shown):
             "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
             "the larger of displacement and velocity"
         )
-        return "\n".join([*align(self._summary()), source, meaning])
+        lines = [*align(self._summary()), source, meaning]
+        if self.lossless:
+            lines.append("without damping: what leaving it out changes, and at most by the plan")
+        return "\n".join(lines)
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
         """Draw the trajectories, their errors over time and their cost, and return the first axes.
@@ -207,7 +212,18 @@ class Comparison(Shown):
         return wave
 
 
-def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Comparison:
+def _numbers(row: Row) -> dict[str, Any]:
+    """Return a row for a JSON file."""
+    fields = finite(asdict(row))
+    del fields["integrator"]
+    return fields
+
+
+def compare(
+    trajectories: Sequence[Trajectory],
+    reference: Reference,
+    lossless: Trajectory | None = None,
+) -> Comparison:
     """Compare trajectories of one scene with its reference solution.
 
     Parameters
@@ -215,30 +231,36 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
     trajectories : list of Trajectory
         Of the same scene.
     reference : Reference
+    lossless : Trajectory, optional
+        Of the same scene without its damping.
 
     Returns
     -------
     Comparison
     """
-    rows = []
-    for answer in trajectories:
-        displacement, velocity = errors(answer, reference)
-        rows.append(
-            Row(
-                engine=answer.engine,
-                equation=answer.equation,
-                integrator=answer.cost.integrator,
-                error=float(np.maximum(displacement, velocity)),
-                error_displacement=displacement,
-                error_velocity=velocity,
-                expected_error=answer.error_estimate.total,
-                integration_s=answer.cost.integration_s,
-                steps=answer.cost.steps,
-                force_evaluations=answer.cost.force_evaluations,
-                compile_s=answer.cost.compile_s,
-            )
-        )
-    return Comparison(reference, tuple(trajectories), tuple(rows))
+    rows = tuple(_row(answer, reference) for answer in trajectories)
+    if lossless is None:
+        return Comparison(reference, tuple(trajectories), rows)
+    effect = trajectories[0].scene.damping_effect
+    row = replace(_row(lossless, reference), engine="without damping", expected_error=effect)
+    return Comparison(reference, tuple(trajectories), rows, row)
+
+
+def _row(answer: Trajectory, reference: Reference) -> Row:
+    displacement, velocity = errors(answer, reference)
+    return Row(
+        engine=answer.engine,
+        equation=answer.equation,
+        integrator=answer.cost.integrator,
+        error=float(np.maximum(displacement, velocity)),
+        error_displacement=displacement,
+        error_velocity=velocity,
+        expected_error=answer.error_estimate.total,
+        integration_s=answer.cost.integration_s,
+        steps=answer.cost.steps,
+        force_evaluations=answer.cost.force_evaluations,
+        compile_s=answer.cost.compile_s,
+    )
 
 
 WIDEST = 60  # grains of the wave that are shown

@@ -51,14 +51,16 @@ def compare(arguments: argparse.Namespace) -> int:
     from .. import engines
     from ..benchmark import comparison
 
-    reasons = {name: engines.get(name).refuses(scene) for name in names}
+    reasons = {name: engines.get(name).obstacles(scene) for name in names}
     refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
     engines_of_scene = [name for name in names if not reasons[name]]
     if not engines_of_scene:
         raise InputError(refusals)
     trajectories, failures = _solve(scene, engines_of_scene, arguments.tolerance)
     if trajectories:
-        result = comparison.compare(trajectories, _reference(scene, arguments.tolerance))
+        truth = _reference(scene, arguments.tolerance)
+        lossless = _lossless(scene, arguments.tolerance)
+        result = comparison.compare(trajectories, truth, lossless)
         print(result.table())
     for key, reason in refusals:
         print(f"left out: {reason} ({key})")
@@ -112,6 +114,22 @@ def _solve(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Traje
         except (RunFailed, EngineUnavailable) as error:
             failures.append(f"{name}: {error}")
     return trajectories, failures
+
+
+def _lossless(scene: Scene, tolerance: float) -> Trajectory | None:
+    """Return the answer of a damped scene without its damping, if there is one."""
+    from ..simulation.api import simulate
+
+    if not scene.chain.damped:
+        return None
+    conservative = scene.replace(chain=scene.chain.replace(damping=None))
+    try:
+        with warnings_aside():
+            return simulate(conservative, "native", tolerance)
+    except ToleranceNotMet as error:
+        return error.trajectory
+    except RunFailed:
+        return None
 
 
 def _quickest(scene: Scene, name: str, tolerance: float) -> float:

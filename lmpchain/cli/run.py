@@ -185,6 +185,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         "scene": f"{grains}, {scene.samples} samples over {scene.duration:g} s",
         "integrator": f"{cost.integrator}, {cost.steps_over(scene.duration)}",
         "estimated error": f"{error.total:.2g}{shares} (tolerance {tolerance:g})",
+        **({"damping": scene.damping_remark} if scene.chain.damped else {}),
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error "
         f"estimate, {cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
         **in_words(scene, trajectory.gathered),

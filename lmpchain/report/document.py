@@ -144,6 +144,8 @@ def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[
     yield "Tolerance", tolerance, "largest relative error asked for"
     estimate = f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
     yield "Error", f"{error.total:.2g}", estimate
+    if scene.chain.damped:
+        yield "Without damping", f"{scene.damping_effect:.2g}", scene.damping_remark
     computed = counted(cost.active_grains, "grain")
     work = f"{cost.steps_over(scene.duration)}, {computed} computed"
     yield "Cost", f"{cost.total_s:.3g} s", work

@@ -107,7 +107,7 @@ class Scene(Recording):
             long = f"{self.duration:g} s is long for a wave in grains of {1e3 * narrowest:.3g} mm"
             yield f"duration: {long}; times are in seconds (100 us is 1e-4)"
         if self.chain.damped:
-            turn = self.chain.damping.longest_time * self.highest_frequency
+            turn = self.chain.damping.longest_time * self.fastest_motion
             if turn > DASHPOT:
                 cure = "A is in seconds, 1e-9 to 1e-6 for most grains"
                 yield f"chain.damping.viscoelastic: A omega is {turn:.2g}, a dashpot; {cure}"
@@ -264,19 +264,41 @@ class Scene(Recording):
         return strike_number(self._surroundings.chain, self._surroundings.excitation)
 
     @cached_property
-    def highest_frequency(self) -> float:
-        """The highest frequency that can be excited, rad/s, which bounds the steps of every method.
+    def fastest_motion(self) -> float:
+        """The highest frequency that can be excited without damping, rad/s; 0 if nothing moves.
 
-        The band edge of the chain at rest, that of two grains pressed together by the strike, that
-        of a drive, or the rate at which damping stops the fastest of them.
+        The band edge of the chain at rest, that of two grains pressed together by the strike, or
+        that of a drive.
         """
         bounds = self.chain.bounds
         fastest = max(self.chain.band_edge, self.excitation.fastest)
         # a bound below the others spares the overlaps of all contacts
         if not (bounds and bounds.frequency(self._overlap_bound) <= fastest):
             fastest = max(fastest, self._pair_frequency)
+        return float(fastest)
+
+    @cached_property
+    def highest_frequency(self) -> float:
+        """What bounds the steps of every method, rad/s: the highest frequency that can be excited.
+
+        Or the rate at which damping stops the fastest motion.
+        """
         # nothing moves in a vacuum that is not struck: any frequency above 0 does
-        return self.chain.damping.fastest_rate(fastest) or 1 / self.duration
+        return self.chain.damping.fastest_rate(self.fastest_motion) or 1 / self.duration
+
+    @property
+    def damping_effect(self) -> float:
+        """About what leaving damping out would change at most, relative; 0 without damping."""
+        return self.chain.damping.effect(self.fastest_motion, self.duration)
+
+    @property
+    def damping_remark(self) -> str:
+        """What leaving damping out would change, in words; none without damping."""
+        if not self.chain.damped:
+            return ""
+        effect = self.damping_effect
+        size = f"at most about {100 * effect:.2g} %" if effect < 1 else "up to all of it"
+        return f"leaving it out would change the answer by {size}"
 
     @property
     def _pair_frequency(self) -> float:

@@ -18,7 +18,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from .api import check_on_miss, simulate
 from .gathering import GatheringRun
-from .policy import policy_for, record
+from .policy import damping_record, policy_for, record
 
 # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 BATCH_NUMBERS = 2**18
@@ -180,7 +180,7 @@ def _solve(
             velocity=v[row],
             error_estimate=error.estimate,
             cost=cost,
-            provenance=provenance,
+            provenance=provenance | damping_record(scene),
             gathered=gathered[row],
         )
         results.append((answer, following, missed))

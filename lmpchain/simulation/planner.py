@@ -40,6 +40,10 @@ class Plan(Shown):
     candidates : tuple of Proposal
         What every engine proposed; that of the plan is among them.
     tolerance : float
+    damping_effect : float
+        About what leaving damping out would change at most, relative; 0 without damping.
+    damping : str
+        The same in words.
     """
 
     engine: str
@@ -51,10 +55,15 @@ class Plan(Shown):
     why: str
     candidates: tuple[Proposal, ...]
     tolerance: float
+    damping_effect: float = 0.0
+    damping: str = ""
 
     def table(self) -> str:
         """Return all candidates as a table, and why the first is taken."""
-        return "\n".join([*align(self._summary()), f"{self.engine} {self.why}"])
+        lines = [*align(self._summary()), f"{self.engine} {self.why}"]
+        if self.damping:
+            lines.append(f"damping: {self.damping}")
+        return "\n".join(lines)
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         yield from (
@@ -155,6 +164,8 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
         why=reason(best, proposals),
         candidates=tuple(proposals),
         tolerance=tolerance,
+        damping_effect=scene.damping_effect,
+        damping=scene.damping_remark,
     )
 
 

@@ -169,4 +169,10 @@ def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float)
         "tolerance": asked,
         **candidate.choices,
         **engine.describe(scene, candidate),
+        **damping_record(scene),
     }
+
+
+def damping_record(scene: Scene) -> dict[str, str]:
+    """Return the record of damping: what leaving it out would change."""
+    return {"damping": scene.damping_remark} if scene.chain.damped else {}

@@ -70,6 +70,8 @@ class Trajectory(Shown, Record):
             "error estimate",
             f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)",
         )
+        if scene.chain.damped:
+            yield "damping", scene.damping_remark
         steps = counted(cost.steps, "step")
         if cost.integrator:
             steps = f"{cost.steps_over(scene.duration)} by {cost.integrator}"

@@ -1,14 +1,31 @@
 """Chains that lose energy: who answers, what is refused, where the wave can be, and the balance."""
 
+import json
+import math
+
 import numpy as np
 import pytest
-from helpers.taylor_series import reference
+from helpers.taylor_series import reference, solve
+from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, engines, plan, simulate
+from lmpchain import (
+    Chain,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Scene,
+    engines,
+    plan,
+    simulate,
+    simulate_many,
+)
+from lmpchain.cli.command_line import main
 from lmpchain.design import gradient
 from lmpchain.engines import Native
 from lmpchain.measure import contact, energy, motion
 from lmpchain.orbits import normal_mode
+from lmpchain.report.document import page
 from lmpchain.theory import bands, scattering
 
 DAMPING = {"viscoelastic": 3e-8, "drag": 1e3}
@@ -109,6 +126,67 @@ def test_what_knows_no_damping_refuses(compute):
     scene = scene_of(ACTS["strike"], 5, gravity=0.0)
     with pytest.raises(InputError, match=r"chain\.damping: .* knows no damping"):
         compute(scene)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_leaving_damping_out_changes_no_more_than_a_run_says(seed: int):
+    """Of weak waves, struck and driven, by an integrator that is not the package's."""
+    rng = np.random.default_rng([55, seed])
+    lossless = (acted_trial_scene if seed % 3 == 0 else trial_scene)(rng, work=1e3)
+    if not lossless.strike_number < 0.1 or lossless.chain.grains > 60:
+        pytest.skip("no weak wave in a short chain")
+    lossless = lossless.replace(samples=100)
+    scene = damped(rng, lossless)
+    damping = scene.chain.damping
+    rate = damping.longest_time * scene.fastest_motion**2 + damping.largest_drag
+    if rate * scene.duration > 1:
+        weaker = rng.random() / (rate * scene.duration)
+        fields = {"viscoelastic": damping.viscoelastic * weaker, "drag": damping.drag * weaker}
+        scene = scene.replace(chain=scene.chain.replace(damping=fields))
+    assert 0 < scene.damping_effect < 1
+    other = solve(lossless, 1e-12)
+    assert solve(scene, 1e-12).error(other.displacement, other.velocity) < scene.damping_effect
+
+
+def test_an_answer_says_what_leaving_damping_out_would_change():
+    scene = scene_of(ACTS["strike"], 5)
+    weak = scene_of(ACTS["strike"], 5, damping={"drag": 100.0})
+    remark = "leaving it out would change the answer by at most about 0.3 %"
+    answer = simulate(weak, "native", 1e-6)
+    assert answer.provenance["damping"] == weak.damping_remark == remark
+    assert remark in str(answer._repr_html_())
+    assert remark in page(answer)
+    planned = plan(weak)
+    assert planned.table().endswith(f"damping: {remark}")
+    assert planned.to_json()["damping_effect"] == pytest.approx(math.expm1(3e-3), rel=1e-12)
+    # a batch has one record for all but this
+    strong, again = simulate_many([scene, weak], 1e-6, "native")
+    assert again.provenance["damping"] == remark
+    assert "up to all of it" in strong.provenance["damping"]
+    undamped = scene_of(ACTS["strike"], 5, damping={})
+    assert undamped.damping_effect == 0.0
+    assert "damping" not in simulate(undamped, "native", 1e-6).provenance
+    assert "damping:" not in plan(undamped).table()
+
+
+def test_a_comparison_runs_the_lossless_chain_beside(tmp_path, capsys):
+    path = tmp_path / "scene.toml"
+    numbers = tmp_path / "numbers.json"
+    scene = scene_of(ACTS["strike"], 21, damping={"viscoelastic": 1e-9, "drag": 100.0})
+    scene.to_toml(path)
+    assert main(["compare", str(path), "--engines", "native,bessel", "--json", str(numbers)]) == 0
+    said = capsys.readouterr().out
+    assert "reference: Taylor series" in said
+    assert "left out: bessel: " in said
+    found = json.loads(numbers.read_text())
+    row = found["without_damping"]
+    lossless = solve(scene.replace(chain=scene.chain.replace(damping=None)), 1e-15)
+    error = solve(scene, 1e-15).error(lossless.displacement, lossless.velocity)
+    assert row["error"] == pytest.approx(error, rel=1e-2)
+    assert row["expected_error"] == scene.damping_effect > error
+    assert f"{row['error']:.2e}" in said
+    native = next(row for row in found["rows"] if row["engine"] == "native")
+    assert native["error"] < 1e-6
 
 
 @pytest.mark.parametrize("viscoelastic", [0.0, 1e-9, 3e-8, 1e-6])
