@@ -1,0 +1,100 @@
+"""What leaving damping out changes, over strike and A omega, after 20, 100 and 500 grains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from lmpchain import Chain, Impulse, Scene, simulate
+from lmpchain.benchmark.comparison import error
+from lmpchain.benchmark.reference import Reference
+from lmpchain.util.plotting import figure
+
+PASSED = (20, 100, 500)  # grains that the front has passed
+LOAD = 0.01  # N, on glass beads of 1 mm
+LEVELS = (0.01, 0.1)
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return errors of lossless chains, and the laws, for each distance."""
+    strikes = np.geomspace(1e-2, 1e2, 2 if quick else 9)
+    viscosities = np.geomspace(1e-5, 1.0, 2 if quick else 11)
+    passed = PASSED[:1] if quick else PASSED
+    return {
+        "strike number": strikes.tolist(),
+        "A omega": viscosities.tolist(),
+        "error": {
+            grains: [_errors(grains, number, viscosities) for number in strikes]
+            for grains in passed
+        },
+        "law": {
+            grains: [
+                [_scene(grains, number, x).damping_effect for x in viscosities]
+                for number in strikes
+            ]
+            for grains in passed
+        },
+    }
+
+
+def _scene(passed: int, number: float, viscosity: float) -> Scene:
+    """Return a loaded chain whose front passes so many grains, with A omega of its band edge."""
+    chain = Chain(grains=int(1.5 * passed) + 20, diameter=1e-3, gravity=0.0, top_load=LOAD)
+    damped = chain.replace(damping={"viscoelastic": viscosity / chain.band_edge})
+    # sound takes 2 / omega from grain to grain
+    duration = 2 * passed / chain.band_edge
+    strike = Impulse(velocity=1.0)
+    unit = Scene(chain=chain, excitation=strike, duration=duration).strike_number
+    return Scene(
+        chain=damped,
+        excitation=Impulse(velocity=number / unit),
+        duration=duration,
+        samples=5 * passed + 1,
+    )
+
+
+def _errors(passed: int, number: float, viscosities: np.ndarray) -> list[float]:
+    scenes = [_scene(passed, number, x) for x in viscosities]
+    free = scenes[0].replace(chain=scenes[0].chain.replace(damping=None))
+    lossless = simulate(free, "native", 1e-6, on_miss="warn")
+    errors = []
+    for scene in scenes:
+        true = simulate(scene, "native", 1e-6, on_miss="warn")
+        truth = Reference(true.time, true.displacement, true.velocity, 1e-6, "native")
+        errors.append(error(lossless, truth))
+    return errors
+
+
+def draw(data: dict[str, Any]) -> Figure:
+    """Draw a map a distance: white lines are measured, dashed ones the law."""
+    distances = list(data["error"])
+    picture = figure(5 * len(distances), 4.8)
+    panels = picture.subplots(1, len(distances), sharey=True, squeeze=False)[0]
+    x = np.array(data["A omega"])
+    for axes, grains in zip(panels, distances, strict=True):
+        errors = np.array(data["error"][grains])
+        axes.set(xscale="log", yscale="log", xlabel="A ω, of the band edge ω")
+        shades = axes.pcolormesh(
+            x, data["strike number"], errors, norm=LogNorm(1e-4, 1), cmap="cividis",
+            shading="gouraud",
+        )  # fmt: skip
+        laws = np.log10(data["law"][grains])
+        for values, colour, style in (
+            (np.log10(errors), "white", "solid"),
+            (laws, "black", "dashed"),
+        ):
+            lines = axes.contour(
+                x, data["strike number"], values, levels=np.log10(LEVELS), colors=colour,
+                linestyles=style, linewidths=2,
+            )  # fmt: skip
+            axes.clabel(lines, fmt=lambda level: f"{100 * 10**level:.0f} %", fontsize="small")
+        axes.set_xlim(x[0], x[-1])
+        axes.set_title(f"after {grains} grains", loc="left", fontsize="medium")
+    panels[0].set_ylabel("strike number v0*")
+    label = "error of the lossless model"
+    picture.colorbar(shades, ax=list(panels), label=label, extend="both")
+    picture.suptitle("White: measured, 1 % and 10 %; dashed: the law", fontsize="medium")
+    return picture
