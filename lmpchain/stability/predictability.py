@@ -164,6 +164,19 @@ def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
     Both have the integrator and the steps of the candidate. What remains is the change, rounding,
     and what the scene makes of them.
 
+    Parameters
+    ----------
+    scene : Scene
+    candidate : Candidate
+        Of the native engine.
+    change : float
+        Relative size of the perturbation.
+
+    Returns
+    -------
+    (T,) array
+        Relative to the largest value, the larger of displacement and velocity.
+
     Raises
     ------
     RunFailed

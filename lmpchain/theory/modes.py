@@ -159,7 +159,17 @@ def eigenmodes(chain: Chain) -> Modes:
 
 
 def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
-    """Return whether all contacts are as viscous, and all grains dragged as much: rules."""
+    """Return whether all contacts are as viscous, and all grains dragged as much: rules.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    list of (str, bool, str)
+        Field, whether it allows for modes, and the cure if not.
+    """
     cure = "give one number, or use the engine native"
     return [
         (
@@ -176,7 +186,18 @@ def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
 
 
 def damped(modes: Modes, chain: Chain) -> Modes:
-    """Return the modes with the decay that the one A and the one gamma of a chain give them."""
+    """Return the modes with the decay that the one A and the one gamma of a chain give them.
+
+    Parameters
+    ----------
+    modes : Modes
+        Of the chain without damping.
+    chain : Chain
+
+    Returns
+    -------
+    Modes
+    """
     if not chain.damped:
         return modes
     decay = (chain.contact_viscosity[0] * modes.frequency**2 + chain.drag[0]) / 2
