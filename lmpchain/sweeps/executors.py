@@ -24,6 +24,7 @@ UNGUARDED = (
     "cannot start: a script that sweeps on several must be a file, and call sweep below "
     'if __name__ == "__main__":'
 )
+IMPORT_FAILED = 1  # exit code of a process whose script ends it, or fails
 SPAWN = get_context("spawn")  # a forked process would share LAMMPS, MPI and threads with this one
 
 
@@ -64,8 +65,10 @@ class Processes(Executor):
         try:
             self.submit(os.getpid).result()
         except BrokenExecutor:
-            self.shutdown()
-            raise InputError.at("workers", UNGUARDED) from None
+            # one that is killed, as where memory runs out, is no fault of the script
+            if _fails_on_import():
+                self.shutdown()
+                raise InputError.at("workers", UNGUARDED) from None
         except BaseException:
             self.shutdown(cancel_futures=True)
             raise
@@ -106,11 +109,19 @@ class Processes(Executor):
         self._child_end.close()
 
 
+def _fails_on_import() -> bool:
+    """Say whether a process ends by itself as it imports the script of this one."""
+    process = SPAWN.Process(target=os.getpid)
+    process.start()
+    process.join()
+    return process.exitcode == IMPORT_FAILED
+
+
 def end_if_imported() -> None:
     """End a process that is about to start others while it imports the script of its parent."""
     if getattr(current_process(), "_inheriting", False):
         # the parent says what is wrong
-        sys.exit(1)
+        sys.exit(IMPORT_FAILED)
 
 
 def _end_with(line: Connection) -> None:
