@@ -128,13 +128,15 @@ def test_what_knows_no_damping_refuses(compute):
         compute(scene)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(24))
 def test_leaving_damping_out_changes_no_more_than_a_run_says(seed: int):
     """Of weak waves, struck and driven, by an integrator that is not the package's."""
     rng = np.random.default_rng([55, seed])
-    lossless = (acted_trial_scene if seed % 3 == 0 else trial_scene)(rng, work=1e3)
-    if not lossless.strike_number < 0.1 or lossless.chain.grains > 60:
-        pytest.skip("no weak wave in a short chain")
+    draw = acted_trial_scene if seed % 3 == 0 else trial_scene
+    lossless = draw(rng, work=1e3)
+    # a weak wave in a short chain
+    while not lossless.strike_number < 0.1 or lossless.chain.grains > 60:
+        lossless = draw(rng, work=1e3)
     lossless = lossless.replace(samples=100)
     scene = damped(rng, lossless)
     damping = scene.chain.damping
