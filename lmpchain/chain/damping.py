@@ -268,7 +268,7 @@ def rebound(viscosity: float, exponent: float) -> float:
     parts.direction = -1  # type: ignore[attr-defined]
     options: dict[str, Any] = {"rtol": COLLISION_ERROR, "atol": 1e-3 * COLLISION_ERROR}
     # a strong viscosity makes it stiff: implicit steps then are longer
-    method = "DOP853" if viscosity < 10 else "Radau"
+    method = "DOP853" if viscosity < 100 else "Radau"
     run = solve_ivp(move, (0.0, STICKS), (0.0, 1.0), method=method, events=parts, **options)
     return max(-float(run.y[1, -1]), 0.0)
 
