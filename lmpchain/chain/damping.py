@@ -87,16 +87,20 @@ class Damping(Checked):
         """The largest gamma of all grains, 1/s."""
         return float(np.max(self.drag))
 
+    def decay_rate(self, omega: float) -> float:
+        """Return A omega^2 + gamma, the rate at which the energy of a motion decays, 1/s."""
+        return self.longest_time * omega**2 + self.largest_drag
+
     def fastest_rate(self, omega: float) -> float:
         """Return the frequency omega, rad/s, or the rate A omega^2 + gamma of its decay, 1/s.
 
         The larger of the two bounds the steps of explicit methods.
         """
-        return max(omega, self.longest_time * omega**2 + self.largest_drag)
+        return max(omega, self.decay_rate(omega))
 
     def decay(self, omega: float, time: float) -> float:
         """Return (A omega^2 + gamma) t / 2, the exponent of the decay of a motion in a time, s."""
-        return (self.longest_time * omega**2 + self.largest_drag) * time / 2
+        return self.decay_rate(omega) * time / 2
 
     def effect(self, omega: float, duration: float) -> float:
         """Return about how much of an answer leaving damping out would change, at most 1.
@@ -118,9 +122,8 @@ class Damping(Checked):
         >>> round(Damping(viscoelastic=1e-9, drag=10.0).effect(omega=1e6, duration=1e-4), 6)
         0.051797
         """
-        decay = (self.longest_time * omega**2 + self.largest_drag) * duration / 2
         # what more than doubles leaves nothing right
-        return math.expm1(min(decay, math.log(2.0)))
+        return math.expm1(min(self.decay(omega, duration), math.log(2.0)))
 
     def misfits(self, grains: int) -> Iterator[tuple[str, str]]:
         """Yield lists that do not fit a chain of this length."""

@@ -321,7 +321,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     closing = chain.contacts.closer(v, top_speed)
     overlap = chain.contacts.overlap + closer
     force, rate = _contact_forces(chain.contacts, closer, closing)
-    dissipated, dissipated_error = _dissipated(trajectory)
+    dissipated = np.zeros(time.size)
+    dissipated_error = 0.0
 
     def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
         # the rates of viscous forces follow from no sample
@@ -331,7 +332,11 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
     if chain.damped:
-        force = force + viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
+        viscous = viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
+        lost = _integrate_losses(scene, time, viscous * closing, v)
+        dissipated = lost.of_contact.sum(1) + lost.of_grain.sum(1)
+        dissipated_error = lost.error
+        force = force + viscous
         impulse, impulse_error = _integral(time, -(v @ _drag(scene)))
     push = scene.excitation.push(chain, time, force, rate, v)
     pieces = _known_pieces(scene, time, push, u, v) if push else None
@@ -406,18 +411,14 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     closing = chain.contacts.closer(v, top_speed)
     overlap = chain.contacts.overlap + chain.contacts.closer(u, top)
     viscous = viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
-    power = np.hstack((viscous * closing, _drag(scene) * v**2))
-    taken, error = _integral(time, power)
-    contacts = chain.grains + 1
+    return _integrate_losses(scene, time, viscous * closing, v)
+
+
+def _integrate_losses(scene: Scene, time: Array, power: Array, v: Array) -> EnergyLosses:
+    """Return the losses of contacts that take this power, (T, N+1) W, and of grains by drag."""
+    taken, error = _integral(time, np.hstack((power, _drag(scene) * v**2)))
+    contacts = scene.chain.grains + 1
     return EnergyLosses(time, taken[:, :contacts], taken[:, contacts:], error)
-
-
-def _dissipated(trajectory: Trajectory) -> tuple[Array, float]:
-    """Return the energy that has been taken, (T,) J, and how far it may be off, J."""
-    if not trajectory.scene.chain.damped:
-        return np.zeros(trajectory.time.size), 0.0
-    lost = losses(trajectory)
-    return lost.of_contact.sum(1) + lost.of_grain.sum(1), lost.error
 
 
 def _drag(scene: Scene) -> Array:
