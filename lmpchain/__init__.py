@@ -25,10 +25,18 @@ if TYPE_CHECKING:
     from .chain.chain import Chain as Chain
     from .chain.damping import Damping as Damping
     from .chain.impurities import Impurity as Impurity
+    from .chain.materials import ALUMINIUM as ALUMINIUM
     from .chain.materials import BRASS as BRASS
+    from .chain.materials import BRONZE as BRONZE
     from .chain.materials import GLASS as GLASS
+    from .chain.materials import NYLON as NYLON
+    from .chain.materials import POM as POM
     from .chain.materials import PTFE as PTFE
+    from .chain.materials import RUBBER as RUBBER
+    from .chain.materials import SODA_LIME_GLASS as SODA_LIME_GLASS
     from .chain.materials import STEEL as STEEL
+    from .chain.materials import STEEL_302 as STEEL_302
+    from .chain.materials import STEEL_440C as STEEL_440C
     from .chain.materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
     from .chain.materials import Material as Material
     from .doctor import diagnose as diagnose
@@ -59,7 +67,8 @@ _MODULES = {
     "chain.chain": "Chain",
     "chain.damping": "Damping",
     "chain.impurities": "Impurity",
-    "chain.materials": "Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
+    "chain.materials": "Material GLASS SODA_LIME_GLASS STEEL STEEL_302 STEEL_440C ALUMINIUM"
+    " BRASS BRONZE TUNGSTEN_CARBIDE PTFE POM NYLON RUBBER",
     "scene.excitation": "Impulse Displacement Profile Packet Drive Force",
     "scene.scene": "Scene",
     "simulation.api": "simulate resume",

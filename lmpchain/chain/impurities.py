@@ -8,9 +8,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from ..errors import InputError
 from ..util.arrays import Array
-from ..util.validation import NOT_GIVEN, Checked, Positive, Whole
+from ..util.validation import NOT_GIVEN, Checked, Positive, Whole, each
 from .materials import Material, OneMaterial
 
 
@@ -46,17 +45,7 @@ def _impurities(value: Any) -> tuple[Impurity, ...]:
         isinstance(item, Impurity | dict) for item in value
     ):
         raise ValueError("must be a list of impurities, [[chain.impurity]] in a scene file")
-    impurities = []
-    faults = []
-    for place, item in enumerate(value):
-        # a fault of one must not hide those of the others
-        try:
-            impurities.append(item if isinstance(item, Impurity) else Impurity(**item))
-        except InputError as error:
-            faults += error.under(str(place))
-    if faults:
-        raise InputError(faults)
-    return tuple(impurities)
+    return each(value, lambda item: item if isinstance(item, Impurity) else Impurity(**item))
 
 
 Impurities = Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)]

@@ -108,7 +108,137 @@ TUNGSTEN_CARBIDE = _material(
     0.21,
     "from the sound speeds of calibration spheres, 6853 and 4171 m/s (Foote 1990)",
 )
-MATERIALS = {m.name: m for m in (GLASS, STEEL, PTFE, BRASS, TUNGSTEN_CARBIDE)}
+# a manufactured ball differs from its data sheet by a few per cent, in E more than in density
+ALUMINIUM = _material(
+    "aluminium",
+    2700.0,
+    68.9e9,
+    0.33,
+    "6061-T6: density of the ASM tables, 10.0e6 psi and 0.33 of Multimedia Engineering Mechanics",
+)
+STEEL_302 = _material(
+    "steel_302",
+    7860.0,
+    193e9,
+    0.30,
+    "AISI 302, annealed: density of the ASM tables, 28e6 psi and 0.30 of Multimedia Engineering "
+    "Mechanics",
+)
+STEEL_440C = _material(
+    "steel_440c",
+    7650.0,
+    200e9,
+    0.28,
+    "AISI 440C of bearing balls: density and E of the sheet of quest4alloys, nu of makeitfrom.com",
+)
+BRONZE = _material(
+    "bronze",
+    8860.0,
+    110e9,
+    0.34,
+    "phosphor bronze C51000: density and E of the data sheet of Olin Brass, nu of makeitfrom.com",
+)
+# polymers creep, and are stiffer in an impact of microseconds than on a testing machine
+POM = _material(
+    "pom",
+    1410.0,
+    3.0e9,
+    0.35,
+    "acetal homopolymer (Delrin): Engineering Plastics Handbook, table 5.5; nu of DuPont's guide",
+)
+NYLON = _material(
+    "nylon",
+    1140.0,
+    2.7e9,
+    0.40,
+    "nylon 6/6, extruded, dry (half of E if moist): density and 390e3 psi of engineersedge.com, nu "
+    "of Multimedia Engineering Mechanics",
+)
+SODA_LIME_GLASS = _material(
+    "soda_lime_glass",
+    2500.0,
+    72e9,
+    0.23,
+    "float glass, technical bulletin ATS-129 of Pilkington (2013)",
+)
+# Hertz's law holds for rubber at small strains alone: Y. Tatara, J. Eng. Mater. Technol. 113, 285
+# (1991), finds that forces exceed it in large compression; a chain that squeezes a contact to more
+# than 1 % of the diameter warns of that
+RUBBER = _material(
+    "rubber",
+    1100.0,
+    2.8e6,
+    0.48,
+    "average of rubbers: 0.4e3 psi and 0.48 of textbook tables, density amid 960 to 1280 (Gere); "
+    "small strains alone",
+)
+MATERIALS = {
+    material.name: material
+    for material in (
+        GLASS,
+        SODA_LIME_GLASS,
+        STEEL,
+        STEEL_302,
+        STEEL_440C,
+        ALUMINIUM,
+        BRASS,
+        BRONZE,
+        TUNGSTEN_CARBIDE,
+        PTFE,
+        POM,
+        NYLON,
+        RUBBER,
+    )
+}
+# what else people call them, in small letters without spaces and marks
+SYNONYMS = {
+    "aluminum": "aluminium",
+    "al": "aluminium",
+    "al6061": "aluminium",
+    "6061": "aluminium",
+    "stainlesssteel": "steel",
+    "316": "steel",
+    "steel316": "steel",
+    "aisi316": "steel",
+    "302": "steel_302",
+    "aisi302": "steel_302",
+    "440c": "steel_440c",
+    "aisi440c": "steel_440c",
+    "bearingsteel": "steel_440c",
+    "phosphorbronze": "bronze",
+    "teflon": "ptfe",
+    "delrin": "pom",
+    "acetal": "pom",
+    "polyoxymethylene": "pom",
+    "nylon66": "nylon",
+    "pa66": "nylon",
+    "polyamide": "nylon",
+    "sodalime": "soda_lime_glass",
+    "floatglass": "soda_lime_glass",
+    "wc": "tungsten_carbide",
+}
+
+
+def _letters(name: str) -> str:
+    """Return a name in small letters, without spaces and marks."""
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+_BY_LETTERS = {_letters(name): name for name in MATERIALS} | SYNONYMS
+
+
+def named(name: object) -> Material | None:
+    """Return the material of this name, whatever its capitals, spaces and marks; None if none is.
+
+    Examples
+    --------
+    >>> named("Soda-lime glass"), named("aluminum"), named("Delrin"), named("440C")
+    (Material('soda_lime_glass'), Material('aluminium'), Material('pom'), Material('steel_440c'))
+    >>> named("wood") is None
+    True
+    """
+    known = _BY_LETTERS.get(_letters(name)) if isinstance(name, str) else None
+    return MATERIALS[known] if known else None
 
 
 # a scene file has names and tables, Python may have materials
@@ -118,10 +248,10 @@ def one_material(value: Any) -> Material:
         return value
     if isinstance(value, dict):
         return Material(**value)
-    if isinstance(value, str) and value in MATERIALS:
-        return MATERIALS[value]
+    if material := named(value):
+        return material
     raise ValueError(
-        f"no material is called {shown(value)}{did_you_mean(value, MATERIALS)}; "
+        f"no material is called {shown(value)}{did_you_mean(value, [*MATERIALS, *SYNONYMS])}; "
         f"use {', '.join(MATERIALS)}, or give density, youngs_modulus and poissons_ratio"
     )
 

@@ -1,6 +1,7 @@
 """Chains whose grains follow a pattern: tapered, periodic, decorated.
 
-Each function returns a `Chain`; other keywords are passed on to `Chain`.
+Each function returns a `Chain`; other keywords are passed on to `Chain`. `repeated` and
+`written_out` read the keys `cell` and `taper` of scene files.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from pydantic import BeforeValidator, Field
 from ..errors import InputError, shown
 from ..util.arrays import Array
 from ..util.lazy import listed
-from ..util.validation import Checked, OneOrMany, Positive, Real, Whole
+from ..util.validation import NOT_GIVEN, Checked, OneOrMany, Positive, Real, Whole, each
 from .chain import Chain
-from .materials import GLASS, OneOrManyMaterials
+from .materials import GLASS, OneMaterial, OneOrManyMaterials, one_material
 
 __dir__ = listed(__name__)
+IN_FILES = ("cell", "taper")  # keys of a scene file that stand for materials and diameters
 
 
 def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
@@ -153,6 +155,57 @@ def periodic(
     )
 
 
+def repeated(grains: int, cell: Any, taper: float = 0.0, **rest: Any) -> Chain:
+    """Return a chain that repeats a cell of grains, as `cell` and `taper` of a scene file do.
+
+    Parameters
+    ----------
+    grains : int
+        N.
+    cell : list of materials, names or {material, diameter}
+        A grain each; the first cell starts at grain 1, the last is cut where the chain ends. What a
+        grain leaves open the keywords `material` and `diameter` say.
+    taper : float
+        Below 1: grain n is (1 - taper)^(n-1) times as wide as the cell says.
+    **rest
+        As for `Chain`.
+
+    Returns
+    -------
+    Chain
+
+    Raises
+    ------
+    InputError
+        With the faults found, each under the name of its argument.
+
+    Examples
+    --------
+    >>> dimer = repeated(4, ["steel", "aluminium"], diameter=5e-3)
+    >>> [material.name for material in dimer.material]
+    ['steel', 'aluminium', 'steel', 'aluminium']
+    >>> shrinking = repeated(4, [{"diameter": 2e-3}, {"diameter": 1e-3}], taper=0.1)
+    >>> (shrinking.diameters * 1e3).round(6).tolist()
+    [2.0, 0.9, 1.62, 0.729]
+    """
+    return Chain(**written_out({"grains": grains, "cell": cell, "taper": taper} | rest))
+
+
+def written_out(keys: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of a chain with `material` and `diameter` in place of `cell` and `taper`.
+
+    Raises
+    ------
+    InputError
+        With the faults of the pattern.
+    """
+    if keys.keys().isdisjoint(IN_FILES):
+        return keys
+    pattern = _Repeated(**{key: keys[key] for key in _Repeated.arguments if key in keys})
+    rest = {key: value for key, value in keys.items() if key not in _Repeated.arguments}
+    return rest | {"grains": pattern.grains} | pattern.by_grain()
+
+
 def _chain(grains: int, rest: dict[str, Any], **pattern: Any) -> Chain:
     if twice := pattern.keys() & rest.keys():
         raise InputError([(key, "follows from the pattern: leave it out") for key in sorted(twice)])
@@ -169,16 +222,21 @@ class _Tapered(_Pattern):
 
     def diameters(self, count: int) -> Array:
         """Return the diameters of `count` neighbouring grains, (count,) m."""
-        with np.errstate(over="ignore", under="ignore"):
-            diameters = self.diameter * (1 - self.taper) ** np.arange(count, dtype=float)
-            volume = diameters[-1] ** 3
-        # a grain whose mass is 0 or infinite would be a fault of `masses`, which nobody gave
-        if not 0 < volume < np.inf:
-            raise InputError.at(
-                "taper",
-                f"grain {count} would be {diameters[-1]:.2g} m wide: nearer to 0, or fewer grains",
-            )
-        return diameters
+        return _shrunk(np.full(count, self.diameter), self.taper)
+
+
+def _shrunk(diameters: Array, taper: float) -> Array:
+    """Return diameters (N,) that shrink by the same share from each grain to the next, m."""
+    with np.errstate(over="ignore", under="ignore"):
+        diameters = diameters * (1 - taper) ** np.arange(diameters.size, dtype=float)
+        volumes = diameters**3
+    unsound = np.flatnonzero(~((volumes > 0) & (volumes < np.inf)))
+    # a grain whose mass is 0 or infinite would be a fault of `masses`, which nobody gave
+    if unsound.size:
+        last = int(unsound[-1])
+        width = f"grain {last + 1} would be {diameters[last]:.2g} m wide"
+        raise InputError.at("taper", f"{width}: nearer to 0, or fewer grains")
+    return diameters
 
 
 class _Decorated(_Tapered):
@@ -218,3 +276,56 @@ class _Cell(_Pattern):
         for key, length in self._lengths.items():
             if length not in (1, self.kinds):
                 yield key, f"must be one or {self.kinds} (one a kind), not {length}"
+
+
+class CellGrain(Checked):
+    """A grain of a cell: its material, its diameter, or both."""
+
+    material: OneMaterial = NOT_GIVEN
+    diameter: Positive = NOT_GIVEN
+
+
+def _cell_grain(item: Any) -> CellGrain:
+    # a table is a grain, or a material by its constants
+    if isinstance(item, dict) and not item.keys() & {"density", "youngs_modulus", "poissons_ratio"}:
+        return CellGrain(**item)
+    return CellGrain(material=one_material(item))
+
+
+def _cell(value: Any) -> tuple[CellGrain, ...]:
+    if not isinstance(value, list | tuple) or not value:
+        example = 'cell = ["steel", "aluminium"]'
+        raise ValueError(f"must be a list of grains, as {example} (got {shown(value)})")
+    return each(value, _cell_grain)
+
+
+class _Repeated(Checked):
+    """A cell, what it leaves open, and the taper."""
+
+    grains: Annotated[Whole, Field(ge=1, le=10**8)]
+    cell: Annotated[tuple[CellGrain, ...], BeforeValidator(_cell)] = (CellGrain(),)
+    taper: Annotated[Real, Field(lt=1)] = 0.0
+    material: OneMaterial = NOT_GIVEN
+    diameter: Positive = NOT_GIVEN
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        for key in ("material", "diameter"):
+            open_ends = [place for place, grain in enumerate(self.cell) if not getattr(grain, key)]
+            if not open_ends and getattr(self, key):
+                yield key, "is in the cell already: take it out of one of them"
+            if open_ends and key == "diameter" and not self.diameter:
+                yield key, "is missing; add it, or give every grain of the cell its own"
+
+    def by_grain(self) -> dict[str, Any]:
+        """Return material and diameter of the chain: one for all, or one a grain."""
+        materials = [grain.material or self.material or GLASS for grain in self.cell]
+        widths = [grain.diameter or self.diameter for grain in self.cell]
+        kind = np.arange(self.grains) % len(self.cell)
+        diameters = _shrunk(np.array(widths)[kind], self.taper)
+        alike = all(material == materials[0] for material in materials)
+        even = not self.taper and len(set(widths)) == 1
+        return {
+            "material": materials[0] if alike else tuple(materials[k] for k in kind.tolist()),
+            # a chain of one kind of grains needs no arrays
+            "diameter": widths[0] if even else diameters,
+        }

@@ -11,7 +11,7 @@ from .common import check_outputs, gather, keep
 # option of the command, and parameter
 UNCERTAIN = {
     "diameter": "diameters",
-    "modulus": "youngs_moduli",
+    "youngs-modulus": "youngs_modulus",
     "mass": "masses",
     "constant": "contact_constants",
 }
@@ -26,7 +26,9 @@ def sensitivity(arguments: argparse.Namespace) -> int:
         *check_outputs(arguments, arguments.run),
         lambda: sensitivities.objective(arguments.of),
     )
-    uncertainties = {field: getattr(arguments, name) for name, field in UNCERTAIN.items()}
+    uncertainties = {
+        field: getattr(arguments, key.replace("-", "_")) for key, field in UNCERTAIN.items()
+    }
     shares = {field: share for field, share in uncertainties.items() if share is not None}
     result = sensitivities.sensitivity(scene, arguments.of, shares, arguments.tolerance)
     print(result.table())

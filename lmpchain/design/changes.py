@@ -50,7 +50,7 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
                 excitation[scene.excitation.strength[1]] = value
             case "amplitude" | "frequency":
                 excitation[name] = number
-            case "youngs_moduli":
+            case "youngs_modulus":
                 chain["material"] = _materials(scene.chain, value)
             case "diameters":
                 chain["diameter"] = value

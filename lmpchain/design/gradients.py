@@ -281,7 +281,7 @@ def gradient(
     objective : Objective
         Such as `PeakForce(40)`.
     parameters : names
-        Of "masses", "contact_constants", "wall_constants", "diameters", "youngs_moduli",
+        Of "masses", "contact_constants", "wall_constants", "diameters", "youngs_modulus",
         "top_load", "gravity", "displacement" and "velocity" (at t = 0), "drive" and "force" (their
         samples), "amplitude" and "frequency".
     tolerance : float

@@ -28,7 +28,7 @@ UNITS = {
     "contact_constants": "N/m^delta",
     "wall_constants": "N/m^delta",
     "diameters": "m",
-    "youngs_moduli": "Pa",
+    "youngs_modulus": "Pa",
     "top_load": "N",
     "gravity": "m/s2",
     "displacement": "m",
@@ -82,7 +82,7 @@ def _refuse(scene: Scene, name: str) -> str:
 def values(scene: Scene, name: str) -> Array:
     """Return the parameters of this name as they are in the scene, (P,)."""
     chain = scene.chain
-    if name == "youngs_moduli":
+    if name == "youngs_modulus":
         return chain.by_grain("youngs_modulus")
     if name in ("displacement", "velocity"):
         return scene.initial()[name == "velocity"]
@@ -171,7 +171,7 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
         walls[0, 0] = chain.contacts.exists[0]
         walls[-1, 1] = chain.contacts.exists[-1]
         return {"constants": walls.tocsr()}
-    if name == "youngs_moduli":
+    if name == "youngs_modulus":
         return {"constants": _by_modulus(chain)}
     if name == "diameters":
         fixed = [impurity.grain for impurity in chain.impurity if impurity.mass]

@@ -30,7 +30,7 @@ AT_REST = 1e-9  # of the force at rest, by which one that no wave changes may be
 # in the order of a table: what a chain is, then what happens to it
 CANDIDATES = (
     "diameters",
-    "youngs_moduli",
+    "youngs_modulus",
     "masses",
     "contact_constants",
     "wall_constants",
@@ -223,7 +223,7 @@ def _parameters(scene: Scene) -> list[str]:
         if name in OVERRIDES and name not in fields:
             continue
         # nothing follows from diameters and moduli if masses and constants are given
-        if name in ("diameters", "youngs_moduli") and not derived:
+        if name in ("diameters", "youngs_modulus") and not derived:
             continue
         try:
             params.check(scene, [name])

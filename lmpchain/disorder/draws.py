@@ -25,7 +25,7 @@ from ..util.suggestions import not_among
 from ..util.validation import make_unchecked
 
 Law = Literal["dyson", "paper"]
-Of = Literal["stiffness", "constant", "mass", "diameter", "modulus"]
+Of = Literal["stiffness", "constant", "mass", "diameter", "youngs_modulus"]
 OF_CONTACTS = ("stiffness", "constant")
 # smallest factor, drawn once in 10^9 at m = 0.1: at 0 there would be no contact
 MOST_CHAINS = 10**6  # to average over: a mean is then known to a thousandth of its scatter
@@ -83,8 +83,8 @@ def disordered(
         What is multiplied by zeta_n. "stiffness": the linear kappa_n, as in Eqs. (3) and (23);
         under a given force it goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. "constant": the
         contact constant K_n itself; the stiffness then changes by zeta_n^(1/delta) only. Or one
-        factor a grain: "mass"; "diameter", with mass and contacts that follow from it; or Young's
-        "modulus", with its contacts.
+        factor a grain: "mass"; "diameter", with mass and contacts that follow from it; or
+        "youngs_modulus", with its contacts.
 
     Returns
     -------
@@ -194,19 +194,19 @@ def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
     fields = chain.given() | {"masses": chain.masses}
     if of in OF_CONTACTS:
         fields["contact_constants"] = chain.contact_constants * _change(chain, zeta, of)
-    elif of != "modulus":
+    elif of != "youngs_modulus":
         # a grain of another diameter keeps its density
         fields["masses"] = chain.masses * (zeta**3 if of == "diameter" else zeta)
     # impurities do not go with given constants: their grains are given one by one
     impure = fields.pop("impurity", ())
     if of == "diameter" or impure:
         fields["diameter"] = chain.diameters * (zeta if of == "diameter" else 1.0)
-    if of == "modulus" or impure:
+    if of == "youngs_modulus" or impure:
         material: Any = chain.material
         materials = list(material) if isinstance(material, tuple) else [material] * chain.grains
         for impurity in impure:
             materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]
-        if of == "modulus":
+        if of == "youngs_modulus":
             materials = [
                 Material(
                     density=base.density,
@@ -253,6 +253,6 @@ def _check_of(chain: Chain, of: Of) -> None:
         reason = "without gravity and load contacts have no stiffness at rest to be random"
         cure = f'{reason}; use of="constant"'
         raise InputError.at("gravity", cure)
-    if of in ("diameter", "modulus") and chain.given_contact_constants is not None:
-        cure = f'contact constants are given and do not follow from the {of}; use of="constant"'
+    if of in ("diameter", "youngs_modulus") and chain.given_contact_constants is not None:
+        cure = f'contact constants are given and do not follow from {of}; use of="constant"'
         raise InputError.at("contact_constants", cure)

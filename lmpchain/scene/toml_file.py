@@ -17,6 +17,7 @@ from ..chain.chain import Chain
 from ..chain.damping import Damping
 from ..chain.impurities import Impurity
 from ..chain.materials import MATERIALS, Material
+from ..chain.patterns import IN_FILES, written_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
 from ..util.suggestions import did_you_mean, not_among
@@ -140,7 +141,7 @@ def _misplaced(key: str) -> str:
     of_excitations = [key for kind in EXCITATIONS.values() for key in kind.arguments]
     fields: dict[str, Iterable[str]] = {
         "recording": Recording.arguments,
-        "chain": Chain.arguments,
+        "chain": [*Chain.arguments, *IN_FILES],
         "excitation": ["kind", *of_excitations],
     }
     homes = " or ".join(f"[{section}]" for section, keys in fields.items() if key in keys)
@@ -216,6 +217,9 @@ def _cure(text: str, error: tomllib.TOMLDecodeError) -> str:
 
 def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
+        if patterns := [key for key in IN_FILES if key in keys]:
+            cure = "the file has every grain already; take it out, or the file"
+            raise InputError([(key, cure) for key in patterns])
         columns = _csv(folder, keys.pop("file"), ("material", "diameter", "mass"))
         # a column that the table has as well: which of them is meant cannot be known
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
@@ -227,7 +231,7 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
         if "mass" in columns:
             columns["masses"] = columns.pop("mass")
         keys = {"grains": len(columns["diameter"])} | columns | keys
-    return Chain(**keys)
+    return Chain(**written_out(keys))
 
 
 def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from .. import engines
-from ..chain.materials import MATERIALS
+from ..chain.materials import Material, named
+from ..chain.patterns import written_out
 from ..disorder.draws import Law, Of, realisation
 from ..errors import InputError, check_tolerance, short, shown
 from ..scene.scene import Scene
@@ -353,9 +354,9 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
     first = path[0]
     rest = path[1:]
     # a single constant of a named material can be swept
-    if isinstance(table, str) and table in MATERIALS:
+    if material := table if isinstance(table, Material) else named(table):
         table = {
-            name: getattr(MATERIALS[table], name)
+            name: getattr(material, name)
             for name in ("density", "youngs_modulus", "poissons_ratio")
         }
     if isinstance(table, list):
@@ -377,13 +378,18 @@ def _set_each_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str
     path = key.split(".")
     if path[1] != "material":
         return _set_value(tables, path, values.tolist(), key)
-    material = (tables.get("chain") or {}).get("material", "glass")
-    materials = material if isinstance(material, list) else [material] * len(values)
+    try:
+        # a cell has no entry for every grain
+        chain = written_out(tables.get("chain") or {})
+    except InputError as error:
+        raise InputError(error.under("chain")) from None
+    material = chain.get("material", "glass")
+    materials = material if isinstance(material, list | tuple) else [material] * len(values)
     changed = [
         _set_value(material, path[2:], value, key)
         for material, value in zip(materials, values.tolist(), strict=False)
     ]
-    return _set_value(tables, path[:2], changed, key)
+    return tables | {"chain": chain | {"material": changed}}
 
 
 def plain(value: Any) -> Any:

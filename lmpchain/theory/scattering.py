@@ -26,6 +26,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
+from ..util.suggestions import not_among
 from .domain import real, require
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 Complex = NDArray[np.complex128]
-Property = Literal["diameter", "mass", "modulus"]
+Property = Literal["diameter", "mass", "youngs_modulus"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,7 +135,7 @@ def transparent(
     grains : list of int
         Those that are changed, all by one factor; equal to their mirror image.
     vary : str
-        "diameter" (which changes mass and contacts), "mass" or "modulus" (Young's modulus).
+        "diameter" (which changes mass and contacts), "mass" or "youngs_modulus".
     between : (float, float)
         Factors between which to search.
 
@@ -163,7 +164,7 @@ def transparent(
     uniform = not chain.impurity and isinstance(chain.diameter, float)
     low, high = between
     leads = f"must be from 3 to {chain.grains - 2}, so that the leads begin where the chain is"
-    kinds = f'must be "diameter", "mass" or "modulus" (got {vary!r})'
+    kinds = not_among(vary, get_args(Property))
     factors = f"must be two factors above 0, the smaller one first (got {between!r})"
     require(
         ("chain", uniform, "must be uniform, with no impurity"),

@@ -7,6 +7,9 @@ from difflib import get_close_matches
 
 from ..errors import shown
 
+# what physicists write for quantities that go by their names here
+SYMBOLS = {"E": "youngs_modulus", "nu": "poissons_ratio", "rho": "density", "g": "gravity"}
+
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return " (did you mean 'glass'?)" for a name that resembles a known one, else nothing.
@@ -15,12 +18,16 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     --------
     >>> did_you_mean("Glas", ["glass", "steel"])
     " (did you mean 'glass'?)"
+    >>> did_you_mean("E", ["density", "youngs_modulus"])
+    " (did you mean 'youngs_modulus'?)"
     >>> did_you_mean("wood", ["glass", "steel"])
     ''
     """
     names = {candidate.lower(): candidate for candidate in known}
     if name == "radius" and "diameter" in names:
         return " (give the diameter, twice the radius)"
+    if isinstance(name, str) and SYMBOLS.get(name) in names:
+        return f" (did you mean {SYMBOLS[name]!r}?)"
     close = get_close_matches(name.lower(), names, 1) if isinstance(name, str) else []
     return f" (did you mean {names[close[0]]!r}?)" if close else ""
 

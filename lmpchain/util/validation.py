@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from inspect import Parameter, Signature
 from typing import Annotated, Any, ClassVar, NoReturn, Self, TypeVar
@@ -178,6 +178,7 @@ class Checked(Shown, BaseModel):
 
 
 Value = TypeVar("Value", bound=Checked)
+Made = TypeVar("Made")
 
 
 def make_unchecked(kind: type[Value], **fields: Any) -> Value:
@@ -203,6 +204,23 @@ def with_derived(value: Value, **derived: Any) -> Value:
     """Return a new value whose cached properties have these values, which follow from others."""
     value.__dict__.update(derived)
     return value
+
+
+def each(items: Iterable[Any], make: Callable[[Any], Made]) -> tuple[Made, ...]:
+    """Return what is made of every item; raise `InputError` with the faults of all, by place."""
+    values = []
+    faults: list[tuple[str, str]] = []
+    for place, item in enumerate(items):
+        # a fault of one must not hide those of the others
+        try:
+            values.append(make(item))
+        except InputError as error:
+            faults += error.under(str(place))
+        except ValueError as error:
+            faults.append((str(place), str(error)))
+    if faults:
+        raise InputError(faults)
+    return tuple(values)
 
 
 def _hashable(value: Any) -> Any:

@@ -11,6 +11,7 @@ import pytest
 from helpers.example_chains import BETWEEN, CHAINS, DISORDERED, RIGID, WALLED
 from scipy.integrate import quad
 
+import lmpchain
 from lmpchain import (
     BRASS,
     GLASS,
@@ -29,6 +30,7 @@ from lmpchain import (
 )
 from lmpchain.chain import plausible
 from lmpchain.chain.contacts import Contacts
+from lmpchain.chain.materials import MATERIALS, SYNONYMS
 
 each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 each_walled = pytest.mark.parametrize("chain", WALLED.values(), ids=WALLED)
@@ -693,8 +695,9 @@ def test_equality():
 def test_materials():
     assert (GLASS.density, GLASS.youngs_modulus, GLASS.poissons_ratio) == (2426.0, 62e9, 0.2)
     assert GLASS.plane_strain_modulus == pytest.approx(62e9 / 0.96, rel=1e-15, abs=0)
-    for material in (GLASS, STEEL, PTFE, BRASS, TUNGSTEN_CARBIDE):
+    for material in MATERIALS.values():
         assert material.source
+        assert getattr(lmpchain, material.name.upper()) is material
         assert Chain(grains=2, material=material.name, diameter=1e-3).material == material
     with pytest.raises(InputError) as caught:
         Material(density=0.0, youngs_modulus=np.inf, poissons_ratio=0.51)
@@ -703,6 +706,34 @@ def test_materials():
         "youngs_modulus",
         "poissons_ratio",
     ]
+
+
+def test_names_of_materials():
+    """Whatever their capitals, spaces and marks, and by what else they are called."""
+    for name, material in {
+        "Steel": STEEL,
+        "316": STEEL,
+        "AISI 302": lmpchain.STEEL_302,
+        "440C": lmpchain.STEEL_440C,
+        "steel 440c": lmpchain.STEEL_440C,
+        "Aluminum": lmpchain.ALUMINIUM,
+        "Delrin": lmpchain.POM,
+        "Teflon": PTFE,
+        "Soda-lime glass": lmpchain.SODA_LIME_GLASS,
+        "tungsten carbide": TUNGSTEN_CARBIDE,
+    }.items():
+        assert Chain(grains=2, material=name, diameter=1e-3).material is material
+    assert set(SYNONYMS.values()) <= set(MATERIALS)
+    for wrong, meant in (("delrn", "delrin"), ("alumnium", "aluminium"), ("nilon", "nylon")):
+        with pytest.raises(InputError, match=f"did you mean '{meant}'"):
+            Chain(grains=2, material=wrong, diameter=1e-3)
+    with pytest.raises(InputError, match=r"E: unknown key \(did you mean 'youngs_modulus'"):
+        Chain(grains=2, material={"rho": 1e3, "E": 1e9, "nu": 0.3}, diameter=1e-3)
+
+
+def test_rubber_warns_where_hertz_ends():
+    with pytest.warns(UserWarning, match="Hertz's law holds"):
+        Chain(grains=30, material="rubber", diameter=1e-2)
 
 
 @pytest.mark.parametrize(

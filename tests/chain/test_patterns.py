@@ -11,7 +11,7 @@ import pytest
 
 import lmpchain
 from lmpchain import GLASS, PTFE, STEEL, Chain, Impulse, InputError, Scene
-from lmpchain.chain.patterns import decorated, periodic, tapered
+from lmpchain.chain.patterns import decorated, periodic, repeated, tapered, written_out
 
 CHAINS = {
     "tapered": tapered(12, 4e-3, 0.08, material="steel", gravity=0.0, top_load=2.0),
@@ -223,3 +223,74 @@ def test_faults_of_patterns_say_their_numbers():
     assert [material.name for material in many.material] == ["steel"] * 5
     each = periodic(6, [1e-3, 2e-3], counts=[1, 2]).diameters
     assert each == pytest.approx([1e-3, 2e-3, 2e-3, 1e-3, 2e-3, 2e-3], rel=1e-15)
+
+
+FILE = """
+[chain]
+grains = 5
+{}
+
+[excitation]
+kind = "impulse"
+velocity = 1e-3
+
+[recording]
+duration = 1e-5
+samples = 3
+"""
+
+
+def from_file(folder: Path, lines: str) -> Chain:
+    path = folder / "scene.toml"
+    path.write_text(FILE.format(lines))
+    return Scene.from_toml(path).chain
+
+
+def test_a_cell_in_a_file(tmp_path):
+    """Materials and diameters, written out by hand."""
+    steel, soft = lmpchain.STEEL, lmpchain.ALUMINIUM
+    chain = from_file(tmp_path, 'cell = ["steel", "Aluminum"]\ndiameter = 5e-3')
+    assert chain == Chain(grains=5, material=[steel, soft, steel, soft, steel], diameter=5e-3)
+    grain = 'cell = ["steel", {material = "Delrin", diameter = 2e-3}]\ndiameter = 5e-3'
+    chain = from_file(tmp_path, f"{grain}\ntaper = 0.05")
+    pom = lmpchain.POM
+    assert list(chain.material) == [steel, pom, steel, pom, steel]
+    by_hand = [5e-3, 2e-3 * 0.95, 5e-3 * 0.95**2, 2e-3 * 0.95**3, 5e-3 * 0.95**4]
+    assert chain.diameters == pytest.approx(by_hand, rel=1e-15, abs=0)
+    # what a grain leaves open the chain says
+    sizes = from_file(tmp_path, 'cell = [{diameter = 1e-3}, {diameter = 2e-3}]\nmaterial = "pom"')
+    assert sizes == periodic(5, [1e-3, 2e-3], pom)
+    assert repeated(5, [{"diameter": 1e-3}, {"diameter": 2e-3}], material="pom") == sizes
+    own = "{density = 1000.0, youngs_modulus = 1e9, poissons_ratio = 0.3}"
+    made = from_file(tmp_path, f'cell = [{own}, "pom"]\ndiameter = 1e-3')
+    assert made.by_grain("density").tolist() == [1000.0, 1410.0, 1000.0, 1410.0, 1000.0]
+    assert Scene.from_toml(tmp_path / "scene.toml").to_dict()["chain"]["material"][1] == "pom"
+
+
+def test_a_taper_in_a_file(tmp_path):
+    chain = from_file(tmp_path, "diameter = 5e-3\ntaper = 0.05\ngravity = 0.0\ntop_load = 1.0")
+    assert chain == tapered(5, 5e-3, 0.05, gravity=0.0, top_load=1.0)
+    assert (chain.diameters[1:] / chain.diameters[:-1]) == pytest.approx([0.95] * 4, rel=1e-14)
+
+
+def test_a_cell_of_one_kind_needs_no_arrays():
+    plain = written_out({"grains": 10**8, "cell": ["steel"], "diameter": 1e-3})
+    assert plain == {"grains": 10**8, "material": STEEL, "diameter": 1e-3}
+
+
+def test_faults_of_cells(tmp_path):
+    (tmp_path / "grains.csv").write_text("diameter\n1e-3\n1e-3\n1e-3\n1e-3\n1e-3\n")
+    for lines, keys, text in (
+        ('cell = ["stel", "glas"]\ndiameter = 1e-3', ["cell.0", "cell.1"], "mean 'steel'"),
+        ('cell = ["steel", "pom"]\nmaterial = "glass"\ndiameter = 1e-3', ["material"], "out of"),
+        ('cell = ["steel", "pom"]', ["diameter"], "is missing"),
+        ('cell = "steel"\ndiameter = 1e-3', ["cell"], 'cell = ["steel", "aluminium"]'),
+        ("cell = []\ndiameter = 1e-3", ["cell"], "must be a list of grains"),
+        ('cell = [{materal = "pom"}]\ndiameter = 1e-3', ["cell.0.materal"], "mean 'material'"),
+        ("taper = 1.0\ndiameter = 1e-3", ["taper"], "must be below 1"),
+        ("taper = 0.1\ndiameter = [1e-3, 1e-3]", ["diameter"], "must be a number"),
+        ('taper = 0.1\ncell = ["pom"]\nfile = "grains.csv"', ["cell", "taper"], "take it out"),
+    ):
+        with pytest.raises(InputError, match=text.replace("[", r"\[")) as caught:
+            from_file(tmp_path, lines)
+        assert [key for key, _ in caught.value.faults] == [f"chain.{key}" for key in keys]

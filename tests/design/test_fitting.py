@@ -39,13 +39,13 @@ def test_what_made_a_trace_is_found_again():
     found = fit(
         traces,
         guess(0.0196).replace(chain=guess().chain.replace(top_load=0.51)),
-        ["youngs_moduli", "top_load", "velocity"],
+        ["youngs_modulus", "top_load", "velocity"],
     )
     truth = [193e9, 0.5, 0.02, late, *offsets]
     np.testing.assert_allclose(found.estimate, truth, rtol=1e-8)
     assert (np.abs(found.estimate - truth) <= 5 * found.error + found.bias).all()
     assert found.names == [
-        "youngs_moduli",
+        "youngs_modulus",
         "top_load",
         "velocity",
         "trigger",
@@ -61,7 +61,7 @@ def test_jacobians_agree_with_differences(field: str):
         SCENE.time, [4, 10], np.zeros((201, 2)), field, trigger=True, gain=True, offset=True
     )  # type: ignore[arg-type]
     problem = Problem(
-        SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]}
+        SCENE.replace(duration=1.2e-4), [traces], {"youngs_modulus": "common", "masses": [3]}
     )
     theta = np.array([0.01, -0.02, 0.013, 0.1, 0.0, 0.0])
     exact = problem.residuals(theta, True)[1]
@@ -76,7 +76,7 @@ def test_a_profile_of_a_nearly_linear_fit_is_a_parabola():
     found = fit(
         Traces(SCENE.time, LOOKED_AT, measured(1e-4), noise=1e-4),
         guess(),
-        ["youngs_moduli", "velocity"],
+        ["youngs_modulus", "velocity"],
     )
     assert found.chi_square == pytest.approx(found.freedom, rel=0.2)
     at, growth = found.profile("velocity", points=5)
@@ -104,9 +104,9 @@ def test_traces_come_from_oscilloscopes(tmp_path: Path):
 def test_what_traces_do_not_tell_is_refused():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
     for parameters, text in (
-        ({"youngs_moduli": "common", "contact_constants": "common"}, "tell these apart"),
-        ({"youngs_moduli": [11]}, "1 to 10"),
-        (["modulus"], "youngs_moduli"),
+        ({"youngs_modulus": "common", "contact_constants": "common"}, "tell these apart"),
+        ({"youngs_modulus": [11]}, "1 to 10"),
+        (["modulus"], "youngs_modulus"),
     ):
         with pytest.raises(InputError, match=text):
             fit(traces, guess(), parameters)
@@ -124,12 +124,14 @@ def test_what_traces_do_not_tell_is_refused():
 def test_traces_beyond_the_end_of_a_scene_are_refused():
     """They were compared with its end for ever after, and the estimate was a wrong one."""
     with pytest.raises(InputError, match="must reach to the last value"):
-        fit(Traces(SCENE.time + 1e-5, LOOKED_AT, measured()), guess(), ["youngs_moduli"])
+        fit(Traces(SCENE.time + 1e-5, LOOKED_AT, measured()), guess(), ["youngs_modulus"])
 
 
 def test_one_parameter_is_fitted_by_its_name_alone():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
-    found, listed = (fit(traces, guess(), names) for names in ("youngs_moduli", ["youngs_moduli"]))
+    found, listed = (
+        fit(traces, guess(), names) for names in ("youngs_modulus", ["youngs_modulus"])
+    )
     assert found.estimate == listed.estimate
 
 
@@ -145,7 +147,7 @@ def test_a_posterior_is_as_wide_as_the_covariance_says():
     found = fit(
         Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3),
         guess(),
-        ["youngs_moduli", "velocity"],
+        ["youngs_modulus", "velocity"],
     )
     draws = found.posterior(samples=20000)
     np.testing.assert_allclose((draws.mean(0) - found.estimate) / found.error, 0.0, atol=0.2)
@@ -169,7 +171,7 @@ def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndar
     for _ in range(draws):
         noisy = clean + sigma * rng.standard_normal(clean.shape)
         traces = Traces(SCENE.time, LOOKED_AT, noisy, noise=sigma, trigger=True)
-        found = fit(traces, start, ["youngs_moduli", "top_load", "velocity"])
+        found = fit(traces, start, ["youngs_modulus", "top_load", "velocity"])
         miss = found.estimate - [193e9, 0.5, 0.02, 0.0]
         off.append(np.abs(miss) / found.error)
         squares.append(miss @ np.linalg.solve(found.covariance, miss))

@@ -207,7 +207,7 @@ def test_a_fingerprint_is_of_the_contents():
 def test_scenes_change_by_name():
     new = {
         "diameters": [1e-3, 2e-3, 1e-3],
-        "youngs_moduli": [1e9, 2e9, 3e9],
+        "youngs_modulus": [1e9, 2e9, 3e9],
         "gravity": [1.0],
         "velocity": [1, 2, 0],
     }

@@ -98,7 +98,7 @@ def test_inputs_follow_all_that_a_chain_is_made_of(chain: str):
         "contact_constants",
         "wall_constants",
         "diameters",
-        "youngs_moduli",
+        "youngs_modulus",
         "top_load",
         "gravity",
     }

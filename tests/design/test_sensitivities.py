@@ -25,7 +25,7 @@ VACUUM = Scene(
 def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
     """Forces go as E^(2/5) v^(6/5) at all times that are long enough, whatever the chain."""
     found = sensitivity(VACUUM, "peak_force:6")
-    assert found.relative["youngs_moduli"].sum() == pytest.approx(0.4 * found.value, rel=1e-3)
+    assert found.relative["youngs_modulus"].sum() == pytest.approx(0.4 * found.value, rel=1e-3)
     assert found.relative["velocity"].sum() == pytest.approx(1.2 * found.value, rel=1e-3)
     assert "gravity" not in found.relative
     ranked = found.ranked()
@@ -37,12 +37,12 @@ def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
 def test_an_uncertainty_is_the_scatter_of_random_chains():
     share = 1e-4
     rng = np.random.default_rng(3)
-    found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_moduli": share})
+    found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_modulus": share})
     answers = []
     for _ in range(200):
         other = {
             name: values(VACUUM, name) * (1 + share * rng.standard_normal(12))
-            for name in ("diameters", "youngs_moduli")
+            for name in ("diameters", "youngs_modulus")
         }
         answers.append(gradient(changed(VACUUM, other), PeakForce(6), ["masses"], 1e-4).value)
     assert np.std(answers) == pytest.approx(found.deviation, rel=0.15)

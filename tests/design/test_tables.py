@@ -242,18 +242,18 @@ def test_what_an_answer_depends_on_is_what_is_given_and_not_0():
     drive = Drive(amplitude=1e-9, frequency=1e5)
     plain = Chain(grains=3, diameter=1e-3, bottom="wall")
     for chain, excitation, names in (
-        (plain, Impulse(velocity=1e-6), {"diameters", "youngs_moduli", "gravity", "velocity"}),
+        (plain, Impulse(velocity=1e-6), {"diameters", "youngs_modulus", "gravity", "velocity"}),
         (
             plain,
             drive,
-            {"diameters", "youngs_moduli", "gravity", "velocity", "amplitude", "frequency"},
+            {"diameters", "youngs_modulus", "gravity", "velocity", "amplitude", "frequency"},
         ),
         (
             plain.replace(
                 masses=np.full(3, 1e-6), wall_constants=(0.0, 1e9), gravity=0.0, top_load=0.1
             ),
             Profile(displacement=[1e-12, 0, 0]),
-            {"diameters", "youngs_moduli", "masses", "wall_constants", "top_load", "displacement"},
+            {"diameters", "youngs_modulus", "masses", "wall_constants", "top_load", "displacement"},
         ),
     ):
         scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=3)

@@ -449,7 +449,7 @@ def test_materials_of_grains_whose_modulus_is_drawn():
     """
     chain = Chain(grains=6, diameter=1e-3, material=["steel", "glass", "ptfe"] * 2)
     zeta = factors(9, 6, generator())
-    drawn = disordered(chain, 9, generator(), of="modulus")
+    drawn = disordered(chain, 9, generator(), of="youngs_modulus")
     for before, after, factor in zip(chain.material, drawn.material, zeta, strict=True):
         assert after.youngs_modulus == pytest.approx(before.youngs_modulus * factor, rel=1e-14)
         assert (after.density, after.poissons_ratio) == (before.density, before.poissons_ratio)

@@ -77,7 +77,7 @@ def power(time: np.ndarray, moment: np.ndarray, begin: float, end: float) -> flo
     return float((weight * (x - mean) * y).sum() / (weight * (x - mean) ** 2).sum())
 
 
-@pytest.mark.parametrize("of", ["stiffness", "constant", "mass", "diameter", "modulus"])
+@pytest.mark.parametrize("of", ["stiffness", "constant", "mass", "diameter", "youngs_modulus"])
 def test_means_and_errors(of):
     """Against the energies of every chain, each answered by itself by the nonlinear engine."""
     case = scene(grains=21, tau=6.0)
@@ -134,7 +134,7 @@ def test_memory_does_not_grow_with_the_number_of_chains():
     assert peaks[1] < 1.2 * peaks[0]
 
 
-@pytest.mark.parametrize("of", ["mass", "diameter", "modulus"])
+@pytest.mark.parametrize("of", ["mass", "diameter", "youngs_modulus"])
 def test_chains_with_random_grains(of):
     odd = (
         {"grain": 5, "diameter": 1.3e-3},
@@ -146,10 +146,10 @@ def test_chains_with_random_grains(of):
     )
     zeta = factors(30, 12, np.random.default_rng(1))
     drawn = disordered(chain, 30, np.random.default_rng(1), of=of)
-    power = {"mass": 1, "diameter": 3, "modulus": 0}[of]
+    power = {"mass": 1, "diameter": 3, "youngs_modulus": 0}[of]
     assert drawn.masses / chain.masses == pytest.approx(zeta**power, rel=1e-13)
     assert drawn.diameters / chain.diameters == pytest.approx(zeta ** (of == "diameter"), rel=1e-13)
-    stiff = chain.by_grain("plane_strain_modulus") * zeta ** (of == "modulus")
+    stiff = chain.by_grain("plane_strain_modulus") * zeta ** (of == "youngs_modulus")
     assert drawn.by_grain("plane_strain_modulus") == pytest.approx(stiff, rel=1e-13)
     radius = drawn.diameters / 2
     expected = 4 / 3 / (1 / stiff[1:] + 1 / stiff[:-1]) / np.sqrt(1 / radius[1:] + 1 / radius[:-1])
@@ -166,7 +166,9 @@ def test_chains_with_random_grains(of):
         (lambda: spreading(scene(), 3, 2, 1, "lammps"), "engine"),
         (lambda: spreading(scene(), 3, 2, 1).growth(1.0), "start"),
         (
-            lambda: spreading(scene(contact_constants=np.full(80, 1e9)), 3, 2, 1, of="modulus"),
+            lambda: spreading(
+                scene(contact_constants=np.full(80, 1e9)), 3, 2, 1, of="youngs_modulus"
+            ),
             "contact_constants",
         ),
         (

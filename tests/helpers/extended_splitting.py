@@ -32,7 +32,7 @@ def parameters(scene: Scene) -> dict[str, Array]:
         "contact_constants": chain.contact_constants,
         "wall_constants": chain.wall_constants,
         "diameters": chain.diameters,
-        "youngs_moduli": chain.by_grain("youngs_modulus"),
+        "youngs_modulus": chain.by_grain("youngs_modulus"),
         "top_load": [chain.top_load],
         "gravity": [chain.gravity],
         "displacement": u,
@@ -74,8 +74,8 @@ def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
     now = parameters(scene)
     before = {name: value.copy() for name, value in now.items()}
     now |= changed
-    natural = _hertz(scene, now["youngs_moduli"], now["diameters"])
-    original = _hertz(scene, before["youngs_moduli"], before["diameters"])
+    natural = _hertz(scene, now["youngs_modulus"], now["diameters"])
+    original = _hertz(scene, before["youngs_modulus"], before["diameters"])
     if "masses" not in chain.given() and "masses" not in changed:
         own = [odd.grain - 1 for odd in chain.impurity if odd.mass]
         factor = (now["diameters"] / before["diameters"]) ** 3

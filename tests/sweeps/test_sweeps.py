@@ -65,6 +65,37 @@ def begun(folder: Path) -> bool:
 # --- what is swept
 
 
+def test_a_cell_and_a_taper_are_swept(tmp_path):
+    """Each scene is that of the grains written out; single entries of a cell are keys as well."""
+    cells = [["steel", "pom"], ["steel", "ptfe"]]
+    tapers = [0.0, 0.05]
+    chain = {"grains": 6, "cell": cells[0], "diameter": 1e-3}
+    grid = {"chain": {"cell": cells, "taper": tapers}}
+    found = sweep({"scene": SHORT | {"chain": chain}, "grid": grid}, tmp_path)
+    assert found.sizes["chain.cell"] == found.sizes["chain.taper"] == 2
+    for row, cell in enumerate(cells):
+        for taper in tapers:
+            widths = [1e-3 * (1 - taper) ** n for n in range(6)]
+            written = {"grains": 6, "material": cell * 3, "diameter": widths}
+            run = simulate(Scene.from_dict(SHORT | {"chain": written}), "native")
+            velocity = found.velocity.isel({"chain.cell": row}).sel({"chain.taper": taper})
+            assert velocity.to_numpy() == pytest.approx(run.velocity, rel=1e-6, abs=1e-12)
+    key = "chain.cell.1.youngs_modulus"
+    plan = read({"scene": SHORT | {"chain": chain}, "grid": {key: [1e9, 2e9]}})
+    moduli = [plan.scene((n,)).chain.by_grain("youngs_modulus") for n in range(2)]
+    assert [values[1::2].tolist() for values in moduli] == [[1e9] * 3, [2e9] * 3]
+
+
+def test_moduli_of_the_grains_of_a_cell_are_drawn():
+    law = {"mean": 1e10, "deviation": 1e9}
+    chain = {"grains": 6, "cell": ["steel", "pom"], "diameter": 1e-3, "taper": 0.1}
+    laws = {"realisations": 2, "seed": 1, "chain.material.youngs_modulus": law}
+    drawn = read({"scene": SHORT | {"chain": chain}, "disorder": laws}).scene((1,)).chain
+    assert drawn.by_grain("density").tolist() == [8000.0, 1410.0] * 3
+    assert len(set(drawn.by_grain("youngs_modulus").tolist())) == 6
+    assert drawn.diameters[5] == pytest.approx(1e-3 * 0.9**5, rel=1e-14)
+
+
 def test_a_grid_is_every_combination(tmp_path):
     """Each place holds what `simulate` gives for the scene with these values, to the last bit."""
     speeds = [1e-5, 1e-3]

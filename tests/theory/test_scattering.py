@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from lmpchain import Chain, InputError
+from lmpchain import Chain, Impulse, InputError, Scene
+from lmpchain.design.parameters import check
+from lmpchain.disorder.draws import disordered
 from lmpchain.theory.scattering import transmission, transparent
 
 LOADED = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
@@ -121,14 +123,14 @@ def test_two_uniform_leads():
 
 
 @pytest.mark.parametrize("grains", [[5, 6], [5, 6, 7], [4, 8]])
-@pytest.mark.parametrize("vary", ["diameter", "mass", "modulus"])
+@pytest.mark.parametrize("vary", ["diameter", "mass", "youngs_modulus"])
 def test_transparent_impurities(grains: list[int], vary: str):
     for x in (0.62,):
         for factor in transparent(HOST, x * EDGE, grains, vary):
             odd = {
                 "diameter": lambda n, f=factor: {"diameter": 1e-3 * f},
                 "mass": lambda n, f=factor: {"mass": HOST.masses[0] * f},
-                "modulus": lambda n, f=factor: {
+                "youngs_modulus": lambda n, f=factor: {
                     "material": {
                         **HOST.material.given(),
                         "youngs_modulus": HOST.material.youngs_modulus * f,
@@ -185,7 +187,7 @@ def test_diameter_and_modulus_of_the_factor():
     """The same grains with contacts and masses written out: K ~ sqrt(R*)
     E*, k ~ K^(2/3), m ~ d^3.
     """
-    for vary in ("diameter", "modulus"):
+    for vary in ("diameter", "youngs_modulus"):
         factors = transparent(HOST, 0.62 * EDGE, [5, 6], vary)
         assert factors.size > 0
         for factor in factors:
@@ -277,3 +279,14 @@ def test_the_band_edge_in_words():
 def test_refusals(call, key: str):
     with pytest.raises(InputError, match=f"^{key}: "):
         call()
+
+
+def test_the_former_name_of_a_modulus_is_refused_with_the_present_one():
+    chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0)
+    with pytest.raises(InputError, match="did you mean 'youngs_modulus'"):
+        transparent(chain, 1e5, [5, 6], vary="modulus")
+    with pytest.raises(InputError, match="did you mean 'youngs_modulus'"):
+        disordered(chain, 9, np.random.default_rng(1), of="modulus")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5)
+    with pytest.raises(InputError, match="did you mean 'youngs_modulus'"):
+        check(scene, ["youngs_moduli"])
