@@ -181,7 +181,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="lmpchain",
         description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by "
-        "side, each with an estimate of its own error. All quantities are in SI units.",
+        "side, each with an estimate of its own error. All quantities are in SI units. Begin with "
+        "`lmpchain new scene.toml`.",
         epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is "
         "wrong, 75 the time of --max-wall was over before the run was, 130 after Ctrl-C, 143 after "
         "SIGTERM.",

@@ -66,7 +66,8 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
         raise InputError.at(name, "is a device or a pipe, not a file; name a file")
     source = expanded(scene)
     if suffixes and path.suffix.lower() not in suffixes:
-        raise InputError.at(name, f"must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}")
+        endings = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise InputError.at(name, f"must end in {endings}")
     if path.exists() and source.exists() and path.samefile(source):
         raise InputError.at(name, "is the file that is read; name another file")
     if not path.parent.is_dir():

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from ..errors import shown
 from .compare import compare, doctor, stability, workprec
+from .new import EXAMPLES, new
 from .orbit import orbit
 from .pages import docs
 from .plan import plan
@@ -95,6 +96,21 @@ RUN = (
     ),
 )
 VERBS = {
+    "new": Verb(
+        new,
+        "begin here: write a commented scene, which the commands below take",
+        (
+            _argument("scene", metavar="SCENE.toml", help="file to write"),
+            _argument(
+                "--example",
+                choices=list(EXAMPLES),
+                default="column",
+                help="; ".join(f"{key}: {text}" for key, text in EXAMPLES.items())
+                + " (default: column)",
+            ),
+            _argument("--force", action="store_true", help="replace the file if it is there"),
+        ),
+    ),
     "run": Verb(
         run,
         "solve a scene and save the trajectory, in a file or a run folder",

@@ -75,7 +75,8 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
             key, f"line {error.lineno} is not in the form of Jinja2: {error.message}"
         ) from None
     except TemplateNotFound as error:
-        names = ", ".join(environment.list_templates())
+        # scenes to begin with are no decks
+        names = ", ".join(environment.list_templates(filter_func=lambda name: "/" not in name))
         raise InputError.at(key, f"can include no {shown(error.name)}; there are {names}") from None
     except SecurityError:
         cure = "it may read the values that it is given, and call range and macros of its own"

@@ -100,10 +100,15 @@ strike = lmpchain.Impulse(velocity=1e-4)
 scene = lmpchain.Scene(chain=chain, excitation=strike, duration=1e-5, samples=3)
 for engine in ("lammps", "native", "modes"):
     lmpchain.simulate(scene, engine, 0.9).save(engine + ".nc")
+from lmpchain.cli import main
+from lmpchain.cli.new import EXAMPLES
+for example in EXAMPLES:
+    assert main(["new", example + ".toml", "--example", example]) == 0
+    lmpchain.Scene.from_toml(example + ".toml")
 print(lmpchain.__file__)
 """
     printed = python("-W", "ignore", "-c", script, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
-    assert printed.strip().startswith(str(tmp_path / "site"))
+    assert printed.splitlines()[-1].startswith(str(tmp_path / "site"))
     assert {path.name for path in tmp_path.glob("*.nc")} == {"lammps.nc", "native.nc", "modes.nc"}
 
 

@@ -1,0 +1,43 @@
+"""The command `new`: a commented scene to begin with."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+
+from ..errors import InputError
+from .common import beside, output
+
+# example, and what it shows
+EXAMPLES = {
+    "column": "glass beads under gravity, struck on the top one",
+    "striker": "a ball of PTFE strikes a row of steel balls: solitary waves",
+    "dimer": "steel and aluminium in turn, pressed together: a gap between two bands",
+    "driven": "a burst of a piezo travels down a precompressed row",
+    "disorder": "balls of random diameters scatter a wave",
+    "lammps": "steel balls on a wall, as a LAMMPS deck and in LAMMPS",
+}
+
+
+def new(arguments: argparse.Namespace) -> int:
+    """Write a commented scene."""
+    name = arguments.scene
+    path = output(name, "", (".toml",))
+    if path.exists() and not arguments.force:
+        raise InputError.at(name, "is there already: name another file, or add --force")
+    # it stands in comments, which a line break would end
+    if not name.isprintable():
+        raise InputError.at("scene", "must be a name of letters that can be printed")
+    from ..util.files import write_aside
+    from ..util.templates import render
+
+    quoted = shlex.quote(name)
+    stem = shlex.quote(beside(name, ""))
+    text = render(f"examples/{arguments.example}.toml", scene=quoted, stem=stem)
+    with write_aside(path) as aside:
+        aside.write_text(text, encoding="utf-8")
+    print(f"scene: {path} ({EXAMPLES[arguments.example]})")
+    print(f"next: lmpchain compare {quoted} -o {shlex.quote(beside(name, '.png'))}")
+    print(f"      lmpchain run {quoted}")
+    print("other examples: " + ", ".join(key for key in EXAMPLES if key != arguments.example))
+    return 0

@@ -1,0 +1,95 @@
+"""The command `new`: scenes to begin with, each as its comments say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import Scene, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.cli.new import EXAMPLES
+
+README = Path(__file__).parents[2] / "README.md"
+each_example = pytest.mark.parametrize("example", EXAMPLES)
+
+
+def made(folder: Path, example: str) -> Path:
+    path = folder / f"{example}.toml"
+    assert main(["new", str(path), "--example", example]) == 0
+    return path
+
+
+@each_example
+def test_an_example_is_a_scene_that_moves(example: str, tmp_path: Path):
+    """Its wave goes down the chain, to the lower half of the grains within the recording."""
+    scene = Scene.from_toml(made(tmp_path, example))
+    run = simulate(scene, "native", 1e-6)
+    largest = np.abs(run.velocity).max(0)
+    assert largest[scene.chain.grains // 3] > 0.02 * largest.max()
+    assert run.error_estimate.total < 1e-6
+
+
+def test_examples_are_what_they_say(tmp_path: Path):
+    scenes = {example: Scene.from_toml(made(tmp_path, example)) for example in EXAMPLES}
+    column = scenes["column"].chain
+    assert (column.material, column.gravity, column.bottom) == (lmpchain.GLASS, 9.81, "fixed")
+    names = [material.name for material in scenes["dimer"].chain.material]
+    assert names == ["steel", "aluminium"] * 40
+    driven = scenes["driven"]
+    assert round(driven.chain.band_edge / (2e3 * np.pi)) == 19
+    assert driven.excitation.frequency < 19e3
+    assert np.unique(scenes["disorder"].chain.diameters).size > 70
+    assert np.abs(scenes["disorder"].chain.diameters / 5e-3 - 1).max() <= 0.05
+    assert scenes["striker"].chain.by_grain("density").tolist() == [2200.0] + [8000.0] * 40
+
+
+def test_comments_name_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "my balls.toml"]) == 0
+    text = Path("my balls.toml").read_text(encoding="utf-8")
+    assert "lmpchain compare 'my balls.toml' -o 'my balls'.png\n" in text
+    assert "lmpchain fit 'my balls'.nc" in text
+    said = capsys.readouterr().out
+    assert said.startswith("scene: my balls.toml (glass beads under gravity")
+    assert "lmpchain run 'my balls.toml'" in said
+
+
+def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "scene.toml"
+    path.write_text("mine")
+    assert main(["new", str(path)]) == 2
+    assert "is there already: name another file, or add --force" in capsys.readouterr().err
+    assert path.read_text() == "mine"
+    assert main(["new", str(path), "--force"]) == 0
+    assert Scene.from_toml(path)
+    for words, fault in (
+        (["scene.txt"], "must end in .toml"),
+        (["a\nb.toml"], "letters that can be printed"),
+        (["none/scene.toml"], "there is no folder none"),
+        (["scene.toml", "--example", "dime"], "did you mean 'dimer'"),
+    ):
+        assert main(["new", *words]) == 2
+        assert fault in capsys.readouterr().err
+
+
+def test_it_is_what_help_and_readme_begin_with(capsys: pytest.CaptureFixture[str]):
+    main(["--help"])
+    text = capsys.readouterr().out
+    assert text.split("COMMAND\n")[-1].split()[0] == "new"
+    assert "Begin with `lmpchain new scene.toml`." in " ".join(text.split())
+    start = README.read_text(encoding="utf-8").split("## Quick start")[1]
+    assert start.split("\n    lmpchain ")[1].startswith("new scene.toml")
+
+
+@pytest.mark.slow
+@each_example
+def test_engines_agree_on_an_example(example: str, tmp_path: Path, capsys):
+    path = made(tmp_path, example)
+    picture = path.with_suffix(".png")
+    assert main(["compare", str(path), "-o", str(picture)]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    errors = {row[0]: float(row[3]) for row in rows if row and row[0] in ("lammps", "native")}
+    assert set(errors) == {"lammps", "native"}
+    assert max(errors.values()) < 1e-6
+    assert picture.stat().st_size > 2e4
