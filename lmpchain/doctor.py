@@ -272,6 +272,9 @@ def _cache() -> Iterator[Finding]:
 
     from .integrators.kernels.splitting import march
 
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        warn("nothing is compiled and runs are slow: unset NUMBA_DISABLE_JIT", stacklevel=1)
+        return
     # numba writes to it, or raises
     path = str(numba.njit(cache=True)(march.py_func).stats.cache_path)
     yield Finding("numba cache", "ok", path)

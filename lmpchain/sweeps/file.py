@@ -206,7 +206,7 @@ class Sweep:
         """Make a scene that the engine can answer; raises `InputError`."""
         engine = engines.get(self.engine)
         scene = with_gathered(self.scene(position), self.keep, engine.moves_grains)
-        if reasons := engine.refuses(scene):
+        if reasons := engine.obstacles(scene):
             raise InputError(reasons)
         return scene
 

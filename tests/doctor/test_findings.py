@@ -201,3 +201,10 @@ def test_a_summary_counts():
         assert Diagnosis(findings).summary == text
     told = {"name": "a", "state": "ok", "found": "b", "cure": ""}
     assert Diagnosis((ok,)).to_json() == {"summary": "all is well", "findings": [told]}
+
+
+def test_a_numba_that_compiles_nothing_is_named(check: Any, monkeypatch: Any):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    [(_, state, text)] = check("numba cache")
+    assert state == "warning"
+    assert "NUMBA_DISABLE_JIT" in text

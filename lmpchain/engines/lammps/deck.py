@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Iterator
@@ -67,17 +68,31 @@ def check_template(column: Column, splitting: Splitting) -> None:
     _fill(column, column.scene.duration, splitting, data="column.data", alone=True)
 
 
-def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) -> Path:
-    """Write `in.column`, which runs by itself."""
+def write_deck(column: Column, path: Path, step: float, splitting: Splitting) -> Path:
+    """Write the input script, which runs by itself."""
     if splitting.order > 2 and column.scene.excitation.does_work:
         raise InputError.at(
             "integrator", "a deck can carry a drive or a force with verlet only; use that"
         )
     text = _fill(column, step, splitting, data="column.data", alone=True)
-    path = folder / "in.column"
     with write_aside(path) as aside:
-        aside.write_text(text, encoding="utf-8")
+        aside.write_text(f"{text.rstrip()}\n\n{_seal(text)}\n", encoding="utf-8")
     return path
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise `InputError` if a deck is there that a user wrote or edited."""
+    if not path.exists():
+        return
+    text, _, seal = read_user_text("folder", path).rstrip().rpartition("\n")
+    if seal != _seal(text):
+        cure = "choose another folder, or move it away"
+        raise InputError.at("folder", f"{path} was edited, or not written by lmpchain: {cure}")
+
+
+def _seal(text: str) -> str:
+    digest = hashlib.sha256(text.rstrip().encode()).hexdigest()
+    return f"# as lmpchain wrote it: {digest[:16]} (an edited deck is not overwritten)"
 
 
 def dump(path: str, every: int) -> str:

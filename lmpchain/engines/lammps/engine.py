@@ -368,12 +368,14 @@ class Lammps(TimeSteppingEngine):
         Where round-off in heights keeps the tolerance out of reach, it is written for the error
         that can be had.
         """
+        path = folder / "in.column"
+        deck.check_replaceable(path)
         candidate, _, refusal = loosen(partial(self.candidate, self.part(scene)), tolerance)
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
         column = self.column(scene, candidate, remark)
         make_folder(folder)
         deck.write_data(column, folder / "column.data")
-        return deck.write_deck(column, folder, candidate.step, self.splitting(scene))
+        return deck.write_deck(column, path, candidate.step, self.splitting(scene))
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the pair style, the version of LAMMPS, and the text of the user's template."""

@@ -73,7 +73,7 @@ class LammpsStepper:
                 setup = deck.setup(column, word(data), step, splitting, self._done)
                 communicator.ask("commands", setup)
             if keep is not None:
-                deck.write_deck(column, keep, step, splitting)
+                deck.write_deck(column, keep / "in.column", step, splitting)
                 dump = word(keep / "column.lammpstrj")
                 communicator.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
             start = (state["z"], state["vz"], state["fz"]) if state else None

@@ -306,3 +306,18 @@ def test_folder_names_cannot_carry_commands(tmp_path):
     kept = tmp_path / "with blanks"
     simulate(small(), engine=Lammps(integrator="verlet", keep=kept))
     assert (kept / "column.lammpstrj").stat().st_size > 0
+
+
+def test_an_edited_deck_is_not_overwritten(tmp_path):
+    path = write_deck(small(), tmp_path, step=1e-7)
+    write_deck(small(), tmp_path, step=5e-8)
+    written = path.read_text()
+    edited = written.replace("timestep", "# my own\ntimestep", 1)
+    assert edited != written
+    path.write_text(edited)
+    with pytest.raises(InputError, match=r"folder: .*in\.column was edited"):
+        write_deck(small(), tmp_path, step=1e-7)
+    assert path.read_text() == edited
+    path.write_text("# a deck of another origin")
+    with pytest.raises(InputError, match="not written by lmpchain"):
+        write_deck(small(), tmp_path, step=1e-7)
