@@ -15,7 +15,7 @@ import numpy as np
 from .. import engines
 from ..engines.base import Engine
 from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet
-from ..integrators.methods import DAMPED, METHODS
+from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
 from ..simulation.api import simulate
 from ..trajectory.record import Cost
@@ -297,7 +297,7 @@ def work_precision(
 def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
     """Return all engines and integrators to measure, LAMMPS last, and why some are left out."""
     scans = [Scan("native", "", partial(Bench.over_tolerances, name="native"))]
-    methods = DAMPED if scene.chain.damped else METHODS
+    methods = methods_of(scene.chain.damped)
     refusals = []
     for name in (*engines.automatic(), *engines.ON_REQUEST):
         engine = engines.get(name)

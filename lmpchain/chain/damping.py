@@ -190,7 +190,11 @@ class Damping(Checked):
         for key, value in (("velocity", velocity), ("diameter", diameter)):
             if not 0 < value < math.inf:
                 raise InputError.at(key, f"must be a finite number above 0 (got {shown(value)})")
-        pair = two_spheres([one_material(material)] * 2, [diameter] * 2, exponent)
+        try:
+            sphere = one_material(material)
+        except ValueError as error:
+            raise InputError.at("material", str(error)) from None
+        pair = two_spheres([sphere] * 2, [diameter] * 2, exponent)
         viscosity = viscosity_of(float(restitution), float(exponent))
         return cls(viscoelastic=viscosity * pair.time(velocity))
 

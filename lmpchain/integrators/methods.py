@@ -16,3 +16,8 @@ METHODS = {method.name: method for method in _ALL}
 DAMPED: dict[str, Method] = {_DOP853.name: _DOP853, "verlet": _LAGGED}
 # of all chains, by the name that an answer states
 BY_NAME = METHODS | {_LAGGED.name: _LAGGED}
+
+
+def methods_of(damped: bool) -> dict[str, Method]:
+    """Return the methods of chains with or without damping, as they are asked for."""
+    return DAMPED if damped else METHODS

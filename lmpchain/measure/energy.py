@@ -315,8 +315,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time
-    wall = scene.excitation.wall
-    top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
+    top, top_speed = _motion_of_wall(scene, time)
     closer = chain.contacts.closer(u, top)
     closing = chain.contacts.closer(v, top_speed)
     overlap = chain.contacts.overlap + closer
@@ -406,8 +405,7 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time
-    wall = scene.excitation.wall
-    top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
+    top, top_speed = _motion_of_wall(scene, time)
     closing = chain.contacts.closer(v, top_speed)
     overlap = chain.contacts.overlap + chain.contacts.closer(u, top)
     viscous = viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
@@ -521,3 +519,11 @@ def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
         # cubic Hermite pieces: their error is about 1/15 of the difference to every second sample
         curve = CubicHermiteSpline(time, value, slope)
     return np.asarray(curve.antiderivative()(time))
+
+
+def _motion_of_wall(scene: Scene, time: Array) -> tuple[Array | None, Array | None]:
+    """Return displacement and velocity of a driven top wall, (T,) m, m/s; None where it rests."""
+    wall = scene.excitation.wall
+    if wall is None:
+        return None, None
+    return wall.at(time, 0), wall.at(time, 1)

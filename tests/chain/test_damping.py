@@ -124,7 +124,13 @@ def test_a_faster_collision_of_the_same_spheres_loses_more():
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("restitution", 0.0), ("restitution", 1.1), ("velocity", 0.0), ("diameter", math.inf)],
+    [
+        ("restitution", 0.0),
+        ("restitution", 1.1),
+        ("velocity", 0.0),
+        ("diameter", math.inf),
+        ("material", "stel"),
+    ],
 )
 def test_what_no_viscosity_follows_from(key, value):
     options = {"restitution": 0.9, "velocity": 1.0, "material": "steel", "diameter": 1e-2}

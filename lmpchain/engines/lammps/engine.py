@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
 from ...integrators.method import Method
-from ...integrators.methods import DAMPED, METHODS
+from ...integrators.methods import methods_of
 from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
 from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
@@ -152,7 +152,7 @@ class Lammps(TimeSteppingEngine):
     def methods(self, scene: Scene) -> list[Method]:
         """Return the method that it takes."""
         name = self.splitting(scene).name
-        return [DAMPED[name] if scene.chain.damped else METHODS[name]]
+        return [methods_of(scene.chain.damped)[name]]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why LAMMPS cannot do this scene."""

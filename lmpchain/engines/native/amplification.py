@@ -14,7 +14,7 @@ import numpy as np
 
 from ...integrators.batch import ChainBatch
 from ...integrators.method import Method
-from ...integrators.methods import BY_NAME, DAMPED, METHODS
+from ...integrators.methods import BY_NAME, methods_of
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper
 from ...scene.excitation import Profile
@@ -134,7 +134,7 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
     steps = math.ceil(interval * scene.highest_frequency / GROWTH.reach)
     schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
     changes = GROWTH.digit * np.array(GROWTH.changes)
-    method = (DAMPED if scene.chain.damped else METHODS)["verlet"]
+    method = methods_of(scene.chain.damped)["verlet"]
     distances = separate(scene, changes.tolist(), method, schedule)
     # a run that broke down says nothing of the growth in the others
     followed = distances.max(1) <= GROWTH.broken

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from ...errors import InputError, shown
 from ...integrators.method import Method
-from ...integrators.methods import BY_NAME, DAMPED, METHODS
+from ...integrators.methods import BY_NAME, DAMPED, methods_of
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import Stepper
 from ...scene.scene import Scene
@@ -62,7 +62,7 @@ class TimeSteppingEngine(Engine):
         damped = scene.chain.damped
         automatic = AUTOMATIC_DAMPED if damped else AUTOMATIC
         names = automatic if self.integrator == "auto" else [self.integrator]
-        return [(DAMPED if damped else METHODS)[name] for name in names]
+        return [methods_of(damped)[name] for name in names]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why a scene cannot be done: a method that cannot move a chain with damping."""
