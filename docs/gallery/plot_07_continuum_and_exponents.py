@@ -23,9 +23,20 @@ picture = continuum.plot()
 picture_of_front = continuum.front.plot()
 
 # %%
-# The exponents of amplitude, width and speed, beside those of theory.
-picture_of_exponents = fit.fit_exponents(t).plot()
+# The exponents with which height, arrival, speed and width of the front change with depth, beside
+# those of theory: local ones, d log / d log h over eleven grains, and at the right those of great
+# depth. Grains next to the bottom, whose echo comes before the front has passed, are left out.
+exponents = fit.fit_exponents(t)
+picture_of_exponents = exponents.plot()
+print(exponents)
+
+# %%
+# After a strong strike the wave is a solitary one at first, which keeps its height; where it is
+# still strong no law of weak waves can be fitted, and the local exponents say how far it is.
+strong = lmpchain.Impulse(velocity=100 * chain.length_scale / chain.time_scale)
+struck = scene.replace(excitation=strong, duration=120 * chain.time_scale)
+print(fit.fit_exponents(lmpchain.simulate(struck)))
 
 # %%
 # All fits at once, as ``lmpchain fit`` prints them.
-print(fit.summary(t).table())
+print(fit.summary(t))

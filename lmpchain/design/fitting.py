@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,20 +11,27 @@ import numpy as np
 
 from ..errors import InputError, RunFailed, ToleranceNotMet, shown
 from ..integrators.halving import SAFETY, Attempt, halve
+from ..measure.fit.table import Fitted, Row
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .changes import changed
-from .traces import Traces
+from .traces import UNITS_OF_TRACES, Traces
 from .unknowns import Problem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+NAMES_OF_TRACES = {
+    "velocity": "velocity, downward",
+    "displacement": "displacement, downward",
+    "force": "force above rest",
+    "contact": "force above rest",
+}
 BIAS = 0.05  # error of an estimate by the steps, in standard deviations
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Fitted):
     """A fitted scene, and the uncertainty of its parameters.
 
     Attributes
@@ -61,15 +68,18 @@ class Fit:
         """Standard deviations, (K,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def table(self) -> str:
-        """Return the numbers as text, a line each."""
-        from ..util.tables import align
+    def rows(self) -> Iterator[Row]:
+        """Yield the fitted numbers; what is a factor has no unit."""
+        symbols = self._problem.symbols
+        for name, value, error, unit in zip(
+            self.names, self.estimate.tolist(), self.error.tolist(), symbols, strict=True
+        ):
+            yield Row("traces", name, value, error, unit=unit)
 
-        rows = [
-            (name, f"{value:.8g}", f"+- {error:.2g}")
-            for name, value, error in zip(self.names, self.estimate, self.error, strict=True)
-        ]
-        return "\n".join([*align(rows), f"chi square: {self.chi_square:.5g} of {self.freedom}"])
+    def notes(self) -> Iterator[str]:
+        """Yield how well the scene fits, and where its noise comes from."""
+        noise = "" if self._problem.noisy else "; the noise is that of the residuals"
+        yield f"chi square: {self.chi_square:.5g} of {self.freedom}{noise}"
 
     def profile(self, name: str, reach: float = 3.0, points: int = 13) -> tuple[Array, Array]:
         """Return values of one number, (points,), and how much chi square grows, others refitted.
@@ -130,21 +140,41 @@ class Fit:
         sampler.run_mcmc(state, steps)
         return np.asarray(sampler.get_chain(flat=True))[:samples]
 
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the measured values and those of the fitted scene, and return the axes."""
-        from ..util.plotting import COLOURS, axes_in_units, legend
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
+        """Draw the measured values and those of the fitted scene, and return the axes.
 
-        ax = axes_in_units(ax, "s", "")
-        colours = cycle(COLOURS.values())
-        fitted = self._problem.predict(self._problem.free(self.estimate))
-        for traces, prediction in zip(self._problem.traces, fitted, strict=True):
-            for column, place in enumerate(traces.places):
-                colour = next(colours)
-                ax.plot(traces.time, traces.values[:, column], ".", ms=2, color=colour, alpha=0.5)
-                label = f"{traces.field} {place}"
-                ax.plot(traces.time, prediction[:, column], color=colour, label=label)
-        legend(ax)
-        return ax
+        One axes for every unit of the traces: a list of them, of which so many may be given, where
+        there are several.
+        """
+        from ..util.plotting import SHADES, axes_in_units, legend, panels, window
+
+        problem = self._problem
+        units = list(dict.fromkeys(UNITS_OF_TRACES[trace.field] for trace in problem.traces))
+        given = window().subplots(len(units), sharex=True) if ax is None else ax
+        axes = panels(given)
+        if len(axes) != len(units):
+            raise InputError.at("ax", f"give {len(units)} axes, one for each of {units}")
+        fitted = problem.predict(problem.free(self.estimate))
+        for single, unit in zip(axes, units, strict=True):
+            axes_in_units(single, "s", unit)
+            traces = [
+                (trace, prediction)
+                for trace, prediction in zip(problem.traces, fitted, strict=True)
+                if UNITS_OF_TRACES[trace.field] == unit
+            ]
+            colours = cycle(SHADES)
+            for trace, prediction in traces:
+                for column, place in enumerate(trace.places):
+                    colour = next(colours)
+                    measured = trace.values[:, column]
+                    single.plot(trace.time, measured, ".", ms=3, color=colour, alpha=0.5)
+                    kind = "contact" if trace.field == "contact" else f"{trace.field} of grain"
+                    label = f"{kind} {place}"
+                    single.plot(trace.time, prediction[:, column], color=colour, label=label)
+            fields = dict.fromkeys(NAMES_OF_TRACES[trace.field] for trace, _ in traces)
+            single.set(xlabel="time", ylabel=" or ".join(fields))
+            legend(single)
+        return axes if len(axes) > 1 else axes[0]
 
 
 def _check_reach(scene: Scene, latest: float) -> None:

@@ -79,6 +79,13 @@ def _refuse(scene: Scene, name: str) -> str:
     return "" if name in UNITS else not_among(name, tuple(UNITS))
 
 
+def unit(scene: Scene, name: str) -> str:
+    """Return the unit of the parameters of this name in the scene."""
+    if name == "amplitude":
+        return "N" if isinstance(scene.excitation, Force) else "m"
+    return UNITS[name]
+
+
 def values(scene: Scene, name: str) -> Array:
     """Return the parameters of this name as they are in the scene, (P,)."""
     chain = scene.chain

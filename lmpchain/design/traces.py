@@ -16,6 +16,7 @@ from ..util.arrays import Array, check_flags, numbers, whole_numbers
 from .seen import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
+UNITS_OF_TRACES = {"velocity": "m/s", "displacement": "m", "force": "N", "contact": "N"}
 LARGEST_FILE = 2**28  # bytes
 
 

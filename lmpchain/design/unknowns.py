@@ -14,7 +14,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from . import parameters as params
 from .changes import changed
-from .traces import Traces, model
+from .traces import UNITS_OF_TRACES, Traces, model
 
 TURN = 0.5  # of the fastest motion between two looks at first, rad
 # parameters that may change their sign; others do not fall below a tenth
@@ -31,6 +31,8 @@ class Problem:
         Of the unknowns: parameters of the scene, then nuisances of the traces.
     units, origin : lists of float
         Estimates are origin + units theta.
+    symbols : list of str
+        Units of the estimates as text; empty for a factor or a gain.
     along : list
         Name and direction, in the unit of the parameter, of every unknown of the scene.
     looks : int
@@ -46,6 +48,7 @@ class Problem:
         self.names: list[str] = []
         self.units: list[float] = []
         self.origin: list[float] = []
+        self.symbols: list[str] = []
         self.along: list[tuple[str, Array]] = []
         for name in params.check(scene, parameters):
             self._add_parameter(name, params.values(scene, name), parameters[name])
@@ -59,32 +62,35 @@ class Problem:
         """Whether the noise of every trace is given."""
         return all(trace.noise is not None for trace in self.traces)
 
-    def _add(self, name: str, origin: float, unit: float) -> None:
+    def _add(self, name: str, origin: float, unit: float, symbol: str) -> None:
         self.names.append(name)
         self.origin.append(origin)
         self.units.append(unit)
+        self.symbols.append(symbol)
 
     def _add_nuisances(self, trace: Traces, suffix: str) -> None:
         """Add time of the strike, gain and offsets of a trace, as far as they are unknown."""
         if trace.trigger:
-            self._add("trigger" + suffix, 0.0, trace.time[-1] - trace.time[0])
+            self._add("trigger" + suffix, 0.0, trace.time[-1] - trace.time[0], "s")
         if trace.gain:
-            self._add("gain" + suffix, 1.0, 1.0)
+            self._add("gain" + suffix, 1.0, 1.0, "")
         if trace.offset:
             size = float(np.abs(trace.values).max()) or 1.0
             for place in trace.places:
-                self._add(f"offset{suffix} {place}", 0.0, size)
+                self._add(f"offset{suffix} {place}", 0.0, size, UNITS_OF_TRACES[trace.field])
 
     def _add_parameter(self, name: str, base: Array, choice: Any) -> None:
         """Add one factor of all entries of a parameter, or single entries."""
+        symbol = params.unit(self.scene, name)
         if isinstance(choice, str) and choice == "common":
             if not base.any():
                 message = "is 0 everywhere, which no factor changes: name entries"
                 raise InputError.at(name, message)
             entries = base[base != 0]
             # entries that are all alike are estimated in their own unit, others by a factor
-            unit = float(entries[0]) if (entries == entries[0]).all() else 1.0
-            self._add(name, unit, unit)
+            alike = bool((entries == entries[0]).all())
+            unit = float(entries[0]) if alike else 1.0
+            self._add(name, unit, unit, symbol if alike else "")
             self.along.append((name, base))
             return
         all_entries = isinstance(choice, str) and choice == "each"
@@ -95,7 +101,7 @@ class Problem:
         for number in numbers:
             # an entry that is 0 changes in units of the largest
             unit = float(base[number - 1]) or float(np.abs(base).max()) or 1.0
-            self._add(f"{name} {number}", float(base[number - 1]), unit)
+            self._add(f"{name} {number}", float(base[number - 1]), unit, symbol)
             self.along.append((name, unit * (np.arange(base.size) == number - 1)))
 
     def estimates(self, theta: Array) -> Array:

@@ -12,6 +12,7 @@ from lmpchain import Chain, Impulse, InputError, Scene, simulate
 from lmpchain.design import Traces, fit
 from lmpchain.design.unknowns import Problem
 from lmpchain.engines import Native
+from lmpchain.measure.fit.table import rounded
 
 WEAK = 1e-9  # m/s: linear to 1e-7
 CHAIN = Chain(grains=6, diameter=2e-3, top_load=0.5, gravity=9.81, top="wall", bottom="wall")
@@ -101,15 +102,22 @@ def test_a_fit_is_written_and_drawn_with_its_data():
     values = noisy(3)
     answer = fit(Traces(SCENE.time, [2, 5], values, noise=NOISE), SCENE, ["velocity"])
     lines = answer.table().splitlines()
-    assert lines[0].split() == [
-        "velocity",
-        f"{answer.estimate[0]:.8g}",
-        "+-",
-        f"{answer.error[0]:.2g}",
+    assert [line.split() for line in lines] == [
+        ["quantity", "value", "error", "unit"],
+        [
+            "velocity",
+            rounded(answer.estimate[0], answer.error[0]),
+            f"{answer.error[0]:.1g}",
+            "m/s",
+        ],
+        f"chi square: {answer.chi_square:.5g} of 121".split(),
     ]
-    assert lines[1] == f"chi square: {answer.chi_square:.5g} of 121"
+    assert str(answer) == answer.table()
     ax = answer.plot()
-    assert [line.get_label() for line in ax.lines][1::2] == ["velocity 2", "velocity 5"]
+    names = ["velocity of grain 2", "velocity of grain 5"]
+    assert [line.get_label() for line in ax.lines][1::2] == names
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time", "velocity, downward")
+    assert ax.yaxis.get_major_formatter()(2e-3) == "2 mm/s"
     for column, (dots, line) in enumerate(zip(ax.lines[::2], ax.lines[1::2], strict=True)):
         np.testing.assert_array_equal(dots.get_xdata(), SCENE.time)
         np.testing.assert_array_equal(line.get_xdata(), SCENE.time)
@@ -121,6 +129,29 @@ def test_a_fit_is_written_and_drawn_with_its_data():
     assert ax.lines[0].get_color() != ax.lines[2].get_color()
     assert ax.xaxis.get_major_formatter()(2e-5).endswith("s")
     assert ax.get_legend() is not None
+
+
+def test_traces_of_several_units_have_axes_of_their_own():
+    force = Traces(SCENE.time, [3], 1e-3 * noisy(4)[:, 0], field="contact", noise=1e-3)
+    answer = fit([Traces(SCENE.time, [2, 5], noisy(3), noise=NOISE), force], SCENE, ["velocity"])
+    upper, lower = answer.plot()
+    assert (upper.get_ylabel(), lower.get_ylabel()) == ("velocity, downward", "force above rest")
+    assert lower.yaxis.get_major_formatter()(2e-3) == "2 mN"
+    assert [line.get_label() for line in lower.lines][1::2] == ["contact 3"]
+    with pytest.raises(InputError, match="give 2 axes"):
+        answer.plot(upper)
+
+
+def test_estimates_have_their_units():
+    """What is alike has a unit; a factor of entries that differ has none."""
+    sizes = SCENE.replace(chain=CHAIN.replace(masses=CHAIN.masses * np.linspace(1, 2, 6)))
+    for scene, unit in ((SCENE, "kg"), (sizes, "")):
+        problem = Problem(scene, [Traces(SCENE.time, [2, 5], noisy(2))], {"masses": "common"})
+        assert problem.symbols == [unit]
+    trace = Traces(SCENE.time, [2, 5], noisy(2), trigger=True, gain=True, offset=True)
+    problem = Problem(SCENE, [trace], {"velocity": "common", "masses": [3]})
+    assert problem.names[:4] == ["velocity", "masses 3", "trigger", "gain"]
+    assert problem.symbols == ["m/s", "kg", "s", "", "m/s", "m/s"]
 
 
 def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():

@@ -44,6 +44,7 @@ from lmpchain.measure.fit import (
     fit_parameter,
     summary,
 )
+from lmpchain.measure.front import track
 
 C = 1.155137236596699  # 2 (6/5)^(1/5) / B(3/5, 9/10)
 
@@ -498,11 +499,37 @@ def test_summary_names_what_applies_and_what_does_not(column: Trajectory, unifor
     assert [fit for fit, _ in other.left_out] == ["continuum", "exponents", "soliton"]
     data = found.to_json()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
-    assert set(data) == {"strike_number", "rows", "left_out"}
+    assert set(data) == {"strike_number", "rows", "left_out", "notes"}
     assert set(data["rows"][0]) == {"fit", "quantity", "value", "error", "expected", "unit"}
     lines = found.table().splitlines()
-    assert lines[0].split() == ["fit", "quantity", "value", "error", "expected", "unit"]
+    assert lines[0].split() == ["fit", "quantity", "value", "error", "theory", "unit"]
     assert lines[-1].startswith("strike number")
+    assert max(map(len, lines)) <= 80
+    assert str(found) == found.table()
+
+
+def test_local_exponents_stand_beside_those_of_great_depth(column: Trajectory, fit: ExponentFit):
+    """After a weak strike the local exponents are those of the front, on their way to the laws."""
+    front = track(column).between(20, 10**6)
+    local = fit.local["velocity"]
+    last = fit.grain[-1]
+    inside = (front.grain > last - 11) & (front.grain <= last)
+    slope = np.polyfit(
+        np.log(front.grain[inside] - 0.5), np.log(np.abs(front.amplitude[inside])), 1
+    )[0]
+    assert local.exponent[-1] == pytest.approx(slope, rel=1e-9)
+    assert local.depth[-1] + 0.5 == pytest.approx(last - 5, abs=0.5)
+    rows = {row.quantity: row for row in fit.rows()}
+    near = rows[f"velocity near grain {local.depth[-1] + 0.5:.0f}"]
+    assert (near.value, near.error) == (local.exponent[-1], local.error[-1])
+    assert near.expected == rows["velocity at great depth"].expected == pytest.approx(-4 / 15)
+    assert {fit.approach(name) for name in fit.local} == {"towards the law of weak waves"}
+
+
+def test_grains_near_the_bottom_are_left_out(column: Trajectory, fit: ExponentFit):
+    grains = column.scene.chain.grains
+    assert fit.grain[-1] == int(grains - 3 - 2.5 * np.cbrt(grains))
+    assert f"grains 20 to {fit.grain[-1]}" in " ".join(str(fit).split())
 
 
 def test_summary_where_nothing_applies():

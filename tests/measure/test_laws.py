@@ -381,7 +381,7 @@ def test_the_table_of_a_summary():
     )
     text = Summary(0.31, rows, (("three", "why: not"),)).table().splitlines()
     assert [line.split() for line in text[:6]] == [
-        ["fit", "quantity", "value", "error", "expected", "unit"],
+        ["fit", "quantity", "value", "error", "theory", "unit"],
         ["one", "a", "1.2346", "0.002", "1.25", "m/s"],
         ["b", "-123457"],
         ["two", "c", "0", "0.1", "0"],
@@ -413,13 +413,13 @@ def test_the_rows_of_a_summary():
     )
     energies = squares * vectors[8] ** 2
     most = int(energies.argmax())
-    strongest = rows["modes", f"share of mode {most + 1}, the strongest"]
+    strongest = rows["modes", f"share of mode {most + 1}, strongest"]
     assert strongest.value == pytest.approx(energies[most] / energies.sum(), rel=1e-6)
     assert rows["modes", "its frequency"].value == pytest.approx(
         np.sqrt(squares[most]) / (2 * np.pi), rel=1e-9
     )
     assert rows["modes", "its frequency"].unit == "Hz"
-    assert rows["modes", "residual of the linear motion"].expected == 0
+    assert rows["modes", "residual of linear motion"].expected == 0
     amplitude = rows["bessel", "amplitude"]
     speed = rows["bessel", "wave speed"]
     assert (amplitude.unit, speed.unit, rows["bessel", "delay"].unit) == ("m", "grains/s", "s")

@@ -294,8 +294,9 @@ def test_the_continuum_and_the_law_of_the_front():
     axes = fit.plot()
     assert_lines(axes, (cone, values * cone**0.1), ([0, 1], [1.15, 1.15]), ([0, 1], [1.155, 1.155]))
     assert labels(axes) == ["samples of 2 grains", "C = 1.15 ± 0.02", "Eq. (35): 1.155"]
-    assert (axes.get_xscale(), axes.get_xlabel()) == ("log", "tau² − chi²")
-    assert axes.get_ylabel() == "displacement / v0\n· (tau² − chi²)^0.1"
+    assert axes.get_xscale() == "log"
+    assert axes.get_xlabel() == "tau² − chi² (time in units of √(m₁/k₁))"
+    assert axes.get_ylabel() == "displacement / v0 √(m₁/k₁)\n· (tau² − chi²)^0.1"
 
 
 def test_the_exponents_less_those_of_a_weak_wave():
@@ -303,19 +304,48 @@ def test_the_exponents_less_those_of_a_weak_wave():
         name: PowerLaw(name, np.ones(1), np.ones(1), 1.0, np.array([error, 1, 1]), power, 1.0, 0.0)
         for name, power, error in (("velocity", -0.25, 0.01), ("time", 0.8, 0.02))
     }
-    axes = ExponentFit(laws, {"velocity": -4 / 15, "time": 5 / 6}).plot()
-    above = [4 / 15 - 0.25, 0.8 - 5 / 6]
-    assert_lines(axes, ([0, 0], [0, 1]), (above, [0, 1]))
-    bars = np.array([segment[:, 0] for segment in axes.collections[0].get_segments()])
-    spread = [[-0.01, 0.01], [-0.02, 0.02]]
-    assert bars == pytest.approx(np.array(above)[:, None] + np.array(spread), abs=1e-12)
-    assert axes.get_ylim() == (1.5, -0.5)
-    assert axes.get_yticks().tolist() == [0, 1]
-    assert [text.get_text() for text in axes.get_yticklabels()] == [
-        "velocity\n-0.2500",
-        "time\n0.8000",
-    ]
-    assert axes.get_xlabel() == "exponent less that of\na weak wave, deep down"
+    depth = np.array([20.0, 40.0])
+    error = np.array([0.03, 0.02])
+    local = {"velocity": Exponents("amplitude", depth, np.array([-0.2, -0.22]), error, error)}
+    theory = {"velocity": -4 / 15, "time": 5 / 6}
+    weak = ExponentFit(laws, theory, local, np.array([14, 46]), np.array([0.2, 0.1]))
+    axes = weak.plot()
+    above = local["velocity"].exponent + 4 / 15
+    curve = next(line for line in axes.lines if line.get_label() == "velocity")
+    assert curve.get_xydata() == pytest.approx(np.stack([depth, above], axis=1), rel=1e-14)
+    points = [line for line in axes.lines if line.get_marker() == "o"]
+    heights = [4 / 15 - 0.25, 0.8 - 5 / 6]
+    assert [point.get_ydata()[0] for point in points] == pytest.approx(heights, abs=1e-12)
+    assert min(point.get_xdata()[0] for point in points) > 40
+    assert len({point.get_color() for point in points}) == 2
+    assert labels(axes) == ["law of weak waves", "velocity"]
+    assert axes.get_xlabel() == "depth h = n − 1/2 (grains); points: at great depth"
+    assert axes.get_ylabel() == "local exponent d log / d log h\nless that of a weak wave"
+    # a wave that is still strong has no law of great depth
+    strong = ExponentFit(laws, theory, local, np.array([14, 46]), np.array([9.0, 5.0]))
+    axes = strong.plot()
+    assert not [line for line in axes.lines if line.get_marker() == "o"]
+    assert "no law of great depth: the wave is still strong" in str(strong)
+    assert "great depth " not in str(strong)
+    assert "velocity near grain 40" in str(strong)
+
+
+@pytest.mark.parametrize(
+    ("exponents", "error", "verdict"),
+    [
+        ([-0.2, -0.22], 0.005, "towards the law of weak waves"),
+        ([-0.26, -0.264], 0.005, "on the law of weak waves"),
+        ([-0.1, -0.04], 0.01, "towards that of a solitary wave without load"),
+        ([0.1, 0.001], 0.01, "on that of a solitary wave without load"),
+        ([-0.2, -0.22], 0.02, "towards no law within these grains"),
+        ([0.1, 0.2], 0.01, "towards no law within these grains"),
+    ],
+)
+def test_which_law_is_approached(exponents: list[float], error: float, verdict: str):
+    depth = np.array([20.0, 40.0])
+    local = Exponents("amplitude", depth, np.array(exponents), np.full(2, error), depth)
+    fit = ExponentFit({}, {"velocity": -4 / 15}, {"velocity": local})
+    assert fit.approach("velocity") == verdict
 
 
 def test_the_energies_of_modes():

@@ -67,7 +67,7 @@ def test_under_a_load(downward: bool):
         (Chain(**CHAIN | {"gravity": 9.81}), Impulse(velocity=0.1), "gravity"),
         (Chain(**CHAIN, exponent=1.0, top_load=1.0), Impulse(velocity=1e-4), "exponent"),
         (
-            Chain(**CHAIN, impurity=[{"grain": 9, "diameter": 2e-3}]),
+            Chain(**CHAIN, impurity=[{"grain": 30, "diameter": 1.1e-3}]),
             Impulse(velocity=0.1),
             "uniform",
         ),
@@ -77,6 +77,16 @@ def test_what_is_no_solitary_wave(chain: Chain, excitation: Impulse, said: str):
     t = strike(chain, excitation, 50 * chain.time_scale if chain.compressed else 1e-4)
     with pytest.raises(InputError, match=said):
         fit_soliton(t)
+
+
+@pytest.mark.parametrize("striker", ["ptfe", "steel"])
+def test_a_striker_of_another_kind(striker: str):
+    """The row behind it is uniform, and its wave the exact one: 0.9074700784 v^(1/5)."""
+    chain = Chain(**CHAIN, impurity=[{"grain": 1, "material": striker}])
+    fit = fit_soliton(strike(chain, Impulse(velocity=0.44), 1.5e-4))
+    row = Chain(**CHAIN)
+    assert fit.speed == pytest.approx(0.9074700784 / unit(row) * fit.amplitude**0.2, rel=1e-5)
+    assert "within 5 of an end" in " ".join(str(fit).split())
 
 
 def test_a_pull_is_no_solitary_wave():

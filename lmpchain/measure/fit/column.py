@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,10 +16,10 @@ from ...theory.continuum import chi, impulse_amplitude, peaked
 from ...theory.domain import exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.notebook import Shown
-from ...util.plotting import axes_in_units, legend
-from ..front import FEWEST, PowerLaw, asymptotic, fit_power
+from ...util.plotting import SHADES, axes_in_units, legend
+from ..front import FEWEST, Exponents, PowerLaw, asymptotic, exponent, fit_power
 from .column_front import bottom, front_before_echo, strike_at_top
+from .table import Fitted, Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ FAR = FarRegion()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrontLaw(Shown):
+class FrontLaw(Fitted):
     """Arrival times of the front, ``factor h^exponent (1 + correction / h^order)``.
 
     The lag of the discrete chain behind the continuum is subtracted from the times.
@@ -76,6 +76,13 @@ class FrontLaw(Shown):
     correction: float
     error: Array
     expected: Array
+
+    def rows(self) -> Iterator[Row]:
+        """Yield exponent and factor of the law."""
+        exponent, factor = self.expected.tolist()
+        errors = self.error.tolist()
+        yield Row("continuum", "exponent of the front", self.exponent, errors[0], exponent)
+        yield Row("continuum", "factor of the front", self.factor, errors[1], factor)
 
     @property
     def law(self) -> Array:
@@ -109,7 +116,7 @@ class FrontLaw(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContinuumFit(Shown):
+class ContinuumFit(Fitted):
     """Eq. (35), ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, fitted far behind the front.
 
     Attributes
@@ -141,6 +148,21 @@ class ContinuumFit(Shown):
     residual: float
     front: FrontLaw | None
 
+    def rows(self) -> Iterator[Row]:
+        """Yield the amplitude, the law of the front, and what the amplitude leaves."""
+        name = "amplitude C of Eq. (35)"
+        yield Row("continuum", name, self.amplitude, self.error, self.expected)
+        if self.front:
+            yield from self.front.rows()
+        yield Row("continuum", "residual", self.residual, expected=0.0)
+
+    def notes(self) -> Iterator[str]:
+        """Yield which grains were fitted."""
+        yield (
+            f"C from grains {self.grain.min()} to {self.grain.max()}, each until the echo from "
+            "the bottom is near"
+        )
+
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw C from every sample against tau^2 - chi^2, with fit and theory; returns the axes."""
         ax = axes_in_units(ax, "", "")
@@ -153,8 +175,8 @@ class ContinuumFit(Shown):
         ax.axhline(self.expected, color="0.5", lw=1, ls="--", label=label)
         ax.set(
             xscale="log",
-            xlabel="tau² − chi²",
-            ylabel=f"displacement / v0\n· (tau² − chi²)^{self.power:.3g}",
+            xlabel="tau² − chi² (time in units of √(m₁/k₁))",
+            ylabel=f"displacement / v0 √(m₁/k₁)\n· (tau² − chi²)^{self.power:.3g}",
         )
         legend(ax)
         return ax
@@ -285,48 +307,145 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     )
 
 
+# the law of a solitary wave that feels no gravity, which a strike number above some 10^3 makes
+STRONG = {"velocity": 0.0, "displacement": 0.0, "time": 1.0, "speed": 0.0, "width": 0.0}
+WINDOW = 11  # grains of a local exponent
+# strength of a wave from which on the law of weak waves, fitted to it, says nothing of great depth
+STILL_STRONG = 0.3
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class ExponentFit(Shown):
-    """Power laws of the front with depth, each with its first correction for finite depth.
+class ExponentFit(Fitted):
+    """Exponents of the front with depth: local ones, and those of power laws at great depth.
 
     Attributes
     ----------
     laws : mapping of str to PowerLaw
         "velocity" and "displacement", of the largest values; "time", "speed" and "width" of the
-        velocity's maximum. Those that could not be fitted are left out.
+        velocity's maximum, each with its first correction for finite depth. Those that could not be
+        fitted are left out.
     expected : mapping of str to float
         The exponents after a weak strike, at great depth.
+    local : mapping of str to Exponents
+        d log / d log h of the same, fitted to 11 neighbouring grains each, or to all if there are
+        fewer.
+    grain : (P,) array
+        Grains whose velocity was fitted.
+    strength : (P,) array
+        Peak velocity there over what the contact below holds at rest, eps_n sqrt(k_n / m): far
+        below 1 a wave is weak, far above it feels no gravity.
     """
 
     laws: Mapping[str, PowerLaw]
     expected: Mapping[str, float]
+    local: Mapping[str, Exponents] = field(default_factory=dict)
+    grain: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    strength: Array = field(default_factory=lambda: np.zeros(0))
+
+    def rows(self) -> Iterator[Row]:
+        """Yield the local exponents at the deepest grains, and the exponents of great depth."""
+        if self.strength.size:
+            yield Row("exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1]))
+        for name, power in self.expected.items():
+            if name in self.local:
+                local = self.local[name]
+                depth = f"{name} near grain {local.depth[-1] + 0.5:.0f}"
+                value = float(local.exponent[-1])
+                yield Row("exponents", depth, value, float(local.error[-1]), power)
+            if name in self.laws and not self._strong:
+                law = self.laws[name]
+                limit = f"{name} at great depth"
+                yield Row("exponents", limit, float(law.exponent), float(law.error[0]), power)
+
+    @property
+    def _strong(self) -> bool:
+        """Whether the wave is still strong at the deepest grain."""
+        return bool(self.strength.size) and float(self.strength[-1]) > STILL_STRONG
+
+    def notes(self) -> Iterator[str]:
+        """Yield which laws the local exponents approach, and which grains were fitted."""
+        verdicts: dict[str, list[str]] = {}
+        for name in self.local:
+            verdicts.setdefault(self.approach(name), []).append(name)
+        for verdict, names in verdicts.items():
+            yield f"{', '.join(names)}: {verdict}"
+        if self._strong:
+            yield "no law of great depth: the wave is still strong at the deepest grain"
+        if self.grain.size:
+            yield (
+                f"grains {self.grain[0]} to {self.grain[-1]}; left out are those next to the top, "
+                "and those nearer to the bottom than 3 + 2.5 N^(1/3) grains, where an echo comes"
+            )
+
+    def approach(self, name: str) -> str:
+        """Return in words which law the local exponents of a quantity approach with depth.
+
+        "on" a law is what agrees with it within the error at the deepest grains, "towards" one what
+        comes nearer to it from the first grains to the deepest by more than both errors.
+
+        Parameters
+        ----------
+        name : str
+            A key of `local`.
+        """
+        local = self.local[name]
+        weak = self.expected[name]
+        laws = {"the law of weak waves": weak, "that of a solitary wave without load": STRONG[name]}
+        for words, law in laws.items():
+            if abs(local.exponent[-1] - law) <= local.error[-1]:
+                return f"on {words}"
+        for words, law in laws.items():
+            nearer = abs(local.exponent[0] - law) - abs(local.exponent[-1] - law)
+            if nearer > local.error[0] + local.error[-1]:
+                return f"towards {words}"
+        return "towards no law within these grains"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw deviations from the expected exponents with their intervals; returns the axes."""
+        """Draw local exponents over depth less those of a weak wave, with errors; returns the axes.
+
+        Points at the right are the exponents of great depth.
+        """
+        from matplotlib.ticker import LogLocator
+
         ax = axes_in_units(ax, "", "")
-        above = [law.exponent - self.expected[key] for key, law in self.laws.items()]
-        ax.axvline(0, color="0.5", lw=1, ls="--")
-        ax.errorbar(
-            above,
-            range(len(above)),
-            xerr=[law.error[0] for law in self.laws.values()],
-            fmt="o",
-            capsize=3,
+        ax.set_xscale("log")
+        ax.axhline(0, color="k", lw=1, ls="--", label="law of weak waves")
+        deepest = max((local.depth[-1] for local in self.local.values()), default=1.0)
+        shown = {} if self._strong else self.laws
+        for place, (name, power) in enumerate(self.expected.items()):
+            colour = SHADES[place]
+            if name in self.local:
+                local = self.local[name]
+                above = local.exponent - power
+                ax.plot(local.depth, above, color=colour, label=name)
+                band = above - local.error, above + local.error
+                ax.fill_between(local.depth, *band, color=colour, alpha=0.2, lw=0)
+            if name in shown:
+                beyond = deepest * 1.2 * 1.06**place
+                height = shown[name].exponent - power
+                error = shown[name].error[0]
+                ax.errorbar(beyond, height, error, fmt="o", ms=4, capsize=3, color=colour)
+        ax.xaxis.set(
+            major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
         )
-        ax.set_yticks(
-            range(len(above)), [f"{key}\n{law.exponent:.4f}" for key, law in self.laws.items()]
-        )
+        points = "; points: at great depth" if shown else ""
         ax.set(
-            xlabel="exponent less that of\na weak wave, deep down", ylim=(len(above) - 0.5, -0.5)
+            xlabel=f"depth h = n − 1/2 (grains){points}",
+            ylabel="local exponent d log / d log h\nless that of a weak wave",
         )
+        # curves may be anywhere within
+        legend(ax, loc="center left", bbox_to_anchor=(1.0, 0.5))
         return ax
 
 
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:
     """Fit the exponents with which the front of a strike on the top changes with depth.
 
-    Each by `lmpchain.measure.front.asymptotic`: with its confidence interval and the correction for
-    finite depth.
+    Local ones by `lmpchain.measure.front.exponent`, with their confidence intervals, and those of
+    great depth by `lmpchain.measure.front.asymptotic`, with the correction for finite depth. The
+    latter are laws of weak waves: after a strong strike the local ones say how far the wave is from
+    them. Grains near a wall are left out: by default those nearer to the bottom than 3 + 2.5
+    N^(1/3), some widths of the front, as its echo comes before it has passed.
 
     Parameters
     ----------
@@ -378,4 +497,18 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         "speed": xi / 2,
         "width": 1 / 3 - xi / 2,
     }
-    return ExponentFit(laws, {name: expected[name] for name in laws})
+    local = {}
+    for name, (quantity, front) in fronts.items():
+        size = front.against_depth(quantity).depth.size  # type: ignore[arg-type]
+        with suppress(InputError):
+            local[name] = exponent(front, quantity, min(WINDOW, size))  # type: ignore[arg-type]
+    contacts = trajectory.scene.chain.contacts
+    rate = np.sqrt(contacts.stiffness[velocity.grain] / trajectory.scene.chain.masses[0])
+    holds = contacts.overlap[velocity.grain] * rate
+    return ExponentFit(
+        laws=laws,
+        expected={name: power for name, power in expected.items() if name in laws or name in local},
+        local=local,
+        grain=velocity.grain,
+        strength=np.abs(velocity.amplitude) / holds,
+    )

@@ -16,10 +16,10 @@ from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
-from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, choose_few, legend, set_title
 from ..bodies import motion
 from ..contact import sensor
+from .table import Fitted, Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,7 +107,7 @@ def _trace_faults(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParameterFit(Shown):
+class ParameterFit(Fitted):
     """A parameter of a scene, fitted to a trace.
 
     Attributes
@@ -134,6 +134,12 @@ class ParameterFit(Shown):
     residual: float
     scene: Scene
     runs: int
+
+    def rows(self) -> Iterator[Row]:
+        """Yield the parameter, and what the scene with it leaves of the trace."""
+        unit = UNITS_OF_TRACES[self.parameter]
+        yield Row("parameter", self.parameter, self.value, self.error, unit=unit)
+        yield Row("parameter", "residual", self.residual, expected=0.0)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw some of the traces as points and the fit as lines; returns the axes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,10 +14,10 @@ from ...errors import InputError
 from ...theory.soliton import Soliton, coste_speed, nesterenko_speed, solve, struck
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend
 from ..front import FEWEST, track
 from .column_front import is_uniform
+from .table import Fitted, Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +28,7 @@ SOLITARY = 0.02  # analysis/calibration/fit_thresholds.py
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SolitonFit(Shown):
+class SolitonFit(Fitted):
     """A wave that keeps its height, beside the exact solitary wave of that height.
 
     Attributes
@@ -61,6 +62,24 @@ class SolitonFit(Shown):
     expected: Array
     formula: float
 
+    def rows(self) -> Iterator[Row]:
+        """Yield height, speed and width, and the speed by the long-wave formula."""
+        _, speed, width = self.expected.tolist()
+        errors = self.error.tolist()
+        # the height is that of the exact wave, with which the others are compared
+        yield Row("soliton", "largest velocity", self.amplitude, errors[0], unit="m/s")
+        yield Row("soliton", "speed", self.speed, errors[1], speed, "grains/s")
+        yield Row("soliton", "width", self.width, errors[2], width, "grains")
+        formula = "speed by long-wave formula"
+        yield Row("soliton", formula, self.formula, expected=speed, unit="grains/s")
+
+    def notes(self) -> Iterator[str]:
+        """Yield which grains were fitted."""
+        yield (
+            f"grains {self.grain.min()} to {self.grain.max()}; grains within {END_GRAINS} of an "
+            "end, where the wave meets its reflection, are left out"
+        )
+
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw peak velocity and local speed of the grains over the exact; returns the axes."""
         ax = axes_in_units(ax, "", "")
@@ -88,7 +107,8 @@ def fit_soliton(
     trajectory : Trajectory
         Of any engine that solves Eq. (1).
     first, last : int, optional
-        Grains; by default the later half of those that the wave passes, away from both ends.
+        Grains; by default the later half of those that the wave passes, the 5 next to either end
+        left out, where a wave meets its reflection.
 
     Returns
     -------
@@ -97,7 +117,7 @@ def fit_soliton(
     Raises
     ------
     InputError
-        If the chain is not uniform or under gravity, or if what passes is no solitary wave.
+        If the chain is not uniform there or under gravity, or if what passes is no solitary wave.
 
     Examples
     --------
@@ -118,6 +138,8 @@ def fit_soliton(
         first = int(later.min(initial=chain.grains))
         last = int(later.max(initial=1))
     front = front.between(first or 1, last or chain.grains)
+    # a striker, or a lump on the way, may be of another kind
+    chain = _uniform_piece(chain, front.grain)
     # the recording may end within the wave
     complete = np.isfinite(front.width) & np.isfinite(front.width_error)
     if complete.sum() < FEWEST:
@@ -190,8 +212,15 @@ def _check_chain(chain: Chain) -> None:
         raise InputError.at("exponent", "must be above 1: springs have no solitary wave")
     if chain.grains == 1:
         raise InputError.at("grains", "must be several: a single one has no wave")
-    if not is_uniform(chain):
-        raise InputError.at("chain", "must be uniform")
+
+
+def _uniform_piece(chain: Chain, grains: np.ndarray) -> Chain:
+    """Return the piece of chain that these grains make; raise `InputError` if it is not uniform."""
+    # too few are refused with the rest of the front
+    piece = chain.part(int(grains[0]), int(grains[-1])) if grains.size > 1 else chain
+    if not is_uniform(piece):
+        raise InputError.at("chain", "must be uniform where the wave passes: choose first and last")
+    return piece
 
 
 def _exact(chain: Chain, velocity: float) -> tuple[Soliton, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -16,10 +18,10 @@ from ...theory.modes import eigenmodes
 from ...trajectory.picture import UNITS_OF_FIELDS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, choose_few, legend, set_title
 from ..bodies import motion
 from ..recorded import Field
+from .table import Fitted, Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +55,7 @@ REGION = BesselRegion()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModeFit(Shown):
+class ModeFit(Fitted):
     """A motion as a superposition of eigenmodes.
 
     Attributes
@@ -68,6 +70,8 @@ class ModeFit(Shown):
     energy, energy_error : (M,) arrays
         (a'^2 + w^2 a^2) / 2 of each mode at t = 0, J, and its standard deviation over the samples,
         0 for a linear wave.
+    given : float
+        Energy of the motion at t = 0 by the scene, with its nonlinear part, J; NaN if unknown.
     residual : (T,) array
         How far the linear motion from the state at t = 0, Eqs. (15) and (16), is from the
         trajectory: max|x - x_linear| over the grains over max|x| over grains and samples, the
@@ -81,6 +85,19 @@ class ModeFit(Shown):
     energy: Array
     energy_error: Array
     residual: Array
+    given: float = math.nan
+
+    def rows(self) -> Iterator[Row]:
+        """Yield energy, strongest mode, and what the linear motion leaves."""
+        mode = int(self.energy.argmax())
+        total = float(self.energy.sum())
+        share = f"share of mode {mode + 1}, strongest"
+        frequency = float(self.frequency[mode] / (2 * np.pi))
+        yield Row("modes", "energy of all modes", total, expected=self.given, unit="J")
+        yield Row("modes", share, float(self.share[mode]), float(self.share_error[mode]))
+        yield Row("modes", "its frequency", frequency, unit="Hz")
+        residual = float(self.residual.max())
+        yield Row("modes", "residual of linear motion", residual, expected=0.0)
 
     @property
     def share(self) -> Array:
@@ -164,11 +181,12 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
         energy=energy[0],
         energy_error=energy.std(0),
         residual=np.maximum(*residuals),
+        given=float(scene.energy),
     )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BesselFit(Shown):
+class BesselFit(Fitted):
     """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]`` after a strike on grain p.
 
     Here s = rate (t - delay). The second term is the image in a free top, Eq. (11) if p = 1; under
@@ -212,6 +230,28 @@ class BesselFit(Shown):
     values: Array
     model: Array
     residual: float
+
+    def rows(self) -> Iterator[Row]:
+        """Yield amplitude, wave speed, delay and kappa, and what the solution leaves."""
+        unit = UNITS_OF_FIELDS[self.field]
+        values = {
+            "amplitude": (self.amplitude, unit),
+            "wave speed": (self.rate, "grains/s"),
+            "delay": (self.delay, "s"),
+            "kappa": (self.kappa, ""),
+        }
+        for (name, (value, unit)), error, expected in zip(
+            values.items(), self.error.tolist(), self.expected.tolist(), strict=True
+        ):
+            yield Row("bessel", name, value, error, expected, unit)
+        yield Row("bessel", "residual", self.residual, expected=0.0)
+
+    def notes(self) -> Iterator[str]:
+        """Yield which grains were fitted, and how long."""
+        yield (
+            f"grains {self.grain.min()} to {self.grain.max()}, each until the first echo from an "
+            "end of the uniform piece of chain can come"
+        )
 
     def front_time(self, grain: int) -> float:
         """Return the time when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, s.

@@ -1,0 +1,97 @@
+"""Fitted numbers as a table: quantity, value, error, theory, unit."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from ...util.notebook import Shown
+from ...util.tables import align, number
+
+WIDTH = 80  # letters of a line
+TITLES = ("quantity", "value", "error", "theory", "unit")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fitted number.
+
+    Attributes
+    ----------
+    fit, quantity, unit : str
+    value, error : float
+        The error as the fit defines it; NaN where there is none.
+    expected : float
+        By the scene and the theory; NaN where they say nothing.
+    """
+
+    fit: str
+    quantity: str
+    value: float
+    error: float = math.nan
+    expected: float = math.nan
+    unit: str = ""
+
+    def cells(self) -> tuple[str, str, str, str, str]:
+        """Return quantity, value, error, theory and unit as text."""
+        return (
+            self.quantity,
+            rounded(self.value, self.error),
+            number(self.error, ".1g"),
+            rounded(self.expected, self.error),
+            self.unit,
+        )
+
+
+class Fitted(Shown):
+    """A fit, which prints as a table of its numbers."""
+
+    def rows(self) -> Iterator[Row]:
+        """Yield the fitted numbers, with their errors and what theory says of them."""
+        raise NotImplementedError
+
+    def notes(self) -> Iterator[str]:
+        """Yield what else is to be said: what was left out, which law is approached."""
+        yield from ()
+
+    def _summary(self) -> Iterator[Sequence[str]]:
+        # in a notebook, too
+        yield from table_of(self.rows())
+
+    def table(self) -> str:
+        """Return the numbers as text, within 80 columns."""
+        return "\n".join([*align(table_of(self.rows())), *folded(self.notes())])
+
+    __str__ = table
+
+
+def table_of(rows: Iterable[Row]) -> list[Sequence[str]]:
+    """Return the cells of a table of numbers; columns in which nothing stands are left out."""
+    cells = [TITLES, *(row.cells() for row in rows)]
+    columns = [column for column in zip(*cells, strict=True) if any(column[1:])]
+    return list(zip(*columns, strict=True))
+
+
+def folded(notes: Iterable[str]) -> list[str]:
+    """Return sentences in lines of 80 letters, the further ones of each indented."""
+    fold = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    return [line for note in notes for line in fold.wrap(note)]
+
+
+def rounded(value: float, error: float = math.nan) -> str:
+    """Return a number rounded to the digits that its error leaves significant.
+
+    Examples
+    --------
+    >>> rounded(1.23456789, 0.00234), rounded(5.4321, 60.0), rounded(5.4321), rounded(math.nan)
+    ('1.2346', '5.4', '5.4321', '')
+    """
+    if math.isnan(value):
+        return ""
+    if not error > 0 or not math.isfinite(error) or value == 0:
+        # six digits of a number whose error is unknown; two where all are significant or none
+        return f"{value:.6g}" if math.isnan(error) else f"{value:.2g}"
+    digits = max(2, min(10, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error))))
+    return f"{value:.{digits}g}"
