@@ -12,6 +12,7 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
+from ..util.tables import counted
 from ..util.validation import (
     NOT_GIVEN,
     Checked,
@@ -53,6 +54,10 @@ class Chain(AtRest, Checked):
         delta, 1 (linear springs) to 3; 1.5 is Hertz.
     top_load : float
         Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
+    load_grain : int
+        The grain that the top load acts on, from 1 to the last one that moves. Those above carry
+        nothing but their weight: without gravity they only touch, and grain 1 is a striker. A wall
+        at the top then carries nothing, and the load is a constant force.
     top, bottom : str
         top "free" or "wall"; bottom "fixed" (grain N is held), "wall" or "free" (only without
         gravity and load). Walls stand still; a wall at the top just touches grain 1 at rest unless
@@ -93,6 +98,7 @@ class Chain(AtRest, Checked):
     gravity: Annotated[Real, Field(ge=0)] = 9.81
     exponent: Annotated[Real, Field(ge=1, le=3)] = 1.5
     top_load: Annotated[Real, Field(ge=0)] = 0.0
+    load_grain: Annotated[Whole, Field(ge=1)] = 1
     top: Literal["free", "wall"] = "free"
     bottom: Literal["fixed", "wall", "free"] = "fixed"
     given_masses: PositiveVector = Field(NOT_GIVEN, alias="masses")
@@ -118,6 +124,10 @@ class Chain(AtRest, Checked):
         if self.bottom == "free" and self.compressed:
             cure = "a free chain would fall"
             yield "bottom", f'must be "fixed" or "wall" under gravity or a top load: {cure}'
+        if self.load_grain > self.movable:
+            held = ", and the last one is held" if self.bottom == "fixed" else ""
+            cure = f"at most {self.movable} of {counted(self.grains, 'grain')}{held}"
+            yield "load_grain", f"must be a grain that the load can press, {cure}"
 
     def _tiny_forces(self) -> Iterator[tuple[str, str]]:
         """Yield forces whose squares are no numbers."""
@@ -132,7 +142,9 @@ class Chain(AtRest, Checked):
             return
         # before gigabytes of arrays are made of a column that could not stand
         if self._kinds:
-            weights = (self.top_load, self.gravity, self.exponent)
+            # of contacts above the load nothing is known
+            load = self.top_load if self.load_grain == 1 else 0.0
+            weights = (load, self.gravity, self.exponent)
             bound = least_compression(self._kinds, self.grains, *weights)
             if bound > LIMITS.compression:
                 contact = f"a contact is compressed by at least {bound:.2g}"
@@ -256,6 +268,7 @@ class Chain(AtRest, Checked):
             wall_moduli=[wall.plane_strain_modulus if wall else np.nan for wall in materials],
             wall_constants=(np.nan, np.nan) if wall_constants is None else wall_constants,
             top_load=self.top_load,
+            load_grain=self.load_grain,
             gravity=self.gravity,
             exponent=self.exponent,
         )
@@ -323,6 +336,39 @@ class Chain(AtRest, Checked):
         return self.gravity > 0 or self.top_load > 0
 
     @property
+    def loose_grains(self) -> int:
+        """How many grains at the top only touch, above the load and without weight; 0 if none."""
+        return self.load_grain - 1 if self.top_load > 0 and self.gravity == 0 else 0
+
+    @property
+    def linearisable(self) -> bool:
+        """Whether every grain that moves is pressed at rest, so that weak waves are linear."""
+        return self.compressed and not self.loose_grains
+
+    def refuse_loose(self, what: str) -> None:
+        """Raise `InputError` if grains only touch, of which `what`, a linear theory, is not."""
+        if self.loose_grains:
+            raise InputError.at("chain.load_grain", f"{what} is linear, and {self.loose}")
+
+    @property
+    def loose(self) -> str:
+        """Why nothing of grains that only touch is linear, and what to do."""
+        if self.loose_grains == 1:
+            return "grain 1 only touches grain 2: let the load act on grain 1, or use native"
+        last = self.loose_grains
+        return f"grains 1 to {last} only touch: let the load act on grain 1, or use native"
+
+    @property
+    def wall_load(self) -> float:
+        """Force of the wall at the top on grain 1 at rest, N; 0 if it only touches or is none."""
+        return self.top_load if self.top == "wall" and self.load_grain == 1 else 0.0
+
+    @property
+    def constant_load(self) -> float:
+        """Constant force on the grain that the load acts on, N; 0 if a wall presses instead."""
+        return self.top_load - self.wall_load
+
+    @property
     def damped(self) -> bool:
         """Whether contacts or a drag take energy."""
         return self.damping.acts
@@ -356,20 +402,16 @@ class Chain(AtRest, Checked):
     def part(self, first: int, last: int) -> Chain:
         """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
 
-        Grains above become a top load, and grain `last` is held unless the chain ends with it.
-        Masses and constants are kept, and so are forces and overlaps if `first` is 1, else but for
-        last bits. Many left out cost nothing.
+        Grains above become a load on grain `first`, and grain `last` is held unless the chain ends
+        with it. Masses and constants are kept, and so are forces and overlaps if `first` is 1, else
+        but for last bits. Many left out cost nothing.
 
         Raises
         ------
         InputError
             Unless there are such grains, two or more, or all there are.
         """
-        if not 1 <= index(first) <= index(last) <= self.grains or (
-            first == last and self.grains > 1
-        ):
-            grains = f"two or more of grains 1 to {self.grains} (got {first} to {last})"
-            raise InputError.at("part", f"must be {grains}")
+        self._check_part(first, last)
         fields = self.given() | {"grains": int(last - first + 1)}
         for key in ("material", "diameter", "masses", "contact_constants"):
             if isinstance(fields.get(key), np.ndarray | tuple):
@@ -387,10 +429,10 @@ class Chain(AtRest, Checked):
             fields["wall_constants"] = read_only(self.wall_constants * outer)
         if self.damped:
             fields["damping"] = self.damping.part(first, last)
-        # the weight of the grains above presses on, without their motion
         if first > 1:
-            fields |= {"top": "free", "top_load": self._force_on(first)}
+            fields["top"] = "free"
             fields.pop("top_material", None)
+        fields |= self._load_of(first, last)
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
@@ -402,10 +444,41 @@ class Chain(AtRest, Checked):
             return with_derived(piece, equilibrium=self.equilibrium.above(last))
         return piece
 
+    def _check_part(self, first: int, last: int) -> None:
+        """Raise `InputError` unless these grains can be a chain."""
+        if not 1 <= index(first) <= index(last) <= self.grains or (
+            first == last and self.grains > 1
+        ):
+            grains = f"two or more of grains 1 to {self.grains} (got {first} to {last})"
+            raise InputError.at("part", f"must be {grains}")
+        if first != self.first_of_part(first):
+            cure = f"begin with grain 1, or with one from grain {self.load_grain} on"
+            raise InputError.at("part", f"would have two loads, of weight and on top: {cure}")
+
+    def first_of_part(self, grain: int) -> int:
+        """Return the grain with which a part begins that is to hold this one.
+
+        Between grain 1 and the load on a lower grain, those above would press besides.
+        """
+        two_loads = self.gravity > 0 and self.top_load > 0 and grain < self.load_grain
+        return 1 if two_loads else grain
+
+    def _load_of(self, first: int, last: int) -> dict[str, Any]:
+        """Return load and loaded grain of `part`."""
+        loaded = self.load_grain - first + 1
+        # the weight of the grains above presses on, without their motion
+        if first > 1 and (loaded <= 1 or self.top_load == 0):
+            return {"top_load": self._force_on(first), "load_grain": 1}
+        moves = self.load_grain <= last - (last < self.grains)
+        if not moves:
+            return {"top_load": 0.0, "load_grain": 1}
+        return {"load_grain": loaded} if loaded != self.load_grain else {}
+
     def _force_on(self, grain: int) -> float:
-        """Return the force at rest on grain n > 1 from the grains above it, N."""
+        """Return the force at rest on grain n > 1 from the grains above it, and the load on it."""
         if self._kinds is None:
-            return float(self.contacts.force[grain - 1])
+            load = self.top_load if grain == self.load_grain else 0.0
+            return float(self.contacts.force[grain - 1]) + load
         # in long doubles, as the weights of `derive_chain`
         common, *impure = np.array(self._kinds.masses, dtype=np.longdouble)
         excess = [
@@ -441,19 +514,22 @@ class Chain(AtRest, Checked):
 
     @property
     def _first(self) -> int:
-        """Number of the contact below grain 1, or of that above it if there is none below."""
-        return int(self.contacts.exists[1])
+        """Number of the contact below grain 1, or of that above it if there is none below.
+
+        Where grains only touch above the load, it is that below the grain which the load presses.
+        """
+        return self.loose_grains + int(self.contacts.exists[self.loose_grains + 1])
 
     @property
     def length_scale(self) -> float:
-        """Overlap eps_1 of the contact below grain 1 at rest, m."""
+        """Overlap eps_1 of the contact below grain 1 at rest, m; below the load if grains touch."""
         return float(self.contacts.overlap[self._first])
 
     @property
     def time_scale(self) -> float:
         """Unit of the paper's tau, sqrt(m_1 / k_1), s (infinite in the sonic vacuum)."""
         k = float(self.contacts.stiffness[self._first])
-        return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
+        return float(np.sqrt(self.masses[self.loose_grains] / k)) if k > 0 else np.inf
 
     def excess_energy(
         self, displacement: Array, velocity: Array, wall: Array | None = None

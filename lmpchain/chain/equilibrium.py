@@ -36,6 +36,8 @@ class Grains(NamedTuple):
         N/m^delta; NaN where it follows from the wall's material.
     top_load, gravity, exponent : float
         N, m/s2, and delta.
+    load_grain : int
+        The grain, from 1, that the load acts on.
     """
 
     diameters: Array
@@ -49,6 +51,7 @@ class Grains(NamedTuple):
     top_load: float
     gravity: float
     exponent: float
+    load_grain: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,15 +116,31 @@ def derive_chain(grains: Grains) -> Equilibrium:
     between = (diameters[..., :-1] + diameters[..., 1:]) / 2
     lengths = _with_ends(between, diameters[..., 0], diameters[..., -1])
     constants = _contact_constants(grains, lengths)
-    # every contact carries the load and the weight of all grains above it
     # in long doubles: the rounding of the weight of many grains would show in the stiffnesses
     weight = grains.gravity * masses.cumsum(-1, dtype=np.longdouble)
-    force = np.empty(constants.shape)
-    force[..., 0] = grains.top_load
-    force[..., 1:] = grains.top_load + weight
+    force = carried_at_rest(weight, grains.top_load, grains.load_grain).astype(float)
     force = np.where(constants > 0, force, 0.0)
     contacts = Contacts.at_rest(constants, force, grains.exponent)
     return Equilibrium(contacts, *map(read_only, (lengths, diameters, masses)))
+
+
+def carried_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDArray[Any]:
+    """Return what every contact would carry at rest, (..., N+1) N, if there is one.
+
+    Parameters
+    ----------
+    weight : (..., N) array
+        Of every grain and all above it, N.
+    top_load : float
+        N.
+    load_grain : int
+        The grain that it acts on, from 1.
+    """
+    force = np.zeros((*weight.shape[:-1], weight.shape[-1] + 1), weight.dtype)
+    force[..., 1:] = weight
+    # a wall above grain 1 presses with a load on that
+    force[..., load_grain if load_grain > 1 else 0 :] += top_load
+    return force
 
 
 def _contact_constants(grains: Grains, lengths: Array) -> Array:

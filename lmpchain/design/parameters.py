@@ -63,7 +63,7 @@ def _refuse(scene: Scene, name: str) -> str:
     match name:
         case "top_load" | "gravity" if not chain.compressed:
             return "has no derivative in a chain that nothing presses: give it a load or gravity"
-        case "top_load" if chain.top == "wall" and chain.top_load == 0:
+        case "top_load" if chain.top == "wall" and chain.load_grain == 1 and chain.top_load == 0:
             return "has no derivative at 0, where the top wall only touches: give it a load"
         case "contact_constants" if chain.grains == 1:
             return "there is no contact between grains: use wall_constants"
@@ -132,7 +132,7 @@ def _with_weight(chain: Chain, gradient: Inputs, key: str) -> Array:
             # by their inertia, and by their weight on all contacts below
             return gradient.masses + chain.gravity * np.cumsum(gradient.forces[:0:-1])[::-1]
         case "top_load":
-            return np.array([gradient.forces.sum()])
+            return np.array([gradient.forces[_pressed_by_load(chain)].sum()])
         case "gravity":
             return np.array([gradient.forces[1:] @ np.cumsum(chain.masses)])
         case "force":
@@ -159,8 +159,14 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
     # a heavier grain weighs on all contacts below it
     heavier = chain.gravity * np.cumsum(changes["masses"], axis=1)
     weight = heavier + changes.pop("gravity") * np.cumsum(chain.masses)
-    forces = changes.pop("top_load") + np.pad(weight, ((0, 0), (1, 0)))
+    forces = np.pad(weight, ((0, 0), (1, 0)))
+    forces[:, _pressed_by_load(chain)] += changes.pop("top_load")
     return Inputs(forces=np.where(chain.contacts.pressed, forces, 0.0), **changes)
+
+
+def _pressed_by_load(chain: Chain) -> slice:
+    """Return the contacts that the load presses, which a wall at the top begins with."""
+    return slice(chain.load_grain if chain.load_grain > 1 else 0, None)
 
 
 def _course(scene: Scene) -> Drive | Force | None:

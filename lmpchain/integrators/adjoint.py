@@ -25,6 +25,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import cheb2poly, poly2cheb
 from numpy.typing import NDArray
 
+from ..chain.chain import Chain
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
@@ -231,7 +232,7 @@ class DifferentiableRun:
         above[1, 1:] = links.strength[0, :-1]
         above[2] = scene.chain.exponent * above[1] * above[0]
         self._above = Above(*above)
-        way = _way(scene.chain.exponent, links)
+        way = _way(scene.chain, links)
         less = scene.chain.exponent - 1.0
         self._law = Law(
             way=int(way),
@@ -451,12 +452,12 @@ class DifferentiableRun:
         return float(max(-state["least_strain"], closer))
 
 
-def _way(exponent: float, links: Links) -> Way:
+def _way(chain: Chain, links: Links) -> Way:
     """Choose the way back of the one chain of a batch."""
     # undone where no contact can open: round-off would close or open those that only touch
     form = links.form[0]
-    hertz = exponent == 1.5
-    if links.precompressed and not links.uncompressed[0]:
+    hertz = chain.exponent == 1.5
+    if chain.linearisable and not links.uncompressed[0]:
         if form == Form.POLYNOMIAL:
             return Way.UNDONE_SERIES
         if hertz:
@@ -465,4 +466,6 @@ def _way(exponent: float, links: Links) -> Way:
         return Way.OTHER
     if not links.precompressed:
         return Way.VACUUM
-    return Way.PLAIN if form in ROOTS else Way.HERTZ
+    if form in ROOTS:
+        return Way.PLAIN
+    return Way.OTHER if chain.loose_grains else Way.HERTZ

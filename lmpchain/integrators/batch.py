@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..chain.contacts import together
+from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
+from ..scene.strike import first_overlaps
 from ..util.arrays import Array
 from .kernels.contact_forces import FORMS, ROOTS, Form
 from .kernels.layout import ALONE, PAD, WAVE, Chains, Dissipation, Imposed, Links, Team
@@ -20,6 +21,9 @@ from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
 # analysis/calibration/roundoff.py
 STRONG = 1.0
 FORCES = ("auto", "exact", "plain")
+# overlap, m, of contacts that only touch among others that are pressed: far below the rounding of
+# one that a strike makes, and its powers are numbers
+TOUCHING = 1e-30
 # of the largest speed that is imposed: more than the rounding of a velocity
 ROUNDED = 1e-6
 # bodies: shorter chains are computed as a whole, for less than it costs to follow the wave;
@@ -87,9 +91,10 @@ class ChainBatch:
         self.initial = initial or self._initial()
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = together([scene.chain.contacts for scene in scenes])
+        overlap, force_at_rest = _with_touching(self.contacts, chain.loose_grains)
         at_rest = AtRest(
-            overlap=self.contacts.overlap,
-            force=self.contacts.force,
+            overlap=overlap,
+            force=force_at_rest,
             constant=self.contacts.constant,
             stiffness=self.contacts.stiffness,
             compressed=chain.compressed,
@@ -204,6 +209,21 @@ class ChainBatch:
         return Dissipation(acts, viscosity, drag)
 
 
+def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array]:
+    """Return overlap and force at rest, (R, N+1) m and N, with a trace of them in loose contacts.
+
+    The compiled forms of the force need a length: with that of `TOUCHING` they are Hertz's law
+    without load but for less than their rounding.
+    """
+    if not loose:
+        return contacts.overlap, contacts.force
+    overlap = contacts.overlap.copy()
+    force = contacts.force.copy()
+    overlap[:, 1 : loose + 1] = TOUCHING
+    force[:, 1 : loose + 1] = contacts.constant[:, 1 : loose + 1] * TOUCHING**contacts.exponent
+    return overlap, force
+
+
 @cache
 def series(exponent: float) -> Array:
     """Return the first seven binomial coefficients of (1 + s)^delta - 1, and delta, (8,)."""
@@ -234,11 +254,22 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     if force == "auto" and scene.largest_strain < weakest(exponent):
         return Form.POLYNOMIAL
     # the plain form subtracts two forces, and loses what is below the last digit of that at rest
-    if roots is not None and (
-        force == "plain" or (force == "auto" and scene.strike_number > STRONG)
-    ):
+    if roots is not None and (force == "plain" or (force == "auto" and _strong(scene))):
         return roots
-    return Form.CORRECTED if exponent == 1.5 else Form.POWER
+    # the correction is one for strains, and that of a contact that only touches has no bound
+    if exponent == 1.5 and not scene.chain.loose_grains:
+        return Form.CORRECTED
+    return Form.POWER
+
+
+def _strong(scene: Scene) -> bool:
+    """Return whether waves are so strong that the last digits of the forces at rest are nothing."""
+    chain = scene.chain
+    if not chain.loose_grains:
+        return scene.strike_number > STRONG
+    # the strike number of a grain that only touches is infinite, however gently it strikes others
+    deepest = first_overlaps(chain, scene.excitation).max()
+    return bool(deepest > (1 + STRONG) * chain.contacts.overlap.max())
 
 
 def name_of(form: int) -> str:

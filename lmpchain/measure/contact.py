@@ -304,7 +304,7 @@ def drive_force(trajectory: Trajectory) -> Array:
     # at rest a wall carries the load, and the driver nothing
     if chain.top == "wall":
         return force - contacts(trajectory, [0]).change[:, 0]
-    return chain.top_load + force
+    return force + (chain.top_load if chain.load_grain == 1 else 0.0)
 
 
 def sensor(trajectory: Trajectory, grain: int) -> Signal:

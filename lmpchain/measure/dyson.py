@@ -330,6 +330,7 @@ def relative_stiffness(chain: Chain) -> Array:
         raise InputError.at(
             "gravity", "without gravity and load contacts have no stiffness at rest, so no kappa_n"
         )
+    chain.refuse_loose("relative stiffness")
     stiffness = chain.contacts.stiffness[1:].copy()
     force = chain.contacts.force
     if chain.bottom != "wall":

@@ -363,7 +363,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         kinetic=v**2 @ chain.masses / 2,
         contact=elastic + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
-        load=-chain.top_load * (u[:, 0] * (chain.top == "free") if top is None else top),
+        load=-_work_of_load(chain, u, top),
         total=(chain.masses * v**2).sum(1) / 2 + elastic,  # as Chain.excess_energy
         drive=drive,
         dissipated=dissipated,
@@ -373,6 +373,12 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         impulse_error=impulse_error,
         dissipated_error=dissipated_error,
     )
+
+
+def _work_of_load(chain: Chain, u: Array, top: Array | None) -> Array:
+    """Return the work of the top load, (T,) J, with the top wall at (T,) m where that is moved."""
+    of_grain = chain.constant_load * u[:, chain.load_grain - 1]
+    return of_grain if top is None else of_grain + chain.wall_load * top
 
 
 def losses(trajectory: Trajectory) -> EnergyLosses:

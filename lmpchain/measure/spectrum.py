@@ -233,7 +233,7 @@ def dispersion(
 
 def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array:
     """Return the branches (B, K), Hz, of a chain that repeats the grains from this one on."""
-    if period == 1 or not chain.compressed:
+    if period == 1 or not chain.linearisable:
         return cut_off(chain)[grain - 1] * np.abs(np.sin(wavenumber / 2))[None]
     # the cell that begins here, or the last whole one above the end
     start = min(grain, chain.grains - period)
@@ -286,6 +286,7 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
         raise InputError.at(
             "chain", "without gravity and load no weak wave travels: there is no such time"
         )
+    chain.refuse_loose("the time of travel of a weak wave")
     if not 1 <= source <= chain.grains:
         raise InputError.at("source", f"grains are numbered 1 to {chain.grains} (got {source})")
     delay = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)

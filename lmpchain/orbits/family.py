@@ -152,7 +152,7 @@ class Family(Shown):
         A chain that does not repeat has one, from its slowest to its fastest mode.
         """
         chain = self.orbits[0].chain
-        if not chain.compressed:
+        if not chain.linearisable:
             return np.zeros((0, 2))
         period = repeating(chain)
         arrays = (chain.masses, chain.linear_stiffness)

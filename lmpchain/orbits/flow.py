@@ -74,9 +74,15 @@ class Flow:
                 raise InputError.at("drive", message)
             if faults := list(drive.faults(chain, 1.0)):
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
-        elif not chain.compressed and (chain.top == "free" or chain.bottom == "free"):
+        elif not chain.linearisable and self._flies_apart:
             message = "flies apart: use a top load, gravity, or walls at both ends"
             raise InputError.at("chain", message)
+
+    @property
+    def _flies_apart(self) -> bool:
+        """Whether grains that only touch have an end where no wall holds them."""
+        chain = self.chain
+        return chain.top == "free" or (chain.bottom == "free" and not chain.compressed)
 
     @cached_property
     def _kernel_arrays(self) -> tuple[Links, Array]:

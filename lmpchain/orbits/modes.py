@@ -158,7 +158,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     check_number("grain", grain, chain.movable)
     mass = chain.masses[grain - 1]
     heavier = chain.masses > mass
-    if chain.gravity > 0 or not chain.compressed:
+    if chain.gravity > 0 or not chain.linearisable:
         message = "must be pressed by a top load, without gravity, which other masses would change"
         raise InputError.at("chain", message)
     if not heavier[max(grain - 2, 0) : grain + 1].any():

@@ -179,7 +179,7 @@ def _linear_answer(flow: Flow) -> tuple[Array, Array]:
     if drive is None:
         message = "give displacements and velocities, such as those of a linear mode"
         raise InputError.at("guess", f"is missing: {message}")
-    if not chain.compressed:
+    if not chain.linearisable:
         message = "a chain that is not compressed has no linear answer to a drive"
         raise InputError.at("guess", f"is missing, and {message}")
     stiffness = chain.contacts.stiffness

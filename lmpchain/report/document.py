@@ -11,6 +11,7 @@ from os import PathLike
 import numpy as np
 from markupsafe import Markup
 
+from ..chain.chain import Chain
 from ..errors import LmpchainError
 from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
@@ -116,9 +117,14 @@ def title(trajectory: Trajectory) -> str:
     scene = trajectory.scene
     chain = scene.chain
     weight = f"g = {chain.gravity:g} m/s²" if chain.gravity else "no gravity"
-    load = f", load {chain.top_load:g} N" if chain.top_load else ""
+    load = f", load {chain.top_load:g} N{_of_load(chain)}" if chain.top_load else ""
     run = f"{scene.excitation.label}, {si(scene.duration, 's')}, {trajectory.engine}"
     return f"{counted(chain.grains, 'grain')}, {weight}{load}, {run}"
+
+
+def _of_load(chain: Chain) -> str:
+    """Return which grain the top load acts on, unless it is the first."""
+    return f" on grain {chain.load_grain}" if chain.top_load and chain.load_grain > 1 else ""
 
 
 def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
@@ -159,7 +165,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     chain = scene.chain
     ends = f"top {chain.top}, bottom {chain.bottom}"
     yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, exponent {chain.exponent:g}"
-    yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N"
+    yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N{_of_load(chain)}"
     values = ", ".join(
         f"{key} {value:g}"
         if isinstance(value, int | float)

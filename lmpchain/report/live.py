@@ -93,6 +93,6 @@ def _law(trajectory: Trajectory, grains: np.ndarray) -> list[float]:
     """Return the arrival times of a long weak wave at grains, s; nothing without such a wave."""
     chain = trajectory.scene.chain
     source = getattr(trajectory.scene.excitation, "grain", None)
-    if not chain.compressed or source is None:
+    if not chain.linearisable or source is None:
         return []
     return travel_time(chain, max(1, source))[grains - 1].tolist()

@@ -169,7 +169,7 @@ def arrival(run: Trajectory) -> Panel:
         )
     legend(height)
     time.plot(track.grain, 1e6 * track.time, ".", ms=4, label="this run")
-    if chain.compressed:
+    if chain.linearisable:
         expected = spectrum.travel_time(chain, max(1, source))[track.grain - 1]
         time.plot(track.grain, 1e6 * expected, "--", lw=1, label="long weak wave")
     time.set(xlabel="grain, from the top", ylabel="arrival (µs)")
@@ -209,6 +209,8 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     # without compression a strike breaks up into waves that keep their heights
     if not chain.compressed:
         return 0.0, "solitary wave of the sonic vacuum"
+    if chain.loose_grains:
+        return None, ""
     if chain.gravity == 0:
         return 1 / 3, "weak wave far from the strike"
     if excitation.strikes_top and chain.top == "free" and chain.top_load == 0:

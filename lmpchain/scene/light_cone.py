@@ -62,7 +62,7 @@ def reached(
     # the stiffest contact within reach decides how far that is: look further until it suffices
     reach = 32
     while True:
-        first = max(1, top - reach)
+        first = chain.first_of_part(max(1, top - reach))
         last = min(grains, bottom + reach)
         if last - first + 1 > CUT.share * grains:
             return 1, grains
@@ -73,7 +73,7 @@ def reached(
         else:
             needed = _distance(2 * omega * duration)
         if needed <= reach:
-            return max(1, top - needed), min(grains, bottom + needed)
+            return chain.first_of_part(max(1, top - needed)), min(grains, bottom + needed)
         reach = max(needed, 2 * reach)
 
 

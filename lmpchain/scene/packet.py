@@ -79,6 +79,8 @@ class Packet(Excitation):
         """Yield a fault if the packet does not fit into the chain, or cannot travel there."""
         if self.grain > chain.movable:
             yield "grain", f"must be one that moves, 1 to {chain.movable} (got {self.grain})"
+        elif chain.loose_grains:
+            yield "chain.load_grain", f"a packet is linear, and {chain.loose}"
         elif not chain.compressed:
             yield "kind", "there are no linear waves without gravity and load: give a top_load"
         else:

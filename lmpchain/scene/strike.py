@@ -68,18 +68,26 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
 def strike_number(chain: Chain, excitation: Excitation) -> float:
     """Return the strength of a strike over what the contact below holds, `Scene.strike_number`."""
     contacts = chain.contacts
+    loose = chain.loose_grains
     # of one grain, without arrays over all the others
     if excitation.strike_velocity and chain.compressed:
         n = excitation.grain  # type: ignore[attr-defined]
+        if n <= loose:
+            return np.inf
         omega = (contacts.stiffness[n] / chain.masses[n - 1]) ** 0.5
         return float(abs(excitation.strike_velocity) / (contacts.overlap[n] * omega))
     moving = slice(0, chain.movable)
     displacement, velocity = (np.abs(values[moving]) for values in excitation.largest(chain))
+    # contacts that carry nothing at rest are as in the vacuum
+    free = slice(0, loose if chain.compressed else None)
+    if displacement[free].any() or velocity[free].any():
+        return np.inf
     if not chain.compressed:
-        return np.inf if displacement.any() or velocity.any() else 0.0
-    overlap = contacts.overlap[1:][moving]
-    omega = np.sqrt(contacts.stiffness[1:][moving] / chain.masses[moving])
-    return float(max((displacement / overlap).max(), (velocity / (overlap * omega)).max()))
+        return 0.0
+    overlap = contacts.overlap[1:][moving][loose:]
+    omega = np.sqrt(contacts.stiffness[1:][moving][loose:] / chain.masses[moving][loose:])
+    shift = displacement[loose:] / overlap
+    return float(max(shift.max(), (velocity[loose:] / (overlap * omega)).max()))
 
 
 def surroundings(chain: Chain, excitation: Excitation) -> Surroundings:
@@ -88,7 +96,7 @@ def surroundings(chain: Chain, excitation: Excitation) -> Surroundings:
     if chain.grains <= FEW_GRAINS:
         return Surroundings(1, chain, excitation)
     top, bottom = excitation.reach(chain)
-    first = max(1, top - 1)
+    first = chain.first_of_part(max(1, top - 1))
     last = min(chain.grains, bottom + 2)
     return Surroundings(first, chain.part(first, last), excitation.part(first, last))
 

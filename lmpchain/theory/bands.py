@@ -92,6 +92,7 @@ class Cell:
             ("gravity", chain.gravity == 0, uniform),
             ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
         )
+        chain.refuse_loose("theory of bands")
         # the last contact shows the ratio of given constants to those of Hertz; one grain has none
         ends = [-2, -1, 0][-chain.grains - 1 :]
         d = chain.diameters[ends]

@@ -154,6 +154,7 @@ def eigenmodes(chain: Chain) -> Modes:
     """
     message = "carries no force at rest: nothing to linearise without gravity or a top load"
     require(("chain", chain.compressed, message), *unequal_damping(chain))
+    chain.refuse_loose("theory of modes")
     modes = between(chain.contacts.stiffness[: chain.movable + 1], chain.masses[: chain.movable])
     return damped(modes, chain)
 

@@ -111,6 +111,7 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     load = "carries no force at rest: nothing linear travels without gravity or a load"
     leads = "must be two or more: the first and the last contact are those of the leads"
     require(("chain", chain.compressed, load), ("grains", chain.grains > 1, leads))
+    chain.refuse_loose("theory of scattering")
     return _scatter(chain, real(frequency, "frequency"))
 
 

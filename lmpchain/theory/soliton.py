@@ -205,7 +205,8 @@ class Soliton(Shown):
         # one grain beyond where the overlap is 1e-10 of the largest
         highest = float(self.overlap(0.0))
         far = 1 + brentq(lambda x: float(self.overlap(x)) / highest - 1e-10, 0.0, 2 * self.reach)
-        low = 1 + far
+        # grains that only touch are no part of a wave under a load
+        low = 1 + far + chain.loose_grains
         high = chain.movable - far
         fits = f"must lie from {low:.1f} to {high:.1f} for the wave to fit the chain"
         require(("grain", low <= grain <= high, fits))

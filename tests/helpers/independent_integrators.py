@@ -27,6 +27,13 @@ Array = NDArray[np.floating[Any]]
 Reference = tuple[NDArray[np.float64], NDArray[np.float64], float]
 
 
+def below_load(chain: Any) -> NDArray[np.bool_]:
+    """Return which contacts (N+1,) the load presses: with load on grain 1, that
+    with a wall above it, too.
+    """
+    return np.arange(chain.grains + 1) >= (chain.load_grain if chain.load_grain > 1 else 0)
+
+
 class Motion:
     """Eq. (1) for one scene: lengths in units of `length`, times in units of
     `time`, in the precision `kind`.
@@ -46,7 +53,8 @@ class Motion:
         below = below * (chain.bottom == "wall")
         stiffness = np.concatenate(([above], chain.contact_constants, [below])).astype(kind)
         self.delta = kind(chain.exponent)
-        force = kind(chain.top_load) + kind(chain.gravity) * np.append(0, np.cumsum(mass))
+        force = kind(chain.gravity) * np.append(0, np.cumsum(mass))
+        force = force + kind(chain.top_load) * below_load(chain)
         pressed = (stiffness > 0) & (force > 0)
         self.compressed = bool(pressed.any())
         self.loose = np.flatnonzero((stiffness > 0) & ~pressed)

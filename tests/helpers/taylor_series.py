@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from helpers.independent_integrators import Curve
+from helpers.independent_integrators import Curve, below_load
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -84,7 +84,8 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     above, below = chain.wall_constants
     constant = np.concatenate(([above], chain.contact_constants, [below])).astype(wide)
     delta = wide(chain.exponent)
-    force = wide(chain.top_load) + wide(chain.gravity) * np.append(wide(0), np.cumsum(mass))
+    force = wide(chain.gravity) * np.append(wide(0), np.cumsum(mass))
+    force = force + wide(chain.top_load) * below_load(chain)
     force = np.where(constant > 0, force, 0)
     overlap = (force / np.where(constant > 0, constant, 1)) ** (1 / delta)
     mobile = np.ones(chain.grains, dtype=wide)

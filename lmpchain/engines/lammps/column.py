@@ -97,9 +97,9 @@ class Column:
 
     @property
     def load(self) -> float:
-        """Constant force on grain 1, N; 0 for a driven grain, and below a wall, which presses."""
-        imposed = self.chain.top == "wall" or self.scene.excitation.driven
-        return 0.0 if imposed else self.chain.top_load
+        """Constant force on the grain with the load, N; 0 if it is driven, or a wall presses."""
+        imposed = self.chain.load_grain <= self.scene.excitation.driven
+        return 0.0 if imposed else self.chain.constant_load
 
     @property
     def strike(self) -> Impulse | None:

@@ -46,6 +46,8 @@ class LinearEngine(Engine):
         if not scene.chain.compressed:
             why = "without gravity and load nothing can be linearised; use the engine native"
             reasons.append(("gravity", why))
+        elif scene.chain.loose_grains:
+            reasons.append(("load_grain", scene.chain.loose))
         elif (contacts.exists & ~contacts.pressed).any():
             why = "a wall that only touches cannot be linearised; give a top_load or use native"
             reasons.append(("top", why))

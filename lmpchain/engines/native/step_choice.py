@@ -218,7 +218,7 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     choices = [StepChoice(method, steps, 1, shortens, coarse, method.evaluations * steps)]
     # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign, and
     # polynomials know nothing of the corners of what acts all along
-    smooth = scene.chain.compressed and not scene.excitation.does_work
+    smooth = scene.chain.linearisable and not scene.excitation.does_work
     if adaptive and smooth and method.interpolates:
         choices += _interpolate(scene, method, tolerance, shortens, phase, reach)
     return min(choices, key=lambda choice: choice.work)

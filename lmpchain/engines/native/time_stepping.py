@@ -180,7 +180,8 @@ def kind(scene: Scene) -> tuple:
     """Return a key of scenes that fit into one batch: kind of chain, ends, and recording."""
     chain = scene.chain
     excitation = scene.excitation
-    built = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed, chain.damped
+    ends = chain.top, chain.bottom, chain.loose_grains
+    built = chain.grains, *ends, chain.exponent, chain.compressed, chain.damped
     acted = excitation.driven, excitation.does_work
     return *built, *acted, scene.samples, scene.duration, scene.grains
 

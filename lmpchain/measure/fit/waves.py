@@ -160,6 +160,7 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
         raise InputError.at(
             "excitation", "a driven chain does not move freely: strike or displace a grain instead"
         )
+    chain.refuse_loose("a fit of modes")
     if (chain.contacts.exists & ~chain.contacts.pressed).any() and chain.compressed:
         raise InputError.at("top", "a wall that only touches cannot be linearised: give a top_load")
     modes = eigenmodes(chain)
@@ -334,6 +335,7 @@ def fit_bessel(
         raise InputError.at(
             "chain", "carries no force at rest: nothing is linear without gravity or a top load"
         )
+    chain.refuse_loose("a fit of weak waves")
     if not size:
         raise InputError.at("excitation", "nothing moves: give a strike other than 0")
     p = strike.grain
