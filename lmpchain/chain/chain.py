@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from operator import index
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -91,6 +91,11 @@ class Chain(AtRest, Checked):
     >>> Chain(grains=20, material="steel", diameter=5e-3, top_load=10, top="wall").movable
     19
     """
+
+    elsewhere: ClassVar[dict[str, str]] = {
+        "cell": "use lmpchain.patterns.repeated, or a scene file",
+        "taper": "use lmpchain.patterns.tapered or repeated, or a scene file",
+    }
 
     grains: Annotated[Whole, Field(ge=1, le=10**8)]
     material: OneOrManyMaterials = GLASS

@@ -184,6 +184,14 @@ def _check_reach(scene: Scene, latest: float) -> None:
         raise InputError.at("duration", message)
 
 
+def _check_noise(traces: Sequence[Traces]) -> None:
+    """Raise `InputError` unless traces of several units say how far each may be off."""
+    units = {UNITS_OF_TRACES[trace.field] for trace in traces}
+    if len(units) > 1 and any(trace.noise is None for trace in traces):
+        weights = f"of each trace, as squares of {' and '.join(sorted(units))} cannot be added"
+        raise InputError.at("noise", f"must be given {weights}")
+
+
 def fit(
     traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str]
 ) -> Fit:
@@ -229,6 +237,7 @@ def fit(
     measured: list[Any] = list(traces) if isinstance(traces, list | tuple) else [traces]
     if not measured or not all(isinstance(trace, Traces) for trace in measured):
         raise InputError.at("traces", f"must be Traces, or several (got {shown(traces)})")
+    _check_noise(measured)
     names = [parameters] if isinstance(parameters, str) else parameters
     choices = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names, "common")
     ends = [trace.time[-1] for trace in measured if not trace.trigger]

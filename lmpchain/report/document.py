@@ -103,6 +103,7 @@ def page(
         live=numbers,
         sections=sections,
         fits=list(fits.cells()) if fits.rows else [],
+        notes=fits.notes,
         left_out=fits.left_out,
         facts=list(_facts(trajectory)),
         provenance=list(trajectory.provenance.items()),

@@ -40,6 +40,8 @@ class Checked(Shown, BaseModel):
     # from the name of an argument to the attribute that holds it: they differ where the value of
     # that name follows from other fields if it is not given
     arguments: ClassVar[dict[str, str]] = {}
+    # from what is no argument, but may be meant for one, to what to do
+    elsewhere: ClassVar[dict[str, str]] = {}
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
@@ -70,9 +72,7 @@ class Checked(Shown, BaseModel):
             data = dict(zip(names, values, strict=False)) | data
         faults = []
         if not data.keys() <= set(names):
-            cure = f"the keys here are {', '.join(names)}"
-            unknown = [key for key in data if key not in names]
-            faults = [(key, f"unknown key{did_you_mean(key, names)}; {cure}") for key in unknown]
+            faults = [(key, self._unknown(key)) for key in data if key not in names]
             data = {key: value for key, value in data.items() if key in names}
         try:
             super().__init__(**data)
@@ -85,6 +85,14 @@ class Checked(Shown, BaseModel):
         for remark in self._remarks():
             # from one line, so that Python says each once
             warn(remark, stacklevel=1)
+
+    @classmethod
+    def _unknown(cls, key: str) -> str:
+        """Return the fault of a key that is no argument."""
+        if key in cls.elsewhere:
+            return f"is no key here: {cls.elsewhere[key]}"
+        guess = did_you_mean(key, [*cls.arguments, *cls.elsewhere])
+        return f"unknown key{guess}; the keys here are {', '.join(cls.arguments)}"
 
     def _remarks(self) -> Iterator[str]:
         """Yield warnings of values that are allowed but hardly meant."""

@@ -278,6 +278,17 @@ def test_a_cell_of_one_kind_needs_no_arrays():
     assert plain == {"grains": 10**8, "material": STEEL, "diameter": 1e-3}
 
 
+def test_a_chain_in_python_names_the_function_for_a_cell(tmp_path):
+    with pytest.raises(InputError) as caught:
+        Chain(grains=4, cell=["steel", "pom"], taper=0.1, diameter=1e-3)
+    assert dict(caught.value.faults) == {
+        "cell": "is no key here: use lmpchain.patterns.repeated, or a scene file",
+        "taper": "is no key here: use lmpchain.patterns.tapered or repeated, or a scene file",
+    }
+    with pytest.raises(InputError, match="did you mean 'cell'"):
+        from_file(tmp_path, 'cells = ["steel", "pom"]\ndiameter = 1e-3')
+
+
 def test_faults_of_cells(tmp_path):
     (tmp_path / "grains.csv").write_text("diameter\n1e-3\n1e-3\n1e-3\n1e-3\n1e-3\n")
     for lines, keys, text in (

@@ -140,6 +140,9 @@ def test_traces_of_several_units_have_axes_of_their_own():
     assert [line.get_label() for line in lower.lines][1::2] == ["contact 3"]
     with pytest.raises(InputError, match="give 2 axes"):
         answer.plot(upper)
+    silent = Traces(SCENE.time, [2, 5], noisy(3))
+    with pytest.raises(InputError, match=r"noise: .* squares of N and m/s cannot be added"):
+        fit([silent, force], SCENE, ["velocity"])
 
 
 def test_estimates_have_their_units():

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import optimize, stats
+from scipy.integrate import solve_ivp
 
 from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate
 from lmpchain.measure.fit.column import fit_continuum, fit_exponents
 from lmpchain.measure.fit.column_front import bottom, front_before_echo, strike_at_top
 from lmpchain.measure.fit.inverse import Trace, fit_parameter
-from lmpchain.measure.fit.overview import Row, Summary, summary
+from lmpchain.measure.fit.overview import Summary, summary
+from lmpchain.measure.fit.table import Row
 from lmpchain.measure.front import Front, asymptotic, exponent, track
 
 Array = NDArray[np.float64]
@@ -429,3 +431,39 @@ def test_the_rows_of_a_summary():
     still = scene.replace(excitation=Profile(velocity=np.zeros(20)))
     reasons = dict(summary(simulate(still, "chebyshev", 1e-7)).left_out)
     assert reasons["modes"] == "excitation: nothing moves"
+
+
+@pytest.mark.parametrize("strike", [100.0, 1000.0])
+def test_local_exponents_after_a_strong_strike(strike: float):
+    """Those of the column in its own units, integrated by SciPy: (3/2) u'' = F_(n-1) - F_n + 1."""
+    grains = 60
+    rest = np.arange(1, grains) ** (2 / 3)
+
+    def slope(_: float, y: np.ndarray) -> np.ndarray:
+        u = np.append(y[: grains - 1], 0.0)
+        force = np.maximum(rest + u[:-1] - u[1:], 0.0) ** 1.5
+        return np.append(y[grains - 1 :], (np.append(0.0, force[:-1]) - force + 1) / 1.5)
+
+    start = np.zeros(2 * grains - 2)
+    start[grains - 1] = strike
+    time = np.arange(0, 26, 5e-3)
+    found = solve_ivp(slope, (0, 26), start, "DOP853", time, rtol=1e-9, atol=1e-9 * strike)
+    peaks = found.y[grains - 1 :].max(1)
+    fit = fit_exponents(simulate(struck_column(grains, strike), "native", 1e-8))
+    n = np.arange(fit.grain[-1] - 10, fit.grain[-1] + 1)
+    power = np.polyfit(np.log(n - 0.5), np.log(peaks[n - 1]), 1)[0]
+    assert fit.grain[-1] == 47
+    assert fit.local["velocity"].exponent[-1] == pytest.approx(power, abs=2e-4)
+    assert -4 / 15 < power < 0
+    assert fit.approach("velocity") == "towards the law of weak waves"
+    # what a contact at rest holds is (n^(2/3)) sqrt(n^(1/3)) in these units
+    holds = 47 ** (2 / 3 + 1 / 6)
+    assert fit.strength[-1] == pytest.approx(peaks[46] / holds, rel=1e-4)
+
+
+def struck_column(grains: int, strike: float) -> Scene:
+    chain = Chain(grains=grains, diameter=1e-3)
+    velocity = strike * chain.length_scale / chain.time_scale
+    duration = 26 * chain.time_scale
+    impulse = Impulse(velocity=velocity)
+    return Scene(chain=chain, excitation=impulse, duration=duration, samples=1301)
