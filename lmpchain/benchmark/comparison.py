@@ -15,6 +15,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, legend, panels, set_title, window
 from ..util.tables import align, finite, number
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .reference import Reference
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Shown):
+class Comparison(Shown, Tabular):
     """Trajectories of one scene compared with its reference solution.
 
     Attributes
@@ -210,6 +211,9 @@ class Comparison(Shown):
         for draw, axes in zip((_draw_errors, _draw_cost), others, strict=False):
             draw(self, axes)
         return wave
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        return of_rows([_numbers(row) for row in self.rows])
 
 
 def _numbers(row: Row) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ from ..scene.scene import Scene
 from ..util.notebook import Shown
 from ..util.provenance import processor
 from ..util.tables import align, finite, number
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .chart import draw
 from .comparison import Row
 from .pareto import KNOWN as KNOWN
@@ -94,7 +95,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WorkPrecision(Shown):
+class WorkPrecision(Shown, Tabular):
     """Work-precision curves of one scene.
 
     Attributes
@@ -169,3 +170,6 @@ class WorkPrecision(Shown):
             Points of other codes: code, error, seconds, force_evaluations (or None).
         """
         return draw(self, ax, others)
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        return of_rows([asdict(point) for point in self.points])

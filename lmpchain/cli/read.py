@@ -1,17 +1,19 @@
-"""Commands that evaluate a saved run: fit, dyson, report."""
+"""Commands that evaluate a saved run: fit, dyson, export, report."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from .common import beside, check_outputs, gather, keep, on_terminal, output, read
 
 if TYPE_CHECKING:
     from ..trajectory.trajectory import Trajectory
 
 PAGES = (".html", ".htm")
+TABLES = (".csv", ".txt")
 
 
 def dyson(arguments: argparse.Namespace) -> int:
@@ -31,6 +33,44 @@ def dyson(arguments: argparse.Namespace) -> int:
     print(result.table(*chains))
     keep(result, numbers, picture, *chains)
     return 0
+
+
+def export(arguments: argparse.Namespace) -> int:
+    """Write traces of a run as a CSV file."""
+    run, path, force, velocity, displacement = gather(
+        lambda: _run_or_dump(arguments),
+        lambda: output(arguments.output, arguments.run, TABLES),
+        lambda: _places(arguments.force, "force", ("wall", "top", "bottom")),
+        lambda: _places(arguments.velocity, "velocity"),
+        lambda: _places(arguments.displacement, "displacement"),
+    )
+    if force or velocity or displacement or arguments.energy:
+        from ..measure.traces import gather as gather_traces
+
+        gather_traces(
+            run,
+            force=force,
+            velocity=velocity,
+            displacement=displacement,
+            energy=arguments.energy,
+            above_rest=arguments.above_rest,
+        ).to_csv(path)
+    else:
+        # all that was recorded
+        run.to_csv(path)
+    print(f"traces: {path}")
+    return 0
+
+
+def _places(text: str | None, key: str, words: Sequence[str] = ()) -> list[int | str]:
+    """Return the grains that a text names, such as 1,5, and walls by these words."""
+    places: list[int | str] = []
+    for entry in filter(None, map(str.strip, (text or "").split(","))):
+        if entry not in words and not entry.isdecimal():
+            kinds = " or ".join(["numbers of grains", *([", ".join(words)] if words else [])])
+            raise InputError.at(key, f"must be {kinds}, with commas between (got {shown(entry)})")
+        places.append(entry if entry in words else int(entry))
+    return places
 
 
 def fit(arguments: argparse.Namespace) -> int:

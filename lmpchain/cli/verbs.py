@@ -13,7 +13,7 @@ from .new import EXAMPLES, new
 from .orbit import orbit
 from .pages import docs
 from .plan import plan
-from .read import dyson, fit, report
+from .read import dyson, export, fit, report
 from .run import deck, resume, run, sweep
 from .sensitivity import UNCERTAIN, sensitivity
 
@@ -305,6 +305,32 @@ VERBS = {
             ),
             PICTURE,
             NUMBERS,
+        ),
+    ),
+    "export": Verb(
+        export,
+        "write traces of a saved run as a CSV file: forces, velocities, energies",
+        (
+            *RUN,
+            _argument("-o", "--output", metavar="TRACE.csv", required=True, help="file to write"),
+            _argument(
+                "--force",
+                metavar="N,wall",
+                help="force that a sensor in each of these grains shows, the mean of its two "
+                "contacts, and of walls: wall (the bottom one, if there is one), top, bottom",
+            ),
+            _argument("--velocity", metavar="N,N,...", help="velocity of these grains"),
+            _argument("--displacement", metavar="N,N,...", help="displacement of these grains"),
+            _argument(
+                "--energy",
+                action="store_true",
+                help="kinetic and total energy, work of a drive, energy dissipated",
+            ),
+            _argument(
+                "--above-rest",
+                action="store_true",
+                help="forces above those at rest, as piezoelectric sensors show them",
+            ),
         ),
     ),
     "fit": Verb(

@@ -44,8 +44,9 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
         match name:
             case "displacement" | "velocity":
                 # the other of the two stays as the excitation gives it
-                start = dict(zip(("displacement", "velocity"), scene.initial(), strict=True))
-                scene = scene.replace(excitation=Profile(**start | {name: value}))
+                displacement, velocity = scene.initial()
+                start = Profile(displacement=displacement, velocity=velocity)
+                scene = scene.replace(excitation=start.replace(**{name: value}))
             case "drive" | "force":
                 excitation[scene.excitation.strength[1]] = value
             case "amplitude" | "frequency":

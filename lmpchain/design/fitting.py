@@ -14,8 +14,10 @@ from ..integrators.halving import SAFETY, Attempt, halve
 from ..measure.fit.table import Fitted, Row
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.tabular import NamedColumn, Tabular
+from ..util.units import FIELD_UNITS
 from .changes import changed
-from .traces import UNITS_OF_TRACES, Traces
+from .traces import Traces
 from .unknowns import Problem
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ BIAS = 0.05  # error of an estimate by the steps, in standard deviations
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(Fitted):
+class Fit(Fitted, Tabular):
     """A fitted scene, and the uncertainty of its parameters.
 
     Attributes
@@ -149,7 +151,7 @@ class Fit(Fitted):
         from ..util.plotting import SHADES, axes_in_units, legend, panels, window
 
         problem = self._problem
-        units = list(dict.fromkeys(UNITS_OF_TRACES[trace.field] for trace in problem.traces))
+        units = list(dict.fromkeys(FIELD_UNITS[trace.field] for trace in problem.traces))
         given = window().subplots(len(units), sharex=True) if ax is None else ax
         axes = panels(given)
         if len(axes) != len(units):
@@ -160,7 +162,7 @@ class Fit(Fitted):
             traces = [
                 (trace, prediction)
                 for trace, prediction in zip(problem.traces, fitted, strict=True)
-                if UNITS_OF_TRACES[trace.field] == unit
+                if FIELD_UNITS[trace.field] == unit
             ]
             colours = cycle(SHADES)
             for trace, prediction in traces:
@@ -176,6 +178,21 @@ class Fit(Fitted):
             legend(single)
         return axes if len(axes) > 1 else axes[0]
 
+    def _columns(self) -> Iterator[NamedColumn]:
+        fitted = self._problem.predict(self._problem.free(self.estimate))
+        # traces may have times of their own: a row a value
+        rows = [
+            (k, time, place, measured, prediction)
+            for k, (traces, values) in enumerate(zip(self._problem.traces, fitted, strict=True), 1)
+            for column, place in enumerate(traces.places)
+            for time, measured, prediction in zip(
+                traces.time, traces.values[:, column], values[:, column], strict=True
+            )
+        ]
+        names = (("trace", ""), ("time", "s"), ("place", ""), ("measured", ""), ("fitted", ""))
+        for (name, unit), values in zip(names, zip(*rows, strict=True), strict=True):
+            yield NamedColumn(name, unit, np.array(values))
+
 
 def _check_reach(scene: Scene, latest: float) -> None:
     """Raise `InputError` if the scene ends before the last value of a trace."""
@@ -186,7 +203,7 @@ def _check_reach(scene: Scene, latest: float) -> None:
 
 def _check_noise(traces: Sequence[Traces]) -> None:
     """Raise `InputError` unless traces of several units say how far each may be off."""
-    units = {UNITS_OF_TRACES[trace.field] for trace in traces}
+    units = {FIELD_UNITS[trace.field] for trace in traces}
     if len(units) > 1 and any(trace.noise is None for trace in traces):
         weights = f"of each trace, as squares of {' and '.join(sorted(units))} cannot be added"
         raise InputError.at("noise", f"must be given {weights}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from os import PathLike
@@ -18,6 +18,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags, numbers
 from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
 from ..util.progress import ProgressBar
+from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .fingerprint import fingerprint
@@ -32,7 +33,7 @@ Constraint = Callable[[Values], tuple[float, Mapping[str, Array]]]
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class Optimum(Tabular):
     """The best scene of an optimisation, and the values on the way to it.
 
     Attributes
@@ -76,6 +77,13 @@ class Optimum:
         if len(self.history) <= len(COLOURS):
             legend(ax)
         return ax
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        runs = [np.arange(1, len(values) + 1) for values in self.history]
+        starts = [np.full(len(values), k) for k, values in enumerate(self.history, 1)]
+        yield NamedColumn("start", "", np.concatenate(starts))
+        yield NamedColumn("run", "", np.concatenate(runs))
+        yield NamedColumn("value", "", np.concatenate(self.history))
 
 
 class _Box:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
+from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .gradients import Gradient, at_step, gradient
@@ -61,7 +62,7 @@ GROUPS: dict[str, type[Energy | KineticEnergy | Momentum]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity:
+class Sensitivity(Tabular):
     """Changes of an answer with every parameter that it depends on.
 
     Attributes
@@ -184,6 +185,11 @@ class Sensitivity:
         set_title(ax, f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}")
         legend(ax)
         return ax
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        names, changes = zip(*self.ranked(), strict=True)
+        yield NamedColumn("parameter", "", list(names))
+        yield NamedColumn("change", self.unit, np.array(changes))
 
 
 def objective(of: str) -> tuple[Objective, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any, Literal, get_args
@@ -11,17 +11,21 @@ import numpy as np
 
 from ..errors import InputError, shown
 from ..integrators.adjoint import DifferentiableRun, Inputs
+from ..scene.file_columns import Quantity
 from ..scene.scene import Scene
+from ..scene.trace_file import TraceFile
 from ..util.arrays import Array, check_flags, numbers, whole_numbers
+from ..util.remarks import note
+from ..util.tabular import NamedColumn, Tabular, numbered
+from ..util.units import FIELD_UNITS
 from .seen import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
-UNITS_OF_TRACES = {"velocity": "m/s", "displacement": "m", "force": "N", "contact": "N"}
-LARGEST_FILE = 2**28  # bytes
+OF_FILES = TraceFile.arguments.keys() - {"file"}
 
 
 @dataclass(frozen=True, eq=False)
-class Traces:
+class Traces(Tabular):
     """Values measured at the same times at some grains or contacts.
 
     Parameters
@@ -86,35 +90,44 @@ class Traces:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], places: Sequence[int], **options: Any) -> Traces:
-        """Read lines of time, s, and one value a place, as oscilloscopes write them; skip others.
+        """Read the times and a column for each place from the file of an instrument.
+
+        Delimiter, decimal comma, lines above the table and units in its header are recognised; what
+        was understood is said in one line.
+
+        Parameters
+        ----------
+        path : path
+        places : (G,) integers
+            Columns that `lmpchain export` names after them, such as force_10, are known by it.
+        options
+            Those of `Traces`, and those of `TraceFile`: columns, skip, time_scale, scale, offset or
+            baseline, trigger. Of both `offset` and `trigger`, True is a number to be fitted.
 
         Raises
         ------
         InputError
-            If the file cannot be read, or has no such table.
-        """
-        from ..util.files import check_readable, expanded
+            If the file cannot be read, or does not tell which columns these are.
 
-        columns = len(places) + 1
-        rows = []
-        try:
-            check_readable(expanded(path), LARGEST_FILE)
-            lines = expanded(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
-        except OSError as error:
-            raise InputError.at(str(path), error.strerror or "cannot be read") from error
-        # decimal points only: a comma may part the columns
-        for line in lines:
-            words = line.replace(";", ",").replace("\t", ",").split(",")
-            try:
-                rows.append([float(word) for word in words[:columns]])
-            except ValueError:
-                continue
-        rows = [row for row in rows if len(row) == columns]
-        if len(rows) < 2:
-            message = f"has not two lines of {columns} numbers, time and {columns - 1} values"
-            raise InputError.at(str(path), message)
-        table = np.array(rows)
-        return cls(table[:, 0], places, table[:, 1:], **options)
+        Examples
+        --------
+        >>> path = getfixture("tmp_path") / "scope.csv"
+        >>> _ = path.write_text("t (us);CH1 (mV)\\n-0,5;10\\n0;10\\n0,5;30\\n")
+        >>> traces = Traces.from_csv(path, [4], scale=2.0, baseline=(-1e-6, 0), trigger=0.0)
+        >>> traces.time.tolist(), traces.values.round(9).tolist()
+        ([0.0, 5e-07], [[0.0], [0.04]])
+        """
+        fitted = {key for key in ("offset", "trigger") if isinstance(options.get(key), bool)}
+        of_file = {key: options.pop(key) for key in OF_FILES if key in options.keys() - fitted}
+        field = options.get("field", "velocity")
+        unit = FIELD_UNITS.get(field, "")
+        quantities = [
+            Quantity(f"{field}_{place}", unit, (f"change_{field}_{place}",))
+            for place in np.atleast_1d(whole_numbers(places, "places"))
+        ]
+        reading = TraceFile(**of_file | {"file": path}).read(quantities)
+        note(reading.text)
+        return cls(reading.time, places, reading.values, **options)
 
     def grains(self, scene: Scene) -> list[int]:
         """Return the grains to look at; raises `InputError` if the chain has no such place."""
@@ -127,6 +140,10 @@ class Traces:
         offsets = {"force": (-1, 0, 1), "contact": (0, 1)}.get(self.field, (0,))
         near = {int(place) + offset for place in self.places for offset in offsets}
         return sorted(near & set(range(1, grains + 1)))
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn("time", "s", self.time)
+        yield from numbered(self.field, FIELD_UNITS[self.field], self.places, self.values)
 
 
 def model(

@@ -12,9 +12,10 @@ from ..integrators.adjoint import DifferentiableRun, Inputs
 from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.units import FIELD_UNITS
 from . import parameters as params
 from .changes import changed
-from .traces import UNITS_OF_TRACES, Traces, model
+from .traces import Traces, model
 
 TURN = 0.5  # of the fastest motion between two looks at first, rad
 # parameters that may change their sign; others do not fall below a tenth
@@ -77,7 +78,7 @@ class Problem:
         if trace.offset:
             size = float(np.abs(trace.values).max()) or 1.0
             for place in trace.places:
-                self._add(f"offset{suffix} {place}", 0.0, size, UNITS_OF_TRACES[trace.field])
+                self._add(f"offset{suffix} {place}", 0.0, size, FIELD_UNITS[trace.field])
 
     def _add_parameter(self, name: str, base: Array, choice: Any) -> None:
         """Add one factor of all entries of a parameter, or single entries."""

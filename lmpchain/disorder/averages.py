@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
 from ..util.remarks import warnings_aside
+from ..util.tabular import Tabular
 from .draws import Law, Of, check, disordered, factors, fault_of_count, fault_of_whole, realisation
 from .streaming import Average, Averages, Draw, draw_mean, take_average
 
@@ -23,7 +24,7 @@ __all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "reali
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ensemble(Averages):
+class Ensemble(Averages, Tabular):
     """Mean motion of disordered chains of one scene, with standard errors.
 
     Attributes
@@ -53,6 +54,15 @@ class Ensemble(Averages):
     squeezed : int
         Chains with a contact that is compressed by more than a tenth of the diameter at rest.
     """
+
+    _units: ClassVar[dict[str, str]] = {
+        "time": "s",
+        "displacement": "m",
+        "velocity": "m/s",
+        "displacement_error": "m",
+        "velocity_error": "m/s",
+    }
+    _numbers: ClassVar[str] = "grains"
 
     grains: np.ndarray
     displacement: Array

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.tabular import Tabular
 from .draws import Law, Of, check, fault_of_count
 from .streaming import Average, Averages, Draw, draw_mean, take_average
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Spreading(Averages):
+class Spreading(Averages, Tabular):
     """Spreading of energy in disordered chains of one scene: means and their standard errors.
 
     The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and
@@ -43,6 +44,17 @@ class Spreading(Averages):
     model_error, solver_error, squeezed
         As for `Ensemble`.
     """
+
+    _units: ClassVar[dict[str, str]] = {
+        "time": "s",
+        "second_moment": "",
+        "second_moment_error": "",
+        "participation": "",
+        "participation_error": "",
+        "transmitted": "",
+        "transmitted_error": "",
+    }
+    _numbers: ClassVar[str] = "_depths"
 
     second_moment: Array
     second_moment_error: Array
@@ -103,6 +115,10 @@ class Spreading(Averages):
         ax.set_ylabel(f"mean of {self.realisations} chains, m = {self.m:g}")
         legend(ax)
         return ax
+
+    @property
+    def _depths(self) -> range:
+        return range(1, self.transmitted.shape[1] + 1)
 
 
 def spreading(

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,7 @@ from ..util.arrays import EPSILON, Array, numbers
 from ..util.compilation import compiled_once
 from ..util.notebook import Shown
 from ..util.progress import ProgressBar
+from ..util.tabular import Tabular
 from .draws import check, fault_of_whole
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class Distribution(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Localisation(Shown):
+class Localisation(Shown, Tabular):
     """Lyapunov exponent of the waves of a random chain against frequency.
 
     Attributes
@@ -62,6 +63,8 @@ class Localisation(Shown):
     exponent, error : (F,) arrays
         Mean growth of log|u| from grain to grain, and its standard error.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "exponent": "", "error": ""}
 
     frequency: Array
     exponent: Array
@@ -81,7 +84,7 @@ class Localisation(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DensityOfStates(Shown):
+class DensityOfStates(Shown, Tabular):
     """Integrated density of states of a random chain.
 
     Attributes
@@ -91,6 +94,8 @@ class DensityOfStates(Shown):
     integrated, error : (F,) arrays
         Share of the modes that lie below each frequency, and its standard error.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "integrated": "", "error": ""}
 
     frequency: Array
     integrated: Array

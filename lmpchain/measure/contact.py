@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +17,7 @@ from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend, thin_rows
+from ..util.tabular import NamedColumn, Tabular, numbered
 from .bodies import known_contacts, motion
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContactHistory(Shown):
+class ContactHistory(Shown, Tabular):
     """Overlap and force of C contacts over time.
 
     Contact n lies between grains n and n + 1; 0 and N are those with walls.
@@ -136,9 +137,15 @@ class ContactHistory(Shown):
             ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])
         return ax
 
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn("time", "s", self.time)
+        units = {"overlap": "m", "closing": "m/s", "force": "N", "change": "N"}
+        for name, unit in units.items():
+            yield from numbered(f"{name}_contact", unit, self.contact, getattr(self, name))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Signal(Shown):
+class Signal(Shown, Tabular):
     """The signal of a force sensor inside a grain.
 
     Attributes
@@ -162,6 +169,11 @@ class Signal(Shown):
         ax.set(xlabel="time", ylabel="force on the sensor")
         legend(ax)
         return ax
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn("time", "s", self.time)
+        yield NamedColumn(f"force_{self.grain}", "N", self.force)
+        yield NamedColumn(f"change_force_{self.grain}", "N", self.change)
 
 
 def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> ContactHistory:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.tables import align, number
+from ..util.tabular import NamedColumn, Tabular, numbered
 from .bodies import motion
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ MEANING = "a sum over the grains of one chain, weighted by D_m(kappa_n): no aver
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DysonSums(Shown):
+class DysonSums(Shown, Tabular):
     """Eq. (22) for one trajectory and M orders m.
 
     Attributes
@@ -216,6 +217,11 @@ class DysonSums(Shown):
             legend(panel)
         panel.set_xlabel("grain number n, from the top")
         return means
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn("time", "s", self.time)
+        yield from numbered("as_printed", "m/s", self.m, self.as_printed.T)
+        yield from numbered("normalised", "m/s", self.m, self.normalised.T)
 
 
 def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, set_title
+from ..util.tabular import NamedColumn, Tabular, numbered
 from .bodies import known_contacts, motion, motion_of_all
 from .motion import Motion, motion_of
 
@@ -36,7 +38,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EnergyLedger(Shown):
+class EnergyLedger(Shown, Tabular):
     """Energies relative to the chain at rest, J, and momenta, N s, over time.
 
     ``kinetic + contact + gravity + load = total``. For a weak wave these terms, `contact` and
@@ -71,6 +73,19 @@ class EnergyLedger(Shown):
         every second sample is used, J and N s; infinite for fewer than three samples. Where forces
         are smooth and well sampled, the true error is about 1/15 of it.
     """
+
+    _units: ClassVar[dict[str, str]] = {
+        "time": "s",
+        "kinetic": "J",
+        "contact": "J",
+        "gravity": "J",
+        "load": "J",
+        "total": "J",
+        "drive": "J",
+        "dissipated": "J",
+        "momentum": "N s",
+        "impulse": "N s",
+    }
 
     time: Array
     kinetic: Array
@@ -130,7 +145,7 @@ class EnergyLedger(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EnergyLosses(Shown):
+class EnergyLosses(Shown, Tabular):
     """Energy that viscous contacts and drag have taken since t = 0, J.
 
     Attributes
@@ -152,9 +167,15 @@ class EnergyLosses(Shown):
     of_grain: Array
     error: float
 
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn("time", "s", self.time)
+        contacts = self.of_contact.shape[1]
+        yield from numbered("of_contact", "J", range(contacts), self.of_contact)
+        yield from numbered("of_grain", "J", range(1, contacts), self.of_grain)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EnergyShares(Shown):
+class EnergyShares(Shown, Tabular):
     """Energies above rest of the G recorded grains and the C contacts between them over time, J.
 
     The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic
@@ -199,6 +220,12 @@ class EnergyShares(Shown):
                 "part", f"takes recorded grains, from the first to the last (got {first} to {last})"
             )
         return self.of_grain[:, np.isin(self.grain, grains)].sum(1)
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn("time", "s", self.time)
+        yield from numbered("kinetic", "J", self.grain, self.kinetic)
+        yield from numbered("elastic_contact", "J", self.contact, self.elastic)
+        yield from numbered("of_grain", "J", self.grain, self.of_grain)
 
 
 def shares(trajectory: Trajectory | Motion) -> EnergyShares:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy import optimize, stats
@@ -15,6 +15,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
+from ..util.tabular import Tabular
 from .motion import motion_of
 from .recorded import Field, check
 
@@ -42,7 +43,7 @@ class DepthProfile(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Front(Shown):
+class Front(Shown, Tabular):
     """The wave front as it passes P grains: arrival, height and width.
 
     Attributes
@@ -59,6 +60,17 @@ class Front(Shown):
         How far these may be off: by sampling, by the error of the trajectory where it is known, and
         because another maximum may be the front if values are off by as much.
     """
+
+    _units: ClassVar[dict[str, str]] = {
+        "grain": "",
+        "depth": "m",
+        "time": "s",
+        "amplitude": "{field}",
+        "width": "s",
+        "time_error": "s",
+        "amplitude_error": "{field}",
+        "width_error": "s",
+    }
 
     field: Field
     grain: np.ndarray
@@ -116,7 +128,7 @@ class Front(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Exponents(Shown):
+class Exponents(Shown, Tabular):
     """Local exponents p of a quantity that varies as h^p, each fitted to neighbouring grains.
 
     Attributes
@@ -127,6 +139,8 @@ class Exponents(Shown):
     error, residual : (L,) arrays
         Half the 95 % confidence interval of p, and the root mean square of the relative scatter.
     """
+
+    _units: ClassVar[dict[str, str]] = {"depth": "", "exponent": "", "error": "", "residual": ""}
 
     quantity: Quantity
     depth: Array
@@ -141,7 +155,7 @@ class Exponents(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PowerLaw(Shown):
+class PowerLaw(Shown, Tabular):
     """A power law with a finite-depth correction: factor h^exponent (1 + correction / h^order).
 
     Attributes
@@ -154,6 +168,8 @@ class PowerLaw(Shown):
         shift when a term in h^(-2 order) is fitted too. On smooth data such terms exceed the
         scatter; it is an estimate, not a bound.
     """
+
+    _units: ClassVar[dict[str, str]] = {"depth": "", "values": ""}
 
     label: str
     depth: Array

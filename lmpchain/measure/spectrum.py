@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend
+from ..util.tabular import Tabular
 from .recorded import Field, check
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ LINE = "#D55E00"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Spectrum(Shown):
+class Spectrum(Shown, Tabular):
     """Amplitude spectra of the motion of G grains.
 
     Attributes
@@ -48,6 +49,9 @@ class Spectrum(Shown):
         line of height A / 2 times the integral of w. The integral of (w x)^2 over time is that of 2
         amplitude^2 over frequency.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "Hz", "amplitude": "{field}/Hz"}
+    _numbers: ClassVar[str] = "grain"
 
     field: Field
     frequency: Array
@@ -79,7 +83,7 @@ class Spectrum(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Dispersion(Shown):
+class Dispersion(Shown, Tabular):
     """Spectrum of neighbouring grains over frequency and wavenumber.
 
     Attributes
@@ -98,6 +102,9 @@ class Dispersion(Shown):
         The B branches of the local dispersion relation at these, Hz: those of the cell that repeats
         there, `cut_off` times ``|sin(k / 2)|`` where all grains are alike or no cell is found.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "Hz", "amplitude": "{field}/Hz"}
+    _numbers: ClassVar[str] = "wavenumber"
 
     field: Field
     frequency: Array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, axes_in_units, legend, set_title
+from ..util.tabular import NamedColumn, Tabular
 from .floquet import Complex
 from .orbit import Orbit
 
@@ -50,7 +52,7 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Family(Shown):
+class Family(Shown, Tabular):
     """Periodic orbits along a parameter, as `follow` returns them.
 
     Attributes
@@ -176,3 +178,9 @@ class Family(Shown):
             "events": [event.to_json() for event in self.events],
             "orbit": self.orbits[-1].to_json(),
         }
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn(self.parameter, "", self.value)
+        yield NamedColumn("period", "s", self.period)
+        yield NamedColumn("energy", "J", self.energy)
+        yield NamedColumn("stable", "", self.stable)

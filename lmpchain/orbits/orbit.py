@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
+from ..util.tabular import NamedColumn, Tabular
 from . import floquet
 from .flow import Flow
 from .shooting import Equations, Point, Solution
@@ -28,7 +30,7 @@ STABLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Orbit(Shown):
+class Orbit(Shown, Tabular):
     """A periodic orbit of Eq. (1), as `find`, `normal_mode`, `breather` and `follow` return it.
 
     Attributes
@@ -215,6 +217,11 @@ class Orbit(Shown):
             "displacement_m": self.displacement.tolist(),
             "velocity_m_per_s": self.velocity.tolist(),
         }
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        yield NamedColumn("grain", "", np.arange(1, self.chain.grains + 1))
+        yield NamedColumn("displacement", "m", self.displacement)
+        yield NamedColumn("velocity", "m/s", self.velocity)
 
 
 def orbit_of(equations: Equations, solution: Solution, error: float) -> Orbit:

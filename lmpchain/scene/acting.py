@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -11,10 +11,14 @@ import numpy as np
 from pydantic import Field
 
 from ..chain.chain import Chain
+from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
-from .base import Excitation, Number, OneGrain, Push
+from .base import Number, OneGrain, Push
+from .file_columns import Quantity
+from .measured import Measured
 from .profile import Profile
+from .trace_file import Reading, TraceFile
 from .waveform import Interpolation, Waveform
 
 
@@ -44,17 +48,31 @@ class WaveformLimits:
 LIMITS = WaveformLimits()
 
 
-class _Acting(Excitation):
+class _Acting(Measured):
     """A motion or a force over time, by a formula or through points."""
 
     does_work: ClassVar[bool] = True
+    file_kind: ClassVar[type[TraceFile]] = TraceFile
+    unit: ClassVar[str]
     if TYPE_CHECKING:
         amplitude: Real
         frequency: Positive
         cycles: Positive
         times: Vector
-    interpolation: Interpolation = "pchip"
+        interpolation: Interpolation
     holds: ClassVar[bool]
+
+    @classmethod
+    def _arrays(cls, file: TraceFile) -> tuple[Reading, dict[str, Array]]:
+        name = cls.strength[1]
+        reading = file.read([Quantity(name, cls.unit)], from_zero=True)
+        if reading.time[0] < 0:
+            begins = f"the trace begins at {reading.time[0]:g} s"
+            cure = (
+                "say which of its times is t = 0, such as trigger = 0.0: what is before is left out"
+            )
+            raise InputError.at("trigger", f"{begins}: {cure}")
+        return reading, {"times": reading.time, name: reading.values[:, 0]}
 
     @cached_property
     def waveform(self) -> Waveform:
@@ -66,7 +84,7 @@ class _Acting(Excitation):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         values = self.strength[1]
-        others = {"grain", "start", "interpolation"}
+        others = {"grain", "start", "interpolation", "source"}
         fields = {key for key, value in self if value is not None} - others
         if fields not in self._ways(values):
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
@@ -134,6 +152,10 @@ class Drive(_Acting):
     interpolation : "pchip", "linear" or "spline"
         The curve: monotone from point to point (SciPy's PCHIP), straight lines, or a cubic spline
         (not-a-knot), which is refused if it leaves the range of its points by more than a tenth.
+    file : path, optional
+        In place of times and displacement: a text file of an instrument, with its options columns,
+        skip, time_scale, scale (m/V), offset or baseline, trigger, see `TraceFile`. With one of the
+        last three it counts from where it is at t = 0.
     grain : 0 or 1
         0 moves the top wall, of a chain with ``top = "wall"``.
     start : Profile, optional
@@ -153,7 +175,7 @@ class Drive(_Acting):
     kind: ClassVar[str] = "drive"
     holds: ClassVar[bool] = True
     strength: ClassVar[tuple[str, ...]] = ("amplitude", "displacement")
-    columns: ClassVar[dict[str, str]] = {"time": "times", "displacement": "displacement"}
+    unit: ClassVar[str] = "m"
     amplitude: Real = NOT_GIVEN
     frequency: Positive = NOT_GIVEN
     times: Vector = NOT_GIVEN
@@ -161,6 +183,19 @@ class Drive(_Acting):
     cycles: Positive = NOT_GIVEN
     grain: Annotated[Whole, Field(ge=0, le=1)] = 1
     start: Profile = NOT_GIVEN
+    interpolation: Interpolation = "pchip"
+    source: str = NOT_GIVEN
+
+    @classmethod
+    def _arrays(cls, file: TraceFile) -> tuple[Reading, dict[str, Array]]:
+        reading, arrays = super()._arrays(file)
+        # an instrument shows distances from somewhere
+        if not {"trigger", "baseline", "offset"}.isdisjoint(file.given()):
+            begin = arrays["displacement"][0]
+            arrays["displacement"] = arrays["displacement"] - begin
+            text = f"{reading.text}; less {begin:.6g} m, where it is at t = 0"
+            reading = replace(reading, text=text)
+        return reading, arrays
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         yield from super()._point_faults(key, values)
@@ -182,7 +217,7 @@ class Drive(_Acting):
         faults = list(self.start.faults(chain, duration))
         yield from ((f"start.{key}", message) for key, message in faults)
         # a profile of the wrong length may have no first entry
-        for key, values in self.start.given().items():
+        for key, values in self.start.fields.items():
             if not faults and self.grain and values[0]:
                 yield f"start.{key}", "must be 0 for grain 1, which moves as the drive says"
 
@@ -274,6 +309,9 @@ class Force(OneGrain, _Acting):
     times, force : arrays
         s and N: a curve through these points. Before the first of them there is no force; after the
         last it falls to 0 within the time between the last two.
+    file : path, optional
+        In place of times and force: a text file of an instrument, with its options columns, skip,
+        time_scale, scale (N/V), offset or baseline, trigger, see `TraceFile`.
     interpolation : "pchip", "linear" or "spline"
         See `Drive`.
 
@@ -288,7 +326,7 @@ class Force(OneGrain, _Acting):
     holds: ClassVar[bool] = False
     of_chain: ClassVar[bool] = True
     strength: ClassVar[tuple[str, ...]] = ("amplitude", "force")
-    columns: ClassVar[dict[str, str]] = {"time": "times", "force": "force"}
+    unit: ClassVar[str] = "N"
     grain: Number = 1
     amplitude: Real = NOT_GIVEN
     frequency: Positive = NOT_GIVEN
@@ -297,6 +335,8 @@ class Force(OneGrain, _Acting):
     duration: Positive = NOT_GIVEN
     times: Vector = NOT_GIVEN
     force: Vector = NOT_GIVEN
+    interpolation: Interpolation = "pchip"
+    source: str = NOT_GIVEN
 
     def _ways(self, values: str) -> list[set[str]]:
         return [*super()._ways(values), {"shape", "amplitude", "duration"}]

@@ -54,8 +54,6 @@ class Excitation(Checked):
     strength : tuple of str
         Fields that the motion of a linear chain is proportional to, the first of them the one to
         blame if too strong.
-    columns : dict
-        Columns of its CSV file, and the fields that they fill; empty if it has no file.
     does_work : bool
         Whether it acts after t = 0, so that the energy of the chain is not known beforehand.
     of_chain : bool
@@ -64,7 +62,6 @@ class Excitation(Checked):
 
     kind: ClassVar[str]
     strength: ClassVar[tuple[str, ...]]
-    columns: ClassVar[dict[str, str]] = {}
     does_work: ClassVar[bool] = False
     of_chain: ClassVar[bool] = False
 

@@ -10,17 +10,41 @@ import numpy as np
 from ..chain.chain import Chain
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Vector
-from .base import Excitation
+from .file_columns import Quantity
+from .measured import Measured
+from .trace_file import Reading, TableFile
 
 
-class Profile(Excitation):
-    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0, by default zero."""
+class Profile(Measured):
+    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0, by default zero.
+
+    Parameters
+    ----------
+    displacement, velocity : (N,) arrays, optional
+        m and m/s, one or both of them;
+    file : path
+        or a text file with a row a grain, and columns of these names.
+    columns, skip, scale, offset, optional
+        How to read it, see `TableFile`.
+    """
 
     kind: ClassVar[str] = "profile"
     strength: ClassVar[tuple[str, ...]] = ("velocity", "displacement")
-    columns: ClassVar[dict[str, str]] = {"displacement": "displacement", "velocity": "velocity"}
+    file_kind: ClassVar[type[TableFile]] = TableFile
     displacement: Vector = NOT_GIVEN
     velocity: Vector = NOT_GIVEN
+    source: str = NOT_GIVEN
+
+    @classmethod
+    def _arrays(cls, file: TableFile) -> tuple[Reading, dict[str, Array]]:
+        reading = file.read([Quantity("displacement", "m"), Quantity("velocity", "m/s")])
+        return reading, dict(zip(reading.names, reading.values.T, strict=True))
+
+    @property
+    def fields(self) -> dict[str, Array]:
+        """Its arrays by name."""
+        arrays = {"displacement": self.displacement, "velocity": self.velocity}
+        return {name: values for name, values in arrays.items() if values is not None}
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         if self.displacement is None and self.velocity is None:
@@ -29,7 +53,7 @@ class Profile(Excitation):
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
         """Yield the faults of arrays that do not fit the chain."""
-        for key, values in self.given().items():
+        for key, values in self.fields.items():
             if len(values) != chain.grains:
                 yield key, f"must have one entry a grain, {chain.grains}, not {len(values)}"
             elif chain.bottom == "fixed" and values[-1] != 0:
@@ -51,4 +75,5 @@ class Profile(Excitation):
 
     def part(self, first: int, last: int) -> Profile:
         """Return the entries of grains first ... last."""
-        return Profile(**{key: values[first - 1 : last] for key, values in self.given().items()})
+        fields = self.fields.items()
+        return self.replace(**{name: values[first - 1 : last] for name, values in fields})

@@ -24,6 +24,7 @@ from ..util.suggestions import did_you_mean, not_among
 from ..util.validation import Checked
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
+from .measured import Measured
 from .recording import Recording
 from .strike import squeezed, strike_faults, surroundings
 
@@ -138,7 +139,9 @@ def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _misplaced(key: str) -> str:
     """Return the cure for a key that is no section."""
-    of_excitations = [key for kind in EXCITATIONS.values() for key in kind.arguments]
+    of_excitations = [
+        key for kind in EXCITATIONS.values() for key in (*kind.arguments, *kind.other_arguments)
+    ]
     fields: dict[str, Iterable[str]] = {
         "recording": Recording.arguments,
         "chain": [*Chain.arguments, *IN_FILES],
@@ -220,7 +223,8 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
         if patterns := [key for key in IN_FILES if key in keys]:
             cure = "the file has every grain already; take it out, or the file"
             raise InputError([(key, cure) for key in patterns])
-        columns = _csv(folder, keys.pop("file"), ("material", "diameter", "mass"))
+        path = _file(folder, keys.pop("file"))
+        columns = _csv(path, ("material", "diameter", "mass"))
         # a column that the table has as well: which of them is meant cannot be known
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
             raise InputError(
@@ -246,34 +250,34 @@ def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
         missing = f"is missing; {' | '.join(EXCITATIONS)}{guesses}"
         raise InputError.at("kind", missing if kind is None else not_among(kind, EXCITATIONS))
     excitation = EXCITATIONS[kind]
-    _fill(keys, excitation, folder)
     if isinstance(start := keys.get("start"), dict):
         try:
-            keys["start"] = Profile(**_fill(dict(start), Profile, folder))
+            keys["start"] = Profile(**_beside(start, folder))
         except InputError as error:
             raise InputError(error.under("start")) from None
-    return excitation(**keys)
+    return excitation(**(_beside(keys, folder) if issubclass(excitation, Measured) else keys))
 
 
-def _fill(keys: dict[str, Any], kind: type[Excitation], folder: Path | None) -> dict[str, Any]:
-    """Put the columns of a CSV file in the place of its name."""
-    if kind.columns and "file" in keys:
-        columns = _csv(folder, keys.pop("file"), tuple(kind.columns))
-        keys |= {kind.columns[name]: column for name, column in columns.items()}
-    return keys
+def _beside(keys: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+    """Return keys with the path of a file that lies in a folder in the place of its name."""
+    return {**keys, "file": _file(folder, keys["file"])} if "file" in keys else dict(keys)
 
 
-def _csv(folder: Path | None, name: Any, names: Sequence[str]) -> dict[str, Any]:
-    """Return columns of these names from a CSV file: lists of numbers, of words for `material`."""
+def _file(folder: Path | None, name: Any) -> Path:
+    """Return the path of a file that a scene in a folder names."""
     if not isinstance(name, str):
         raise InputError.at("file", "must be the name of a CSV file")
     if folder is None:
         cure = "give the numbers themselves"
         raise InputError.at("file", f"a scene without a folder can name no file: {cure}")
-    path = folder / expanded(name)
+    return folder / expanded(name)
+
+
+def _csv(path: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Return columns of these names from a CSV file: lists of numbers, of words for `material`."""
     header, rows = _read_table(path)
-    # where a row is a grain, and no instant, a column may count the grains
-    _check_header(path, header, names, set() if "time" in names else {"grain"})
+    # a row is a grain, and a column may count them
+    _check_header(path, header, names, {"grain"})
     _check_rows(path, rows, len(header))
     columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True))
     for key in columns.keys() - {"material"}:

@@ -13,6 +13,7 @@ from ..scene.scene import Scene, check_scene
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
 from ..util.tables import align, number
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .selection import Proposal, cheapest, propose, reason
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ HEAD = ("", "engine", "Eq.", "model error", "solver error", "grains", "step", "c
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Shown):
+class Plan(Shown, Tabular):
     """How a scene is answered within a tolerance at the least expected cost.
 
     Attributes
@@ -119,6 +120,9 @@ class Plan(Shown):
         # last, as they are longest
         proposals = fields.pop("candidates")
         return fields | {"candidates": [proposal.to_json() for proposal in proposals]}
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        return of_rows([proposal.to_json() for proposal in self.candidates])
 
 
 def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:

@@ -16,6 +16,7 @@ from ..util.arrays import Array
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, SHADES, panels, window
 from ..util.tables import align, finite, number
+from ..util.tabular import NamedColumn, Tabular, of_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +72,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Stability(Shown):
+class Stability(Shown, Tabular):
     """The boundaries of a scene.
 
     Attributes
@@ -127,6 +128,9 @@ class Stability(Shown):
         for draw, panel in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
             draw(panel, self)
         return steps
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        return of_rows([vars(boundary) for boundary in self.boundaries])
 
 
 def _list(values: Array) -> list[float | None]:

@@ -12,8 +12,9 @@ what the amplitude falls by from cell to cell. Its springs then are ``k (1 - i w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +25,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
+from ..util.tabular import NamedColumn, Tabular, numbered
 from .domain import real, require
 from .modes import eigenmodes
 
@@ -108,7 +110,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Bands(Shown):
+class Bands(Shown, Tabular):
     """Frequencies of waves in a periodic chain, branch by branch.
 
     Attributes
@@ -162,9 +164,15 @@ class Bands(Shown):
         legend(ax)
         return ax
 
+    def _columns(self) -> Iterator[NamedColumn]:
+        branches = range(1, len(self.frequency) + 1)
+        yield NamedColumn("wavenumber", "", self.wavenumber)
+        yield from numbered("frequency", "rad/s", branches, self.frequency.T)
+        yield from numbered("group_velocity", "cells/s", branches, self.group_velocity.T)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GapModes(Shown):
+class GapModes(Shown, Tabular):
     """Eigenmodes of a finite chain outside the bands of its cell: at ends or odd grains.
 
     Attributes
@@ -179,6 +187,8 @@ class GapModes(Shown):
     centre : (L,) array
         Mean grain, weighted by these shares: near 1 or M for surface modes.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "participation": "", "centre": ""}
 
     frequency: Array
     shape: Array
@@ -198,7 +208,7 @@ class GapModes(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Waves(Shown):
+class Waves(Shown, Tabular):
     """Waves ``exp(i (q n - w t))`` of real frequencies that carry energy downward, or decay so.
 
     Attributes
@@ -213,6 +223,8 @@ class Waves(Shown):
         A grain: the amplitude falls by ``exp(-attenuation)`` from each to the next, in the mean
         over a cell.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "wavenumber": "", "attenuation": ""}
 
     cell: Cell
     frequency: Array

@@ -14,7 +14,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, set_title
 from ..util.progress import ProgressBar
+from ..util.tabular import Tabular
 from .domain import real, require
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ GRID = Grid()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DimerSoliton(Shown):
+class DimerSoliton(Shown, Tabular):
     """A solitary wave in a chain of heavy and light grains in turn.
 
     Attributes
@@ -76,6 +77,8 @@ class DimerSoliton(Shown):
     place, values : (K,) arrays
         A at these x.
     """
+
+    _units: ClassVar[dict[str, str]] = {"place": "", "values": ""}
 
     delta: float
     mass_ratio: float

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
 from ..util.suggestions import not_among
+from ..util.tabular import Tabular
 from .domain import real, require
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ Property = Literal["diameter", "mass", "youngs_modulus"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Transmission(Shown):
+class Transmission(Shown, Tabular):
     """Reflection and transmission of waves that come from above.
 
     Attributes
@@ -56,6 +57,16 @@ class Transmission(Shown):
     absorbed : (F,) array
         The rest of it, which damping takes; 0 without.
     """
+
+    _units: ClassVar[dict[str, str]] = {
+        "frequency": "rad/s",
+        "wavenumber": "",
+        "amplitude_reflected": "",
+        "amplitude_transmitted": "",
+        "reflected": "",
+        "transmitted": "",
+        "absorbed": "",
+    }
 
     frequency: Array
     wavenumber: Array

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from os import PathLike
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ..util.arrays import Array
 from ..util.files import expanded
 from ..util.notebook import Shown
 from ..util.tables import counted
+from ..util.tabular import Tabular
 from .record import Record, read_result, select_gathered
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 DRAWN_VALUES = 4_000_000  # of larger trajectories a notebook shows no picture unasked
 
 
-class Trajectory(Shown, Record):
+class Trajectory(Shown, Record, Tabular):
     """The solution of a scene by an engine: the arrays of `Record`, in and out of files.
 
     Attributes
@@ -48,6 +49,9 @@ class Trajectory(Shown, Record):
         The `quantities` of the scene by name, and how far off each may be, by name with "_error":
         (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,).
     """
+
+    _units: ClassVar[dict[str, str]] = {"time": "s", "displacement": "m", "velocity": "m/s"}
+    _numbers: ClassVar[str] = "grains"
 
     def __repr__(self) -> str:
         size = f"{self.time.size} samples x {counted(self.grains.size, 'grain')}"

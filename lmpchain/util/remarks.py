@@ -1,7 +1,8 @@
-"""Warnings of lmpchain, which one thread can put aside without a word to the others."""
+"""Warnings and notes of lmpchain, which one thread can put aside without a word to the others."""
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,17 @@ def warn(text: str, stacklevel: int = 1) -> None:
         warnings.warn(text, stacklevel=stacklevel + 1)
     else:
         texts.append(text)
+
+
+def note(text: str) -> None:
+    """Say on stderr, in one line, what was understood; nothing where warnings are put aside."""
+    if _aside.get() is None and sys.stderr is not None:
+        # a name of a file may hold a line break, or a code that moves the cursor
+        letters = (
+            letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+            for letter in text
+        )
+        print(f"note: {''.join(letters)}", file=sys.stderr)
 
 
 @contextmanager

@@ -42,6 +42,8 @@ class Checked(Shown, BaseModel):
     arguments: ClassVar[dict[str, str]] = {}
     # from what is no argument, but may be meant for one, to what to do
     elsewhere: ClassVar[dict[str, str]] = {}
+    # further ones, which a class turns into these
+    other_arguments: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
@@ -53,6 +55,9 @@ class Checked(Shown, BaseModel):
             parameters.append(
                 Parameter(field.alias or name, Parameter.KEYWORD_ONLY, default=default)
             )
+        parameters += [
+            Parameter(name, Parameter.KEYWORD_ONLY, default=None) for name in cls.other_arguments
+        ]
         cls.__signature__ = Signature(parameters)
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
@@ -91,8 +96,9 @@ class Checked(Shown, BaseModel):
         """Return the fault of a key that is no argument."""
         if key in cls.elsewhere:
             return f"is no key here: {cls.elsewhere[key]}"
-        guess = did_you_mean(key, [*cls.arguments, *cls.elsewhere])
-        return f"unknown key{guess}; the keys here are {', '.join(cls.arguments)}"
+        known = [*cls.arguments, *cls.other_arguments]
+        guess = did_you_mean(key, [*known, *cls.elsewhere])
+        return f"unknown key{guess}; the keys here are {', '.join(known)}"
 
     def _remarks(self) -> Iterator[str]:
         """Yield warnings of values that are allowed but hardly meant."""
@@ -167,14 +173,18 @@ class Checked(Shown, BaseModel):
         fields = self.model_fields_set
         return {key: getattr(self, name) for key, name in self.arguments.items() if name in fields}
 
+    def _compared(self) -> Iterable[str]:
+        """Return the arguments that equal values share."""
+        return self.arguments
+
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and all(
-            np.array_equal(getattr(self, key), getattr(other, key)) for key in self.arguments
+            np.array_equal(getattr(self, key), getattr(other, key)) for key in self._compared()
         )
 
     def __hash__(self) -> int:
         # equal values may be given by different fields, of which pydantic would make the hash
-        values = (getattr(self, key) for key in self.arguments)
+        values = (getattr(self, key) for key in self._compared())
         return hash((type(self), *map(_hashable, values)))
 
     def __dir__(self) -> list[str]:

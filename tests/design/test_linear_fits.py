@@ -318,12 +318,12 @@ def test_places_and_values_that_are_none_are_refused():
 
 def test_a_table_of_numbers_needs_two_whole_lines(tmp_path: Path):
     path = tmp_path / "scope.csv"
-    path.write_text("0.0\t1.0\n1e-6;2.0\n3e-6\n4e-6,5.0,9.0\n")
+    path.write_text("0.0,1.0,\n1e-6,2.0\n4e-6,5.0,\n")
     traces = Traces.from_csv(path, [4])
     np.testing.assert_array_equal(traces.time, [0.0, 1e-6, 4e-6])
     np.testing.assert_array_equal(traces.values, [[1.0], [2.0], [5.0]])
-    path.write_text("0.0,1.0\n1.0\n")
-    with pytest.raises(InputError, match="has not two lines of 2 numbers, time and 1 values"):
+    path.write_text("0.0,1.0\n")
+    with pytest.raises(InputError, match="has not two lines of numbers: time, velocity_4"):
         Traces.from_csv(path, [4])
     path.write_text("0.0,1.0\n1.0,2.0\n")
     assert Traces.from_csv(path, [4]).time.size == 2

@@ -160,7 +160,7 @@ def test_no_block_is_left_out():
         }, page
         loose = [block for block in blocks(page, "python") if ">>> " not in block]
         assert len(loose) == (page == "lammps"), page  # which test_the_page_reads_a_dump runs
-        assert bool(blocks(page, "toml")) == (page in ("scenes", "production"))
+        assert bool(blocks(page, "toml")) == (page in ("scenes", "production", "instruments"))
 
 
 def test_the_page_reads_a_dump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -189,6 +189,14 @@ def test_scene_files_of_the_page(tmp_path: Path):
         assert Scene.from_toml(tmp_path / "scene.toml").samples == 101
     (tmp_path / "scene.toml").write_text(f"{paper}\n{damping}")
     assert Scene.from_toml(tmp_path / "scene.toml").chain.damped
+
+
+def test_the_scene_file_of_an_instrument(tmp_path: Path):
+    (scene,) = blocks("instruments", "toml")
+    (tmp_path / "scene.toml").write_text(scene)
+    lines = (DOCS / "instruments.md").read_text(encoding="utf-8").split('"""')[1].splitlines()
+    (tmp_path / "scope.csv").write_text("\n".join(line.removeprefix("... ") for line in lines))
+    assert Scene.from_toml(tmp_path / "scene.toml").excitation.force.max() == pytest.approx(2.0)
 
 
 @pytest.mark.slow

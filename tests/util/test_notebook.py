@@ -292,7 +292,8 @@ def test_help_begins_with_what_a_user_needs(kind: type):
     assert "Annotated" not in opening
     assert len(opening) < 700
     assert re.search(rf"{kind.__name__}\(\*,\s+\|?\s*{next(iter(kind.arguments))}", opening)
-    assert list(inspect.signature(kind).parameters) == list(kind.arguments)
+    arguments = [*kind.arguments, *kind.other_arguments]
+    assert list(inspect.signature(kind).parameters) == arguments
 
 
 def test_the_bar_of_a_fast_run_ends_at_100_percent(capsys: pytest.CaptureFixture[str]):

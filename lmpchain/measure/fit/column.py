@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -17,6 +17,7 @@ from ...theory.domain import exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import SHADES, axes_in_units, legend
+from ...util.tabular import Tabular
 from ..front import FEWEST, Exponents, PowerLaw, asymptotic, exponent, fit_power
 from .column_front import bottom, front_before_echo, strike_at_top
 from .table import Fitted, Row
@@ -45,7 +46,7 @@ FAR = FarRegion()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrontLaw(Fitted):
+class FrontLaw(Fitted, Tabular):
     """Arrival times of the front, ``factor h^exponent (1 + correction / h^order)``.
 
     The lag of the discrete chain behind the continuum is subtracted from the times.
@@ -66,6 +67,8 @@ class FrontLaw(Fitted):
     expected : (2,) array
         eta / 2 and 2 / eta, Eq. (9) with its factor.
     """
+
+    _units: ClassVar[dict[str, str]] = {"depth": "", "time": "", "shift": ""}
 
     depth: Array
     time: Array
@@ -116,7 +119,7 @@ class FrontLaw(Fitted):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContinuumFit(Fitted):
+class ContinuumFit(Fitted, Tabular):
     """Eq. (35), ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, fitted far behind the front.
 
     Attributes
@@ -136,6 +139,8 @@ class ContinuumFit(Fitted):
     front : FrontLaw or None
         None if fewer than 6 recorded grains show the front.
     """
+
+    _units: ClassVar[dict[str, str]] = {"grain": "", "cone": "", "values": "", "model": ""}
 
     amplitude: float
     error: float

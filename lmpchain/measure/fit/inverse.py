@@ -17,6 +17,8 @@ from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
 from ...util.plotting import axes_in_units, choose_few, legend, set_title
+from ...util.tabular import NamedColumn, Tabular, numbered
+from ...util.units import FIELD_UNITS
 from ..bodies import motion
 from ..contact import sensor
 from .table import Fitted, Row
@@ -107,7 +109,7 @@ def _trace_faults(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParameterFit(Fitted):
+class ParameterFit(Fitted, Tabular):
     """A parameter of a scene, fitted to a trace.
 
     Attributes
@@ -159,6 +161,15 @@ class ParameterFit(Fitted):
         set_title(ax, f"{name} {value} ± {EngFormatter(unit, places=1)(self.error)} (lines)")
         legend(ax)
         return ax
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        trace = self.trace
+        unit = FIELD_UNITS[trace.field]
+        grains = np.atleast_1d(trace.grain)
+        shape = len(trace.time), grains.size
+        yield NamedColumn("time", "s", trace.time)
+        yield from numbered(trace.field, unit, grains, np.reshape(trace.values, shape))
+        yield from numbered(f"{trace.field}_fitted", unit, grains, np.reshape(self.model, shape))
 
 
 def fit_parameter(

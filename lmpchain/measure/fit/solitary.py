@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy import stats
@@ -15,6 +15,7 @@ from ...theory.soliton import Soliton, coste_speed, nesterenko_speed, solve, str
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import axes_in_units, legend
+from ...util.tabular import Tabular
 from ..front import FEWEST, track
 from .column_front import is_uniform
 from .table import Fitted, Row
@@ -28,7 +29,7 @@ SOLITARY = 0.02  # analysis/calibration/fit_thresholds.py
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SolitonFit(Fitted):
+class SolitonFit(Fitted, Tabular):
     """A wave that keeps its height, beside the exact solitary wave of that height.
 
     Attributes
@@ -50,6 +51,8 @@ class SolitonFit(Fitted):
         Speed by the long-wave formula for this wave, Coste's under a load, Nesterenko's in a sonic
         vacuum, grains/s.
     """
+
+    _units: ClassVar[dict[str, str]] = {"grain": "", "time": "s", "velocity": "m/s"}
 
     grain: np.ndarray
     time: Array

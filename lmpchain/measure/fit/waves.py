@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -19,6 +19,7 @@ from ...trajectory.picture import UNITS_OF_FIELDS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import axes_in_units, choose_few, legend, set_title
+from ...util.tabular import Tabular
 from ..bodies import motion
 from ..recorded import Field
 from .table import Fitted, Row
@@ -55,7 +56,7 @@ REGION = BesselRegion()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModeFit(Fitted):
+class ModeFit(Fitted, Tabular):
     """A motion as a superposition of eigenmodes.
 
     Attributes
@@ -77,6 +78,8 @@ class ModeFit(Fitted):
         trajectory: max|x - x_linear| over the grains over max|x| over grains and samples, the
         larger of displacement and velocity.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "energy": "J", "energy_error": "J"}
 
     frequency: Array
     time: Array
@@ -187,7 +190,7 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BesselFit(Fitted):
+class BesselFit(Fitted, Tabular):
     """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]`` after a strike on grain p.
 
     Here s = rate (t - delay). The second term is the image in a free top, Eq. (11) if p = 1; under
@@ -216,6 +219,13 @@ class BesselFit(Fitted):
     residual : float
         Root mean square of values - model over that of values.
     """
+
+    _units: ClassVar[dict[str, str]] = {
+        "grain": "",
+        "time": "s",
+        "values": "{field}",
+        "model": "{field}",
+    }
 
     field: Field
     struck: int

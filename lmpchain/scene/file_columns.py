@@ -1,0 +1,134 @@
+"""Which column of a file holds which quantity, by its header, or by what the user says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from ..errors import InputError, shown
+from ..util.number_tables import NumberTable
+from ..util.units import unit_of
+
+# names of columns in the files of instruments: of the time, and of what counts the samples
+TIMES = ("time", "t", "x", "x-axis", "x_value")
+COUNTERS = ("sequence", "sample", "index", "nr", "no", "point")
+# how files call the interval of samples that have no times
+INTERVALS = ("increment", "sample interval", "delta_x", "sampling interval", "tinc")
+
+
+class Quantity(NamedTuple):
+    """What a column is to hold: its name in a header, its unit in SI, and names that go first."""
+
+    name: str
+    unit: str
+    others: tuple[str, ...] = ()
+
+
+INSTANT = Quantity("time", "s")
+
+
+def named(table: NumberTable, quantities: Sequence[Quantity], columns: Any) -> list[int | None]:
+    """Return the places of quantities that columns or the header name; None of others."""
+    if columns is None:
+        return [_by_name(table, *quantity.others, quantity.name) for quantity in quantities]
+    names = [quantity.name for quantity in quantities]
+    if isinstance(columns, dict):
+        if strange := columns.keys() - set(names):
+            known = ", ".join(names)
+            raise InputError.at("columns", f"{shown(min(strange))} is none of {known}")
+        return [_place(table, columns[name]) if name in columns else None for name in names]
+    if len(columns) != len(names):
+        message = f"must name {len(names)} columns, for {', '.join(names)}"
+        raise InputError.at("columns", f"{message} (got {len(columns)})")
+    return [_place(table, column) for column in columns]
+
+
+def timed(table: NumberTable, quantities: Sequence[Quantity], columns: Any) -> list[int | None]:
+    """Return the places of the times, None if there are none, and of all quantities.
+
+    Raises
+    ------
+    InputError
+        If the file does not tell, or has not all.
+    """
+    everything = [INSTANT, *quantities]
+    if columns is None:
+        return _timed_by_header(table, everything)
+    # times may follow from the interval of the samples
+    alone = not isinstance(columns, dict) and len(columns) == len(quantities)
+    places = named(table, quantities if alone else everything, columns)
+    places = [None, *places] if alone else places
+    for quantity, place in zip(quantities, places[1:], strict=True):
+        if place is None:
+            raise InputError.at("columns", f"has no {quantity.name}: add it")
+    return places
+
+
+def _timed_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[int | None]:
+    """Return the places of time and quantities by the header, or because there are no others."""
+    places = named(table, quantities, None)
+    if places[0] is None:
+        places[0] = _time_place(table)
+    missing = [k for k, place in enumerate(places) if place is None]
+    rest = [place for place in table.numeric if place not in places]
+    if places[0] is not None:
+        rest = [place for place in rest if table.columns[place].name.lower() not in COUNTERS]
+    elif _sampled(table, rest, len(missing)):
+        missing = missing[1:]
+    if missing and len(rest) != len(missing):
+        raise ambiguous(table, quantities)
+    for k, place in zip(missing, rest, strict=False):
+        places[k] = place
+    return places
+
+
+def _sampled(table: NumberTable, rest: Sequence[int], missing: int) -> bool:
+    """Return whether a file says the interval of its samples in place of their times."""
+    names = [table.columns[place].name for place in rest]
+    return table.fact(*INTERVALS) is not None and (len(rest) < missing or any(names))
+
+
+def _by_name(table: NumberTable, *names: str) -> int | None:
+    """Return the place of the only column with the first of these names that is there."""
+    for name in names:
+        places = [
+            place for place in table.numeric if table.columns[place].name.lower() == name.lower()
+        ]
+        if len(places) > 1:
+            cure = "say which by its number in columns"
+            raise InputError.at("columns", f"{table.path} has {len(places)} columns {name}: {cure}")
+        if places:
+            return places[0]
+    return None
+
+
+def _time_place(table: NumberTable) -> int | None:
+    """Return the place of the only column of times, by its name or its unit."""
+    named = _by_name(table, *TIMES)
+    if named is not None:
+        return named
+    units = [(place, unit_of(table.columns[place].unit)) for place in table.numeric]
+    timed = [place for place, unit in units if unit and unit.base == "s"]
+    return timed[0] if len(timed) == 1 else None
+
+
+def _place(table: NumberTable, column: int | str) -> int:
+    """Return the place of a column by its number or its name."""
+    place = _by_name(table, column) if isinstance(column, str) else column - 1
+    if place is None or place not in table.numeric:
+        raise InputError.at(
+            "columns", f"{table.path} has no column {shown(column)} of numbers: {_list(table)}"
+        )
+    return place
+
+
+def _list(table: NumberTable) -> str:
+    """Return the columns of numbers of a table in words."""
+    return "it has " + ", ".join(map(table.describe, table.numeric))
+
+
+def ambiguous(table: NumberTable, quantities: Sequence[Quantity]) -> InputError:
+    """Return the error of a file whose columns are not told apart."""
+    names = ", ".join(quantity.name for quantity in quantities)
+    cure = f"say which are {names} by columns = [number or name, ...]"
+    return InputError.at("columns", f"{table.path} does not tell: {_list(table)}; {cure}")

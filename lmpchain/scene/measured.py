@@ -1,0 +1,62 @@
+"""Excitations that files of instruments describe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ..errors import InputError
+from ..util.remarks import note
+from .base import Excitation
+from .trace_file import Reading, TableFile
+
+
+class Measured(Excitation):
+    """An excitation whose arrays may come from a file, which keeps what was understood of it.
+
+    Attributes
+    ----------
+    file_kind : type
+        What reads the file: a `TableFile` with its options.
+    source : str, optional
+        What was understood of the file; equal excitations may come from different ones.
+    """
+
+    file_kind: ClassVar[type[TableFile]]
+    if TYPE_CHECKING:
+        source: str
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Take the options of the file as arguments."""
+        super().__init_subclass__(**options)
+        if "file_kind" in vars(cls):
+            cls.other_arguments = tuple(cls.file_kind.arguments)
+
+    def __init__(self, *values: Any, **data: Any):
+        options = {key: data.pop(key) for key in self.other_arguments if key in data}
+        reading = self._read(options, data) if options else None
+        super().__init__(*values, **data)
+        if reading:
+            note(reading.text)
+
+    def _read(self, options: dict[str, Any], data: dict[str, Any]) -> Reading:
+        """Fill in the arrays of a file, and what was understood of it."""
+        if unknown := [key for key in data if key not in self.arguments]:
+            raise InputError((key, self._unknown(key)) for key in unknown)
+        if options.get("file") is None:
+            raise InputError((key, "goes with a file: name it") for key in options)
+        file = self.file_kind(**{key: value for key, value in options.items() if value is not None})
+        reading, arrays = self._arrays(file)
+        if twice := [key for key in (*arrays, "source") if data.get(key) is not None]:
+            cure = "is in the file already; take it out of one of them"
+            raise InputError((key, cure) for key in twice)
+        data |= arrays | {"source": reading.text}
+        return reading
+
+    @classmethod
+    def _arrays(cls, file: Any) -> tuple[Reading, dict[str, Any]]:
+        """Read a file, and return the fields that its columns fill."""
+        raise NotImplementedError
+
+    def _compared(self) -> Iterable[str]:
+        return [key for key in self.arguments if key != "source"]

@@ -1,0 +1,327 @@
+"""Tables of numbers in text files of any layout, as instruments and spreadsheets write them."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InputError, shown
+from .arrays import Array
+from .files import check_readable
+from .units import BRACKETS, split_unit, unit_of
+
+LARGEST_FILE = 2**28  # bytes
+SAMPLED_LINES = 400  # by which the layout is recognised
+
+
+class Layout(NamedTuple):
+    """How the lines of a table are written.
+
+    Attributes
+    ----------
+    delimiter : str
+        Between columns; a blank stands for any number of blanks.
+    decimal : "." or ","
+    """
+
+    delimiter: str
+    decimal: str
+
+    def cells(self, line: str) -> list[str]:
+        """Return the cells of a line, without empty ones at its end."""
+        if self.delimiter == " ":
+            cells = line.split()
+        else:
+            # a cell in quotes may hold the delimiter
+            cells = [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter))]
+        while cells and not cells[-1]:
+            cells.pop()
+        return cells
+
+    def is_number(self, cell: str) -> bool:
+        """Return whether a cell holds a finite number in these digits."""
+        return CELLS[self.decimal].fullmatch(cell) is not None
+
+    def numeric(self, cells: Sequence[str]) -> tuple[int, ...]:
+        """Return the places of the cells that hold numbers."""
+        return tuple(place for place, cell in enumerate(cells) if self.is_number(cell))
+
+    def number(self, cell: str) -> float:
+        """Return the number in a cell."""
+        return float(cell.replace(",", ".") if self.decimal == "," else cell)
+
+    @property
+    def words(self) -> str:
+        """The layout in words."""
+        between = {" ": "blanks", "\t": "tabs", ";": "semicolons", ",": "commas"}[self.delimiter]
+        return f"{between} between columns" + (", decimal commas" if self.decimal == "," else "")
+
+
+DIGITS = r"[+-]?(\d+({0}\d*)?|{0}\d+)([eE][+-]?\d+)?"
+CELLS = {mark: re.compile(DIGITS.format(re.escape(mark)), re.ASCII) for mark in ".,"}
+# a name of a column, with a unit in brackets that a blank may part from it
+NAME_AND_UNIT = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
+
+
+class Column(NamedTuple):
+    """Name and unit of a column, as its header has them; empty if it has none."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class NumberTable:
+    """A table of numbers, and what stands above it.
+
+    Attributes
+    ----------
+    path : Path
+    layout : Layout
+    columns : list of Column
+        Of all, up to the last one of numbers.
+    numeric : tuple of int
+        Places of the columns of numbers.
+    facts : dict of str
+        What the lines above or beside the table say, by its lower-case name.
+    lines : list of (int, str)
+        Of the table, with their numbers in the file.
+    """
+
+    path: Path
+    layout: Layout
+    columns: list[Column]
+    numeric: tuple[int, ...]
+    facts: dict[str, str]
+    lines: list[tuple[int, str]]
+
+    def values(self, places: Sequence[int]) -> Array:
+        """Return columns (R, C); raises `InputError` with the first cell that is no number."""
+        layout = self.layout
+        values = np.empty((len(self.lines), len(places)))
+        for row, line in enumerate(self.lines):
+            cells = layout.cells(line[1])
+            try:
+                if not all(layout.is_number(cells[place]) for place in places):
+                    raise IndexError
+            except IndexError:
+                raise _no_number(self.path, line, layout, places) from None
+            values[row] = [layout.number(cells[place]) for place in places]
+        return values
+
+    def fact(self, *names: str) -> float | None:
+        """Return the number that the file says by one of these names; None if it says none."""
+        for cell in filter(None, map(self.facts.get, names)):
+            # headers may have points where the numbers have commas
+            for layout in (self.layout, Layout(",", ".")):
+                if layout.is_number(cell):
+                    return layout.number(cell)
+        return None
+
+    def describe(self, place: int) -> str:
+        """Return a column in words, as its number and header have it."""
+        column = self.columns[place]
+        name = f" ({column.name})" if column.name else ""
+        return f"column {place + 1}{name}" + (f" in {column.unit}" if column.unit else "")
+
+
+def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
+    """Find the table of numbers in a text file.
+
+    Parameters
+    ----------
+    path : Path
+    skip : int
+        Lines at the beginning that are not looked at.
+    fewest : int
+        Columns of numbers that are looked for.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds no such table.
+
+    Examples
+    --------
+    >>> path = getfixture("tmp_path") / "scope.csv"
+    >>> _ = path.write_text("Model;2014\\nt (ms);CH1\\n-0,5;1,25\\n0;1e-1\\n")
+    >>> table = read_table(path, fewest=2)
+    >>> table.describe(0), table.layout.words
+    ('column 1 (t) in ms', 'semicolons between columns, decimal commas')
+    >>> table.values([0, 1]).tolist()
+    [[-0.5, 1.25], [0.0, 0.1]]
+    """
+    numbered = enumerate(_read_lines(path), 1)
+    lines = [(number, line) for number, line in numbered if number > skip and line.strip()]
+    try:
+        layout, numeric = _recognise(path, lines, fewest)
+        first = _first_row(path, lines, layout, numeric)
+        above = [line for _, line in lines[max(first - 2, 0) : first]][::-1]
+        header = _header(path, above, layout, numeric, len(layout.cells(lines[first][1])))
+        # beside the first rows, where Tektronix writes it, or above them
+        facts = dict(_facts(layout.cells(line) for _, line in lines[: first + SAMPLED_LINES]))
+    except csv.Error as error:
+        raise InputError.at("file", f"{path} cannot be read as a table: {error}") from None
+    if len(header) == 2:
+        # names and values in two lines, as Rigol has the sampling interval
+        facts |= {name.lower(): cell for name, cell in zip(header[1], header[0], strict=False)}
+    return NumberTable(path, layout, _columns(header, numeric), numeric, facts, lines[first:])
+
+
+def _read_lines(path: Path) -> list[str]:
+    """Return the lines of a text file in the encodings that instruments use."""
+    try:
+        check_readable(path, LARGEST_FILE)
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError.at("file", f"{path} cannot be read: {reason}") from None
+    wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+    try:
+        text = content.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        # every byte is a letter of it, the micro sign among them
+        text = content.decode("latin-1")
+    if "\0" in text:
+        cure = "save it as text (CSV)"
+        raise InputError.at("file", f"{path} is no text: {cure}")
+    return re.split(r"\r\n|\r|\n", text)
+
+
+def _recognise(
+    path: Path, lines: Sequence[tuple[int, str]], fewest: int
+) -> tuple[Layout, tuple[int, ...]]:
+    """Return the layout in which most lines hold numbers, and in which columns they do."""
+    # a table is the later half of its file at least, or all that has so many columns
+    later = lines[len(lines) // 2 :]
+    later = later[:: len(later) // SAMPLED_LINES + 1]
+    best = (False, 0, 0, 0)
+    recognised = None
+    # of layouts that fit as many lines the first is taken: they differ in nothing then
+    for layout in _layouts([line for _, line in later]):
+        rows = [layout.cells(line) for _, line in later]
+        columns = [layout.numeric(cells) for cells in rows]
+        for numeric, count in Counter(filter(None, columns)).items():
+            words = sum(
+                sum(map(bool, cells)) - len(numeric)
+                for cells, places in zip(rows, columns, strict=True)
+                if places == numeric
+            )
+            score = (len(numeric) >= fewest, count, -words, len(numeric))
+            if score > best:
+                best = score
+                recognised = layout, numeric
+    if recognised is None:
+        raise InputError.at("file", f"{path} holds no table of numbers: name another file")
+    return recognised
+
+
+def _layouts(lines: Sequence[str]) -> list[Layout]:
+    """Return the layouts that lines may have: where there are tabs or semicolons, no others."""
+    marks = [mark for mark in "\t;" if 2 * sum(mark in line for line in lines) > len(lines)]
+    return [Layout(delimiter, decimal) for delimiter in (marks[:1] or ", ") for decimal in ".,"]
+
+
+def _first_row(
+    path: Path, lines: Sequence[tuple[int, str]], layout: Layout, numeric: tuple[int, ...]
+) -> int:
+    """Return the index of the first line of a table; raises `InputError` if it is interrupted."""
+    places = set(numeric)
+    first = None
+    kinds = set()
+    for index in reversed(range(len(lines))):
+        cells = layout.cells(lines[index][1])
+        numbers = set(layout.numeric(cells))
+        # where there is text beside numbers
+        kind = tuple(place for place, cell in enumerate(cells) if cell and place not in numbers)
+        if places <= numbers and (first is None or index == first - 1):
+            first = index
+            kinds.add(kind)
+        elif first is not None:
+            # a header has no numbers in these columns, and no such rows above it
+            if index == first - 1 and places & numbers:
+                raise _no_number(path, lines[index], layout, numeric)
+            if places <= numbers and kind in kinds:
+                raise _no_number(path, lines[first - 1], layout, numeric)
+    assert first is not None
+    return first
+
+
+def _no_number(
+    path: Path, line: tuple[int, str], layout: Layout, places: Sequence[int]
+) -> InputError:
+    """Return the error of the first of these cells of a line that holds no number."""
+    cells = layout.cells(line[1])
+    texts = [(place, cells[place] if place < len(cells) else "") for place in places]
+    place, text = next((place, text) for place, text in texts if not layout.is_number(text))
+    cure = "mend it or take the line out (lines above the table: skip = N)"
+    message = f"{shown(text)} in column {place + 1} is no number: {cure}"
+    return InputError.at("file", f"{path}, line {line[0]}: {message}")
+
+
+def _header(
+    path: Path, above: Sequence[str], layout: Layout, numeric: tuple[int, ...], width: int
+) -> list[list[str]]:
+    """Return the cells of at most two lines above a table, from the last one upward."""
+    header: list[list[str]] = []
+    for line in above:
+        # numpy begins a header with a mark
+        cells = _header_cells(line.lstrip("#% "), layout, width)
+        if len(cells) <= numeric[-1]:
+            break
+        header.append(cells)
+    if above and not header:
+        units = [match[2] for match in BRACKETS.finditer(above[0]) if unit_of(match[2])]
+        if units:
+            line = f"the line {shown(above[0])} has units, but not a name for each column"
+            cure = "leave it out by skip = N, and give columns, time_scale and scale"
+            raise InputError.at("file", f"{path}: {line}: {cure}")
+    return header
+
+
+def _header_cells(line: str, layout: Layout, width: int) -> list[str]:
+    """Return the cells of a line of a header; none if they do not fit a table so wide."""
+    cells = layout.cells(line)
+    if layout.delimiter != " " or len(cells) == width:
+        return cells
+    # names with blanks in them
+    for split in (NAME_AND_UNIT.findall(line), re.split(r"\s{2,}|\t", line)):
+        if len(split) == width:
+            return split
+    return []
+
+
+def _facts(rows: Iterable[Sequence[str]]) -> Iterator[tuple[str, str]]:
+    """Yield what lines say, as name and value: the first two cells, or the sides of a colon."""
+    for cells in rows:
+        pair = re.split(r"\s*[:=]\s*", cells[0], maxsplit=1) if len(cells) == 1 else cells[:2]
+        if len(pair) == 2 and pair[0][:1].isalpha():
+            yield pair[0].lower(), pair[1]
+
+
+def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[Column]:
+    """Return names and units of columns from the lines of a header, the last one first."""
+    width = numeric[-1] + 1
+    if not header:
+        return [Column("", "")] * width
+    cells = list(header[0][:width])
+    units = [cell.strip("()[] ") for cell in cells]
+    # a line of units below that of the names
+    if all(_is_unit(cells[place]) for place in numeric):
+        names = header[1][:width] if len(header) == 2 else [""] * width
+        return [Column(name, unit) for name, unit in zip(names, units, strict=True)]
+    return [Column(*split_unit(cell)) for cell in cells]
+
+
+def _is_unit(cell: str) -> bool:
+    """Return whether a cell holds a unit and no name."""
+    match = BRACKETS.fullmatch(cell)
+    bracketed = match is not None and not match[1]
+    return bracketed or unit_of(cell) is not None or cell.lower() == "sequence"

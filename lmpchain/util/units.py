@@ -1,0 +1,76 @@
+"""Units and names in the headers of tables: `time [s]`, `CH1 (mV)`, `t / ms`, `in s`."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+PREFIXES = {
+    "": 1.0,
+    "p": 1e-12,
+    "n": 1e-9,
+    "u": 1e-6,
+    # the micro sign and the Greek letter
+    "\u00b5": 1e-6,
+    "\u03bc": 1e-6,
+    "m": 1e-3,
+    "k": 1e3,
+}
+SPELT = {"": 1.0, "nano": 1e-9, "micro": 1e-6, "milli": 1e-3, "kilo": 1e3}
+WORDS = {"second": "s", "sec": "s", "volt": "V", "newton": "N", "metre": "m", "meter": "m"}
+BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
+FIELD_UNITS = {"velocity": "m/s", "displacement": "m", "force": "N", "contact": "N"}
+# without brackets a unit must be known to be one
+OTHER_FORMS = [
+    re.compile(form) for form in (r"(.*)\bin (\S+)", r"(.+?)\s*/\s*(\S+)", r"(.+)_(\w\w)")
+]
+
+
+class Unit(NamedTuple):
+    """A unit: that of SI which it is a multiple of (volts among them), and how many of these."""
+
+    base: str
+    factor: float
+
+
+KNOWN_UNITS = {
+    prefix + base: Unit(base, factor)
+    for base in ("s", "V", "N", "m", "m/s")
+    for prefix, factor in PREFIXES.items()
+}
+# as some oscilloscopes write them
+KNOWN_UNITS |= {"S": KNOWN_UNITS["s"], "v": KNOWN_UNITS["V"]}
+KNOWN_UNITS |= {
+    prefix + word + plural: Unit(base, factor)
+    for word, base in WORDS.items()
+    for prefix, factor in SPELT.items()
+    for plural in ("", "s")
+}
+
+
+def unit_of(text: str) -> Unit | None:
+    """Return the unit that a text names; None if it names none.
+
+    Examples
+    --------
+    >>> unit_of("ms"), unit_of("Volts"), unit_of("counts")
+    (Unit(base='s', factor=0.001), Unit(base='V', factor=1.0), None)
+    """
+    # of symbols the case counts
+    return KNOWN_UNITS.get(text) or (KNOWN_UNITS.get(text.lower()) if len(text) > 2 else None)
+
+
+def split_unit(cell: str) -> tuple[str, str]:
+    """Return the name and the unit in a cell of a header, either of them perhaps empty.
+
+    Examples
+    --------
+    >>> split_unit("time [us]"), split_unit("C1 in V"), split_unit("CH1")
+    (('time', 'us'), ('C1', 'V'), ('CH1', ''))
+    """
+    if match := BRACKETS.fullmatch(cell):
+        return match[1], match[2]
+    for form in OTHER_FORMS:
+        if (match := form.fullmatch(cell)) and unit_of(match[2]):
+            return match[1].strip(), match[2]
+    return cell, ""

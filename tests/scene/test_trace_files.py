@@ -1,0 +1,284 @@
+"""Traces as instruments write them: each is read in one call, and acts as it says.
+
+The two files in `tests/data` are made by `make_traces.py`, from closed forms; the others are
+written here, with numbers of closed forms too.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from data.make_traces import hammer, vibrometer
+from scipy.interpolate import PchipInterpolator
+
+from lmpchain import Chain, Drive, Force, InputError, Profile, Scene, simulate
+from lmpchain.cli import main
+from lmpchain.design import Traces
+
+DATA = Path(__file__).parents[1] / "data"
+# a smooth push that has a beginning before t = 0, by which a trigger is tested
+TIME = np.arange(-20, 61) * 1e-6
+
+
+def push(time: np.ndarray) -> np.ndarray:
+    """A push of 3 N over 50 us, and nothing before and after it."""
+    inside = (time > 0) & (time < 50e-6)
+    return np.where(inside, 3.0 * np.sin(np.pi * time / 50e-6) ** 2, 0.0)
+
+
+def rows(*columns: np.ndarray, form: str = "{:.9e}", between: str = ",") -> str:
+    """Return columns as lines of text."""
+    lines = (between.join(form.format(x) for x in row) for row in zip(*columns, strict=True))
+    return "\n".join(lines) + "\n"
+
+
+def lvm(column: bool) -> str:
+    """Return a measurement file of LabVIEW, with or without a column of the times."""
+    times = rows(TIME, push(TIME) / 2, between="\t")
+    if not column:
+        times = "".join(f"\t{line.split(chr(9))[1]}\n" for line in times.splitlines())
+    header = (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\n"
+        f"Decimal_Separator\t,\nMulti_Headings\tNo\nX_Columns\t{'One' if column else 'No'}\n"
+        "Time_Pref\tAbsolute\nOperator\tlab\nDate\t2026/11/26\nTime\t15:40:45,402\n"
+        "***End_of_Header***\t\n\t\nChannels\t1\t\nSamples\t81\t\nDate\t2026/11/26\t\n"
+        "Y_Unit_Label\tVolts\t\nX_Dimension\tTime\t\nX0\t-2,0E-5\t\nDelta_X\t1,0E-6\t\n"
+        "***End_of_Header***\t\t\nX_Value\tVoltage\tComment\n"
+    )
+    return header + times.replace(".", ",")
+
+
+# what the file holds, and the options by which its push is that of `push`
+INSTRUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "Keysight, two channels": (
+        "x-axis,1,2\nsecond,Volt,Volt\n"
+        + rows(TIME, push(TIME) / 2 + 0.25, np.cos(TIME * 1e5), form="{:+.9E}"),
+        {"columns": [1, 2], "scale": 2.0, "baseline": (-20e-6, -1e-7), "trigger": 0.0},
+    ),
+    "Rigol, counted samples": (
+        "X,CH1,Start,Increment,\nSequence,Volt,-2.000000e-05,1.000000e-06\n"
+        + "".join(f"{n},{v:.9e},,\n" for n, v in enumerate(push(TIME) / 2)),
+        {"scale": 2.0, "trigger": 0.0},
+    ),
+    "LabVIEW": (lvm(True), {"scale": 2.0, "trigger": 0.0}),
+    "LabVIEW without times": (lvm(False), {"scale": 2.0, "trigger": 0.0}),
+    "PicoScope, milliseconds and millivolts": (
+        "Time,Channel A\n(ms),(mV)\n\n" + rows(TIME * 1e3, push(TIME) * 500),
+        {"scale": 2.0, "trigger": 0.0},
+    ),
+    "a spreadsheet in Germany": (
+        "\ufeffVersuch 12;;\nZeit [\u00b5s];Kraft [mN];Bemerkung\n"
+        + rows(TIME * 1e6, push(TIME) * 1e3, form="{:.7f}", between=";").replace(".", ","),
+        {"trigger": 0.0},
+    ),
+    "no header, blanks, microseconds": (
+        rows(TIME * 1e6, push(TIME) * 10, between="   "),
+        {"time_scale": 1e-6, "scale": 0.1, "trigger": 0.0},
+    ),
+    "numpy, trigger later": (
+        "# time (s)  force (N)\n" + rows(TIME + 1.0, push(TIME), form="{:.12e}", between=" "),
+        {"trigger": 1.0},
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "options"), INSTRUMENTS.values(), ids=INSTRUMENTS)
+def test_a_trace_acts_as_it_says(
+    text: str, options: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    path = tmp_path / "scope.csv"
+    path.write_text(text, encoding="utf-8")
+    force = Force(grain=2, file=path, **options)
+    said = capsys.readouterr().err
+    assert said.startswith("note: scope.csv: 81 rows from line ")
+    assert said == f"note: {force.source}\n"
+    assert "20 rows before it dropped" in said
+    later = TIME[20:]
+    np.testing.assert_allclose(force.times, later, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(force.waveform.at(later), push(later), rtol=0, atol=3e-6)
+    # the same in a scene file, which needs its file no more when it is written again
+    table = {"kind": "force", "grain": 2, "file": "scope.csv"} | options
+    chain = {"grains": 6, "diameter": 5e-3, "gravity": 0.0, "top_load": 5.0}
+    tables = {"chain": chain, "excitation": table, "recording": {"duration": 6e-5}}
+    scene = Scene.from_dict(tables, tmp_path)
+    assert scene.excitation == force
+    path.unlink()
+    scene.to_toml(tmp_path / "scene.toml")
+    again = Scene.from_toml(tmp_path / "scene.toml")
+    assert again == scene
+    assert again.excitation.source == force.source
+
+
+def test_an_oscilloscopes_hammer_moves_a_chain():
+    """The file of `tests/data`: its impulse is in the chain, by an interpolation of its own."""
+    assert (DATA / "hammer.csv").read_text() == hammer()
+    force = Force(
+        grain=1, file=DATA / "hammer.csv", scale=2.0, baseline=(-40e-6, -2e-7), trigger=0.0
+    )
+    time = np.arange(400) * 4e-7
+    newtons = np.where(time <= 40e-6, 3.0 * np.sin(np.pi * time / 40e-6), 0.0)
+    np.testing.assert_allclose(force.waveform.at(time), newtons, rtol=0, atol=3e-6)
+    chain = Chain(grains=12, diameter=5e-3, gravity=0.0, bottom="free")
+    scene = Scene(chain=chain, excitation=force, duration=60e-6, samples=7)
+    run = simulate(scene, engine="native", tolerance=1e-8)
+    impulse = PchipInterpolator(time, newtons).integrate(0.0, 60e-6)
+    assert run.velocity[-1] @ chain.masses == pytest.approx(impulse, rel=1e-6)
+    assert impulse == pytest.approx(2 * 3.0 * 40e-6 / np.pi, rel=1e-4)
+
+
+def test_a_vibrometers_piston_drives_a_chain():
+    """The file of `tests/data`: decimal commas, milliseconds, millivolts, a byte order mark."""
+    content = (DATA / "vibrometer.csv").read_bytes().decode("utf-8-sig")
+    assert content == vibrometer()
+    drive = Drive(file=DATA / "vibrometer.csv", scale=5e-6, trigger=1e-3, offset=0.25)
+    time = np.arange(201) * 1e-5
+    path, speed = drive.motion(time)
+    np.testing.assert_allclose(path, 5e-6 * 0.04 * (time * 1e3) ** 2, rtol=1e-6, atol=1e-14)
+    assert speed[100] == pytest.approx(5e-6 * 0.08 * 1e6 * time[100], rel=1e-3)
+    assert "decimal commas" in drive.source
+
+
+@pytest.mark.parametrize("between", [0.3, 0.5])
+def test_a_trigger_between_two_samples_begins_on_the_line_between_them(
+    between: float, tmp_path: Path
+):
+    path = tmp_path / "scope.csv"
+    path.write_text("t,F\n-1,0\n0,1\n1,3\n2,4\n")
+    force = Force(grain=1, file=path, trigger=between)
+    np.testing.assert_allclose(force.times, [0, 1 - between, 2 - between])
+    np.testing.assert_allclose(force.force, [1 + 2 * between, 3, 4])
+    # measured values of a fit are those of the file alone
+    traces = Traces.from_csv(path, [3], trigger=between)
+    np.testing.assert_allclose(traces.time, [1 - between, 2 - between])
+
+
+def test_profiles_come_from_columns(tmp_path: Path):
+    path = tmp_path / "state.csv"
+    path.write_text("grain;u [nm];v [mm/s]\n1;1,5;2\n2;0,5;1\n3;0;0\n")
+    profile = Profile(file=path, columns=[2, 3])
+    np.testing.assert_allclose(profile.displacement, [1.5e-9, 5e-10, 0], rtol=1e-15)
+    np.testing.assert_allclose(profile.velocity, [2e-3, 1e-3, 0], rtol=1e-15)
+    assert Profile(file=path, columns={"velocity": "v"}) == Profile(velocity=[2e-3, 1e-3, 0])
+    piece = profile.part(1, 2)
+    assert piece.velocity.tolist() == profile.velocity[:2].tolist()
+
+
+def test_traces_of_several_places(tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_text("Time,A,B\n(us),(mV),(mV)\n0,1,2\n1,3,4\n2,5,6\n")
+    traces = Traces.from_csv(
+        path, [4, 9], field="force", scale=[1.0, 2.0], offset=[1e-3, 0.0], trigger=True
+    )
+    assert traces.trigger
+    np.testing.assert_allclose(traces.time, [0, 1e-6, 2e-6])
+    np.testing.assert_allclose(traces.values, [[0, 4e-3], [2e-3, 8e-3], [4e-3, 12e-3]])
+
+
+REFUSED = {  # what the file holds, options, the key and what is said of it
+    "nothing": ("", {}, "file", "no table of numbers"),
+    "a picture": ("\x89PNG\0\0", {}, "file", "is no text"),
+    "two channels": ("t,A,B\n0,1,2\n1,2,3\n", {}, "columns", "does not tell"),
+    "two forces": ("t,force,force\n0,1,2\n1,2,3\n", {}, "columns", "2 columns force"),
+    "no such column": ("t,A\n0,1\n1,2\n", {"columns": [1, 3]}, "columns", "no column 3"),
+    "no such name": ("t,A\n0,1\n1,2\n", {"columns": ["t", "B"]}, "columns", "no column 'B'"),
+    "columns from 0": ("t,A\n0,1\n1,2\n", {"columns": [0, 1]}, "columns", "counted from 1"),
+    "a column twice": ("t,A\n0,1\n1,2\n", {"columns": [1, 1]}, "columns", "different"),
+    "too many columns": ("t,A\n0,1\n1,2\n", {"columns": [1, 2, 3]}, "columns", "must name 2"),
+    "volts": ("t,A (V)\n0,1\n1,2\n", {}, "scale", "give it in N for each V"),
+    "counts": ("t,A [counts]\n0,1\n1,2\n", {}, "scale", "for each counts"),
+    "times in volts": ("time (V),force\n0,1\n1,2\n", {}, "time_scale", "which is no time"),
+    "another time unit": (
+        "t (ms),F\n0,1\n1,2\n",
+        {"time_scale": 1e-6},
+        "time_scale",
+        "says 'ms', not 1e-06 s",
+    ),
+    "scale on top": ("t,F (mN)\n0,1\n1,2\n", {"scale": 2.0}, "scale", "on top"),
+    "scale of 0": ("t,F\n0,1\n1,2\n", {"scale": 0.0}, "scale", "must not be 0"),
+    "NaN": ("t,F\n0,1\n1,NaN\n2,3\n", {}, "file", "line 3: 'NaN' in column 2"),
+    "NaN first": ("t,F\n0,NaN\n1,1\n2,3\n", {}, "file", "line 2: 'NaN' in column 2"),
+    "a gap": ("t;F\n0;1\n1;\n2;3\n3;3\n", {}, "file", "line 3: '' in column 2"),
+    "words in it": ("t,F\n0,1\n1,2\npause\n2,3\n3,3\n", {}, "file", "line 4: 'pause'"),
+    "words below": ("t,F\n0,1\n1,2\nend\n", {}, "file", "line 4: 'end'"),
+    "one row": ("t,F\n0,1\n", {}, "file", "two lines"),
+    "backwards": ("t,F\n0,1\n2,2\n1,3\n", {}, "file", "line 4: time does not increase"),
+    "twice": ("t,F\n0,1\n0,2\n1,3\n", {}, "file", "line 3: time does not increase"),
+    "before t = 0": ("t,F\n-1,1\n0,2\n1,3\n", {}, "trigger", "begins at -1 s"),
+    "trigger outside": ("t,F\n0,1\n1,2\n", {"trigger": 2.0}, "trigger", "from 0 to 1 s"),
+    "baseline outside": ("t,F\n0,1\n1,2\n", {"baseline": [2, 3]}, "baseline", "from 0 to 1 s"),
+    "baseline backwards": ("t,F\n0,1\n1,2\n", {"baseline": [1, 0]}, "baseline", "two times"),
+    "baseline and offset": (
+        "t,F\n0,1\n1,2\n",
+        {"baseline": [0, 1], "offset": 1.0},
+        "baseline",
+        "take one",
+    ),
+    "no times": ("force\n1.5\n2.5\n", {"columns": [1]}, "time_scale", "has no times"),
+    "units that fit no column": ("time (us) CH 1 (V)\n0,1\n1,2\n", {}, "file", "has units"),
+    "skipped too far": ("t,F\n0,1\n1,2\n", {"skip": 3}, "file", "no table"),
+    "times as well": ("t,F\n0,1\n1,2\n", {"times": [0, 1]}, "times", "is in the file"),
+}
+
+
+@pytest.mark.parametrize(("text", "options", "key", "said"), REFUSED.values(), ids=REFUSED)
+def test_what_a_file_does_not_tell_is_refused(
+    text: str, options: dict[str, Any], key: str, said: str, tmp_path: Path
+):
+    path = tmp_path / "scope.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        Force(grain=1, file=path, **options)
+    ((fault, message),) = caught.value.faults
+    assert fault == key
+    assert said in message
+
+
+def test_options_of_a_file_go_with_one(tmp_path: Path):
+    with pytest.raises(InputError, match="scale: goes with a file"):
+        Force(grain=1, times=[0, 1], force=[0, 1], scale=2.0)
+    with pytest.raises(InputError, match="No such file"):
+        Force(grain=1, file=tmp_path / "none.csv")
+    with pytest.raises(InputError, match="did you mean 'time_scale'"):
+        Force(grain=1, file=tmp_path / "none.csv", time_scal=1.0)
+    with pytest.raises(InputError, match="trigger: unknown key"):
+        Profile(file=tmp_path / "none.csv", trigger=0.0)
+
+
+def test_commands_name_the_key_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "scope.csv").write_text("t,F (V)\n0,1\n1e-6,2\n")
+    (tmp_path / "scene.toml").write_text(
+        '[chain]\ngrains = 4\ndiameter = 1e-3\n[excitation]\nkind = "force"\n'
+        'file = "scope.csv"\n[recording]\nduration = 1e-5\n'
+    )
+    assert main(["plan", str(tmp_path / "scene.toml")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: excitation.scale: ")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_encodings_of_instruments(encoding: str, tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_text("t [\u00b5s],F\n0,1\n1,2\n", encoding=encoding)
+    assert Force(grain=1, file=path).times.tolist() == [0.0, 1e-6]
+
+
+@pytest.mark.parametrize("ending", [b"\n", b"\r\n", b"\r"])
+def test_ends_of_lines(ending: bytes, tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_bytes(ending.join([b'"t / us","F_kN"', b'"0","0,5"', b'"1","1,5"', b""]))
+    force = Force(grain=1, file=os.fspath(path))
+    assert (force.times.tolist(), force.force.tolist()) == ([0.0, 1e-6], [500.0, 1500.0])
+
+
+def test_equal_forces_may_come_from_different_files(tmp_path: Path):
+    forces = []
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("t,F\n0,1\n1,2\n")
+        forces.append(Force(grain=1, file=tmp_path / name))
+    points = Force(grain=1, times=[0, 1], force=[1, 2])
+    assert forces[0] == forces[1] == points
+    assert len({*forces, points}) == 1
+    assert forces[0].source != forces[1].source

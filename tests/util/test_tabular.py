@@ -1,0 +1,172 @@
+"""Results as tables: units in the header, every digit, and the reader of traces reads them."""
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+
+from lmpchain import Chain, Damping, Force, Impulse, InputError, Scene, plan, simulate
+from lmpchain.cli import main
+from lmpchain.design import Traces
+from lmpchain.measure import contact, energy, fit, front, spectrum, traces
+from lmpchain.theory import bands, dimer_soliton, scattering
+from lmpchain.util.tabular import Tabular
+
+CHAIN = Chain(
+    grains=12,
+    diameter=5e-3,
+    gravity=0.0,
+    top_load=2.0,
+    top="wall",
+    bottom="wall",
+    damping=Damping(viscoelastic=1e-8),
+)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=0.1), duration=8e-5, samples=161)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulate(SCENE, engine="native")
+
+
+def columns(result: Tabular) -> list[str]:
+    return list(result.to_dataframe().columns)
+
+
+def test_a_trajectory_is_a_table_to_the_last_digit(run, tmp_path: Path):
+    run.to_csv(tmp_path / "run.csv")
+    frame = run.to_dataframe()
+    assert frame.shape == (161, 25)
+    assert columns(run)[:3] == ["time [s]", "displacement_1 [m]", "displacement_2 [m]"]
+    np.testing.assert_array_equal(frame["velocity_7 [m/s]"], run.velocity[:, 6])
+    again = pandas.read_csv(tmp_path / "run.csv")
+    pandas.testing.assert_frame_equal(again, frame, check_exact=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_what_is_written_is_read_unchanged(run, tmp_path: Path):
+    path = tmp_path / "trace.csv"
+    table = traces.gather(run, force=[5, "wall"], velocity=[3, 5], above_rest=True)
+    table.to_csv(path)
+    measured = Traces.from_csv(path, [5], field="force")
+    np.testing.assert_array_equal(measured.time, run.time)
+    np.testing.assert_array_equal(measured.values[:, 0], contact.sensor(run, 5).change)
+    speeds = Traces.from_csv(path, [3, 5])
+    np.testing.assert_array_equal(speeds.values, run.velocity[:, [2, 4]])
+    wall = Force(grain=1, file=path, columns=["time", "change_force_wall"])
+    np.testing.assert_array_equal(wall.times, run.time)
+    np.testing.assert_array_equal(wall.force, contact.contacts(run, [12]).change[:, 0])
+    # and by the traces themselves
+    speeds.to_csv(path)
+    np.testing.assert_array_equal(Traces.from_csv(path, [3, 5]).values, speeds.values)
+    contact.contacts(run, [4]).to_csv(path)
+    change = Traces.from_csv(path, [4], field="contact").values[:, 0]
+    np.testing.assert_array_equal(change, contact.contacts(run, [4]).change[:, 0])
+
+
+def test_traces_are_those_of_the_measurements(run):
+    frame = traces.gather(
+        run, force=[5, "wall", "top"], displacement=[1], energy=True
+    ).to_dataframe()
+    np.testing.assert_array_equal(frame["force_5 [N]"], contact.sensor(run, 5).force)
+    np.testing.assert_array_equal(frame["force_wall [N]"], contact.wall_force(run))
+    np.testing.assert_array_equal(frame["force_top [N]"], contact.wall_force(run, "top"))
+    np.testing.assert_array_equal(frame["displacement_1 [m]"], run.displacement[:, 0])
+    ledger = energy.ledger(run)
+    np.testing.assert_array_equal(frame["energy_dissipated [J]"], ledger.dissipated)
+    np.testing.assert_array_equal(frame["energy_total [J]"], ledger.total)
+
+
+def test_places_that_are_not_there(run):
+    with pytest.raises(InputError, match="velocity: grain 13 was not recorded"):
+        traces.gather(run, velocity=[13])
+    with pytest.raises(InputError, match="force: grain 0 has no contacts"):
+        traces.gather(run, force=[0])
+    with pytest.raises(InputError, match="force: must be grains or wall, top, bottom"):
+        traces.gather(run, force=["side"])  # type: ignore[list-item]
+    with pytest.raises(InputError, match="name a force"):
+        traces.gather(run)
+
+
+def test_every_result_is_a_table(run, tmp_path: Path):
+    wave = np.linspace(0.1, 3.0, 7)
+    cell = bands.Cell([1.0, 3.0], [1.0, 1.0])
+    results = {
+        "time [s],force_3 [N],change_force_3 [N]": contact.sensor(run, 3),
+        "time [s],overlap_contact_2 [m]": contact.contacts(run, [2]),
+        "time [s],kinetic [J]": energy.ledger(run),
+        "time [s],of_contact_0 [J]": energy.losses(run),
+        "time [s],kinetic_1 [J]": energy.shares(run),
+        "grain,depth [m],time [s],amplitude [m/s]": front.track(run),
+        "frequency [Hz],amplitude_1 [m/s/Hz]": spectrum.spectrum(run),
+        "frequency [Hz],amplitude_-": spectrum.dispersion(run, 1, 12),
+        "frequency [rad/s],energy [J]": fit.fit_modes(run),
+        "wavenumber,frequency_1 [rad/s],frequency_2 [rad/s]": bands.branches(cell, wave),
+        "frequency [rad/s],wavenumber,amplitude_reflected_real": scattering.transmission(
+            CHAIN.replace(top="free", bottom="fixed", damping=None), [1e4, 2e4]
+        ),
+        "place,values": dimer_soliton.solve(0.3428),
+        "engine": plan(SCENE),
+    }
+    for header, result in results.items():
+        result.to_csv(tmp_path / "table.csv")
+        text = (tmp_path / "table.csv").read_text()
+        assert text.startswith(header), text[:100]
+        assert len(text.splitlines()) == len(result.to_dataframe()) + 1
+
+
+def test_what_can_be_drawn_is_a_table():
+    """Every class with a picture; scenes, chains and what is a function of a place are none."""
+    others = {"AtRest", "Scene", "Soliton", "ExponentFit"}
+    drawn = set()
+    for file in (Path(__file__).parents[2] / "lmpchain").rglob("*.py"):
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and node.name not in others:
+                methods = [item.name for item in node.body if isinstance(item, ast.FunctionDef)]
+                bases = [ast.unparse(base) for base in node.bases]
+                if "plot" in methods and "Tabular" not in bases:
+                    drawn.add(node.name)
+    assert drawn == set()
+
+
+def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    run.save(tmp_path / "run.nc")
+    path = tmp_path / "trace.csv"
+    command = ["export", str(tmp_path / "run.nc"), "-o", str(path)]
+    chosen = ["--force", "10,wall", "--velocity", "5", "--displacement", "5", "--energy"]
+    assert main([*command, *chosen]) == 0
+    assert capsys.readouterr().out == f"traces: {path}\n"
+    frame = pandas.read_csv(path)
+    assert list(frame.columns)[:5] == [
+        "time [s]",
+        "force_10 [N]",
+        "force_wall [N]",
+        "velocity_5 [m/s]",
+        "displacement_5 [m]",
+    ]
+    np.testing.assert_array_equal(frame["force_wall [N]"], contact.wall_force(run))
+    assert main(command) == 0
+    assert pandas.read_csv(path).shape == (161, 25)
+    for words, said in (
+        (["--force", "10,wal"], "error: force: must be numbers of grains or wall, top, bottom"),
+        (["--velocity", "wall"], "error: velocity: must be numbers of grains, with commas"),
+        (["--velocity", "99"], "error: velocity: grain 99 was not recorded"),
+    ):
+        capsys.readouterr()
+        assert main([*command, *words]) == 2
+        assert capsys.readouterr().err.startswith(said)
+
+
+def test_a_folder_of_a_run_is_exported(tmp_path: Path):
+    simulate(SCENE, engine="native", folder=tmp_path / "run")
+    path = tmp_path / "trace.csv"
+    assert main(["export", str(tmp_path / "run"), "-o", str(path), "--force", "wall"]) == 0
+    assert len(path.read_text().splitlines()) == 162
+
+
+def test_a_file_that_cannot_be_written_is_left_as_it_was(run, tmp_path: Path):
+    with pytest.raises(InputError, match="is a folder"):
+        run.to_csv(tmp_path)
+    assert not list(tmp_path.iterdir())
