@@ -252,7 +252,7 @@ def one_material(value: Any) -> Material:
         return material
     raise ValueError(
         f"no material is called {shown(value)}{did_you_mean(value, [*MATERIALS, *SYNONYMS])}; "
-        f"use {', '.join(MATERIALS)}, or give density, youngs_modulus and poissons_ratio"
+        f"use {', '.join(MATERIALS)}, or a table of its constants"
     )
 
 

@@ -308,11 +308,13 @@ def test_help_states_the_defaults(verb: str):
             "diameter",
             "integrator",
             "pair_style",
+            "example",
         ):
             assert action.default in (None, False), action.dest
 
 
 WORDS = {
+    "new": ["s.toml"],
     "run": ["s.toml"],
     "resume": ["run/"],
     "compare": ["s.toml"],

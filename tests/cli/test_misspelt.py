@@ -51,7 +51,7 @@ def swept(**keys):
         ],
         (lambda: Scene.from_text(TEXT.replace("impulse", "inpulse")), "impulse"),
         (lambda: Chain(grains=3, diameter=1e-3, material="glas"), "glass"),
-        (lambda: Chain(grains=3, diameter=1e-3, material="STEEL "), "steel"),
+        (lambda: Chain(grains=3, diameter=1e-3, material="STEELE"), "steel"),
         (lambda: Chain(grains=3, diameter=1e-3, top="fre"), "free"),
         (lambda: Impurity(grian=3, mass=1e-6), "grain"),
         (lambda: simulate(SCENE, "nativ"), "native"),

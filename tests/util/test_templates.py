@@ -88,6 +88,7 @@ def test_a_page_of_the_package_escapes_and_a_deck_does_not():
         "live": {"law": []},
         "sections": [],
         "fits": [],
+        "notes": [],
         "left_out": [],
     }
     values |= {"facts": [], "provenance": [], "scene": "", "script": "", "digest": ""}
