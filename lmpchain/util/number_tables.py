@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -47,7 +48,8 @@ class Layout(NamedTuple):
 
     def is_number(self, cell: str) -> bool:
         """Return whether a cell holds a finite number in these digits."""
-        return CELLS[self.decimal].fullmatch(cell) is not None
+        # 1e400 is none
+        return bool(CELLS[self.decimal].fullmatch(cell)) and math.isfinite(self.number(cell))
 
     def numeric(self, cells: Sequence[str]) -> tuple[int, ...]:
         """Return the places of the cells that hold numbers."""
@@ -56,6 +58,18 @@ class Layout(NamedTuple):
     def number(self, cell: str) -> float:
         """Return the number in a cell."""
         return float(cell.replace(",", ".") if self.decimal == "," else cell)
+
+    def rows(self, numeric: Sequence[int]) -> re.Pattern[str]:
+        """Return a pattern of lines with numbers in these columns, and no words in others."""
+        number = DIGITS.format(re.escape(self.decimal))
+        if self.delimiter == " ":
+            return re.compile(rf"\s*{number}(\s+{number}){{{numeric[-1]},}}\s*", re.ASCII)
+        cells = [
+            rf"\s*{number}\s*" if place in numeric else rf"\s*({number})?\s*"
+            for place in range(numeric[-1] + 1)
+        ]
+        rest = rf"({self.delimiter}\s*({number})?\s*)*"
+        return re.compile(self.delimiter.join(cells) + rest, re.ASCII)
 
     @property
     def words(self) -> str:
@@ -105,7 +119,11 @@ class NumberTable:
     def values(self, places: Sequence[int]) -> Array:
         """Return columns (R, C); raises `InputError` with the first cell that is no number."""
         layout = self.layout
-        values = np.empty((len(self.lines), len(places)))
+        try:
+            return self._read_quickly(places)
+        except ValueError:
+            # quotes, decimal commas between commas, or a cell that is no number
+            values = np.empty((len(self.lines), len(places)))
         for row, line in enumerate(self.lines):
             cells = layout.cells(line[1])
             try:
@@ -114,6 +132,18 @@ class NumberTable:
             except IndexError:
                 raise _no_number(self.path, line, layout, places) from None
             values[row] = [layout.number(cells[place]) for place in places]
+        return values
+
+    def _read_quickly(self, places: Sequence[int]) -> Array:
+        """Return columns (R, C) by numpy's reader; raises `ValueError` where it has no numbers."""
+        delimiter, decimal = self.layout
+        if delimiter == decimal:
+            raise ValueError(delimiter)
+        texts = (text.replace(decimal, ".") for _, text in self.lines)
+        between = None if delimiter == " " else delimiter
+        values = np.loadtxt(texts, delimiter=between, usecols=places, comments=None, ndmin=2)
+        if not np.isfinite(values).all():
+            raise ValueError("not finite")
         return values
 
     def fact(self, *names: str) -> float | None:
@@ -235,8 +265,14 @@ def _first_row(
     """Return the index of the first line of a table; raises `InputError` if it is interrupted."""
     places = set(numeric)
     first = None
-    kinds = set()
+    kinds: set[tuple[int, ...]] = set()
+    plain = layout.rows(numeric)
     for index in reversed(range(len(lines))):
+        # of a million lines nearly all
+        if first == index + 1 and plain.fullmatch(lines[index][1]):
+            first = index
+            kinds.add(())
+            continue
         cells = layout.cells(lines[index][1])
         numbers = set(layout.numeric(cells))
         # where there is text beside numbers

@@ -276,7 +276,7 @@ def call(*words: object) -> tuple[int, str]:
     assert code in (0, 1, 2), (code, said)
     assert all(line.isprintable() for line in said), said
     # the first call of a machine compiles, and says so
-    errors = [line for line in said if not line.startswith(("warning: ", "compiling "))]
+    errors = [line for line in said if not line.startswith(("warning: ", "note: ", "compiling "))]
     form = {0: None, 1: r"error: \S.*", 2: r"error: \S.*: \S.*"}[code]
     assert all(form and re.fullmatch(form, line) for line in errors), said
     assert code == 0 or errors, said
