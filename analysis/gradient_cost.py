@@ -7,6 +7,7 @@ count.
 """
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -14,15 +15,13 @@ from lmpchain import Chain, Profile, Scene
 from lmpchain.design import Momentum
 from lmpchain.design.gradients import at_step
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.differentiation import DIFFERENTIABLE
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
 SAMPLES = 11
 REPEATS = 9
-WAVES: dict[
-    str, tuple[float, dict[str, float]]
-] = {  # velocities, m/s, and what else makes the chain
+WAVES: dict[str, tuple[float, dict[str, Any]]] = {  # velocities, m/s, and what else makes the chain
     "strong": (1e-3, {}),
     "in a loaded chain": (1e-2, {"top_load": 1.0}),
     "between weak and strong": (4e-4, {"top_load": 1.0}),
@@ -31,15 +30,19 @@ WAVES: dict[
     "strong, exponent 2": (1e-3, {"exponent": 2.0}),
     "in a sonic vacuum": (1e-3, {"gravity": 0.0}),
 }
+DAMPED: dict[str, tuple[float, dict[str, Any]]] = {
+    "damped": (1e-2, {"top_load": 1.0, "damping": {"viscoelastic": 1e-9, "drag": 1e2}}),
+    "damped, exponent 2": (1e-3, {"exponent": 2.0, "damping": {"viscoelastic": 1e-9}}),
+}
 
 
 def costs(wave: str, grains: int, steps: int, integrator: str) -> tuple[float, float]:
     """Return the seconds of the run and of the gradient, each the least of some repeats."""
-    speed, options = WAVES[wave]
+    speed, options = (WAVES | DAMPED)[wave]
     velocity = np.append(speed * np.random.default_rng(1).standard_normal(grains - 1), 0.0)
     chain = Chain(grains=grains, diameter=1e-3, **options)
     scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-5)
-    method = SPLITTINGS[integrator]
+    method = DIFFERENTIABLE[integrator]
     turn = 0.2 if integrator == "verlet" else 1.0
     per = steps // (SAMPLES - 1)
     step = turn / scene.highest_frequency
@@ -62,9 +65,9 @@ def main() -> None:
     """Print the table."""
     print("| wave | grains | integrator | steps | run | all derivatives | ratio |")
     print("|---|---|---|---|---|---|---|")
-    for wave in WAVES:
+    for wave in WAVES | DAMPED:
         for grains, steps in ((120, 30000), (10000, 1000)):
-            for integrator in ("verlet", "rkn4", "rkn6"):
+            for integrator in ("verlet", "rkn4", "rkn6") if wave in WAVES else ("dop853",):
                 bare, gradient = costs(wave, grains, steps, integrator)
                 print(f"| {wave} | {grains} | {integrator} | {steps} | {bare * 1e3:.1f} ms | "
                       f"{gradient * 1e3:.1f} ms | {gradient / bare:.2f} |", flush=True)  # fmt: skip

@@ -14,6 +14,8 @@ UNCERTAIN = {
     "youngs-modulus": "youngs_modulus",
     "mass": "masses",
     "constant": "contact_constants",
+    "viscoelastic": "damping.viscoelastic",
+    "drag": "damping.drag",
 }
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from ..chain.chain import Chain
 from ..chain.materials import Material
 from ..errors import InputError
@@ -35,6 +37,7 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
     names = params.check(scene, values)
     chain: dict[str, Any] = {}
     excitation: dict[str, Any] = {}
+    damping = scene.chain.damping
     for name in names:
         value = numbers(values[name], name)
         shape = params.values(scene, name).shape
@@ -51,6 +54,11 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
                 excitation[scene.excitation.strength[1]] = value
             case "amplitude" | "frequency":
                 excitation[name] = number
+            case params.VISCOSITY | params.DRAG:
+                key = name.removeprefix("damping.")
+                one = np.ndim(getattr(damping, key)) == 0
+                damping = damping.replace(**{key: float(value[0]) if one else value})
+                chain["damping"] = damping
             case "youngs_modulus":
                 chain["material"] = _materials(scene.chain, value)
             case "diameters":

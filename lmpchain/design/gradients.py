@@ -11,10 +11,16 @@ import numpy as np
 
 from ..engines.native.round_off import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
-from ..integrators.adjoint import DifferentiableRun, Inputs
+from ..integrators.adjoint import Inputs
+from ..integrators.differentiation import (
+    DIFFERENTIABLE,
+    AnyMethod,
+    AnyRun,
+    differentiable,
+    method_for,
+)
 from ..integrators.halving import SAFETY, Attempt, halve
 from ..integrators.held_steps import adaptive_steps
-from ..integrators.splittings import SPLITTINGS, Splitting
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
 from ..util.suggestions import not_among
@@ -101,7 +107,7 @@ class Answer(NamedTuple):
 
     value: float
     slopes: Any
-    run: DifferentiableRun
+    run: AnyRun
 
 
 class Task(NamedTuple):
@@ -110,7 +116,7 @@ class Task(NamedTuple):
     scene: Scene
     objective: Objective
     names: tuple[str, ...]
-    method: Splitting
+    method: AnyMethod
     adaptive: bool = False
 
     def solve(self, step: float, finer: int = 1) -> Answer:
@@ -125,7 +131,7 @@ class Task(NamedTuple):
         grains = np.unique(self.objective.grains(scene))
         looks = looks_of(scene, self.objective, finer)
         steps = adaptive_steps(scene, self.method, step, looks) if self.adaptive else step
-        run = DifferentiableRun(scene, self.method, steps, looks, grains)
+        run = differentiable(scene, self.method, steps, looks, grains)
         if not np.isfinite(run.velocity).all():
             message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
             raise RunFailed(message)
@@ -135,16 +141,32 @@ class Task(NamedTuple):
         inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
         zero = np.zeros(scene.chain.grains)
         direct = Inputs(
-            slopes.masses, slopes.constants, slopes.forces, zero, zero, np.zeros(inputs.drive.size)
+            masses=slopes.masses,
+            constants=slopes.constants,
+            forces=slopes.forces,
+            displacement=zero,
+            velocity=zero,
+            drive=np.zeros(inputs.drive.size),
+            viscosity=slopes.viscosity,
+            drag=zero,
         )
         return Answer(slopes.value, inputs + direct, run)
+
+
+def shortens(scene: Scene, method: AnyMethod) -> bool:
+    """Return whether steps are shorter where contacts open or close, even if that is not asked for.
+
+    There the stiffness of a viscous contact, by which small changes creep, has a vertical tangent:
+    derivatives by equal steps would be of order delta only.
+    """
+    return method.name == "dop853" and scene.largest_strain >= 1
 
 
 def at_step(
     scene: Scene,
     objective: Objective,
     names: Iterable[str],
-    method: Splitting,
+    method: AnyMethod,
     step: float,
     adaptive: bool = False,
 ) -> Answer:
@@ -258,6 +280,26 @@ def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
 MOST_STEPS = 1e9  # of a run
 
 
+def _method(
+    scene: Scene,
+    objective: Objective,
+    names: tuple[str, ...],
+    integrator: str | None,
+    adaptive: bool,
+) -> AnyMethod:
+    """Return the method that is asked for, or the best; raises `InputError` if it cannot do it."""
+    by_default = "rkn4" if objective.dense else "rkn6"
+    chosen = integrator or method_for(scene, names, by_default).name
+    if chosen not in DIFFERENTIABLE:
+        raise InputError.at("integrator", not_among(chosen, tuple(DIFFERENTIABLE)))
+    method = DIFFERENTIABLE[chosen]
+    if method_for(scene, names, chosen) != method:
+        raise InputError.at("integrator", f"must be dop853 with damping (got {chosen})")
+    if adaptive and not method.adaptive:
+        raise InputError.at("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")
+    return method
+
+
 def gradient(
     scene: Scene,
     objective: Objective,
@@ -283,16 +325,18 @@ def gradient(
     parameters : names
         Of "masses", "contact_constants", "wall_constants", "diameters", "youngs_modulus",
         "top_load", "gravity", "displacement" and "velocity" (at t = 0), "drive" and "force" (their
-        samples), "amplitude" and "frequency".
+        samples), "amplitude" and "frequency", "damping.viscoelastic" and "damping.drag".
     tolerance : float
         Of the gradient, relative to its largest entry of each name.
-    integrator : "verlet", "rkn4", "rkn6", "kahan-li6" or "kahan-li8", optional
-        By default rkn6, or rkn4 where the objective looks between samples.
+    integrator : "verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8" or "dop853", optional
+        By default rkn6, or rkn4 where the objective looks between samples; dop853 of a damped
+        chain and of damping.
     step : float, optional
         s; no tolerance is enforced then.
     adaptive : bool
         Whether steps are shorter where contacts open or close, which keeps the order of the
-        method; in the derivatives they are held. Not of verlet.
+        method; in the derivatives they are held. Not of verlet; always of dop853 where contacts may
+        open.
 
     Returns
     -------
@@ -324,13 +368,8 @@ def gradient(
     if step is not None and not scene.duration / step < MOST_STEPS:
         least = f"longer than {scene.duration / MOST_STEPS:.1g} s, or a run takes hours"
         raise InputError.at("step", f"must be {least} (got {step:g})")
-    chosen = integrator or ("rkn4" if objective.dense else "rkn6")
-    if chosen not in SPLITTINGS:
-        raise InputError.at("integrator", not_among(chosen, tuple(SPLITTINGS)))
-    method = SPLITTINGS[chosen]
-    if adaptive and not method.adaptive:
-        raise InputError.at("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")
-    task = Task(scene, objective, names, method, adaptive)
+    method = _method(scene, objective, names, integrator, adaptive)
+    task = Task(scene, objective, names, method, adaptive or shortens(scene, method))
     answer: Gradient = refine(
         task.solve,
         lambda answer, others: _compare(task, answer, others),

@@ -88,9 +88,10 @@ class PeakForce:
         force = contact_force(view, self.contact)
         largest = force.value.max()
         # a contact that stays open: the derivative by all is 0
-        if largest == 0:
+        if largest <= 0:
             return view.slopes(0.0)
-        share = force.value / largest
+        # a viscous contact pulls before it opens: no peak
+        share = np.maximum(force.value, 0.0) / largest
         weight = quadrature(share.size) * share**self.sharpness
         weight /= weight.sum()
         value = float(largest * (weight @ share))
@@ -101,8 +102,10 @@ class PeakForce:
         for grain in force.grains:
             sign = 1 if grain == self.contact else -1
             slopes.displacement[:, view.column(grain)] = slope * force.by_closer * sign
+            slopes.velocity[:, view.column(grain)] = slope * force.by_closing * sign
         slopes.forces[self.contact] = slope @ force.by_force
         slopes.constants[self.contact] = slope @ force.by_constant
+        slopes.viscosity[self.contact] = slope @ force.by_viscosity
         return slopes
 
 
@@ -322,6 +325,10 @@ class DriveWork:
     def __call__(self, view: Seen) -> Slopes:
         """Return the work and its derivatives."""
         force = contact_force(view, 1)
+        # where it opens its force has a vertical tangent: no sum over times knows the derivative
+        if view.scene.chain.contact_viscosity[1] > 0 and not force.by_closing.all():
+            message = "DriveWork needs a viscous contact that stays closed: press it more, or look"
+            raise InputError.at("objective", f"{message} at the Energy of grains")
         change = force.value - view.scene.chain.contacts.force[1]
         m = view.scene.chain.masses[0]
         v = view.velocity[:, 0]
@@ -329,12 +336,14 @@ class DriveWork:
         slopes = view.slopes(float(m / 2 * (v[-1] ** 2 - v[0] ** 2) + weight @ (change * v)))
         slopes.displacement[:, 0] = weight * v * force.by_closer
         slopes.displacement[:, 1] = -weight * v * force.by_closer
-        slopes.velocity[:, 0] = weight * change
+        slopes.velocity[:, 0] = weight * (change + v * force.by_closing)
+        slopes.velocity[:, 1] = -weight * v * force.by_closing
         slopes.velocity[-1, 0] += m * v[-1]
         slopes.velocity[0, 0] -= m * v[0]
         slopes.masses[0] = (v[-1] ** 2 - v[0] ** 2) / 2
         slopes.forces[1] = (weight * v) @ (force.by_force - 1)
         slopes.constants[1] = (weight * v) @ force.by_constant
+        slopes.viscosity[1] = (weight * v) @ force.by_viscosity
         return slopes
 
 

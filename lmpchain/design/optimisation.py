@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import InputError, RunFailed, shown
+from ..integrators.differentiation import method_for
 from ..integrators.halving import SAFETY
-from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags, numbers
 from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
@@ -272,7 +272,7 @@ class _Value(NamedTuple):
 
 def _value(scene: Scene, objective: Objective, tolerance: float) -> _Value:
     """Return an objective, its error, and how long steps may be for this relative tolerance."""
-    method = SPLITTINGS["rkn4"]
+    method = method_for(scene, (), "rkn4")
     fastest = scene.highest_frequency
 
     def judge(answer: Answer, others: Sequence[Answer]) -> _Value:
@@ -313,7 +313,7 @@ class _Descent(NamedTuple):
 
     def solve(self, at: Array) -> tuple[float, Array]:
         """Return the value to minimise and its derivatives; infinity without an answer."""
-        method = SPLITTINGS["rkn4"]
+        method = method_for(self.box.scene, self.box.names, "rkn4")
         try:
             scene = changed(self.box.scene, self.box.values(at))
             step = self.turn / scene.highest_frequency

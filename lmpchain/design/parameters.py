@@ -23,6 +23,8 @@ from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 
+VISCOSITY = "damping.viscoelastic"
+DRAG = "damping.drag"
 UNITS = {
     "masses": "kg",
     "contact_constants": "N/m^delta",
@@ -37,6 +39,8 @@ UNITS = {
     "force": "N",
     "amplitude": "m or N",
     "frequency": "Hz",
+    VISCOSITY: "s",
+    DRAG: "1/s",
 }
 # parameters that are inputs of the motion themselves
 DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", "force")
@@ -45,7 +49,6 @@ DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
     """Return the names; raises `InputError` for those that are unknown or have no derivative."""
     check_scene(scene)
-    scene.chain.refuse_damping("a derivative")
     names = (names,) if isinstance(names, str) else tuple(names)
     faults = [(name if name in UNITS else "parameters", _refuse(scene, name)) for name in names]
     if not names:
@@ -91,6 +94,8 @@ def values(scene: Scene, name: str) -> Array:
     chain = scene.chain
     if name == "youngs_modulus":
         return chain.by_grain("youngs_modulus")
+    if name in (VISCOSITY, DRAG):
+        return np.atleast_1d(getattr(chain.damping, name.removeprefix("damping.")))
     if name in ("displacement", "velocity"):
         return scene.initial()[name == "velocity"]
     if name in ("drive", "force"):
@@ -111,7 +116,13 @@ def inputs(scene: Scene) -> Inputs:
     else:
         drive = values(scene, course.kind)
     return Inputs(
-        chain.masses, chain.contacts.constant, chain.contacts.force, *scene.initial(), drive
+        chain.masses,
+        chain.contacts.constant,
+        chain.contacts.force,
+        *scene.initial(),
+        drive,
+        chain.contact_viscosity,
+        chain.drag,
     )
 
 
@@ -152,6 +163,8 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
         "displacement": chain.grains,
         "velocity": chain.grains,
         "drive": 0 if course is None else 2 if course.times is None else len(course.times),
+        "viscosity": chain.grains + 1,
+        "drag": chain.grains,
     }
     changes = {key: np.zeros((len(change), size)) for key, size in sizes.items()}
     for key, matrix in _dependence(scene, name).items():
@@ -195,6 +208,13 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
             "masses": _diagonal(follows * 3 * chain.masses / chain.diameters),
             "constants": _by_diameter(chain),
         }
+    if name == VISCOSITY:
+        return {"viscosity": _by_viscosity(chain)}
+    if name == DRAG:
+        every = np.ones(chain.grains)
+        if np.ndim(chain.damping.drag) == 0:
+            return {"drag": sparse.csr_array(every[:, None])}
+        return {"drag": _diagonal(every)}
     if name in ("amplitude", "frequency"):
         return {"drive": sparse.csr_array(np.eye(2)[:, [int(name == "frequency")]])}
     if name == "force":
@@ -238,6 +258,16 @@ def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
     rows = np.concatenate((row[upper], row[lower]))
     columns = np.concatenate((source[upper] - 1, source[lower]))
     return sparse.csr_array((entries, (rows, columns)), shape=(last + 1, last))
+
+
+def _by_viscosity(chain: Chain) -> sparse.csr_array:
+    """Return dA of all contacts by the one number given, (N+1, 1), or those between, (N+1, N-1)."""
+    last = chain.grains
+    if np.ndim(chain.damping.viscoelastic) == 0:
+        return sparse.csr_array(np.ones((last + 1, 1)))
+    # a wall has that of the contact next to it
+    column = np.clip(np.arange(last + 1) - 1, 0, last - 2)
+    return sparse.csr_array((np.ones(last + 1), (np.arange(last + 1), column)))
 
 
 def _diagonal(entries: Array) -> sparse.csr_array:

@@ -34,7 +34,7 @@ class Seen(NamedTuple):
     def slopes(self, value: float) -> Slopes:
         """Return a value with derivatives of 0, to be filled in."""
         chain = self.scene.chain
-        contacts = np.zeros((2, chain.grains + 1))
+        contacts = np.zeros((3, chain.grains + 1))
         motion = (np.zeros(self.displacement.shape), np.zeros(self.velocity.shape))
         return Slopes(value, *motion, np.zeros(chain.grains), *contacts)
 
@@ -51,9 +51,9 @@ class Slopes(NamedTuple):
     value : float
     displacement, velocity : (T, G) arrays
         By the motion in view.
-    masses, constants, forces : (N,), (N+1,) and (N+1,) arrays
-        By masses, constants and forces at rest of all contacts, where the objective itself has
-        them.
+    masses, constants, forces, viscosity : (N,) and (N+1,) arrays
+        By masses, and by constants, forces at rest and viscosities of all contacts, where the
+        objective itself has them.
     """
 
     value: float
@@ -62,25 +62,30 @@ class Slopes(NamedTuple):
     masses: Array
     constants: Array
     forces: Array
+    viscosity: Array
 
 
 class ContactForce(NamedTuple):
-    """The force of a contact, and its derivatives.
+    """The force of a contact, its viscous part included, and its derivatives.
 
     Attributes
     ----------
     value : (T,) array
         N.
-    by_closer, by_force, by_constant : (T,) arrays
-        By the approach of the two bodies (m), the force at rest (N) and the constant (N/m^delta).
+    by_closer, by_closing : (T,) arrays
+        By the approach of the two bodies, m, and its rate, m/s.
+    by_force, by_constant, by_viscosity : (T,) arrays
+        By the force at rest, N, the constant, N/m^delta, and the viscosity, s.
     grains : list of int
         One or two that it joins.
     """
 
     value: Array
     by_closer: Array
+    by_closing: Array
     by_force: Array
     by_constant: Array
+    by_viscosity: Array
     grains: list[int]
 
 
@@ -89,18 +94,36 @@ def contact_force(view: Seen, contact: int) -> ContactForce:
     chain = view.scene.chain
     law = chain.contacts.of(contact)
     grains = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]
+    viscosity = chain.contact_viscosity[contact]
     closer = np.zeros(view.time.size)
+    closing = np.zeros(view.time.size)
     for grain in grains:
-        closer += view.displacement[:, view.column(grain)] * (1 if grain == contact else -1)
+        sign = 1 if grain == contact else -1
+        closer += view.displacement[:, view.column(grain)] * sign
+        closing += view.velocity[:, view.column(grain)] * sign
     overlap = np.maximum(law.overlap + closer, 0.0)
     stiffness = law.stiffness_at(overlap) * (overlap > 0)
+    viscous = viscosity * stiffness * closing
+    # of the viscous part: how its stiffness grows with the overlap
+    growth = np.zeros(closer.shape)
+    if viscosity > 0:
+        np.divide((law.exponent - 1) * viscous, overlap, out=growth, where=overlap > 0)
+    by_closer = stiffness + growth
     by_force = np.zeros(closer.shape)
-    by_constant = overlap**law.exponent
+    by_constant = overlap**law.exponent + viscous / law.constant
     if law.force > 0:
         # the overlap at rest is (F / K)^(1/delta)
-        by_force = stiffness * law.overlap / (law.exponent * law.force)
-        by_constant = by_constant - stiffness * law.overlap / (law.exponent * law.constant)
-    return ContactForce(law.force_at(overlap), stiffness, by_force, by_constant, grains)
+        by_force = by_closer * law.overlap / (law.exponent * law.force)
+        by_constant = by_constant - by_closer * law.overlap / (law.exponent * law.constant)
+    return ContactForce(
+        value=law.force_at(overlap) + viscous,
+        by_closer=by_closer,
+        by_closing=viscosity * stiffness,
+        by_force=by_force,
+        by_constant=by_constant,
+        by_viscosity=stiffness * closing,
+        grains=grains,
+    )
 
 
 def quadrature(size: int) -> Array:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError, RunFailed, shown
-from ..integrators.splittings import SPLITTINGS
+from ..integrators.differentiation import DIFFERENTIABLE
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
-from .gradients import Gradient, at_step, gradient
+from .gradients import Gradient, at_step, gradient, shortens
 from .objectives import ArrivalTime, Energy, KineticEnergy, Momentum, Objective, PeakForce
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ CANDIDATES = (
     "wall_constants",
     "top_load",
     "gravity",
+    params.VISCOSITY,
+    params.DRAG,
     "velocity",
     "displacement",
     "drive",
@@ -333,14 +335,16 @@ def _draw_pairs(
         return 0.0, 0.0
     # the same chains in every call, so that answers can be compared
     rng = np.random.default_rng(0)
-    method = SPLITTINGS[slopes.integrator]
+    method = DIFFERENTIABLE[slopes.integrator]
+    adaptive = shortens(scene, method)
 
     def value(changes: Mapping[str, Array], side: int) -> float:
         drawn = {
             name: params.values(scene, name) * (1 + side * change)
             for name, change in changes.items()
         }
-        return at_step(changed(scene, drawn), answer, (), method, slopes.step_s).value
+        drawn_scene = changed(scene, drawn)
+        return at_step(drawn_scene, answer, (), method, slopes.step_s, adaptive).value
 
     linear, odd, even = np.zeros((3, PAIRS))
     try:

@@ -10,7 +10,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ..errors import InputError, shown
-from ..integrators.adjoint import DifferentiableRun, Inputs
+from ..integrators.adjoint import Inputs
+from ..integrators.differentiation import AnyRun
 from ..scene.file_columns import Quantity
 from ..scene.scene import Scene
 from ..scene.trace_file import TraceFile
@@ -148,7 +149,7 @@ class Traces(Tabular):
 
 def model(
     scene: Scene,
-    run: DifferentiableRun,
+    run: AnyRun,
     traces: Traces,
     change: Inputs | None,
     motion: tuple[Array, Array] | None,
@@ -186,7 +187,11 @@ def model(
             rates[:, :, column] += share * np.outer(
                 change.forces[:, contact], force.by_force - (rest[contact] > 0)
             )
+            rates[:, :, column] += share * np.outer(
+                change.viscosity[:, contact], force.by_viscosity
+            )
             for grain in force.grains:
-                closer = motion[0][..., view.column(grain)] * (1 if grain == contact else -1)
-                rates[:, :, column] += share * force.by_closer * closer
+                closer, closing = (moved[..., view.column(grain)] for moved in motion)
+                closed = force.by_closer * closer + force.by_closing * closing
+                rates[:, :, column] += share * (1 if grain == contact else -1) * closed
     return values, rates

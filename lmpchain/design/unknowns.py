@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, RunFailed, shown
-from ..integrators.adjoint import DifferentiableRun, Inputs
-from ..integrators.splittings import SPLITTINGS
+from ..integrators.adjoint import Inputs
+from ..integrators.differentiation import differentiable, method_for
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.units import FIELD_UNITS
@@ -21,6 +21,9 @@ TURN = 0.5  # of the fastest motion between two looks at first, rad
 # parameters that may change their sign; others do not fall below a tenth
 SIGNED = ("displacement", "velocity", "drive", "force", "amplitude")
 LOWEST = -0.9
+# and of those that may be nothing
+NOTHING = -1.0
+MAY_VANISH = (params.VISCOSITY, params.DRAG)
 
 
 class Problem:
@@ -131,7 +134,9 @@ class Problem:
         from scipy.interpolate import make_interp_spline
 
         scene = changed(self.scene, self.by_name(theta))
-        run = DifferentiableRun(scene, SPLITTINGS["rkn4"], scene.duration, self.looks, self.grains)
+        names = [name for name, _ in self.along]
+        method = method_for(self.scene, names, "rkn4")
+        run = differentiable(scene, method, scene.duration, self.looks, self.grains)
         if not np.isfinite(run.velocity).all():
             raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s")
         # nuisances of the traces alone need no tangent of the motion
@@ -211,7 +216,7 @@ class Problem:
         lowest = np.full(len(self.names), -np.inf)
         for index, (name, _) in enumerate(self.along):
             if name not in SIGNED:
-                lowest[index] = LOWEST
+                lowest[index] = NOTHING if name in MAY_VANISH else LOWEST
         # SciPy's limit on the gradient is absolute, which means nothing to residuals in m or m/s
         size = 1.0
         if all(trace.noise is None for trace in self.traces):

@@ -26,6 +26,7 @@ from numpy.polynomial.chebyshev import cheb2poly, poly2cheb
 from numpy.typing import NDArray
 
 from ..chain.chain import Chain
+from ..chain.contacts import Contacts
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
@@ -99,6 +100,9 @@ class Inputs(NamedTuple):
         Of every grain at t = 0, m and m/s.
     drive : (P,) array
         Amplitude and frequency of a drive or a force, or its samples.
+    viscosity, drag : (N+1,) and (N,) arrays
+        A of all contacts, s, and gamma of every grain, 1/s; nothing of a run by a splitting, which
+        knows no damping.
     """
 
     masses: Array
@@ -107,9 +111,52 @@ class Inputs(NamedTuple):
     displacement: Array
     velocity: Array
     drive: Array
+    viscosity: Array
+    drag: Array
 
     def __add__(self, other: Any) -> Inputs:
         return Inputs(*(value + added for value, added in zip(self, other, strict=True)))
+
+
+class HeldSteps(NamedTuple):
+    """Steps that a run is to take.
+
+    Attributes
+    ----------
+    time : (looks+1,) array
+        When grains are looked at, s; from 0 to the duration.
+    lengths, begins : (K,) arrays
+        s.
+    before : (looks+1,) array
+        How many steps are made before each look.
+    """
+
+    time: Array
+    lengths: Array
+    begins: Array
+    before: NDArray[np.intp]
+
+
+def hold_steps(scene: Scene, step: float | list[Array], looks: int) -> HeldSteps:
+    """Return the steps of a run, as `DifferentiableRun` takes them."""
+    time = np.linspace(0.0, scene.duration, looks + 1)
+    if isinstance(step, list):
+        lengths = np.concatenate(step)
+        counts = [len(of_part) for of_part in step]
+        pairs = zip(time, step, strict=False)
+        begins = np.concatenate([t + np.cumsum(of_part) - of_part for t, of_part in pairs])
+    else:
+        count = max(1, math.ceil(scene.duration / looks / step * (1 - 1e-12)))
+        lengths = np.full(looks * count, scene.duration / (looks * count))
+        counts = [count] * looks
+        begins = np.arange(looks * count) * lengths[0]
+    return HeldSteps(time, lengths, begins, np.concatenate(([0], np.cumsum(counts))))
+
+
+def acting(scene: Scene) -> ImposedCourse | None:
+    """Return the motion or force that is imposed after t = 0, if any is."""
+    excitation = scene.excitation
+    return ImposedCourse(excitation) if isinstance(excitation, (Drive, Force)) else None
 
 
 class Call(NamedTuple):
@@ -132,6 +179,19 @@ def aligned(rows: int, width: int) -> Array:
     memory = np.zeros(rows * width + PAD)
     skip = -memory.ctypes.data // memory.itemsize % PAD
     return memory[skip : skip + rows * width].reshape(rows, width)
+
+
+def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[Array, Array]:
+    """Return derivatives by the constants and by the forces at rest of contacts, (N+1,) arrays.
+
+    From the sums over p and f, see `kernels.adjoint`: by constants at a fixed force at rest.
+    """
+    by_constant = by_force - contacts.force * by_power
+    none = np.zeros(by_power.size)
+    return (
+        np.divide(by_constant, contacts.constant, out=none, where=contacts.exists),
+        np.where(contacts.pressed, by_power, 0.0),
+    )
 
 
 def economised(exponent: float, reach: float) -> Array:
@@ -184,33 +244,17 @@ class DifferentiableRun:
     ):
         self.scene = scene
         self.grains = np.asarray(grains)
-        self.time = np.linspace(0.0, scene.duration, looks + 1)
-        if isinstance(step, list):
-            lengths = np.concatenate(step)
-            counts = [len(of_part) for of_part in step]
-            pairs = zip(self.time, step, strict=False)
-            self._begins = np.concatenate(
-                [t + np.cumsum(of_part) - of_part for t, of_part in pairs]
-            )
-        else:
-            count = max(1, math.ceil(scene.duration / looks / step * (1 - 1e-12)))
-            lengths = np.full(looks * count, scene.duration / (looks * count))
-            counts = [count] * looks
-            self._begins = np.arange(looks * count) * lengths[0]
+        self.time, lengths, self._begins, steps_before = hold_steps(scene, step, looks)
         self.step = float(lengths.max())
         self.steps = lengths.size
-        steps_before = np.concatenate(([0], np.cumsum(counts)))
         self._reach = np.array((0.0, *method.reach[:-1]))
         self._course = Course(
             np.array(method.kicks), np.array(method.drifts), lengths, steps_before
         )
         # rows before each look: one a stage, and the last kick before each look
         self._offsets = method.evaluations * steps_before + np.arange(looks + 1)
-        excitation = scene.excitation
-        self.imposed = None
-        if isinstance(excitation, (Drive, Force)):
-            self.imposed = ImposedCourse(excitation)
-        self._driven = self.imposed is not None and bool(excitation.driven)
+        self.imposed = acting(scene)
+        self._driven = self.imposed is not None and bool(scene.excitation.driven)
         self._lay_out(scene)
         self._cut()
         bodies = self.grains + (PAD - 1)
@@ -376,22 +420,20 @@ class DifferentiableRun:
         v = pull * chain.masses
         np.add.at(x, self.grains - 1, looks[0, 0])
         np.add.at(v, self.grains - 1, looks[1, 0])
-        contacts = chain.contacts
         by_power, by_force = adjoint[2:4, PAD : PAD + grains + 1]
         stiffness = above[2, PAD : PAD + grains + 1]
         by_power = np.divide(by_power, stiffness, out=np.zeros(grains + 1), where=stiffness > 0)
-        # at a fixed force at rest, see `kernels.adjoint`
-        by_constant = by_force - contacts.force * by_power
+        by_constant, by_rest = by_contacts(chain.contacts, by_power, by_force)
         fixed = self._mobility[PAD : PAD + grains] == 0
         return Inputs(
             masses=-by_mass / chain.masses,
-            constants=np.divide(
-                by_constant, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists
-            ),
-            forces=np.where(contacts.pressed, by_power, 0.0),
+            constants=by_constant,
+            forces=by_rest,
             displacement=np.where(fixed, 0.0, x),
             velocity=np.where(fixed, 0.0, v),
             drive=by_course,
+            viscosity=np.zeros(grains + 1),
+            drag=np.zeros(grains),
         )
 
     def push(self, change: Inputs) -> tuple[Array, Array]:

@@ -9,12 +9,12 @@ import numpy as np
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .batch import ChainBatch
-from .splittings import Splitting
+from .method import Method
 from .step_schedule import StepSchedule
 from .stepper import NativeStepper
 
 
-def adaptive_steps(scene: Scene, method: Splitting, step: float, looks: int) -> list[Array]:
+def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> list[Array]:
     """Return the steps of a run that shortens them where contacts open or close.
 
     Parameters

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import taylor_series
 
 from lmpchain import Chain, Impulse, InputError, Scene, engines, simulate
 from lmpchain.design import Traces, fit
@@ -156,6 +157,74 @@ def test_a_posterior_is_as_wide_as_the_covariance_says():
         found.covariance / np.outer(found.error, found.error),
         atol=0.15,
     )
+
+
+DAMPED = CHAIN.replace(grains=8, damping={"viscoelastic": 3e-7})
+# so strong a strike that velocities do not just grow with it: else it is a gain
+HARD = Scene(chain=DAMPED, excitation=Impulse(velocity=0.3), duration=6e-5, samples=151)
+STEPS_LATE = 4
+DAMPED_TRUTH = np.array([193e9, 0.3, 3e-7, STEPS_LATE * HARD.time[1], 1.1])
+DAMPED_PLACES = [3, 6]
+
+
+def damped_fits(sigma: float, draws: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far fits to noisy Taylor series of a damped chain are off, (draws, 5), and their
+    standard deviations: modulus, strike, A, trigger and gain.
+    """
+    velocity = taylor_series.solve(HARD, 1e-17).velocity[:, [p - 1 for p in DAMPED_PLACES]]
+    clean = 1.1 * np.pad(velocity, ((STEPS_LATE, 0), (0, 0)))[: len(velocity)]
+    material = CHAIN.material.replace(youngs_modulus=1.9e11)
+    start = HARD.replace(
+        chain=DAMPED.replace(material=material, damping={"viscoelastic": 4e-7}),
+        excitation=Impulse(velocity=0.32),
+        duration=6.5e-5,
+    )
+    rng = np.random.default_rng(1)
+    misses = []
+    errors = []
+    for _ in range(draws):
+        noisy = clean + sigma * rng.standard_normal(clean.shape)
+        traces = Traces(HARD.time, DAMPED_PLACES, noisy, noise=sigma, trigger=True, gain=True)
+        found = fit(traces, start, ["youngs_modulus", "velocity", "damping.viscoelastic"])
+        misses.append(found.estimate - DAMPED_TRUTH)
+        errors.append(found.error)
+    return np.array(misses), np.array(errors)
+
+
+def test_a_damped_chain_is_found_again():
+    misses, errors = damped_fits(1e-9, 1)
+    assert (np.abs(misses) <= 4 * errors).all()
+    assert (np.abs(misses[0]) <= 1e-6 * DAMPED_TRUTH).all()
+
+
+@pytest.mark.slow
+def test_intervals_of_fits_to_damped_chains_cover_the_truth():
+    misses, errors = damped_fits(3e-3, 200)
+    covered = (np.abs(misses) <= 1.96 * errors).mean(0)
+    assert np.abs(covered - 0.95).max() <= 0.03, covered
+
+
+@pytest.mark.parametrize("field", ["force", "contact"])
+def test_jacobians_of_forces_of_damped_chains_agree_with_differences(field: str):
+    traces = Traces(HARD.time, [3, 8], np.zeros((151, 2)), field)  # type: ignore[arg-type]
+    chain = DAMPED.replace(damping={"viscoelastic": np.full(7, 3e-7), "drag": 1e3})
+    scene = HARD.replace(chain=chain)
+    chosen = {"youngs_modulus": "common", "damping.viscoelastic": [7], "damping.drag": "common"}
+    problem = Problem(scene, [traces], chosen)
+    theta = np.array([0.01, -0.02, 0.1])
+    exact = problem.residuals(theta, True)[1]
+    for k in range(theta.size):
+        step = 1e-5 * (np.arange(theta.size) == k)
+        slope = (problem.residuals(theta + step)[0] - problem.residuals(theta - step)[0]) / 2e-5
+        assert np.abs(exact[:, k] - slope).max() <= 1e-4 * np.abs(slope).max(), problem.names[k]
+
+
+def test_a_chain_without_damping_is_found_to_have_none():
+    """A does not fall below 0, whatever the noise says."""
+    traces = Traces(SCENE.time, LOOKED_AT, measured(1e-4), noise=1e-4)
+    start = SCENE.replace(chain=CHAIN.replace(damping={"viscoelastic": 1e-9}))
+    found = fit(traces, start, ["damping.viscoelastic"])
+    assert 0 <= found.estimate[0] <= 3 * found.error[0]
 
 
 def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndarray]:

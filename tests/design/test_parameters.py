@@ -36,6 +36,9 @@ CHAINS = {
     "given both": PLAIN
     | {"wall_constants": (1e9, 3e9), "contact_constants": 1e9 * np.arange(1.0, 5.0)},
     "no weight": PLAIN | {"top": "free", "gravity": 0.0},
+    "damped": PLAIN | {"damping": {"viscoelastic": 1e-7, "drag": 1e3}},
+    "damped each": PLAIN
+    | {"damping": {"viscoelastic": 1e-7 * np.arange(1.0, 5.0), "drag": 1e3 * np.arange(1.0, 6.0)}},
 }
 REST = np.array([0.0, 1.0, 2.0, 3.0, 0.0])
 ACTING = {
@@ -106,6 +109,8 @@ def test_inputs_follow_all_that_a_chain_is_made_of(chain: str):
         names.remove("wall_constants")
     if made.chain.gravity == 0:
         names.remove("gravity")
+    if made.chain.damped:
+        names |= {"damping.viscoelastic", "damping.drag"}
     for name in sorted(names):
         check_dependence(made, name)
 

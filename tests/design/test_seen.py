@@ -54,36 +54,51 @@ def test_sums_with_corrected_ends_integrate_polynomials(size: int):
         assert weight @ x**degree == pytest.approx(1 / (degree + 1), rel=1e-13)
 
 
-@pytest.mark.parametrize("contact", [0, 2, 4])
-def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(contact: int):
-    """Closed, then open; by overlap, by the force at rest at fixed constant, and by the constant at
-    fixed force.
+@pytest.mark.parametrize(("contact", "viscosity"), [(0, 0.0), (2, 0.0), (2, 3e-7), (4, 3e-7)])
+def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
+    contact: int, viscosity: float
+):
+    """Closed, then open; by overlap and its rate, by the force at rest at fixed constant, by the
+    constant at fixed force, and by the viscosity (Kuwabara and Kono).
     """
-    chain = Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=0.02, exponent=1.7)
+    chain = Chain(
+        grains=4,
+        diameter=1e-3,
+        top="wall",
+        bottom="wall",
+        top_load=0.02,
+        exponent=1.7,
+        damping={"viscoelastic": viscosity},
+    )
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5, samples=6)
     rng = np.random.default_rng(1)
     eps = chain.contacts.overlap.max()
     grains = np.array([1, 2, 3, 4])
     u = 0.4 * eps * rng.normal(size=(6, 4))
     u[5] = eps * np.array([9.0, 6.0, 9.0, -9.0])  # open
-    seen = Seen(scene, scene.time, grains, u, u)
-    force, stiffness, by_force, by_constant, ends = contact_force(seen, contact)
-    closer = -np.diff(u, axis=1, prepend=0.0, append=0.0)[:, contact]
+    v = 1e6 * rng.permutation(u)
+    force = contact_force(Seen(scene, scene.time, grains, u, v), contact)
+    closer, closing = (-np.diff(y, axis=1, prepend=0.0, append=0.0)[:, contact] for y in (u, v))
     constant = chain.contacts.constant[contact]
     carried = chain.contacts.force[contact]
 
-    def hertz(r: np.ndarray, k: float, f: float) -> np.ndarray:
-        return k * np.maximum((f / k) ** (1 / 1.7) + r, 0.0) ** 1.7
+    def hertz(r: float = 0.0, k: float = 0.0, f: float = 0.0, rate: float = 0.0, a: float = 0.0):
+        overlap = ((carried + f) / (constant + k)) ** (1 / 1.7) + closer + r
+        overlap = np.maximum(overlap, 0.0)
+        viscous = (viscosity + a) * 1.7 * overlap**0.7 * (closing + rate)
+        return (constant + k) * (overlap**1.7 + viscous)
 
-    assert ends == [n for n in (contact, contact + 1) if 1 <= n <= 4]
-    np.testing.assert_allclose(force, hertz(closer, constant, carried), rtol=1e-12)
-    assert force[5] == 0 < force[0]
-    for slope, step, at in (
-        (stiffness, 1e-6 * eps, lambda d: (closer + d, constant, carried)),
-        (by_constant, 1e-6 * constant, lambda d: (closer, constant + d, carried)),
-        (by_force, 1e-6 * carried, lambda d: (closer, constant, carried + d)),
+    assert force.grains == [n for n in (contact, contact + 1) if 1 <= n <= 4]
+    np.testing.assert_allclose(force.value, hertz(), rtol=1e-12)
+    assert force.value[5] == 0 != force.value[0]
+    for slope, key, step in (
+        (force.by_closer, "r", 1e-6 * eps),
+        (force.by_closing, "rate", 1e-6 * np.abs(closing).max()),
+        (force.by_constant, "k", 1e-6 * constant),
+        (force.by_force, "f", 1e-6 * carried),
+        (force.by_viscosity, "a", 1e-13),
     ):
-        difference = (hertz(*at(step)) - hertz(*at(-step))) / (2 * step)
+        difference = (hertz(**{key: step}) - hertz(**{key: -step})) / (2 * step)
         np.testing.assert_allclose(slope, difference, rtol=1e-7, atol=1e-9 * np.abs(slope).max())
 
 

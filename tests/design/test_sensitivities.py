@@ -22,6 +22,9 @@ VACUUM = Scene(
 )
 
 
+DAMPED = VACUUM.replace(chain=VACUUM.chain.replace(damping={"viscoelastic": 3e-7, "drag": 5e3}))
+
+
 def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
     """Forces go as E^(2/5) v^(6/5) at all times that are long enough, whatever the chain."""
     found = sensitivity(VACUUM, "peak_force:6")
@@ -31,6 +34,25 @@ def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
     ranked = found.ranked()
     assert ranked[0][0] == "diameters 1"
     assert abs(ranked[0][1]) >= abs(ranked[-1][1])
+
+
+def test_damping_scales_with_the_time_that_a_collision_takes():
+    """Of which A and 1 / gamma are parts: it goes as E^(-2/5) v^(-1/5)."""
+    found = sensitivity(DAMPED, "peak_force:3", tolerance=1e-3)
+    by_time = float(found.relative["damping.viscoelastic"][0] - found.relative["damping.drag"][0])
+    assert abs(by_time) > 1e-3 * found.value
+    for name, power, share in (("youngs_modulus", 0.4, 0.4), ("velocity", 1.2, 0.2)):
+        scaled = power * found.value + share * by_time
+        assert found.relative[name].sum() == pytest.approx(scaled, rel=1e-4), name
+    assert "damping.drag" in found.table()
+
+
+@pytest.mark.slow
+def test_damping_that_is_uncertain_scatters_an_answer():
+    found = sensitivity(DAMPED, "peak_force:3", {"damping.viscoelastic": 0.1, "damping.drag": 0.1})
+    shares = [float(0.1 * found.relative[name][0]) for name in found.uncertainty]
+    assert found.deviation == pytest.approx(np.hypot(*shares), rel=1e-12)
+    assert found.scatter == pytest.approx(found.deviation, rel=0.1)
 
 
 @pytest.mark.slow

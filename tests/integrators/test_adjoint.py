@@ -107,6 +107,8 @@ def sizes(scene: Scene, states: np.ndarray) -> Inputs:
         u * moving,
         v * moving,
         np.full(drive.size, np.abs(drive).max(initial=0.0)) if drive.size != 2 else drive,
+        np.zeros(chain.grains + 1),
+        np.zeros(chain.grains),
     )
 
 
@@ -135,12 +137,12 @@ def differences(
         and scene.excitation.frequency is None
         and scene.excitation.times is None
     ):
-        directions[-1][:, 1] = 0  # what lasts a given time has no frequency
+        directions[5][:, 1] = 0  # what lasts a given time has no frequency
     states = []
     for sign in (1, -1):
         changed = [
             value + sign * DIFFERENCE * rows
-            for value, rows in zip(base[:6], directions, strict=True)
+            for value, rows in zip(base[:6], directions[:6], strict=True)
         ]
         states.append(
             plain.by_splitting(Motion(Column(*changed, scene)), SPLITTINGS[method], steps)[looks]
@@ -281,6 +283,8 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
         np.zeros((1, 900)),
         np.zeros((1, 900)),
         np.zeros((1, 0)),
+        np.zeros((1, 901)),
+        np.zeros((1, 900)),
     )
     everywhere = changes._replace(
         velocity=speed * rng.normal(size=(1, 900)), displacement=1e-9 * rng.normal(size=(1, 900))

@@ -1,0 +1,39 @@
+"""Methods of time integration that have exact derivatives, and runs by them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .adjoint import DifferentiableRun
+from .adjoint_dop853 import DifferentiableDampedRun
+from .dop853 import DormandPrince
+from .splittings import SPLITTINGS, Splitting
+
+AnyMethod = Splitting | DormandPrince
+AnyRun = DifferentiableRun | DifferentiableDampedRun
+DOP853 = DormandPrince()
+DIFFERENTIABLE: dict[str, AnyMethod] = {**SPLITTINGS, DOP853.name: DOP853}
+
+
+def method_for(scene: Scene, names: Collection[str], by_default: str) -> AnyMethod:
+    """Return the method for derivatives by parameters of these names: DOP853 where they damp."""
+    damped = scene.chain.damped or any(name.startswith("damping.") for name in names)
+    return DOP853 if damped else DIFFERENTIABLE[by_default]
+
+
+def differentiable(
+    scene: Scene,
+    method: AnyMethod,
+    step: float | list[Array],
+    looks: int,
+    grains: NDArray[np.intp],
+) -> AnyRun:
+    """Return a run by this method with its derivatives; see `adjoint.DifferentiableRun`."""
+    if isinstance(method, DormandPrince):
+        return DifferentiableDampedRun(scene, method, step, looks, grains)
+    return DifferentiableRun(scene, method, step, looks, grains)

@@ -1,0 +1,746 @@
+"""A run of a damped chain by DOP853, its adjoint, and its tangent, compiled.
+
+Chains are moved in displacements and reduced velocities, see `dop853`: a stage is at
+
+    z_i = x + c_i h w + sum over j < i of (h^2 (A^2)_ij a_j + h A_ij d_j),
+
+with accelerations a_j and creep d_j at z_j, and a step ends likewise. Derivatives go back through
+these sums one by one. Forces of contacts and their derivatives are as in `adjoint`; a contact has
+the index of the body below it. Velocities are looked at, and reduced at t = 0, by the creep of the
+first stage of a step; behind the last step there is such a stage more.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...util.arrays import Array
+from .adjoint import Path
+from .adjoint_rows import Way, apart, hertz_power, power, touch
+from .course import compiled_gradient, loop
+from .layout import PAD
+from .sample_loop import chain_of
+from .window import rest_ahead, widen
+
+
+class Tableau(NamedTuple):
+    """Coefficients of DOP853, see `dop853.march`.
+
+    Attributes
+    ----------
+    nodes : (S,) array
+    inner : (S, S) array
+        A^2.
+    weights : (2, S) array
+        Of a step in displacement and velocity.
+    rates : (S, S) array
+        A.
+    """
+
+    nodes: Array
+    inner: Array
+    weights: Array
+    rates: Array
+
+
+class Steps(NamedTuple):
+    """Steps of a run, and where it is looked at.
+
+    Attributes
+    ----------
+    lengths : (K,) array
+        s.
+    look : (K+1,) array
+        Number of the look before each step, and behind the last; less than 0 where there is none.
+    """
+
+    lengths: Array
+    look: NDArray[np.int64]
+
+
+class Pieces(NamedTuple):
+    """Pieces of a run between checkpoints.
+
+    Attributes
+    ----------
+    starts : (P+1,) array
+        Their first steps.
+    states : (P+1, 2, W) array
+        Displacements and reduced velocities there, but velocities at first.
+    windows : (P, 2) array
+        First body of the window and the one behind its last at the end of each piece.
+    """
+
+    starts: NDArray[np.int64]
+    states: Array
+    windows: NDArray[np.int64]
+
+
+class Damped(NamedTuple):
+    """Bodies and contacts of a damped chain, (W,) arrays.
+
+    Attributes
+    ----------
+    inverse_mass, drag : arrays
+        1/kg and 1/s of each body.
+    inverse_length, strength, stiffness, viscosity : arrays
+        Of the contact above each body: as in `adjoint_rows.Above`, and A, s.
+    """
+
+    inverse_mass: Array
+    drag: Array
+    inverse_length: Array
+    strength: Array
+    stiffness: Array
+    viscosity: Array
+
+
+class System(NamedTuple):
+    """How a damped chain is moved: the law of its contacts, its bodies, and the method."""
+
+    law: Any
+    damped: Damped
+    tableau: Tableau
+
+
+class Stages(NamedTuple):
+    """Stages of a step, (S, W), or of some: displacements, and p and f of all contacts there.
+
+    The p of a contact that only touches is less by 1, which its derivatives take for p of one that
+    is pressed.
+    """
+
+    x: Array
+    powers: Array
+    forces: Array
+
+
+class Rates(NamedTuple):
+    """Accelerations and creep at the stages of a step, or their derivatives, (S, W)."""
+
+    slopes: Array
+    creeps: Array
+
+
+class Sums(NamedTuple):
+    """Derivatives of an answer, (W,) arrays, and arrays to work in.
+
+    Attributes
+    ----------
+    x, w : arrays
+        By displacements and reduced velocities.
+    power, force, viscosity : arrays
+        Sums over all stages of y p, y f and of f times the derivative by the viscous part; y is the
+        derivative by the force of a contact.
+    mass, drag : arrays
+        What slopes do by the mass, and creep by the drag.
+    stages : (S, W) array
+        By the displacements of the stages.
+    pull, creep, pressed, bend : arrays
+        By accelerations of a stage over the mass, by creep, by that over the mass, and by the
+        distance of two bodies.
+    """
+
+    x: Array
+    w: Array
+    power: Array
+    force: Array
+    viscosity: Array
+    mass: Array
+    drag: Array
+    stages: Array
+    pull: Array
+    creep: Array
+    pressed: Array
+    bend: Array
+
+
+class Change(NamedTuple):
+    """D small changes of bodies and of what the motion depends on, (D, W) arrays.
+
+    Attributes
+    ----------
+    x, w : arrays
+        Of displacements, m, and reduced velocities, m/s, but of velocities at first; overwritten.
+    mass, constant, force, viscosity, drag : arrays
+        Of masses, by a part of them; of constants, N/m^delta, forces at rest, N, viscosities, s,
+        and drags, 1/s.
+    path : (D, rows) array
+        Of what is imposed.
+    inverse_constant, at_rest : (W,) arrays
+        1 / constant of the contacts, and what they carry at rest, N.
+    """
+
+    x: Array
+    w: Array
+    mass: Array
+    constant: Array
+    force: Array
+    viscosity: Array
+    drag: Array
+    path: Array
+    inverse_constant: Array
+    at_rest: Array
+
+
+class Memory(NamedTuple):
+    """Arrays to work in: stages of some steps, the rates of one, and the sums of the way back.
+
+    On the way of small changes, the rates of these take the place of the sums.
+    """
+
+    stages: Stages
+    rates: Rates
+    others: Any
+
+
+@loop
+def _evaluate(law, inverse_length, strength, x, p, f):
+    """Fill p and f (C,) of the contacts between bodies x (C+1,)."""
+    apart()
+    c = law.pressed
+    for n in range(p.size):
+        s = (x[n] - x[n + 1]) * inverse_length[n]
+        # an open contact is one that is just closed
+        s = s if s > -c else -c
+        p[n] = hertz_power(s, c) if law.way == Way.HERTZ else power(s, c, law.less)
+        f[n] = strength[n] * (c * (s + p[n]) + s * p[n])
+
+
+@loop
+def _fill_rates(inverse_mass, viscosity, drag, x, f, slope, creep):
+    """Fill slope and creep (B,) of bodies x (B,) from the forces f (B+1,) around them."""
+    apart()
+    for n in range(x.size):
+        slope[n] = inverse_mass[n] * (f[n] - f[n + 1])
+        pressed = viscosity[n] * f[n] - viscosity[n + 1] * f[n + 1]
+        creep[n] = inverse_mass[n] * pressed - drag[n] * x[n]
+
+
+@loop
+def _add(sums, weight, values, other_weight, others):
+    """Add weighted values and others to the sums."""
+    apart()
+    for n in range(sums.size):
+        sums[n] += weight * values[n] + other_weight * others[n]
+
+
+@loop
+def _add_to_both(sums, other_sums, weight, other_weight, values):
+    """Add the values, weighted in two ways, to two sums."""
+    apart()
+    for n in range(values.size):
+        sums[n] += weight * values[n]
+        other_sums[n] += other_weight * values[n]
+
+
+@loop
+def _drift(out, x, reach, w):
+    """Fill out with x + reach w."""
+    for n in range(out.size):
+        out[n] = x[n] + reach * w[n]
+
+
+@loop
+def _stages_of(stages, step):
+    """Return the stages of one of some steps."""
+    return Stages(stages.x[step], stages.powers[step], stages.forces[step])
+
+
+@loop
+def _path_of(path, index, count):
+    """Return what is imposed in the stages of a step, from a row on; nothing if nothing is."""
+    rows = slice(index, index + count)
+    return Path(path.body, path.imposed[rows], path.derivative[rows])
+
+
+@loop
+def _fill_stage(chain, system, path, stages, stage, rates):
+    """Fill what belongs to a stage, whose displacements are known in the window."""
+    law, damped, _ = system
+    first = chain.state.first
+    last = chain.state.last
+    bodies = slice(first, last)
+    contacts = slice(first, last + 1)
+    z = stages.x[stage]
+    p = stages.powers[stage]
+    f = stages.forces[stage]
+    # nothing moves outside of the window
+    z[first - 1] = chain.x[first - 1]
+    z[last] = chain.x[last]
+    if path.body > 0:
+        z[path.body] = path.imposed[stage]
+    _evaluate(
+        law,
+        damped.inverse_length[contacts],
+        damped.strength[contacts],
+        z[first - 1 : last + 1],
+        p[contacts],
+        f[contacts],
+    )
+    if law.touching > 0.0 and first == PAD:
+        bare, touching = touch(z[PAD - 1] - z[PAD], law.touching, law.less)
+        p[PAD] = bare - law.pressed
+        f[PAD] = touching
+    _fill_rates(
+        damped.inverse_mass[bodies],
+        damped.viscosity[contacts],
+        damped.drag[bodies],
+        z[bodies],
+        f[contacts],
+        rates.slopes[stage, bodies],
+        rates.creeps[stage, bodies],
+    )
+    if path.body < 0:
+        body = -path.body
+        rates.slopes[stage, body] += damped.inverse_mass[body] * path.imposed[stage]
+
+
+@loop
+def _begin_step(chain, system, path, stages, rates, unreduced):
+    """Fill the first stage of a step; velocities that are `unreduced` are reduced then."""
+    bodies = slice(chain.state.first, chain.state.last)
+    w = chain.v[bodies]
+    _drift(stages.x[0, bodies], chain.x[bodies], 0.0, w)
+    _fill_stage(chain, system, path, stages, 0, rates)
+    if unreduced:
+        _drift(w, w, -1.0, rates.creeps[0, bodies])
+
+
+@loop
+def _end_step(chain, system, h, path, stages, rates):
+    """Fill the other stages of a step, and take it."""
+    tableau = system.tableau
+    bodies = slice(chain.state.first, chain.state.last)
+    x = chain.x[bodies]
+    w = chain.v[bodies]
+    count = tableau.nodes.size
+    for stage in range(1, count):
+        z = stages.x[stage, bodies]
+        _drift(z, x, tableau.nodes[stage] * h, w)
+        for earlier in range(stage):
+            _add(
+                z,
+                tableau.inner[stage, earlier] * h * h,
+                rates.slopes[earlier, bodies],
+                tableau.rates[stage, earlier] * h,
+                rates.creeps[earlier, bodies],
+            )
+        _fill_stage(chain, system, path, stages, stage, rates)
+    _drift(x, x, h, w)
+    for stage in range(count):
+        slope = rates.slopes[stage, bodies]
+        weight = tableau.weights[1, stage] * h
+        weight_x = tableau.weights[0, stage] * h * h
+        _add(x, weight_x, slope, weight, rates.creeps[stage, bodies])
+        _drift(w, w, weight, slope)
+
+
+@loop
+def _see(chain, looks, look, stages, rates):
+    """Note displacements and velocities of the bodies looked at."""
+    for n in range(looks.bodies.size):
+        body = looks.bodies[n]
+        inside = chain.state.first <= body < chain.state.last
+        looks.values[0, look, n] = stages.x[0, body] if inside else chain.x[body]
+        looks.values[1, look, n] = chain.v[body] + (rates.creeps[0, body] if inside else 0.0)
+
+
+@compiled_gradient()
+def forward(chains, system, steps, pieces, numbers, path, looks, memory):
+    """Move the chain of a batch of one through the pieces numbers[0] ... numbers[1]-1 of its run.
+
+    `path` is what is imposed in each stage of these, and in that behind the last step.
+    """
+    chain = chain_of(chains, 0, 0)
+    rates = memory.rates
+    stages = _stages_of(memory.stages, 0)
+    count = system.tableau.nodes.size
+    begin = pieces.starts[numbers[0]]
+    final = steps.lengths.size
+    for piece in range(numbers[0], numbers[1]):
+        start = pieces.starts[piece]
+        stop = pieces.starts[piece + 1]
+        for step in range(start, stop):
+            widen(chain, count + 2)
+            of_step = _path_of(path, (step - begin) * count, count)
+            _begin_step(chain, system, of_step, stages, rates, step == 0)
+            if steps.look[step] >= 0:
+                _see(chain, looks, steps.look[step], stages, rates)
+            _end_step(chain, system, steps.lengths[step], of_step, stages, rates)
+            rest_ahead(chain)
+        _drift(pieces.states[piece + 1, 0], chain.x, 0.0, chain.v)
+        _drift(pieces.states[piece + 1, 1], chain.v, 0.0, chain.x)
+        pieces.windows[piece, 0] = chain.state.first
+        pieces.windows[piece, 1] = chain.state.last
+        if stop == final:
+            of_step = _path_of(path, (stop - begin) * count, count)
+            _begin_step(chain, system, of_step, stages, rates, False)
+            _see(chain, looks, steps.look[stop], stages, rates)
+
+
+@loop
+def _back_contacts(law, stiffness, viscosity, p, f, adjoints, sums):
+    """Take adjoints of bodies (C+1,) back through the forces of the contacts (C,) between them.
+
+    `adjoints` are pull and pressed, and what is wanted, by distances; `sums` those of power, force
+    and viscosity.
+    """
+    apart()
+    pull, pressed, bend = adjoints
+    by_power, by_force, by_viscosity = sums
+    for n in range(p.size):
+        viscous = pressed[n + 1] - pressed[n]
+        y = (pull[n + 1] - pull[n]) + viscosity[n] * viscous
+        by_power[n] += y * p[n]
+        by_force[n] += y * f[n]
+        by_viscosity[n] += viscous * f[n]
+        bend[n] = stiffness[n] * (law.pressed + p[n]) * y
+
+
+@loop
+def _back_bodies(drag, viscosity, x, f, adjoints, sums):
+    """Take adjoints back to bodies x (B,), between the contacts with forces f (B+1,).
+
+    `adjoints` are pull, creep, pressed and bend, and what is wanted, by x; `sums` are those of mass
+    and drag.
+    """
+    apart()
+    pull, creep, pressed, bend, by_x = adjoints
+    by_mass, by_drag = sums
+    for n in range(x.size):
+        viscous = viscosity[n] * f[n] - viscosity[n + 1] * f[n + 1]
+        by_mass[n] += pull[n] * (f[n] - f[n + 1]) + pressed[n] * viscous
+        by_drag[n] += creep[n] * x[n]
+        by_x[n] = bend[n + 1] - bend[n] - drag[n] * creep[n]
+
+
+@loop
+def _back_stage(window, system, path, stages, stage, sums):
+    """Take adjoints back through a stage, from `sums.pull`, not yet over masses, and `creep`."""
+    law, damped, _ = system
+    first, last = window
+    bodies = slice(first, last)
+    contacts = slice(first, last + 1)
+    around = slice(first - 1, last + 1)
+    f = stages.forces[stage]
+    by_x = sums.stages[stage]
+    for n in range(first, last):
+        sums.pull[n] *= damped.inverse_mass[n]
+        sums.pressed[n] = sums.creep[n] * damped.inverse_mass[n]
+    # nothing moves what is outside
+    for n in (first - 1, last):
+        sums.pull[n] = 0.0
+        sums.pressed[n] = 0.0
+    _back_contacts(
+        law,
+        damped.stiffness[contacts],
+        damped.viscosity[contacts],
+        stages.powers[stage, contacts],
+        f[contacts],
+        (sums.pull[around], sums.pressed[around], sums.bend[contacts]),
+        (sums.power[contacts], sums.force[contacts], sums.viscosity[contacts]),
+    )
+    _back_bodies(
+        damped.drag[bodies],
+        damped.viscosity[contacts],
+        stages.x[stage, bodies],
+        f[contacts],
+        (
+            sums.pull[bodies],
+            sums.creep[bodies],
+            sums.pressed[bodies],
+            sums.bend[contacts],
+            by_x[bodies],
+        ),
+        (sums.mass[bodies], sums.drag[bodies]),
+    )
+    by_x[first - 1] = sums.bend[first]
+    by_x[last] = -sums.bend[last]
+    body = path.body
+    if body < 0:
+        weight = sums.pull[-body]
+        path.derivative[stage] += weight
+        sums.mass[-body] += weight * path.imposed[stage]
+    elif body > 0:
+        path.derivative[stage] += by_x[body]
+        by_x[body] = 0.0
+
+
+@loop
+def _weigh(pull, creep, x, w, weight_x, weight_w):
+    """Fill adjoints of the rates of a stage from those of the end of its step."""
+    apart()
+    for n in range(pull.size):
+        pull[n] = weight_x * x[n] + weight_w * w[n]
+        creep[n] = weight_w * x[n]
+
+
+@loop
+def _back_step(window, system, h, path, stages, sums):
+    """Take adjoints back through a step."""
+    tableau = system.tableau
+    first, last = window
+    bodies = slice(first, last)
+    around = slice(first - 1, last + 1)
+    count = tableau.nodes.size
+    pull = sums.pull[bodies]
+    creep = sums.creep[bodies]
+    for stage in range(count - 1, -1, -1):
+        weight_x = tableau.weights[0, stage] * h * h
+        weight_w = tableau.weights[1, stage] * h
+        _weigh(pull, creep, sums.x[bodies], sums.w[bodies], weight_x, weight_w)
+        for later in range(stage + 1, count):
+            of_slope = tableau.inner[later, stage] * h * h
+            of_creep = tableau.rates[later, stage] * h
+            _add_to_both(pull, creep, of_slope, of_creep, sums.stages[later, bodies])
+        _back_stage(window, system, path, stages, stage, sums)
+    x = sums.x[around]
+    w = sums.w[around]
+    _drift(w, w, h, x)
+    for stage in range(count):
+        _add_to_both(x, w, 1.0, tableau.nodes[stage] * h, sums.stages[stage, around])
+
+
+@loop
+def _back_creep(window, system, path, stages, sums):
+    """Take adjoints `sums.creep` of the creep in the first stage of a step back to where it is."""
+    first, last = window
+    around = slice(first - 1, last + 1)
+    for n in range(first, last):
+        sums.pull[n] = 0.0
+    # creep knows no push
+    moved = Path(max(path.body, 0), path.imposed, path.derivative)
+    _back_stage(window, system, moved, stages, 0, sums)
+    _drift(sums.x[around], sums.x[around], 1.0, sums.stages[0, around])
+
+
+@loop
+def _back_look(window, system, path, stages, sums, looks, look):
+    """Take in the derivatives by what was seen at a look."""
+    first, last = window
+    for n in range(first, last):
+        sums.creep[n] = 0.0
+    for n in range(looks.bodies.size):
+        body = looks.bodies[n]
+        sums.x[body] += looks.values[0, look, n]
+        sums.w[body] += looks.values[1, look, n]
+        if first <= body < last:
+            sums.creep[body] += looks.values[1, look, n]
+    _back_creep(window, system, path, stages, sums)
+
+
+@compiled_gradient()
+def backward(chains, system, steps, pieces, numbers, path, looks, memory):
+    """Take adjoints back through some pieces of a run, the last one first.
+
+    A piece is made once more from its begin. `looks` has derivatives by what was seen; the rest is
+    as in `forward`.
+    """
+    chain = chain_of(chains, 0, 0)
+    rates = memory.rates
+    sums = memory.others
+    count = system.tableau.nodes.size
+    begin = pieces.starts[numbers[0]]
+    final = steps.lengths.size
+    for piece in range(numbers[1] - 1, numbers[0] - 1, -1):
+        start = pieces.starts[piece]
+        stop = pieces.starts[piece + 1]
+        window = pieces.windows[piece, 0], pieces.windows[piece, 1]
+        chain.state.first = window[0]
+        chain.state.last = window[1]
+        _drift(chain.x, pieces.states[piece, 0], 0.0, pieces.states[piece, 1])
+        _drift(chain.v, pieces.states[piece, 1], 0.0, pieces.states[piece, 0])
+        for step in range(start, stop):
+            of_step = _path_of(path, (step - begin) * count, count)
+            stages = _stages_of(memory.stages, step - start)
+            _begin_step(chain, system, of_step, stages, rates, step == 0)
+            _end_step(chain, system, steps.lengths[step], of_step, stages, rates)
+            rest_ahead(chain)
+        if stop == final:
+            of_step = _path_of(path, (stop - begin) * count, count)
+            stages = _stages_of(memory.stages, stop - start)
+            _begin_step(chain, system, of_step, stages, rates, False)
+            _back_look(window, system, of_step, stages, sums, looks, steps.look[stop])
+        for step in range(stop - 1, start - 1, -1):
+            of_step = _path_of(path, (step - begin) * count, count)
+            stages = _stages_of(memory.stages, step - start)
+            _back_step(window, system, steps.lengths[step], of_step, stages, sums)
+            # what is seen at t = 0 is the start itself
+            if steps.look[step] > 0:
+                _back_look(window, system, of_step, stages, sums, looks, steps.look[step])
+            elif step == 0:
+                for n in range(window[0], window[1]):
+                    sums.creep[n] = -sums.w[n]
+                _back_creep(window, system, of_step, stages, sums)
+
+
+@loop
+def _change_forces(system, z, p, f, of_contacts, changes):
+    """Fill changes (C,) of the forces of contacts between bodies (C+1,) whose change is z.
+
+    `of_contacts` are their stiffness, 1 / constant and force at rest, and the changes of constant
+    and force at rest.
+    """
+    apart()
+    c = system.law.pressed
+    stiffness, inverse_constant, at_rest, by_constant, by_force = of_contacts
+    for n in range(p.size):
+        # df/dK = (f - c F p) / K, see `adjoint`
+        soften = (f[n] - at_rest[n] * p[n]) * inverse_constant[n]
+        slope = stiffness[n] * (c + p[n])
+        changes[n] = slope * (z[n] - z[n + 1]) + p[n] * by_force[n] + soften * by_constant[n]
+
+
+@loop
+def _change_rates(x, z, f, changes, of_bodies, of_contacts, rates):
+    """Fill changes of slope and creep (B,) for changes z of bodies x, and `changes` of forces f.
+
+    `of_bodies` are 1 / mass and drag, and the changes of mass and drag; `of_contacts` viscosity and
+    its change.
+    """
+    apart()
+    inverse_mass, drag, by_mass, by_drag = of_bodies
+    viscosity, by_viscosity = of_contacts
+    slope, creep = rates
+    for n in range(x.size):
+        pull = changes[n] - changes[n + 1] - (f[n] - f[n + 1]) * by_mass[n]
+        slope[n] = inverse_mass[n] * pull
+        pressed = viscosity[n] * f[n] - viscosity[n + 1] * f[n + 1]
+        above = viscosity[n] * changes[n] + by_viscosity[n] * f[n]
+        below = viscosity[n + 1] * changes[n + 1] + by_viscosity[n + 1] * f[n + 1]
+        moved = inverse_mass[n] * (above - below - pressed * by_mass[n])
+        creep[n] = moved - drag[n] * z[n] - by_drag[n] * x[n]
+
+
+@loop
+def _change_stage(system, path, stages, stage, d, change, rates):
+    """Fill changes of the rates of a stage, in direction d, for those of its bodies.
+
+    These are the last row of `rates.slopes`; that of `rates.creeps` is for the forces.
+    """
+    damped = system.damped
+    z = rates.slopes[-1]
+    forces = rates.creeps[-1]
+    body = path.body
+    if body > 0:
+        z[body] = change.path[d, stage]
+    bodies = slice(PAD, z.size - PAD)
+    contacts = slice(PAD, z.size - PAD + 1)
+    f = stages.forces[stage, contacts]
+    _change_forces(
+        system,
+        z[PAD - 1 : z.size - PAD + 1],
+        stages.powers[stage, contacts],
+        f,
+        (
+            damped.stiffness[contacts],
+            change.inverse_constant[contacts],
+            change.at_rest[contacts],
+            change.constant[d, contacts],
+            change.force[d, contacts],
+        ),
+        forces[contacts],
+    )
+    _change_rates(
+        stages.x[stage, bodies],
+        z[bodies],
+        f,
+        forces[contacts],
+        (
+            damped.inverse_mass[bodies],
+            damped.drag[bodies],
+            change.mass[d, bodies],
+            change.drag[d, bodies],
+        ),
+        (damped.viscosity[contacts], change.viscosity[d, contacts]),
+        (rates.slopes[stage, bodies], rates.creeps[stage, bodies]),
+    )
+    if body < 0:
+        # a push gives way as the mass grows
+        push = change.path[d, stage] - path.imposed[stage] * change.mass[d, -body]
+        rates.slopes[stage, -body] += damped.inverse_mass[-body] * push
+
+
+@loop
+def _change_step(system, h, path, stages, d, change, rates):
+    """Take small changes in direction d through the other stages of a step, and to its end."""
+    tableau = system.tableau
+    count = tableau.nodes.size
+    x = change.x[d]
+    w = change.w[d]
+    z = rates.slopes[-1]
+    for stage in range(1, count):
+        _drift(z, x, tableau.nodes[stage] * h, w)
+        for earlier in range(stage):
+            _add(
+                z,
+                tableau.inner[stage, earlier] * h * h,
+                rates.slopes[earlier],
+                tableau.rates[stage, earlier] * h,
+                rates.creeps[earlier],
+            )
+        _change_stage(system, path, stages, stage, d, change, rates)
+    _drift(x, x, h, w)
+    for stage in range(count):
+        slope = rates.slopes[stage]
+        weight = tableau.weights[1, stage] * h
+        _add(x, tableau.weights[0, stage] * h * h, slope, weight, rates.creeps[stage])
+        _drift(w, w, weight, slope)
+
+
+@loop
+def _change_path(change, index, count):
+    """Return the changes with those of what is imposed in the stages of a step alone."""
+    rows = slice(index, index + count)
+    return Change(
+        x=change.x,
+        w=change.w,
+        mass=change.mass,
+        constant=change.constant,
+        force=change.force,
+        viscosity=change.viscosity,
+        drag=change.drag,
+        path=change.path[:, rows],
+        inverse_constant=change.inverse_constant,
+        at_rest=change.at_rest,
+    )
+
+
+@compiled_gradient()
+def tangent(chains, system, steps, span, path, looks, memory, change):
+    """Move a chain, and small changes of it, by the steps span[0] ... span[1]-1 of its run.
+
+    The window is the whole chain. `looks` takes changes of what is seen; the rest is as in
+    `forward`.
+    """
+    chain = chain_of(chains, 0, 0)
+    rates = memory.others
+    stages = _stages_of(memory.stages, 0)
+    count = system.tableau.nodes.size
+    final = steps.lengths.size
+    for step in range(span[0], span[1] + (span[1] == final)):
+        index = (step - span[0]) * count
+        of_step = _path_of(path, index, count)
+        changes = _change_path(change, index, count)
+        look = steps.look[step]
+        _begin_step(chain, system, of_step, stages, memory.rates, step == 0)
+        if step < final:
+            _end_step(chain, system, steps.lengths[step], of_step, stages, memory.rates)
+        for d in range(change.x.shape[0]):
+            w = change.w[d]
+            _drift(rates.slopes[-1], change.x[d], 0.0, w)
+            _change_stage(system, of_step, stages, 0, d, changes, rates)
+            creep = rates.creeps[0]
+            if step == 0:
+                _drift(w, w, -1.0, creep)
+            if look >= 0:
+                for n in range(looks.bodies.size):
+                    body = looks.bodies[n]
+                    looks.values[d, 0, look, n] = rates.slopes[-1, body]
+                    looks.values[d, 1, look, n] = w[body] + creep[body]
+            if step < final:
+                _change_step(system, steps.lengths[step], of_step, stages, d, changes, rates)
