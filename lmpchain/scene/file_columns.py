@@ -13,7 +13,7 @@ from ..util.units import unit_of
 TIMES = ("time", "t", "x", "x-axis", "x_value")
 COUNTERS = ("sequence", "sample", "index", "nr", "no", "point")
 # how files call the interval of samples that have no times
-INTERVALS = ("increment", "sample interval", "delta_x", "sampling interval", "tinc")
+INTERVALS = ("increment", "sample interval", "delta_x", "sampling interval", "tinc", "hresolution")
 
 
 class Quantity(NamedTuple):

@@ -20,11 +20,11 @@ from ..util.validation import NOT_GIVEN, Checked, Positive, Real, Whole
 from .file_columns import COUNTERS, INTERVALS, Quantity, ambiguous, named, timed
 
 # what a file says of the sampling in place of a column: first time, first sample
-BEGINS = ("start", "x0", "t0")
+BEGINS = ("start", "x0", "t0", "hoffset")
 TRIGGER_POINTS = ("trigger point",)
-# names, in LabVIEW's and Tektronix's files, of the units of all columns
-VALUE_UNITS = ("vertical units", "y_unit_label")
-TIME_UNITS = ("horizontal units", "x_unit_label")
+# names of the units of all columns, in the files of Tektronix, LabVIEW and Yokogawa
+VALUE_UNITS = ("vertical units", "y_unit_label", "vunit")
+TIME_UNITS = ("horizontal units", "x_unit_label", "hunit")
 # a sample as near to the trigger, in intervals, is at t = 0: the rest is round-off
 SAME_TIME = 1e-6
 
@@ -164,7 +164,7 @@ class TableFile(Checked):
                 values[:, k] -= less
                 what = f"{less:.6g} {calibration.base}".rstrip()
                 words[-1] += f", less {what}" + (", its baseline" if base is not None else "")
-            if calibration.scale != 1:
+            if calibration.scale != 1 or calibration.per:
                 values[:, k] *= calibration.scale
                 words[-1] += f", times {calibration.scale:g} {calibration.per}".rstrip()
         return values, words
@@ -182,7 +182,8 @@ class TraceFile(TableFile):
     Parameters
     ----------
     time_scale : float, optional
-        s for each unit of the column of times; by default what its header says, or 1.
+        s for each unit of the column of times, by default what its header says, or 1; between two
+        samples where there is no such column.
     baseline : (2,) sequence, optional
         Times of the file, s, between which the mean is taken off, in place of an offset.
     trigger : float, optional
@@ -241,7 +242,7 @@ class TraceFile(TableFile):
                 raise InputError.at("time_scale", f"{self.file} has no times: {cure}")
             begin = table.fact(*BEGINS)
             if begin is None:
-                begin = -step * (table.fact(*TRIGGER_POINTS) or 0.0)
+                begin = 0.0 - step * (table.fact(*TRIGGER_POINTS) or 0.0)
             time = begin + step * samples
             word = f"time: from {begin:g} s by intervals of {step:g} s"
         else:

@@ -219,7 +219,10 @@ def _make_scene(text: str, folder: Path) -> Scene:
 
 def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -> dict[str, str]:
     """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
-    names = [table.get("file") for table in tables.values() if isinstance(table, dict)]
+    sections = [table for table in tables.values() if isinstance(table, dict)]
+    # the start of a drive is a table in one
+    inner = [table for section in sections for table in section.values() if isinstance(table, dict)]
+    names = [table.get("file") for table in (*sections, *inner)]
     for axis in axes:
         for key, values in axis.columns.items():
             if key.endswith(".file"):

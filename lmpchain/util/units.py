@@ -22,7 +22,7 @@ BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 FIELD_UNITS = {"velocity": "m/s", "displacement": "m", "force": "N", "contact": "N"}
 # without brackets a unit must be known to be one
 OTHER_FORMS = [
-    re.compile(form) for form in (r"(.*)\bin (\S+)", r"(.+?)\s*/\s*(\S+)", r"(.+)_(\w\w)")
+    re.compile(form) for form in (r"(.*)\bin (\S+)", r"(.+?)\s*/\s*(\S+)", r"(.+)_(\w{1,2})")
 ]
 
 
@@ -67,10 +67,15 @@ def split_unit(cell: str) -> tuple[str, str]:
     --------
     >>> split_unit("time [us]"), split_unit("C1 in V"), split_unit("CH1")
     (('time', 'us'), ('C1', 'V'), ('CH1', ''))
+    >>> split_unit("Second"), split_unit("Voltage")
+    (('Second', 'Second'), ('Voltage', 'V'))
     """
     if match := BRACKETS.fullmatch(cell):
         return match[1], match[2]
     for form in OTHER_FORMS:
         if (match := form.fullmatch(cell)) and unit_of(match[2]):
             return match[1].strip(), match[2]
+    # a column that bears the name of its unit; N may be a number
+    if cell.lower().startswith("volt") or (unit_of(cell) and len(cell) > 1):
+        return cell, "V" if cell.lower() == "voltage" else cell
     return cell, ""

@@ -111,6 +111,68 @@ def test_a_trace_acts_as_it_says(
     assert again.excitation.source == force.source
 
 
+POINTS = "-1e-6,0.5\n0,0.25\n1e-6,0.75\n2e-6,1\n"
+LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # each holds the same four points
+    "LeCroy": (
+        "LECROYWS64Xs,12345,Waveform\nSegments,1,SegmentSize,1002\n"
+        "Segment,TrigTime,TimeSinceSegment1\n#1,13-Jul-2012 15:15:30,0\nTime,Ampl\n" + POINTS,
+        {},
+    ),
+    "Siglent": (
+        "Record Length,Analog:7000\nSample Interval,0.0000002\nVertical Units,CH1:V\n"
+        "Vertical Scale,CH1:0.5\nModel Number,SDS1202\nSource,CH1\nSecond,Volt\n" + POINTS,
+        {"scale": 1.0},
+    ),
+    "Rigol, with times": (
+        "Time(s),CH1(V),t0 =-6.0e-05, tInc = 2e-08,\n" + POINTS,
+        {"scale": 1.0},
+    ),
+    "Rohde and Schwarz": ("in s,CH1 in V\n" + POINTS, {"scale": 1.0}),
+    "Tektronix, names": (
+        "Model,MSO4034\nFirmware Version,2.48\n\nPoint Format,Y,\nHorizontal Units,S,\n"
+        "Sample Interval,4e-09\nRecord Length,10000\nGating,0.0% to 100.0%\n"
+        "Vertical Units,V\nLabel,,\nTIME,CH1\n" + POINTS,
+        {"scale": 1.0},
+    ),
+    "Yokogawa": (
+        '"Header Size","16"\n"VUnit","V"\n"HResolution","1.00E-06"\n"HOffset","-1.0E-06"\n'
+        '"HUnit","s"\n"TraceName","CH1"\n\n,0.5,\n,0.25,\n,0.75,\n,1,\n',
+        {"scale": 1.0},
+    ),
+    "Polytec": (
+        "Source File Name: a.pvd\nSignal: 1\nTime\tForce\n[ us ]\t[ kN ]\n"
+        "-1\t0.5e-3\n0\t0.25e-3\n1\t0.75e-3\n2\t1e-3\n",
+        {},
+    ),
+    "Hantek, counted": (
+        "nr,time,ch1\n0,-1e-06,0.5\n1,0,0.25\n2,1e-06,0.75\n3,2e-06,1\n",
+        {},
+    ),
+    "Excel": ("sep=;\nt / us;F_mN\n-1,0;500\n0,0;250\n1,0;750,0\n2,0;1000\n", {}),
+    "values alone": ("0.5\n0.25\n0.75\n1\n", {"columns": 1, "time_scale": 1e-6, "trigger": 1e-6}),
+}
+
+
+@pytest.mark.parametrize(("text", "options"), LAYOUTS.values(), ids=LAYOUTS)
+def test_layouts_are_recognised(text: str, options: dict[str, Any], tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_text(text)
+    force = Force(grain=1, file=path, **{"trigger": 0.0} | options)
+    np.testing.assert_allclose(force.times, [0, 1e-6, 2e-6], rtol=1e-12, atol=1e-20)
+    np.testing.assert_allclose(force.force, [0.25, 0.75, 1.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("header", ["time_us,voltage_V", "Time,Voltage", "Time,volts", "s,V"])
+def test_volts_need_a_calibration(header: str, tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_text(f"{header}\n0,1\n1,2\n")
+    with pytest.raises(InputError, match="give it in N for each V"):
+        Force(grain=1, file=path)
+    force = Force(grain=1, file=path, scale=1.0)
+    assert force.force.tolist() == [1, 2]
+    assert "times 1 N/V" in force.source
+
+
 def test_an_oscilloscopes_hammer_moves_a_chain():
     """The file of `tests/data`: its impulse is in the chain, by an interpolation of its own."""
     assert (DATA / "hammer.csv").read_text() == hammer()

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+import tomli_w
 from filelock import FileLock
 from helpers.child_processes import PATIENCE, until
 from helpers.example_sweeps import contents, done, long_sweep
@@ -358,6 +359,26 @@ def test_files_count_by_what_is_in_them(tmp_path):
     after = sweep(tmp_path / "sweep.toml", tmp_path / "out").displacement
     assert len(list((tmp_path / "out").glob("*/results.zarr"))) == 2
     assert (before[:, -1, 1] != after[:, -1, 1]).all()
+
+
+def test_traces_of_instruments_are_swept(tmp_path):
+    """Their calibration, as any key; also a file in the start of a drive counts by its contents."""
+    (tmp_path / "scope.csv").write_text("t (us);u (mV)\n-1;10\n0;10\n5;11,5\n20;13\n")
+    (tmp_path / "start.csv").write_text("velocity\n" + "0\n" * 12)
+    options = {"scale": 1e-6, "offset": 0.01, "trigger": 0.0, "start": {"file": "start.csv"}}
+    excitation = {"kind": "drive", "file": "scope.csv"} | options
+    (tmp_path / "scene.toml").write_text(
+        tomli_w.dumps(SHORT | {"excitation": excitation}), encoding="utf-8"
+    )
+    (tmp_path / "sweep.toml").write_text(
+        'scene = "scene.toml"\n[grid]\nexcitation.scale = [1e-6, 2e-6]\n'
+    )
+    found = sweep(tmp_path / "sweep.toml", tmp_path / "out")
+    top = found.displacement.sel(grain=1).values
+    np.testing.assert_allclose(top[:, -1], [3e-9, 6e-9], rtol=1e-12)
+    (tmp_path / "start.csv").write_text("velocity\n0\n1e-4\n" + "0\n" * 10)
+    after = sweep(tmp_path / "sweep.toml", tmp_path / "out")
+    assert (after.velocity.sel(grain=2)[:, 0] == 1e-4).all()
 
 
 def test_scenes_recorded_unlike(tmp_path):
