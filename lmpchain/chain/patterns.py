@@ -1,4 +1,4 @@
-"""Chains whose grains follow a pattern: tapered, periodic, decorated.
+"""Chains whose grains follow a pattern: tapered, periodic, decorated; and ends that absorb.
 
 Each function returns a `Chain`; other keywords are passed on to `Chain`. `repeated` and
 `written_out` read the keys `cell` and `taper` of scene files.
@@ -16,6 +16,7 @@ from ..errors import InputError, shown
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, Positive, Real, Whole, each
+from . import sponge
 from .chain import Chain
 from .materials import GLASS, OneMaterial, OneOrManyMaterials, one_material
 
@@ -204,6 +205,59 @@ def written_out(keys: dict[str, Any]) -> dict[str, Any]:
     pattern = _Repeated(**{key: keys[key] for key in _Repeated.arguments if key in keys})
     rest = {key: value for key, value in keys.items() if key not in _Repeated.arguments}
     return rest | {"grains": pattern.grains} | pattern.by_grain()
+
+
+def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
+    """Return a chain whose ends absorb: sponges of grains with a drag that grows are added to it.
+
+    They go on with the last cell of up to 8 grains (uniform, dimer, trimer ...); where none
+    repeats, with the last grain. The drag goes as x^p, 0 < x < 1 into the sponge, with the p of 2,
+    3 and 4 and the strength that reflect least in the middle 80 % of all bands, for linear waves
+    around the load at rest. A wall, a held grain or a free end stays, behind the sponge.
+    `theory.scattering.reflection` has what comes back; the page on scenes has it for usual chains.
+
+    Under gravity a sponge at the bottom goes on as the column would: the load grows in it, too, and
+    the cell before it is taken as it is at its beginning.
+
+    Parameters
+    ----------
+    chain : Chain
+        Pressed by a load or gravity; numbers of its grains grow by `top`.
+    bottom, top : int
+        Grains of the sponges, three cells or more; 0 for none.
+
+    Returns
+    -------
+    Chain
+
+    Raises
+    ------
+    InputError
+        If an end is not pressed, a sponge is too short, or one at the top would weigh on the chain
+        or stand between it and a striker.
+
+    Warns
+    -----
+    UserWarning
+        If more than 1e-3 of the energy of a wave comes back.
+
+    Examples
+    --------
+    >>> chain = Chain(grains=100, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+    >>> endless = absorbing(chain, bottom=60)
+    >>> endless.grains, endless.damped
+    (160, True)
+    """
+    for key, grains in (("bottom", bottom), ("top", top)):
+        if isinstance(grains, bool) or not isinstance(grains, int | np.integer) or grains < 0:
+            raise InputError.at(key, f"must be a whole number of grains (got {shown(grains)})")
+    if not (bottom or top):
+        raise InputError.at("bottom", "there is no sponge at all: give bottom or top some grains")
+    if top and chain.gravity > 0:
+        raise InputError.at("top", "a sponge at the top would weigh on the chain: use bottom alone")
+    if top and chain.load_grain > 1:
+        raise InputError.at("top", "a sponge above the load would be loose: use bottom alone")
+    return sponge.add(chain, int(top), int(bottom))
 
 
 def _chain(grains: int, rest: dict[str, Any], **pattern: Any) -> Chain:

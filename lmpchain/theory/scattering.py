@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
+from ..chain import sponge
 from ..chain.chain import Chain
 from ..chain.impurities import Impurity
+from ..errors import shown
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
@@ -124,6 +126,96 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     require(("chain", chain.compressed, load), ("grains", chain.grains > 1, leads))
     chain.refuse_loose("theory of scattering")
     return _scatter(chain, real(frequency, "frequency"))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reflection(Shown):
+    """What comes back from an end of a chain.
+
+    Attributes
+    ----------
+    frequency : (F,) array
+        rad/s.
+    amplitude : (F,) complex array
+        Displacement of the last grain before the end by the wave that comes back, over that by the
+        incoming one; with the time dependence exp(-i w t).
+    reflected : (F,) array
+        Share of the energy.
+    bands : (B, 2) array
+        Edges of the bands of the cell that repeats, rad/s.
+    """
+
+    frequency: Array
+    amplitude: Complex
+    reflected: Array
+    bands: Array
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the share of the energy over frequency, and return the axes."""
+        ax = axes_in_units(ax, "Hz", "")
+        for low, high in self.bands:
+            inside = (self.frequency >= low) & (self.frequency <= high)
+            ax.semilogy(self.frequency[inside] / (2 * np.pi), self.reflected[inside], "C0")
+        ax.set(xlabel="frequency", ylabel="share of the energy that comes back")
+        return ax
+
+
+def reflection(
+    chain: Chain,
+    grains: int = 60,
+    end: Literal["bottom", "top"] = "bottom",
+    frequency: ArrayLike | None = None,
+) -> Reflection:
+    """Return what the last grains of a chain give back, as a sponge of `patterns.absorbing`.
+
+    The wave comes from a chain without losses that repeats the first cell of these grains for ever;
+    behind them is what the chain has there: a wall, a held grain, or nothing.
+
+    Parameters
+    ----------
+    chain : Chain
+        Pressed at that end.
+    grains : int
+        How many at the end.
+    end : "bottom" or "top"
+    frequency : (F,) array_like, optional
+        rad/s, within the bands of the cell; by default 61 in the middle 80 % of each.
+
+    Returns
+    -------
+    Reflection
+
+    Raises
+    ------
+    InputError
+        If nothing is linear there, there are fewer grains, or a frequency does not travel.
+
+    Examples
+    --------
+    >>> from lmpchain import patterns
+    >>> chain = Chain(grains=100, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+    >>> wave = reflection(patterns.absorbing(chain, bottom=60), 60)
+    >>> f"amplitude {abs(wave.amplitude).max():.1e}, energy {wave.reflected.max():.1e}"
+    'amplitude 1.2e-03, energy 1.5e-06'
+    """
+    cell = sponge.period(chain, end)
+    least = 3 * cell
+    fits = f"must be {least} (three cells) to {chain.grains} of the chain (got {shown(grains)})"
+    sides = f'must be "bottom" or "top" (got {shown(end)})'
+    require(
+        ("end", end in ("bottom", "top"), sides), ("grains", least <= grains <= chain.grains, fits)
+    )
+    ending = sponge.layer(chain, end, grains, cell)
+    require(("chain", ending.stiffness[:-1].all(), sponge.NOT_PRESSED))
+    omega = ending.middle if frequency is None else real(frequency, "frequency")
+    low, high = ending.bands.T[:, :, None]
+    within = ((omega > low) & (omega < high)).any(0)
+    bands = " or ".join(f"{a:.6g} to {b:.6g}" for a, b in ending.bands)
+    require(("frequency", within, f"must lie within a band, {bands} rad/s"))
+    drag = chain.drag[: chain.movable]
+    drag = drag[::-1] if end == "top" else drag
+    amplitude = sponge.reflection(ending, drag[-ending.masses.size :], omega)
+    return Reflection(omega, amplitude, np.abs(amplitude) ** 2, ending.bands)
 
 
 def transparent(

@@ -1,0 +1,266 @@
+"""Sponges: grains at an end of a chain whose drag grows so gently that no wave comes back.
+
+The reflection of linear waves is exact: displacement and force are carried from the last grain
+upward, and taken apart into the two waves of the cell that repeats above the sponge.
+
+    gamma_j = gamma_S x_j^p,    x_j = (j - 1/2) / S,    j = 1 ... S away from the chain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+from warnings import warn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..util.arrays import Array
+from .chain import Chain
+from .damping import Damping
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Grading:
+    """How the drag of a sponge grows; analysis/sponges.py.
+
+    Attributes
+    ----------
+    powers : tuple of int
+        p to choose from: short sponges are best with the first, long ones with the last.
+    weakest, strongest : float
+        gamma_S over the highest frequency of the cell, between which to search.
+    middle : float
+        Part of every band, in its middle, in which the largest reflection is made small.
+    frequencies : int
+        In each band.
+    longest_cell : int
+        Grains of a cell that is looked for.
+    remarked : float
+        Share of the energy that may come back without a remark.
+    """
+
+    powers: tuple[int, ...] = (2, 3, 4)
+    weakest: float = 3e-3
+    strongest: float = 3.0
+    middle: float = 0.8
+    frequencies: int = 61
+    longest_cell: int = 8
+    remarked: float = 1e-3
+
+
+GRADING = Grading()
+NOT_PRESSED = "contacts there carry nothing at rest, so that nothing is linear: give a top load"
+
+
+class Layer(NamedTuple):
+    """The last grains of a chain, S of them, counted away from it, and the cell that repeats there.
+
+    Attributes
+    ----------
+    masses, stiffness, viscosity : (S,) arrays
+        Of each grain, kg, and of the contact beyond it, N/m and s; stiffness 0 of no contact.
+    cell : int
+        P: the first P grains and contacts repeat before the sponge.
+    """
+
+    masses: Array
+    stiffness: Array
+    viscosity: Array
+    cell: int
+
+    @property
+    def bands(self) -> Array:
+        """Edges of the bands of the cell, (P, 2) rad/s."""
+        m = self.masses[: self.cell]
+        k = self.stiffness[: self.cell]
+        edges = []
+        for turn in (1.0, -1.0):
+            matrix = np.diag(k + np.roll(k, 1))
+            for n in range(self.cell):
+                below = (n + 1) % self.cell
+                # the last grain of the cell touches the first of the next one
+                coupling = k[n] * (turn if below == 0 else 1.0)
+                matrix[n, below] -= coupling
+                matrix[below, n] -= coupling
+            edges.append(np.linalg.eigvalsh(matrix / np.sqrt(np.outer(m, m))))
+        return np.sqrt(np.maximum(np.sort(np.transpose(edges), axis=1), 0.0))
+
+    @property
+    def middle(self) -> Array:
+        """Frequencies in the middle of every band, (F,) rad/s."""
+        margin = (1 - GRADING.middle) / 2
+        share = np.linspace(margin, 1 - margin, GRADING.frequencies)
+        low, high = self.bands.T[:, :, None]
+        return (low + share * (high - low)).ravel()
+
+
+def layer(chain: Chain, end: str, grains: int, cell: int) -> Layer:
+    """Return so many grains at the "top" or "bottom" of a chain, and the period of their cell."""
+    masses = chain.masses[: chain.movable]
+    contacts = slice(0, chain.movable + 1)
+    stiffness = chain.contacts.stiffness[contacts]
+    viscosity = chain.contact_viscosity[contacts]
+    size = grains - (chain.grains - chain.movable)
+    if end == "top":
+        size = grains
+        masses = masses[::-1]
+        stiffness = stiffness[::-1]
+        viscosity = viscosity[::-1]
+    return Layer(masses[-size:], stiffness[-size:], viscosity[-size:], cell)
+
+
+def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
+    """Return the amplitude that comes back of a wave of amplitude 1, (F,), without time's phase.
+
+    Parameters
+    ----------
+    sponge : Layer
+    drag : (S,) array
+        gamma of its grains, 1/s.
+    frequency : (F,) array
+        rad/s, within the bands of the cell.
+    """
+    square = frequency**2
+    inertia = [m * (square + 1j * g * frequency) for m, g in zip(sponge.masses, drag, strict=True)]
+    springs = [
+        k * (1 - 1j * a * frequency)
+        for k, a in zip(sponge.stiffness, sponge.viscosity, strict=True)
+    ]
+    # from a displacement of 1 of the last grain, and the force on what holds it
+    displacement = np.ones(frequency.shape, complex)
+    force = springs[-1] * displacement
+    last = sponge.cell - 1
+    before = [sponge.stiffness[last], *springs[:-1]]
+    for mass, spring in zip(inertia[::-1], before[::-1], strict=True):
+        force = force - mass * displacement
+        displacement = displacement + force / spring
+        # the ratio of the two alone matters
+        size = np.abs(displacement) + np.abs(force / spring)
+        displacement = displacement / size
+        force = force / size
+    # one cell up without losses: a matrix with the determinant 1, whose eigenvectors are the waves
+    a = np.ones(frequency.shape)
+    b = np.zeros(frequency.shape)
+    c = np.zeros(frequency.shape)
+    d = np.ones(frequency.shape)
+    for n in range(last, -1, -1):
+        c = c - sponge.masses[n] * square * a
+        d = d - sponge.masses[n] * square * b
+        a = a + c / sponge.stiffness[n - 1 if n else last]
+        b = b + d / sponge.stiffness[n - 1 if n else last]
+    turn = np.sqrt(np.maximum(1 - ((a + d) / 2) ** 2, 0.0))
+    # of the two the one that carries energy away from the chain
+    onward = (a + d) / 2 - 1j * np.sign(b) * turn
+    share = displacement / b
+    outgoing = force + (a - onward.conj()) * share
+    incoming = force + (a - onward) * share
+    return np.asarray(-incoming / outgoing)
+
+
+def graded(size: int, strongest: float, power: int) -> Array:
+    """Return the drag of a sponge of S grains away from the chain, (S,) 1/s."""
+    return strongest * ((np.arange(size) + 0.5) / size) ** power
+
+
+def matched(sponge: Layer) -> Array:
+    """Return the drag, (S,) 1/s, that reflects least in the middle of all bands of the cell."""
+    from scipy.optimize import minimize_scalar
+
+    frequency = sponge.middle
+    highest = float(sponge.bands.max())
+    size = sponge.masses.size
+    bounds = [math.log(highest * x) for x in (GRADING.weakest, GRADING.strongest)]
+
+    def worst(strongest: float, power: int) -> float:
+        drag = graded(size, math.exp(strongest), power)
+        return float(np.log(np.abs(reflection(sponge, drag, frequency))).max())
+
+    best: list[Any] = []
+    for power in GRADING.powers:
+        least = minimize_scalar(worst, bounds=bounds, args=(power,), method="bounded")
+        best.append((least.fun, power, math.exp(least.x)))
+    _, power, strongest = min(best)
+    return graded(size, strongest, power)
+
+
+def period(chain: Chain, end: str) -> int:
+    """Return the period of the grains at an end; 1 if none repeats, of the last grain alone."""
+    # that of a sponge which is there already repeats nothing
+    fields = _listed(chain) | {"drag": 0.0}
+    rows = [row for row in fields.values() if isinstance(row, tuple | np.ndarray)]
+    window = 2 * GRADING.longest_cell
+    tails = [list(row[::-1] if end == "top" else row)[-window:] for row in rows]
+    for length in range(1, GRADING.longest_cell + 1):
+        if all(len(tail) >= 2 * length - 1 and tail[length:] == tail[:-length] for tail in tails):
+            return length
+    return 1
+
+
+def add(chain: Chain, top: int, bottom: int) -> Chain:
+    """Return `patterns.absorbing` of these numbers of grains."""
+    cells = {"top": period(chain, "top"), "bottom": period(chain, "bottom")}
+    sizes = {"top": top, "bottom": bottom}
+    longer = _longer(chain, sizes, cells)
+    drag = longer.drag.copy()
+    for end, size in sizes.items():
+        if not size:
+            continue
+        if size < 3 * cells[end]:
+            least = f"must be three cells or more, {3 * cells[end]} grains (got {size})"
+            raise InputError.at(end, least)
+        ending = layer(longer, end, size, cells[end])
+        if not ending.stiffness[:-1].all():
+            raise InputError.at(end, NOT_PRESSED)
+        gamma = matched(ending)
+        _remark(end, size, ending, gamma)
+        if end == "top":
+            drag[:size] += gamma[::-1]
+        else:
+            # a grain that is held has no use for drag
+            drag[longer.movable - gamma.size : longer.movable] += gamma
+    return longer.replace(damping=Damping(viscoelastic=longer.damping.viscoelastic, drag=drag))
+
+
+def _remark(end: str, size: int, ending: Layer, drag: Array) -> None:
+    """Warn if much of a wave comes back."""
+    share = float(np.abs(reflection(ending, drag, ending.middle)).max() ** 2)
+    if share > GRADING.remarked:
+        warn(
+            f"{end}: of the energy {100 * share:.2g} % comes back from {size} grains, in the "
+            "middle of the bands: give the sponge more",
+            stacklevel=4,
+        )
+
+
+def _listed(chain: Chain) -> dict[str, Any]:
+    """Return what a chain has of all grains or contacts, or lists for each."""
+    fields = chain.given()
+    keys = ("material", "diameter", "masses", "contact_constants")
+    lists = {key: fields[key] for key in keys if key in fields}
+    return lists | {"viscoelastic": chain.damping.viscoelastic, "drag": chain.damping.drag}
+
+
+def _longer(chain: Chain, sizes: dict[str, int], cells: dict[str, int]) -> Chain:
+    """Return a chain that goes on as it ends, by these numbers of grains."""
+    top = sizes["top"]
+
+    def go_on(values: Any) -> Any:
+        if not isinstance(values, tuple | np.ndarray):
+            return values
+        size = len(values)
+        number = np.arange(-top, size + sizes["bottom"])
+        cell = size - cells["bottom"]
+        number = np.where(number < 0, number % cells["top"], number)
+        number = np.where(number >= size, cell + (number - cell) % cells["bottom"], number)
+        return values[number] if isinstance(values, np.ndarray) else [values[n] for n in number]
+
+    lists = {key: go_on(values) for key, values in _listed(chain).items()}
+    damping = Damping(viscoelastic=lists.pop("viscoelastic"), drag=lists.pop("drag"))
+    impurity = [one.replace(grain=one.grain + top) for one in chain.impurity]
+    fields = chain.given() | lists | {"grains": chain.grains + top + sizes["bottom"]}
+    return Chain(**fields | {"impurity": impurity, "damping": damping})

@@ -1,0 +1,163 @@
+"""Ends that absorb: what sponges give back, against linear systems solved as a whole."""
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import Chain, patterns
+from lmpchain.errors import InputError
+from lmpchain.theory import scattering
+
+PRESSED = {"gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
+UNIFORM = Chain(grains=30, diameter=1e-2, material="steel", **PRESSED)
+DIMER = patterns.periodic(41, 1e-2, ["steel", "ptfe"], **PRESSED)
+
+
+def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
+    """Return the amplitude that comes back of a wave in the first grains of a chain.
+
+    Forced on grain 1, all grains follow from one linear system; in one grain of every cell the wave
+    is a exp(i q j) + b exp(-i q j).
+    """
+    diagonal, coupling = chain.dynamical_matrix()
+    drag = chain.drag[: chain.movable].astype(complex)
+    # losses of the sponge above, which is no end here
+    drag[:before] = 0.0
+    matrix = np.diag(diagonal - omega**2 - 1j * omega * drag)
+    matrix += np.diag(coupling, 1) + np.diag(coupling, -1)
+    force = np.zeros(chain.movable)
+    force[0] = 1.0
+    u = np.linalg.solve(matrix, force)[2:before:cell]
+    turn = np.mean((u[2:] + u[:-2]) / (2 * u[1:-1])).real
+    steps = np.arange(u.size)
+    waves = np.exp(1j * np.arccos(turn) * steps)
+    amplitudes, *_ = np.linalg.lstsq(np.column_stack((waves, waves.conj())), u, rcond=None)
+    smaller, larger = sorted(np.abs(amplitudes))
+    return float(smaller / larger)
+
+
+@pytest.mark.parametrize(("chain", "cell"), [(UNIFORM, 1), (DIMER, 2)], ids=["uniform", "dimer"])
+@pytest.mark.parametrize("bottom", ["wall", "fixed"])
+def test_reflection_is_that_of_the_whole_system(chain, cell, bottom):
+    absorbs = patterns.absorbing(chain.replace(bottom=bottom), bottom=60)
+    bands = scattering.reflection(absorbs, 60).bands
+    assert len(bands) == cell
+    for low, high in bands:
+        for place in (0.1, 0.45, 0.9):
+            omega = low + place * (high - low)
+            expected = given_back(absorbs, chain.grains, cell, omega)
+            amplitude = scattering.reflection(absorbs, 60, frequency=[omega]).amplitude
+            assert abs(amplitude[0]) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("chain", "grains", "amplitude"),
+    [(UNIFORM, 60, 1.3e-3), (UNIFORM, 80, 1e-3), (DIMER, 60, 7.5e-3), (DIMER, 120, 1e-3)],
+)
+def test_as_little_comes_back_as_the_page_says(chain, grains, amplitude):
+    absorbs = patterns.absorbing(chain, bottom=grains, top=grains)
+    for end in ("bottom", "top"):
+        wave = scattering.reflection(absorbs, grains, end)
+        limit = amplitude if end == "bottom" else 1.5 * amplitude
+        assert np.abs(wave.amplitude).max() < limit
+        assert wave.reflected.max() < 1e-3
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5])
+def test_a_driven_dimer_between_sponges_lets_through_what_theory_says(share):
+    leads = ["steel"] * 20
+    material = [*leads, *["steel", "aluminium"] * 30, *leads]
+    chain = Chain(grains=100, material=material, diameter=1e-2, **PRESSED)
+    size = 80
+    absorbs = patterns.absorbing(chain, bottom=size, top=size)
+    stiffness = chain.linear_stiffness[0]
+    omega = share * 2 * np.sqrt(stiffness / chain.masses[0])
+    through = scattering.transmission(chain, [omega])
+    # what the force sends down an endless uniform lead
+    push = 1e-4
+    incoming = push / (2 * stiffness * np.sin(2 * np.arcsin(share)))
+    periods = 300
+    scene = lmpchain.Scene(
+        chain=absorbs,
+        excitation=lmpchain.Force(grain=size + 6, amplitude=push, frequency=omega / (2 * np.pi)),
+        duration=periods * 2 * np.pi / omega,
+        samples=8 * periods + 1,
+        grains=[size + 95],
+    )
+    answer = lmpchain.simulate(scene, engine="native", tolerance=1e-5)
+    # of the last hundred periods, what has the frequency of the force
+    late = slice(8 * (periods - 100), 8 * periods)
+    window = np.hanning(801)[:-1]
+    turned = window * np.exp(1j * omega * answer.time[late]) * answer.displacement[late, 0]
+    amplitude = 2 * abs(turned.sum()) / window.sum() / incoming
+    assert amplitude == pytest.approx(abs(through.amplitude_transmitted[0]), rel=1e-3)
+    assert 0.4 < through.transmitted[0] < 0.99
+
+
+def test_a_chain_goes_on_as_it_ends():
+    with pytest.warns(UserWarning, match="comes back from [67] grains"):
+        absorbs = patterns.absorbing(DIMER, bottom=7, top=6)
+    names = [material.name for material in absorbs.material]
+    assert names == ["steel", "ptfe"] * 27
+    assert np.array_equal(absorbs.drag[6:47], np.zeros(41))
+    masses = np.arange(1.0, 31.0) * 1e-3
+    masses[-16:] = np.resize([1e-3, 2e-3, 3e-3], 16)
+    constants = np.full(29, 1e9)
+    constants[-17:] = np.resize([1e9, 2e9, 3e9], 17)
+    listed = UNIFORM.replace(
+        masses=masses,
+        contact_constants=constants,
+        damping={"viscoelastic": 1e-9, "drag": np.full(30, 2.0)},
+    )
+    with pytest.warns(UserWarning, match="comes back from 9 grains"):
+        longer = patterns.absorbing(listed, bottom=9)
+    assert np.array_equal(longer.masses[30:], np.resize(np.roll(masses[-3:], 0), 9))
+    assert np.array_equal(longer.contact_constants[29:], np.resize(constants[-3:], 9))
+    assert longer.damping.viscoelastic == 1e-9
+    assert longer.drag[:30].tolist() == [2.0] * 30
+    assert (np.diff(longer.drag[29:]) > 0).all()
+    odd = UNIFORM.replace(impurity=[{"grain": 15, "diameter": 2e-2}])
+    assert patterns.absorbing(odd, bottom=60, top=60).impurity[0].grain == 75
+
+
+def test_a_column_under_gravity_absorbs_at_its_bottom():
+    column = Chain(grains=100, diameter=1e-3)
+    absorbs = patterns.absorbing(column, bottom=100)
+    assert absorbs.equilibrium_force[:98] == pytest.approx(column.equilibrium_force[:98])
+    assert scattering.reflection(absorbs, 100).reflected.max() < 1e-4
+    with pytest.raises(InputError, match="would weigh on the chain"):
+        patterns.absorbing(column, top=60)
+
+
+def test_a_striker_keeps_its_side_of_the_chain():
+    striker = UNIFORM.replace(load_grain=2)
+    absorbs = patterns.absorbing(striker, bottom=60)
+    assert absorbs.load_grain == 2
+    with pytest.raises(InputError, match="would be loose"):
+        patterns.absorbing(striker, top=60)
+
+
+@pytest.mark.parametrize(
+    ("chain", "sizes", "message"),
+    [
+        (UNIFORM, {"bottom": 0}, "no sponge at all"),
+        (UNIFORM, {"bottom": 2.5}, "whole number of grains"),
+        (UNIFORM, {"bottom": -1}, "whole number of grains"),
+        (DIMER, {"bottom": 5}, "three cells or more, 6 grains"),
+        (UNIFORM.replace(top_load=0.0), {}, "carry nothing at rest"),
+    ],
+)
+def test_what_cannot_absorb_is_refused(chain, sizes, message):
+    with pytest.raises(InputError, match=message):
+        patterns.absorbing(chain, **sizes)
+
+
+def test_reflection_of_a_short_end_or_beyond_the_bands_is_refused():
+    absorbs = patterns.absorbing(UNIFORM, bottom=60)
+    for options, message in (
+        ({"grains": 2}, "three cells"),
+        ({"end": "left"}, "bottom"),
+        ({"frequency": [1e9]}, "within a band"),
+    ):
+        with pytest.raises(InputError, match=message):
+            scattering.reflection(absorbs, **options)
