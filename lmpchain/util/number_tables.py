@@ -264,30 +264,47 @@ def _first_row(
 ) -> int:
     """Return the index of the first line of a table; raises `InputError` if it is interrupted."""
     places = set(numeric)
-    first = None
-    kinds: set[tuple[int, ...]] = set()
     plain = layout.rows(numeric)
+    first = len(lines)
+    kinds: set[tuple[int, ...]] = set()
     for index in reversed(range(len(lines))):
-        # of a million lines nearly all
-        if first == index + 1 and plain.fullmatch(lines[index][1]):
+        line = lines[index][1]
+        # quicker, of a million lines nearly all
+        no_words = plain.fullmatch(line) is not None
+        numbers, words = (places, ()) if no_words else _numbers_and_words(layout, line)
+        if places <= numbers:
             first = index
-            kinds.add(())
-            continue
-        cells = layout.cells(lines[index][1])
-        numbers = set(layout.numeric(cells))
-        # where there is text beside numbers
-        kind = tuple(place for place, cell in enumerate(cells) if cell and place not in numbers)
-        if places <= numbers and (first is None or index == first - 1):
-            first = index
-            kinds.add(kind)
-        elif first is not None:
-            # a header has no numbers in these columns, and no such rows above it
-            if index == first - 1 and places & numbers:
-                raise _no_number(path, lines[index], layout, numeric)
-            if places <= numbers and kind in kinds:
-                raise _no_number(path, lines[first - 1], layout, numeric)
-    assert first is not None
+            kinds.add(words)
+        elif first < len(lines):
+            break
+    _check_above(path, lines[:first], layout, numeric, kinds)
     return first
+
+
+def _numbers_and_words(layout: Layout, line: str) -> tuple[set[int], tuple[int, ...]]:
+    """Return the places of the numbers, and of the other cells that are not empty, in a line."""
+    cells = layout.cells(line)
+    numbers = set(layout.numeric(cells))
+    return numbers, tuple(n for n, cell in enumerate(cells) if cell and n not in numbers)
+
+
+def _check_above(
+    path: Path,
+    above: Sequence[tuple[int, str]],
+    layout: Layout,
+    numeric: tuple[int, ...],
+    kinds: set[tuple[int, ...]],
+) -> None:
+    """Raise `InputError` if rows of a table, with words at such places, are among lines above it.
+
+    Directly above it is a header, without numbers in its columns.
+    """
+    places = set(numeric)
+    rows = [_numbers_and_words(layout, line) for _, line in above]
+    if any(places <= numbers and words in kinds for numbers, words in rows[:-1]) or (
+        rows and places & rows[-1][0]
+    ):
+        raise _no_number(path, above[-1], layout, numeric)
 
 
 def _no_number(
