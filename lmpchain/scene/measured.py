@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..errors import InputError
 from ..util.remarks import note
@@ -57,6 +57,12 @@ class Measured(Excitation):
     def _arrays(cls, file: Any) -> tuple[Reading, dict[str, Any]]:
         """Read a file, and return the fields that its columns fill."""
         raise NotImplementedError
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a checked copy with these fields changed, which is not what the file says."""
+        described = {"grain", "start", "interpolation", "source"}
+        source = {} if changes.keys() <= described else {"source": None}
+        return super().replace(**source | changes)
 
     def _compared(self) -> Iterable[str]:
         return [key for key in self.arguments if key != "source"]

@@ -129,7 +129,7 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Reflection(Shown):
+class Reflection(Shown, Tabular):
     """What comes back from an end of a chain.
 
     Attributes
@@ -144,6 +144,8 @@ class Reflection(Shown):
     bands : (B, 2) array
         Edges of the bands of the cell that repeats, rad/s.
     """
+
+    _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "amplitude": "", "reflected": ""}
 
     frequency: Array
     amplitude: Complex

@@ -344,3 +344,7 @@ def test_equal_forces_may_come_from_different_files(tmp_path: Path):
     assert forces[0] == forces[1] == points
     assert len({*forces, points}) == 1
     assert forces[0].source != forces[1].source
+    assert forces[0].replace(grain=2).source == forces[0].source
+    # what is changed is no more what the file says
+    assert forces[0].scaled(2.0).source is None
+    assert forces[0].scaled(2.0) == points.replace(force=[2, 4])
