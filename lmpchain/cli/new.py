@@ -11,7 +11,7 @@ from .common import beside, output
 # example, and what it shows
 EXAMPLES = {
     "column": "glass beads under gravity, struck on the top one",
-    "striker": "a ball of PTFE strikes a row of steel balls: solitary waves",
+    "striker": "a ball of PTFE strikes a precompressed row of steel balls",
     "dimer": "steel and aluminium in turn, pressed together: a gap between two bands",
     "driven": "a burst of a piezo travels down a precompressed row",
     "disorder": "balls of random diameters scatter a wave",
