@@ -310,10 +310,6 @@ class Engine(ABC):
         if scene.chain.damped and not self.dissipates:
             cure = "leave damping out, or use native, lammps or modes"
             reasons = [*reasons, ("chain.damping", f"{self.name} conserves energy: {cure}")]
-        if scene.contacts and scene.chain.damping.longest_time > 0:
-            cure = "use measure.contact.contacts, which has them at samples"
-            why = f"forces of viscous contacts are not gathered along a run: {cure}"
-            reasons = [*reasons, ("quantities", why)]
         # quantities are gathered from accelerations, which the two chain equations give
         if scene.quantities and not self.moves_grains:
             why = f"{self.name} solves no equation of motion of the grains, which gathering needs"

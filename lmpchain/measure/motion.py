@@ -209,7 +209,8 @@ class Motion:
         if chain.bottom == "free":
             raise InputError.at("end", "there is no wall at the end 'bottom' of this chain")
         if chain.damping.longest_time > 0:
-            cure = "use measure.contact.wall_force, which has that at samples"
+            number = chain.movable
+            cure = f'add "peak_force:{number}" to the quantities of the scene, or use wall_force'
             fault = f"of a viscous contact the largest force is not where it is closest: {cure}"
             raise InputError.at("chain.damping.viscoelastic", fault)
         # a fixed grain N takes the place of the wall, and carries its own weight besides

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..scene.scene import Scene
 from ..trajectory.between.derivatives import STILL, Block, by_body, derive, imposed_on, law_of
 from ..trajectory.between.fronts import Rules, arrivals
 from ..trajectory.between.maxima import Largest, Log, Window, approach, events_of, reduce
+from ..trajectory.between.viscous_forces import ViscousContact, largest_force
 from ..util.arrays import EPSILON, Array
 
 FRACTION = 0.5  # of the largest speed of a grain, that its front has at least
@@ -49,6 +51,7 @@ class Gatherer:
         # contacts by their numbers in the part
         self._peaks = self._contacts(PEAK)
         self._traces = self._contacts(TRACE)
+        self._viscous = scene.chain.damping.longest_time > 0
         fronts = "arrival_time" in scene.quantities
         fast = fronts or "peak_velocity" in scene.quantities
         far = "peak_displacement" in scene.quantities
@@ -59,6 +62,9 @@ class Gatherer:
             "log": events_of(np.zeros(0)),
             "closest": np.full((len(self._peaks), 3), -np.inf),
             "trace": np.zeros((len(self._traces), part.samples if self._traces else 0)),
+            # of viscous contacts: rates of the traces, and largest force, error, approach and rate
+            "rate": np.zeros((len(self._traces) * self._viscous, part.samples)),
+            "strongest": np.full((len(self._peaks) * self._viscous, 4), -np.inf),
             "largest": np.zeros(2),
             "before": np.zeros((2, 0, size)),
             "interval": np.zeros((), dtype=np.int64),
@@ -118,14 +124,36 @@ class Gatherer:
             )
             window = Window(base, begin - base, end - base)
             self._take_intervals(block, window)
+            for number, strongest in zip(self._peaks, state["strongest"], strict=False):
+                relative = self._relative(number, rows_u, rows_v, imposed.wall)
+                force = largest_force(self._contact(number), relative, self._step, window)
+                strongest[:] = force if force[0] > strongest[0] else strongest
             state["interval"] = np.array(end)
         # the next interval is judged by its neighbours, too
         state["before"] = np.array([rows_u[-3:], rows_v[-3:]])
         state["largest"] = np.maximum(state["largest"], [np.abs(u).max(), np.abs(v).max()])
-        for row, number in zip(state["trace"], self._traces, strict=True):
-            above = u[:, number - 1] if number else imposed.wall[0, -count:]
-            below = u[:, number] if number < u.shape[1] else 0.0
-            row[first : last + 1] = above - below
+        for row, number in enumerate(self._traces):
+            relative = self._relative(number, u, v, imposed.wall[:, -count:])
+            state["trace"][row, first : last + 1] = relative[0]
+            if self._viscous:
+                state["rate"][row, first : last + 1] = relative[1]
+
+    def _relative(self, number: int, u: Array, v: Array, wall: Array) -> Array:
+        """Return how much closer the bodies of a contact of the part are, and its rate, (2, B)."""
+        size = self._part.chain.grains
+        pairs = zip((u, v), wall, strict=False)
+        return np.array(
+            [
+                (x[:, number - 1] if number else of_wall) - (x[:, number] if number < size else 0.0)
+                for x, of_wall in pairs
+            ]
+        )
+
+    def _contact(self, number: int) -> ViscousContact:
+        """Return a contact of the part."""
+        chain = self._part.chain
+        law = chain.contacts.of(np.array([number]))
+        return ViscousContact(law, float(chain.contact_viscosity[number]))
 
     def _take_intervals(self, block: Block, window: Window) -> None:
         """Take in largest values, events and approaches of contacts in some intervals."""
@@ -174,30 +202,43 @@ class Gatherer:
             results[name], results[f"{name}_error"] = estimate
         for name, number in self._scene.contacts.items():
             contact = number - self._first
+            doubts = 2 * u_error, 2 * v_error
             if name.partition(":")[0] == PEAK:
-                closer, doubt = self._closest(contact, 2 * u_error)
-                force, force_error = self._forces(number, closer, doubt)
+                force, force_error = self._peak(contact, number, doubts)
                 results[name] = force[0]
                 results[f"{name}_error"] = force_error[0]
             else:
-                closer, doubt = self._trace(contact, 2 * u_error)
-                results[name], results[f"{name}_error"] = self._forces(number, closer, doubt)
+                motion, doubt = self._trace(contact, doubts)
+                results[name], results[f"{name}_error"] = self._forces(number, motion, doubt)
                 results["fine_time"] = part.time
         return results
 
-    def _closest(self, contact: int, error: float) -> tuple[Array, Array]:
-        """Return the largest approach beyond that at rest, and its error, (1,) m."""
+    def _peak(self, contact: int, number: int, doubts: tuple[float, float]) -> tuple[Array, Array]:
+        """Return the largest force of a contact, and its error, (1,) N.
+
+        `contact` is its number in the part, `doubts` are errors of approach and rate, m and m/s.
+        """
         # nothing moves outside of the part
         if contact not in self._peaks:
-            return np.zeros(1), np.zeros(1)
-        closest = self._state["closest"][self._peaks.index(contact)]
-        return Largest(*closest[:, None]).estimate(error)
+            return self._forces(number, np.zeros((2, 1)), (0.0, 0.0))
+        row = self._peaks.index(contact)
+        if not self._viscous:
+            closest, doubt = Largest(*self._state["closest"][row][:, None]).estimate(doubts[0])
+            return self._forces(number, np.array([closest, np.zeros(1)]), (doubt, 0.0))
+        force, error, *motion = self._state["strongest"][row]
+        off = self._forces(number, np.array(motion)[:, None], doubts)[1]
+        return np.array([force]), error + off
 
-    def _trace(self, contact: int, error: float) -> tuple[Array, Array]:
-        """Return approaches beyond that at rest at fine times, (T,), and their error, (1,) m."""
+    def _trace(
+        self, contact: int, doubts: tuple[float, float]
+    ) -> tuple[Array, tuple[float, float]]:
+        """Return approaches and rates at fine times, (2, T) m and m/s, and the errors of either."""
+        still = np.zeros(self._part.samples)
         if contact not in self._traces:
-            return np.zeros(self._part.samples), np.zeros(1)
-        return self._state["trace"][self._traces.index(contact)], np.full(1, error)
+            return np.array([still, still]), (0.0, 0.0)
+        row = self._traces.index(contact)
+        rate = self._state["rate"][row] if self._viscous else still
+        return np.array([self._state["trace"][row], rate]), doubts
 
     def _of_recorded(self, fields: Array | tuple[Array, Array], at_rest: float) -> Array:
         """Return two fields of the grains of the part, (2, N), as those of recorded grains."""
@@ -205,15 +246,18 @@ class Gatherer:
         extended[:, self._first : self._first + self._part.chain.grains] = fields
         return extended[:, self._scene.recorded - 1]
 
-    def _forces(self, number: int, closer: Array, error: Array) -> tuple[Array, Array]:
-        """Return forces of a contact and their errors, N, from approaches beyond rest, m."""
-        contact = self._scene.chain.contacts.of(np.array([number]))
-        lowest, force, highest = (
-            contact.force_at(contact.overlap + distance)
-            for distance in (closer - error, closer, closer + error)
-        )
-        rounding = ROUNDED * EPSILON * force
-        return force, np.maximum(highest - force, force - lowest) + rounding
+    def _forces(self, number: int, motion: Array, doubts: Any) -> tuple[Array, Array]:
+        """Return forces of a contact and their errors, N, from approaches and rates, (2, ...)."""
+        chain = self._scene.chain
+        law = chain.contacts.of(np.array([number]))
+        contact = ViscousContact(law, float(chain.contact_viscosity[number]))
+        closer, closing = motion
+        force = contact.force(closer, closing)
+        off = np.zeros(force.shape)
+        for nearer, faster in product((-1, 1), (-1, 1) if self._viscous else (0,)):
+            other = contact.force(closer + nearer * doubts[0], closing + faster * doubts[1])
+            off = np.maximum(off, np.abs(other - force))
+        return force, off + ROUNDED * EPSILON * np.abs(force)
 
     def _arrivals(self, error: float) -> Array:
         """Return when the front passes each grain of the part, and the error of that, (2, N) s."""

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
 from ..measure.motion import RESOLVED, RESOLVED_BY_DIFFERENCES, Motion
 from ..measure.recorded import columns
 from ..scene.recording import contact_of
@@ -168,21 +167,19 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     Raises
     ------
     InputError
-        If there is no such contact, or it is viscous.
+        If there is no such contact.
     """
-    forces = [name for name in keep if of_contact(name) or name == "wall_force"]
-    if forces and scene.chain.damping.longest_time > 0:
-        cure = "keep displacement and velocity, of which measure.contact makes them"
-        fault = f"{forces[0]}: the largest force of a viscous contact is not gathered: {cure}"
-        raise InputError.at("keep", fault)
     # between samples closer than this the equation of motion leaves no room for a larger value;
     # with damping accelerations follow from samples, which must be closer
     resolved = RESOLVED_BY_DIFFERENCES if scene.chain.damped else RESOLVED
     swift = scene.highest_frequency * scene.duration / (scene.samples - 1) > resolved
+    # not where it is closest: samples alone do not show the largest force of a viscous contact
+    viscous = scene.chain.damping.longest_time > 0
     gathered_names = {
         _gathered_name(scene, name)
         for name in keep
-        if of_contact(name) or (swift and moves_grains and is_extreme(name))
+        if of_contact(name)
+        or (moves_grains and is_extreme(name) and (swift or (viscous and name == "wall_force")))
     }
     missing = sorted(gathered_names - {*scene.quantities, ""})
     return scene.replace(quantities=(*scene.quantities, *missing)) if missing else scene

@@ -21,7 +21,6 @@ from lmpchain import (
     simulate_many,
 )
 from lmpchain.cli.command_line import main
-from lmpchain.design import gradient
 from lmpchain.engines import Native
 from lmpchain.measure import contact, energy, motion
 from lmpchain.orbits import normal_mode
@@ -116,7 +115,6 @@ def test_the_choice_of_engine_knows():
 @pytest.mark.parametrize(
     "compute",
     [
-        lambda scene: gradient(scene, "peak_force:3", ["masses"]),
         lambda scene: normal_mode(scene.chain, 1, 1e-15),
         lambda scene: scattering.transparent(scene.chain, 1e3, [5, 6]),
         lambda scene: bands.branches(scene.chain, [0.1]),
@@ -213,18 +211,8 @@ def test_beyond_the_light_cone_nothing_can_be_seen(viscoelastic):
     assert cone.scene.chain.grains < 1.5 * (inside[-1] - inside[0] + 1) + 100
 
 
-@pytest.mark.parametrize("name", ["peak_force:3", "force:3"])
-def test_forces_of_viscous_contacts_are_not_gathered(name):
-    scene = scene_of(ACTS["strike"], 21).replace(quantities=[name])
-    with pytest.raises(InputError, match="quantities: forces of viscous contacts"):
-        simulate(scene, engine="native")
-    # a drag leaves the force of a contact as it is
-    dragged = scene.replace(chain=scene.chain.replace(damping={"drag": 1e3}))
-    assert simulate(dragged, engine="native").gathered[name].size
-
-
 def test_the_largest_force_on_a_wall_is_that_of_samples():
     t = simulate(scene_of(ACTS["strike"], 21), engine="native")
-    with pytest.raises(InputError, match=r"use measure\.contact\.wall_force"):
+    with pytest.raises(InputError, match=r'add "peak_force:.*or use wall_force'):
         motion.motion_of(t).largest_wall_force()
     assert contact.wall_force(t).max() > 0

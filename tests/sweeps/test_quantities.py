@@ -259,19 +259,3 @@ def test_what_samples_do_not_show_to_a_tenth_is_left_out_with_the_reason(tmp_pat
     assert "too far apart to show peak_velocity" in str(results.reason[0].values)
     assert np.isnan(results.peak_velocity).any()
     assert np.isfinite(results.velocity).all()
-
-
-@pytest.mark.parametrize("name", ["wall_force", "peak_force:3"])
-def test_the_largest_force_of_a_viscous_contact_is_refused(name, tmp_path):
-    """It is not where the contact is closest, where a lossless one has it."""
-    tables = {
-        "keep": [name],
-        "scene": {
-            "chain": {"grains": 5, "diameter": 1e-3},
-            "excitation": {"kind": "impulse", "velocity": 1e-4},
-            "recording": {"duration": 1e-5, "samples": 11},
-        },
-        "grid": {"chain.damping.viscoelastic": [0.0, 1e-8]},
-    }
-    with pytest.raises(InputError, match="of a viscous contact is not gathered"):
-        sweep(tables, tmp_path / "results")
