@@ -195,6 +195,16 @@ def repeated(grains: int, cell: Any, taper: float = 0.0, **rest: Any) -> Chain:
 def written_out(keys: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a chain with `material` and `diameter` in place of `cell` and `taper`.
 
+    Parameters
+    ----------
+    keys : dict
+        Of the table `[chain]` of a scene file.
+
+    Returns
+    -------
+    dict
+        The same where there is neither.
+
     Raises
     ------
     InputError

@@ -72,7 +72,7 @@ def gather(
         Kinetic energy, total energy, work of a drive and energy dissipated, above rest.
     above_rest : bool
         Whether forces are what they are above those at rest, as of piezoelectric sensors, which
-        `design.fit` takes; their names begin with "change_" then.
+        `design.fit` takes; their names begin with ``change_`` then.
 
     Returns
     -------
