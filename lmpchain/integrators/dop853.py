@@ -63,7 +63,8 @@ class DormandPrince:
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
-        from .kernels.dop853 import march
+        from .kernels.dop853 import march, march_by_step
 
         openings = shorten_steps(self.order, batch, schedules)
-        return March(march, (self.tables, openings, schedules[0].adaptive, batch.dissipation))
+        method = self.tables, openings, schedules[0].adaptive, batch.dissipation
+        return March(march, method, by_step=march_by_step)

@@ -26,12 +26,15 @@ class March(NamedTuple):
         Values a grain that it keeps of earlier steps.
     shared : bool
         Whether threads can share a chain.
+    by_step : function, optional
+        The same, noting when each step of a chain has ended; see `kernels.dop853.march_by_step`.
     """
 
     run: Callable[..., int]
     method: tuple[Any, ...]
     history: int = 0
     shared: bool = False
+    by_step: Callable[..., int] | None = None
 
 
 class Method(Protocol):

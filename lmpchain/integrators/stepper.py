@@ -146,6 +146,7 @@ class NativeStepper:
         clocks = np.array(rows, CLOCK)
         march = method.march(chains, self._schedules)
         self._march = march.run
+        self._by_step = march.by_step
         # threads share chains out; a chain each, or each chain if there are too few of them
         sharing = 1
         if march.shared and self._size < threads:
@@ -227,6 +228,21 @@ class NativeStepper:
         for name in ("largest_approach", "largest_displacement", "largest_speed"):
             self._state[name] = np.max([state[name] for state in self._states], axis=0)
         return steps[0]
+
+    def fill_by_step(self, u: Array, v: Array, offset: int, until: int, ends: Array) -> int:
+        """Step one chain on as `fill` does, by as many steps as there are `ends` at most.
+
+        These are filled with when each has ended, s since the last sample, 0 on a sample. Returns
+        the steps made.
+        """
+        if self._by_step is None:
+            self.fill(u, v, offset, until, 1)
+            ends[0] = self._state["done"][0]
+            return 1
+        chains, method, clocks, begin, end = self._work[0]
+        fields = Fields(u, v, NOTHING, NOTHING, offset)
+        goal = Goal(begin, end, until, ends.size)
+        return self._by_step(chains, method, clocks, fields, goal, ends)
 
     def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
         """Move the chains of one thread."""

@@ -21,7 +21,11 @@ from lmpchain.design import (
     parameters,
 )
 from lmpchain.design.changes import changed
+from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
+from lmpchain.integrators.held_steps import adaptive_steps
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
 
 GRAINS = 6
 DAMPING = {"viscoelastic": 1e-7, "drag": 3e3}
@@ -229,3 +233,22 @@ def test_what_damped_chains_cannot_give_is_refused():
     far = scene(Drive(amplitude=1e-6, frequency=2e5))
     with pytest.raises(InputError, match="DriveWork needs a viscous contact that stays closed"):
         gradient(far, DriveWork(), ["masses"])
+
+
+def test_steps_that_are_held_are_those_of_the_engine():
+    case = SCENES["contacts that open"]
+    method = DIFFERENTIABLE["dop853"]
+    step = 0.5 / case.highest_frequency
+    held = adaptive_steps(case, method, step, 4)
+    interval = case.duration / 4
+    count = int(np.ceil(interval / step))
+    schedule = StepSchedule(count, 1, interval / count, True)
+    run = NativeStepper(ChainBatch([case.replace(samples=5)]), method, schedule, {})
+    u, v = np.empty((2, 1, 5, GRAINS))
+    lengths = []
+    while run.sample < 4:
+        before = run.watched["done"][0]
+        run.fill(u, v, 0, 4, 1)
+        lengths.append((run.watched["done"][0] or interval) - before)
+    np.testing.assert_array_equal(np.concatenate(held), lengths)
+    assert len(lengths) > 4 * count

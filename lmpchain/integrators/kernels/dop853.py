@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .contact_forces import compiled_march, inlined
-from .layout import PAD, RESOLUTION
+from .layout import PAD, RESOLUTION, Goal
 from .openings import bound_nearness, shorten
 from .right_hand_side import accelerate, ahead, impose, impose_velocity
 from .sample_loop import end_of_step, sample_loop
@@ -186,3 +186,19 @@ def march(chains, method, clocks, fields, goal):
     nearest = bound_nearness(chains, clocks, method[1])
     work = np.zeros(width), np.zeros(width), slopes, np.zeros(width), creeps, nearest
     return _march(chains, method, work, clocks, fields, goal)
+
+
+@compiled_march()
+def march_by_step(chains, method, clocks, fields, goal, ends):
+    """Advance the first chain of the goal as `march` does, and note when each step has ended.
+
+    `ends` (Q,) are filled with seconds since the last landing, 0 at one; returns the steps made, Q
+    at most.
+    """
+    state = chains.state[goal.begin]
+    made = 0
+    while made < ends.size and state.sample < goal.until:
+        march(chains, method, clocks, fields, Goal(goal.begin, goal.begin + 1, goal.until, 1))
+        ends[made] = state.done
+        made += 1
+    return made
