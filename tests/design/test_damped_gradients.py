@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import taylor_series
+from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
 from lmpchain.design import (
@@ -185,6 +186,31 @@ def test_errors_cover_what_a_finer_gradient_shows(name: str, objective: Any):
     found = gradient(case, objective, names, 1e-3)
     true = gradient(case, objective, names, 1e-6)
     assert found.error <= 1e-3
+    for key in names:
+        assert np.abs(found[key] - true[key]).max() <= found.errors[key] + true.errors[key], key
+    assert abs(found.value - true.value) <= found.value_error + true.value_error
+
+
+def small(seed: int) -> Scene:
+    """Draw a damped scene of a few grains, struck or acted upon, that does not last long."""
+    rng = np.random.default_rng([77, seed])
+    while True:
+        case = damped(rng, acted_trial_scene(rng) if seed % 2 else trial_scene(rng))
+        turns = case.highest_frequency * case.duration
+        if case.chain.grains <= 40 and turns < 300 and case.chain.exponent > 1.01:
+            return case
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(n, marks=pytest.mark.slow if n < 10 else pytest.mark.soak) for n in range(40)],
+)
+def test_errors_cover_what_a_finer_gradient_of_random_scenes_shows(seed: int):
+    case = small(seed)
+    objective = [Momentum([2]), KineticEnergy([1, 2]), PeakForce(1)][seed % 3]
+    names = ["masses", "contact_constants", "damping.viscoelastic", "damping.drag"]
+    found = gradient(case, objective, names, 1e-3)
+    true = gradient(case, objective, names, 1e-5)
     for key in names:
         assert np.abs(found[key] - true[key]).max() <= found.errors[key] + true.errors[key], key
     assert abs(found.value - true.value) <= found.value_error + true.value_error
