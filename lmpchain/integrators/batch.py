@@ -85,13 +85,14 @@ class ChainBatch:
         excitation = scenes[0].excitation
         self.grains = chain.grains
         self.driven = excitation.driven
+        self._loose = chain.loose_grains
         # one start serves all scenes of one excitation, unless it depends on the chain
         differ = excitation.of_chain or any(s.excitation is not excitation for s in scenes)
         self._struck = scenes if differ else scenes[:1]
         self.initial = initial or self._initial()
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = together([scene.chain.contacts for scene in scenes])
-        overlap, force_at_rest = _with_touching(self.contacts, chain.loose_grains)
+        overlap, force_at_rest = _with_touching(self.contacts, self._loose)
         at_rest = AtRest(
             overlap=overlap,
             force=force_at_rest,
@@ -138,6 +139,9 @@ class ChainBatch:
         """
         reach = self.imposed.reach
         x, w, state = place_bodies(u, v, copies, self.driven, reach, self.links, WINDOW_MIN)
+        if self._loose:
+            # contacts that touch may be taken to have opened, as in the vacuum
+            state["least_strain"] = -1.0
         return x, w, state
 
     def arrays(
