@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from . import theory as theory
     from . import trajectory as trajectory
     from .benchmark.bench import work_precision as work_precision
+    from .benchmark.own_run import check as check
+    from .benchmark.own_run import check_deck as check_deck
     from .chain import patterns as patterns
     from .chain.chain import Chain as Chain
     from .chain.damping import Damping as Damping
@@ -79,6 +81,7 @@ _MODULES = {
     "sweeps.results": "load_sweep",
     "trajectory.trajectory": "Trajectory",
     "benchmark.bench": "work_precision",
+    "benchmark.own_run": "check check_deck",
     "doctor": "diagnose",
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
     "chain": "patterns",

@@ -31,12 +31,10 @@ from .common import (
 
 if TYPE_CHECKING:
     from ..benchmark.curves import WorkPrecision
-    from ..benchmark.reference import Reference
     from ..scene.scene import Scene
     from ..stability.result import Stability
     from ..trajectory.trajectory import Trajectory
 
-REFERENCE_S = 60.0  # longest expected time of the independent reference
 SHORT_S = 2.0  # runs that take less are run again
 
 
@@ -50,6 +48,7 @@ def compare(arguments: argparse.Namespace) -> int:
     )
     from .. import engines
     from ..benchmark import comparison
+    from ..benchmark.truth import truth
 
     reasons = {name: engines.get(name).obstacles(scene) for name in names}
     refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
@@ -58,9 +57,9 @@ def compare(arguments: argparse.Namespace) -> int:
         raise InputError(refusals)
     trajectories, failures = _solve(scene, engines_of_scene, arguments.tolerance)
     if trajectories:
-        truth = _reference(scene, arguments.tolerance)
+        solution = truth(scene, arguments.tolerance, progress=on_terminal())
         lossless = _lossless(scene, arguments.tolerance)
-        result = comparison.compare(trajectories, truth, lossless)
+        result = comparison.compare(trajectories, solution, lossless)
         print(result.table())
     for key, reason in refusals:
         print(f"left out: {reason} ({key})")
@@ -139,34 +138,6 @@ def _quickest(scene: Scene, name: str, tolerance: float) -> float:
 
     costs = repeat(lambda: simulate(scene, name, tolerance).cost)
     return min(cost.integration_s for cost in costs)
-
-
-def _reference(scene: Scene, tolerance: float) -> Reference:
-    """Return the reference solution, by the native engine if Taylor series took too long."""
-    from ..benchmark.reference import Reference, expected_seconds, reference
-    from ..scene.scene import Scene
-    from ..simulation.api import simulate
-
-    if expected_seconds(scene) <= REFERENCE_S:
-        return reference(scene)
-    # 1e-11 is a tolerance that the native engine reaches on ordinary scenes
-    tight = max(tolerance / 100, 1e-11)
-    # errors are relative to the largest motion of any grain, so that all must be recorded
-    all_grains = Scene(
-        chain=scene.chain,
-        excitation=scene.excitation,
-        duration=scene.duration,
-        samples=scene.samples,
-    )
-    try:
-        run = simulate(all_grains, "native", tight, progress=on_terminal())
-    except ToleranceNotMet as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
-    reason = "the scene is too long for the independent integrator"
-    method = f"the native engine at a tolerance of {tight:g} ({reason})"
-    return Reference(run.time, run.displacement, run.velocity, run.error_estimate.total, method)
 
 
 def workprec(arguments: argparse.Namespace) -> int:

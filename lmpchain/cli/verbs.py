@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from ..errors import shown
+from .check import check
 from .compare import compare, doctor, stability, workprec
 from .new import EXAMPLES, new
 from .orbit import orbit
@@ -331,6 +332,35 @@ VERBS = {
                 action="store_true",
                 help="forces above those at rest, as piezoelectric sensors show them",
             ),
+        ),
+    ),
+    "check": Verb(
+        check,
+        "how wrong is my own run or deck: its true error, why, and what helps",
+        (
+            _argument(
+                "run",
+                metavar="DUMP_OR_RUN",
+                nargs="?",
+                help="LAMMPS dump, or what lmpchain run saved: a file or a folder",
+            ),
+            _argument(
+                "--scene",
+                metavar="SCENE.toml",
+                help="what the dump is of; a saved run knows its own",
+            ),
+            _argument(
+                "--deck",
+                metavar="FOLDER",
+                help="in place of a run: what lmpchain deck wrote, edited or not, before it runs",
+            ),
+            _argument(
+                "--tolerance",
+                metavar="X",
+                type=float,
+                help="exit code 1 if the error is above it (default: none is)",
+            ),
+            NUMBERS,
         ),
     ),
     "fit": Verb(

@@ -123,6 +123,8 @@ def read(
             "displacement": origin,
             "column": f"along {axis}, {axis} points {'up' if motion.down < 0 else 'down'}",
             "precision": _describe_precision(numbers, column.vz[:, mover], motion),
+            "displacement_digit": repr(digit),
+            "velocity_digit": repr(_last_digit(column.vz[:, mover])),
         },
     )
 
@@ -207,13 +209,17 @@ def _directions(scene: Scene, z: Array, rest: Array | None) -> list[float]:
 
 
 def _last_digit(values: Array) -> float:
-    """Return the step of the last digit with which the largest of some numbers was written."""
+    """Return the step of the last digit with which the largest of some numbers was written.
+
+    Numbers of single precision have its digits, however many were written.
+    """
     largest = float(np.abs(values).max())
     numbers = values.tolist()
     for digits in range(1, 17):
         if largest and all(float(f"{number:.{digits - 1}e}") == number for number in numbers):
             return float(10.0 ** (np.floor(np.log10(largest)) - digits + 1))
-    return float(np.spacing(largest))
+    single = values.astype(np.float32)
+    return float(np.spacing(np.abs(single).max() if (single == values).all() else largest))
 
 
 def _check_digits(name: str, heights: Array, motion: float) -> None:

@@ -28,6 +28,7 @@ from lmpchain import (
     orbits,
     simulate,
 )
+from lmpchain.benchmark.truth import truth
 from lmpchain.cli import command_line, common, compare, orbit, pages
 from lmpchain.cli.command_line import main
 from lmpchain.simulation.signals import Stopped
@@ -328,6 +329,7 @@ WORDS = {
     "workprec": ["s.toml"],
     "stability": ["s.toml"],
     "sweep": ["w.toml", "-o", "out"],
+    "check": ["column.lammpstrj", "--scene", "s.toml"],
     "doctor": [],
     "docs": [],
 }
@@ -418,36 +420,34 @@ def test_the_reference_of_a_long_scene_is_a_hundred_times_tighter(
         assert scene.grains == "all"
         return answer
 
-    monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
-    monkeypatch.setattr("lmpchain.benchmark.reference.reference", lambda scene: "Taylor")
+    monkeypatch.setattr("lmpchain.benchmark.truth.simulate", simulated)
+    monkeypatch.setattr("lmpchain.benchmark.truth.reference", lambda scene: "Taylor")
     for seconds, tolerance, tight in (
         (59.0, 1e-6, None),
         (60.0, 1e-6, None),
         (61.0, 1e-6, 1e-8),
         (61.0, 1e-10, 1e-11),
     ):
-        monkeypatch.setattr(
-            "lmpchain.benchmark.reference.expected_seconds", lambda scene, s=seconds: s
-        )
-        truth = compare._reference(answer.scene.replace(grains=[1, 2]), tolerance)
+        monkeypatch.setattr("lmpchain.benchmark.truth.expected_seconds", lambda scene, s=seconds: s)
+        solution = truth(answer.scene.replace(grains=[1, 2]), tolerance)
         if tight is None:
-            assert truth == "Taylor"
+            assert solution == "Taylor"
         else:
             assert asked.pop() == pytest.approx(tight, rel=1e-12)
-            assert truth.displacement is answer.displacement
-            assert truth.velocity is answer.velocity
-            assert truth.method.startswith(f"the native engine at a tolerance of {tight:g} ")
-            assert truth.error == answer.error_estimate.total
+            assert solution.displacement is answer.displacement
+            assert solution.velocity is answer.velocity
+            assert solution.method.startswith(f"the native engine at a tolerance of {tight:g} ")
+            assert solution.error == answer.error_estimate.total
 
     def misses(*_: Any, **__: Any) -> None:
         raise ToleranceNotMet("missed", kept)
 
-    monkeypatch.setattr("lmpchain.simulation.api.simulate", misses)
+    monkeypatch.setattr("lmpchain.benchmark.truth.simulate", misses)
     kept = answer
-    assert compare._reference(answer.scene, 1e-6).velocity is answer.velocity
+    assert truth(answer.scene, 1e-6).velocity is answer.velocity
     kept = None
     with pytest.raises(ToleranceNotMet):
-        compare._reference(answer.scene, 1e-6)
+        truth(answer.scene, 1e-6)
 
 
 @pytest.mark.parametrize("verb", ["workprec", "stability"])

@@ -68,13 +68,18 @@ def check_template(column: Column, splitting: Splitting) -> None:
     _fill(column, column.scene.duration, splitting, data="column.data", alone=True)
 
 
+def script(column: Column, step: float, splitting: Splitting) -> str:
+    """Return the input script that runs by itself."""
+    return _fill(column, step, splitting, data="column.data", alone=True)
+
+
 def write_deck(column: Column, path: Path, step: float, splitting: Splitting) -> Path:
     """Write the input script, which runs by itself."""
     if splitting.order > 2 and column.scene.excitation.does_work:
         raise InputError.at(
             "integrator", "a deck can carry a drive or a force with verlet only; use that"
         )
-    text = _fill(column, step, splitting, data="column.data", alone=True)
+    text = script(column, step, splitting)
     with write_aside(path) as aside:
         aside.write_text(f"{text.rstrip()}\n\n{_seal(text)}\n", encoding="utf-8")
     return path

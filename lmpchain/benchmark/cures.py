@@ -1,0 +1,194 @@
+"""The longest step with which an integrator reaches an error, and what heights add in LAMMPS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ..engines.lammps.engine import HEIGHTS, Lammps, gauge_diameter
+from ..engines.native import Native
+from ..errors import InputError, RunFailed
+from ..integrators.methods import methods_of
+from ..scene.scene import Scene
+from ..simulation.api import simulate
+from ..trajectory.trajectory import Trajectory
+from ..util.remarks import warnings_aside
+from .comparison import error
+from .reference import Reference
+
+TARGETS = (1e-3, 1e-6)
+# what users of LAMMPS have, and the best beside; of chains that lose energy, whose forces depend on
+# velocities, those that can do them
+INTEGRATORS = ("verlet", "kahan-li6", "rkn6", "dop853")
+MOST_INTEGRATORS = 3
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the longest step is looked for.
+
+    Attributes
+    ----------
+    cost_s : float
+        Longest run that is tried, s.
+    growth : float
+        Most by which the number of steps grows at once.
+    room : float
+        Share of an error at which the next step aims.
+    better : float
+        Factor on the error that counts as an improvement.
+    patience : int
+        Runs in a row without one, after which round-off dominates.
+    """
+
+    cost_s: float = 10.0
+    growth: float = 8.0
+    room: float = 0.8
+    better: float = 0.8
+    patience: int = 3
+
+
+SEARCH = Search()
+
+
+class Cure(NamedTuple):
+    """A step of an integrator that reaches an error.
+
+    Attributes
+    ----------
+    target : float
+    integrator : str
+    step_s : float
+        s; NaN if no step reaches it in a run of some seconds.
+    steps : int
+        Of the run.
+    error : float
+        Measured, of the native engine with this step; NaN if there is none.
+    heights : float
+        Round-off of heights that LAMMPS is expected to add; NaN where it has no such integrator.
+    diameter : str
+        With which that is so: "physical", or "gauge" where the physical one leaves too much.
+    """
+
+    target: float
+    integrator: str
+    step_s: float
+    steps: int
+    error: float
+    heights: float
+    diameter: str
+
+
+def twin_run(scene: Scene, integrator: str, step: float) -> Trajectory | None:
+    """Return the native run of all grains with this step, s; None where it breaks down."""
+    everything = scene.ungathered.replace(grains="all")
+    try:
+        # errors are measured, and need no warning
+        with warnings_aside():
+            return simulate(everything, Native(integrator, step), on_miss="warn")
+    except (InputError, RunFailed):
+        return None
+
+
+def stability_limit(scene: Scene, integrator: str) -> float:
+    """Return the longest stable step on the chain at rest, s; infinite if nothing presses it."""
+    rate = scene.chain.fastest_rate
+    return methods_of(scene.chain.damped)[integrator].stability_limit / rate if rate else math.inf
+
+
+def height_round_off(
+    scene: Scene, integrator: str, steps: int, solution: Reference, gauge: float = 0.0
+) -> float:
+    """Return the relative round-off that heights of LAMMPS are expected to have in so many steps.
+
+    The `gauge` is the diameter with which grains are drawn, m, 0 for the physical one.
+    """
+    if integrator not in Lammps.integrators:
+        return math.nan
+    bound = Lammps(integrator).round_off(scene, gauge, steps, solution.scale)
+    return HEIGHTS.typical * bound
+
+
+def cures(scene: Scene, solution: Reference, integrator: str) -> tuple[Cure, ...]:
+    """Return the longest steps that reach some errors, of the integrator of a run and of others."""
+    methods = methods_of(scene.chain.damped)
+    names = [name for name in dict.fromkeys((integrator, *INTEGRATORS)) if name in methods]
+    rows = [cure for name in names[:MOST_INTEGRATORS] for cure in _cures_of(scene, solution, name)]
+    return tuple(sorted(rows, key=lambda cure: -cure.target))
+
+
+def _cures_of(scene: Scene, solution: Reference, integrator: str) -> Iterator[Cure]:
+    interval = scene.duration / (scene.samples - 1)
+    # of a driven scene the overlaps, and so the gauge diameter, are not known beforehand
+    gauge = 0.0 if scene.excitation.does_work else gauge_diameter(scene)
+    measured: dict[int, float] = {}
+    for target in TARGETS:
+        per_sample = _fewest_steps(scene, solution, integrator, target, measured)
+        if per_sample is None:
+            yield Cure(target, integrator, math.nan, 0, math.nan, math.nan, "physical")
+            continue
+        steps = per_sample * (scene.samples - 1)
+        heights = height_round_off(scene, integrator, steps, solution)
+        small = heights > target / 2 and gauge > 0
+        if small:
+            heights = height_round_off(scene, integrator, steps, solution, gauge)
+        yield Cure(
+            target,
+            integrator,
+            interval / per_sample,
+            steps,
+            measured[per_sample],
+            heights,
+            "gauge" if small else "physical",
+        )
+
+
+def _fewest_steps(
+    scene: Scene, solution: Reference, integrator: str, target: float, measured: dict[int, float]
+) -> int | None:
+    """Return about the fewest steps a sample with an error up to the target; None if none has.
+
+    Errors by numbers of steps are kept in `measured`.
+    """
+    method = methods_of(scene.chain.damped)[integrator]
+    engine = Native(integrator)
+    interval = scene.duration / (scene.samples - 1)
+    failing = 0
+
+    def measure(steps: int) -> float:
+        if steps not in measured:
+            run = twin_run(scene, integrator, interval / steps)
+            measured[steps] = math.inf if run is None else error(run, solution)
+        return measured[steps]
+
+    def scaled(steps: int, aim: float) -> int:
+        """Return how many steps should have an error, from the one with these and the order."""
+        return math.ceil(steps * (measured[steps] / aim) ** (1 / method.order))
+
+    steps = max(1, math.ceil(interval / stability_limit(scene, integrator)))
+    steps = max([steps, *(count for count in measured if measured[count] > target)])
+    best = math.inf
+    stalled = 0
+    while not measure(steps) <= target:
+        failing = steps
+        stalled = 0 if measured[steps] < SEARCH.better * best else stalled + 1
+        best = min(best, measured[steps])
+        coarse = not measured[steps] < 1
+        most = math.ceil(SEARCH.growth * steps)
+        steps = (
+            2 * steps if coarse else max(steps + 1, min(scaled(steps, SEARCH.room * target), most))
+        )
+        cost = engine.cost(scene, method, steps * (scene.samples - 1))
+        if cost > SEARCH.cost_s or (stalled > SEARCH.patience and not coarse):
+            return None
+    # one step back, where the last one went too far
+    fewer = max(scaled(steps, target), failing + 1)
+    return fewer if fewer < steps and measure(fewer) <= target else steps
+
+
+def distance(answer: Trajectory, twin: Trajectory, solution: Reference) -> float:
+    """Return how far two runs are apart, relative to the largest motion of a solution."""
+    other = Reference(twin.time, twin.displacement, twin.velocity, 0.0, "", solution.scale)
+    return error(answer, other)

@@ -1,0 +1,468 @@
+"""How wrong is a run: its true error, what of it is the step and what is digits, and what helps."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..engines.lammps.deck import deck_steps
+from ..engines.lammps.deck_reader import read_deck
+from ..engines.lammps.engine import HEIGHTS
+from ..engines.native import Native
+from ..errors import InputError
+from ..integrators.methods import BY_NAME
+from ..integrators.splittings import SPLITTINGS
+from ..measure import energy, front
+from ..scene.scene import Scene
+from ..trajectory.dump_frames import is_dump
+from ..trajectory.trajectory import Trajectory
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.tables import align, finite, number
+from .comparison import error, errors
+from .cures import Cure, cures, distance, height_round_off, stability_limit, twin_run
+from .reference import Reference
+from .truth import as_trajectory, truth
+
+__dir__ = listed(__name__)
+
+WIDTH = 79  # letters of a line
+UNKNOWN = "unknown"  # integrator of a dump
+ARRIVAL = 0.1  # of a travel time, by which it may be uncertain at most
+
+
+@dataclass(frozen=True)
+class DigitLimits:
+    """When digits explain how far a run is from the same steps in displacements.
+
+    Attributes
+    ----------
+    printed : float
+        Times the last digit that was written.
+    heights : float
+        Times the bound on the round-off of heights: reflections amplify it up to tenfold.
+    amplified : float
+        Error of a reference from which on the scene amplifies rounding.
+    """
+
+    printed: float = 2.0
+    heights: float = 10.0
+    amplified: float = 1e-15
+
+
+DIGITS = DigitLimits()
+
+
+class Arrival(NamedTuple):
+    """Error of the arrival of the front: relative to its travel time, s, and at which grain."""
+
+    relative: float
+    seconds: float
+    grain: int
+
+
+class Cause(NamedTuple):
+    """A cause of an error: the equation, the step or the digits.
+
+    Attributes
+    ----------
+    name : str
+    error : float
+        Relative, as the error of the run is.
+    why : str
+    """
+
+    name: str
+    error: float
+    why: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunCheck(Shown):
+    """The true error of a run, its causes, and what would reach smaller ones.
+
+    Errors are relative to the largest motion of any grain at any time of the run.
+
+    Attributes
+    ----------
+    subject : str
+        File, folder or engine.
+    error, error_displacement, error_velocity : float
+        Against the reference; `error` is the larger of the other two. Of a deck, what is expected.
+    error_energy : float
+        Largest difference of the energy above rest, relative to the largest energy; NaN where
+        grains that move were not recorded.
+    arrival : Arrival or None
+        Of the front of the velocity; None where no front passes or samples do not resolve it.
+    integrator : str
+    step_s, steps : float, int
+        s; 0 of a solution without steps.
+    limit_s : float
+        Longest stable step of the integrator on the chain at rest, s; infinite without load.
+    causes : tuple of Cause
+        Equation or step, and digits.
+    cures : tuple of Cure
+    reference : Reference
+    """
+
+    subject: str
+    error: float
+    error_displacement: float
+    error_velocity: float
+    error_energy: float
+    arrival: Arrival | None
+    integrator: str
+    step_s: float
+    steps: int
+    limit_s: float
+    causes: tuple[Cause, ...]
+    cures: tuple[Cure, ...]
+    reference: Reference
+
+    @property
+    def cause(self) -> str:
+        """The name of the largest cause."""
+        return max(self.causes, key=lambda cause: cause.error).name
+
+    def exceeds(self, tolerance: float) -> bool:
+        """Return whether the error is above a tolerance, or no number."""
+        return not self.error <= tolerance
+
+    def _summary(self) -> Iterator[Sequence[str]]:
+        yield "error", _percent(self.error), "the larger of displacement and velocity"
+        yield "  displacement", _percent(self.error_displacement), ""
+        yield "  velocity", _percent(self.error_velocity), ""
+        unknown = math.isnan(self.error_energy) and math.isfinite(self.error)
+        why = "grains that move were not recorded" if unknown else ""
+        yield "energy", number(self.error_energy, ".2g", missing="-"), why
+        if self.arrival:
+            late = f"{self.arrival.seconds:.2g} s at grain {self.arrival.grain}"
+            yield "front arrival", f"{self.arrival.relative:.2g}", f"of its travel time: {late}"
+        elif math.isfinite(self.error):
+            yield "front arrival", "-", "no front passes, or samples do not resolve it"
+        for cause in self.causes:
+            yield f"due to {cause.name}", _percent(cause.error), ""
+
+    def table(self) -> str:
+        """Return errors, causes and cures as text, within 80 columns."""
+        steps = f", {self.steps} steps of {self.step_s:.4g} s by {self.integrator}"
+        lines = _wrapped(f"{self.subject}{steps if self.integrator else ''}")
+        lines += align(self._summary())
+        for cause in self.causes:
+            lines += _wrapped(f"{cause.name}: {cause.why}")
+        if self.cures:
+            lines += ["", *align(self._remedies())]
+            lines += _wrapped(
+                "digits in LAMMPS: round-off of heights that it adds, with the physical diameter, "
+                "or with --diameter gauge where that one is too large. `lmpchain deck` writes "
+                "verlet and kahan-li6, `lmpchain run` has rkn6, too."
+            )
+        lines += _wrapped(f"reference: {self.reference.method}; error {self.reference.error:.0e}")
+        return "\n".join(lines)
+
+    def _remedies(self) -> Iterator[Sequence[str]]:
+        yield "to reach", "integrator", "step", "steps", "error", "digits in LAMMPS"
+        for cure in self.cures:
+            drawn = " (gauge)" if cure.diameter == "gauge" else ""
+            yield (
+                f"{cure.target:.0e}",
+                cure.integrator,
+                number(cure.step_s, unit="s", missing="none"),
+                str(cure.steps or ""),
+                number(cure.error, ".1e"),
+                number(cure.heights, ".0e", missing="-") + drawn if cure.steps else "",
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the numbers for a JSON file; those that are not finite become None."""
+        fields = {key: value for key, value in vars(self).items() if key != "reference"}
+        return finite(fields) | {
+            "reference": {"method": self.reference.method, "error": self.reference.error},
+            "arrival": self.arrival and self.arrival._asdict(),
+            "cause": self.cause,
+            "causes": [finite(cause._asdict()) for cause in self.causes],
+            "cures": [finite(cure._asdict()) for cure in self.cures],
+        }
+
+
+def check(
+    run: Trajectory | str | PathLike[str], scene: Scene | None = None, *, progress: bool = False
+) -> RunCheck:
+    """Measure how wrong a run is: its true error, what of it is the step, and what is digits.
+
+    The error is that against a Taylor series in extended precision. A native run with the
+    integrator and the step of the run, in displacements, has its error of the step and not its
+    digits: heights of LAMMPS, single precision, or what a dump leaves out. Dumps are taken as
+    velocity Verlet, or as "kahan-li6" of `lmpchain deck` where that fits and the other does not.
+
+    Parameters
+    ----------
+    run : Trajectory or path
+        A trajectory, a file or a folder that lmpchain saved, or a LAMMPS dump.
+    scene : Scene, optional
+        Of a dump, which must have one; of a saved run it must be its own.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    RunCheck
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is of another scene.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, Impulse, simulate
+    >>> from lmpchain.engines import Native
+    >>> chain = Chain(grains=30, diameter=1e-3)
+    >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5)
+    >>> found = check(simulate(scene, Native("verlet", step=1e-7)))
+    >>> found.cause, f"{found.error:.0e}"
+    ('step', '2e-04')
+    """
+    subject = f"trajectory of {run.engine}" if isinstance(run, Trajectory) else str(run)
+    answer = _read(run, scene)
+    scene = answer.scene
+    solution = truth(scene, progress=progress)
+    integrator, step, causes = _causes(answer, solution)
+    return _record(subject, scene, answer, solution, integrator, step, causes)
+
+
+def check_deck(
+    folder: str | PathLike[str], scene: Scene | None = None, *, progress: bool = False
+) -> RunCheck:
+    """Tell how wrong a deck will be before it runs, from `in.column` and `column.data`.
+
+    Nothing in it is executed. Its chain is read from the two files, also where they were edited,
+    and a native run with its integrator and its step is compared with the reference; the round-off
+    of its heights is what such runs are expected to have.
+
+    Parameters
+    ----------
+    folder : path
+        Of a deck that `lmpchain deck` wrote.
+    scene : Scene, optional
+        The one that it was written for; needed only if its force or drive goes through points.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    RunCheck
+        Its error is infinite if the step is not stable.
+
+    Raises
+    ------
+    InputError
+        If the deck cannot be understood.
+    """
+    deck = read_deck(folder, scene)
+    scene = deck.scene
+    solution = truth(scene, progress=progress)
+    twin = twin_run(scene, deck.integrator, deck.step)
+    steps = round(scene.duration / deck.step)
+    heights = height_round_off(scene, deck.integrator, steps, solution, deck.gauge)
+    why = "expected round-off of heights, which LAMMPS holds"
+    printed = 0.5 * 10.0 ** (1 - deck.digits)
+    if printed > heights:
+        why = _few_digits(f"the dump will have {deck.digits} digits")
+    digits = Cause("digits", max(heights, printed), why)
+    causes = (_step_cause(scene, twin, solution, deck.integrator, deck.step), digits)
+    return _record(str(folder), scene, twin, solution, deck.integrator, deck.step, causes)
+
+
+def _read(run: Trajectory | str | PathLike[str], scene: Scene | None) -> Trajectory:
+    """Return the trajectory of a run; raises `InputError`."""
+    if isinstance(run, Trajectory):
+        answer = run
+    elif is_dump(run):
+        if scene is None:
+            raise InputError.at("scene", "is missing; a dump does not say what it is of")
+        return Trajectory.from_dump(run, scene)
+    else:
+        answer = Trajectory.load(run)
+    if scene is not None and scene != answer.scene:
+        raise InputError.at("scene", "is not the one of the run; leave it out for a saved run")
+    return answer
+
+
+def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[Cause, ...]]:
+    """Return integrator, step, s, and causes of the error of an answer."""
+    scene = answer.scene
+    cost = answer.cost
+    wrong = error(answer, solution)
+    if cost.integrator not in (*BY_NAME, UNKNOWN):
+        why = f"it solves Eq. ({answer.equation}), and takes no steps"
+        return "", 0.0, (Cause("equation", wrong, why),)
+    if answer.engine == "native":
+        engine = Native(cost.integrator.removeprefix("lagged-"))
+        rounding = engine.typical_round_off(scene, cost.steps, float(solution.scale[1]))
+        step = Cause("step", wrong, _compare_with_limit(scene, engine.integrator, cost.step_s))
+        why = "expected round-off of double precision; displacements are held, not heights"
+        return engine.integrator, cost.step_s, (step, Cause("digits", rounding, why))
+    pairs = _possible_steps(answer)
+    twins = [(twin_run(scene, *pair), *pair) for pair in pairs]
+    nearest: tuple[Trajectory | None, str, float] = twins[0]
+    least = math.inf
+    for candidate in twins:
+        if candidate[0] is not None and (near := distance(answer, candidate[0], solution)) < least:
+            nearest = candidate
+            least = near
+    twin, integrator, step_s = nearest
+    step = _step_cause(scene, twin, solution, integrator, step_s)
+    return integrator, step_s, (step, _digits(answer, solution, integrator, step_s, least))
+
+
+def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
+    """Return the integrators and steps, s, that a run may have had, the likeliest first."""
+    name = answer.cost.integrator.removeprefix("lagged-")
+    if name != UNKNOWN:
+        return [(name, answer.cost.step_s)]
+    pairs = [("verlet", answer.cost.step_s)]
+    composed = SPLITTINGS["kahan-li6"]
+    runs = deck_steps(composed)
+    # of our decks, whose steps are several of LAMMPS
+    if not answer.scene.chain.damped and answer.cost.steps % (runs * (answer.time.size - 1)) == 0:
+        pairs.append((composed.name, runs * answer.cost.step_s))
+    return pairs
+
+
+def _compare_with_limit(scene: Scene, integrator: str, step: float) -> str:
+    limit = stability_limit(scene, integrator)
+    if limit == math.inf:
+        return f"{step:.3g} s; a chain without load has no stability limit at rest"
+    if step > limit:
+        return f"{step:.3g} s is beyond the stability limit of {limit:.3g} s: the run breaks down"
+    return f"{step:.3g} s is {step / limit:.2g} of the stability limit, {limit:.3g} s"
+
+
+def _step_cause(
+    scene: Scene, twin: Trajectory | None, solution: Reference, integrator: str, step: float
+) -> Cause:
+    """Return what of an error the step makes; infinite where a run with it breaks down."""
+    why = _compare_with_limit(scene, integrator, step)
+    if twin is not None:
+        return Cause("step", error(twin, solution), why)
+    breaks = "the run breaks down"
+    return Cause("step", math.inf, why if breaks in why else f"{why}, but {breaks}")
+
+
+def _digits(
+    answer: Trajectory, solution: Reference, integrator: str, step: float, distance: float
+) -> Cause:
+    """Return what of an error digits make, from how far a run is from its native twin."""
+    if distance == math.inf:
+        return Cause("digits", 0.0, "cannot be told apart, as the same steps break down")
+    scene = answer.scene
+    digit, speed_digit = (
+        float(answer.provenance.get(f"{name}_digit", 0.0)) for name in ("displacement", "velocity")
+    )
+    # heights at rest are rounded, too
+    rounded = digit if answer.provenance.get("displacement") != "v_phi" else digit / 2
+    printed = float(np.max(np.array([rounded, speed_digit / 2]) / solution.scale))
+    steps = round(scene.duration / step)
+    heights = height_round_off(scene, integrator, steps, solution)
+    # what makes the reference itself uncertain does so to every run
+    heights *= max(1.0, solution.error / DIGITS.amplified)
+    if distance <= DIGITS.printed * printed and printed > heights:
+        places = max(1, round(-math.log10(min(printed, 0.1))))
+        why = _few_digits(f"the dump has some {places} digits of the largest motion")
+    elif distance <= DIGITS.heights / HEIGHTS.typical * heights:
+        why = "round-off of heights, which LAMMPS holds"
+        if answer.provenance.get("diameter") != "gauge":
+            why += ": smaller with --diameter gauge"
+    else:
+        return Cause(
+            "another cause",
+            distance,
+            f"so far is it from {integrator} at this step, more than digits explain: it was run "
+            "with another step or integrator, in single precision, or with forces that the scene "
+            "lacks",
+        )
+    return Cause("digits", distance, why)
+
+
+def _few_digits(fault: str) -> str:
+    return f"{fault}: write all, dump_modify ... format float %.17g"
+
+
+def _record(
+    subject: str,
+    scene: Scene,
+    answer: Trajectory | None,
+    solution: Reference,
+    integrator: str,
+    step: float,
+    causes: tuple[Cause, ...],
+) -> RunCheck:
+    """Return the record of a run, or of one that breaks down."""
+    displacement = velocity = math.inf
+    energy_error = math.nan
+    arrival = None
+    if answer is not None:
+        displacement, velocity = errors(answer, solution)
+        true = as_trajectory(answer.scene, solution)
+        energy_error = _energy_error(answer, true)
+        arrival = _arrival(answer, true)
+    return RunCheck(
+        subject=subject,
+        error=float(np.maximum(displacement, velocity)),
+        error_displacement=displacement,
+        error_velocity=velocity,
+        error_energy=energy_error,
+        arrival=arrival,
+        integrator=integrator,
+        step_s=step,
+        steps=round(scene.duration / step) if step else 0,
+        limit_s=stability_limit(scene, integrator) if integrator else math.inf,
+        causes=causes,
+        cures=cures(scene, solution, integrator),
+        reference=solution,
+    )
+
+
+def _energy_error(answer: Trajectory, true: Trajectory) -> float:
+    """Return the largest error of the energy above rest, relative to the largest energy."""
+    try:
+        total, exact = (energy.ledger(run).total for run in (answer, true))
+    except InputError:
+        # grains that move were not recorded
+        return math.nan
+    largest = float(np.abs(exact).max())
+    return float(np.abs(total - exact).max()) / largest if largest else math.nan
+
+
+def _arrival(answer: Trajectory, true: Trajectory) -> Arrival | None:
+    """Return the largest error of the travel time of the front, where samples resolve it."""
+    try:
+        tracked, exact = (front.track(run) for run in (answer, true))
+    except InputError:
+        return None
+    # where another maximum may be the front, a difference says nothing
+    clear = exact.time_error <= ARRIVAL * exact.time
+    grains, here, there = np.intersect1d(tracked.grain, exact.grain[clear], return_indices=True)
+    times = exact.time[clear][there]
+    if not grains.size:
+        return None
+    late = np.abs(tracked.time[here] - times)
+    relative = late / times
+    worst = int(relative.argmax())
+    return Arrival(float(relative[worst]), float(late[worst]), int(grains[worst]))
+
+
+def _wrapped(text: str) -> list[str]:
+    """Return a sentence as lines, the second and later ones indented."""
+    return textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _percent(value: float) -> str:
+    return number(value, ".2g", infinite="infinite")

@@ -1,0 +1,68 @@
+"""The solution that errors are measured against: the reference, or a tight run of a long scene."""
+
+from __future__ import annotations
+
+from ..errors import ToleranceNotMet
+from ..scene.scene import Scene
+from ..simulation.api import simulate
+from ..trajectory.record import Cost, ErrorEstimate
+from ..trajectory.trajectory import Trajectory
+from ..util.lazy import listed
+from .reference import Reference, expected_seconds, reference
+
+__dir__ = listed(__name__)
+
+LONGEST_S = 60.0  # expected time of the independent reference
+TIGHTEST = 1e-11  # a tolerance that the native engine reaches on ordinary scenes
+
+
+def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> Reference:
+    """Return the reference solution, by the native engine if Taylor series took over a minute.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance : float
+        Of the answers that are compared with it: the native engine is a hundred times as accurate.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Reference
+    """
+    if expected_seconds(scene) <= LONGEST_S:
+        return reference(scene)
+    tight = max(tolerance / 100, TIGHTEST)
+    # errors are relative to the largest motion of any grain, so that all must be recorded
+    all_grains = Scene(
+        chain=scene.chain,
+        excitation=scene.excitation,
+        duration=scene.duration,
+        samples=scene.samples,
+    )
+    try:
+        run = simulate(all_grains, "native", tight, progress=progress)
+    except ToleranceNotMet as error:
+        if error.trajectory is None:
+            raise
+        run = error.trajectory
+    reason = "the scene is too long for the independent integrator"
+    method = f"the native engine at a tolerance of {tight:g} ({reason})"
+    return Reference(run.time, run.displacement, run.velocity, run.error_estimate.total, method)
+
+
+def as_trajectory(scene: Scene, solution: Reference) -> Trajectory:
+    """Return a reference solution as the trajectory of a scene, of the grains that it records."""
+    columns = scene.recorded - 1
+    return Trajectory(
+        scene=scene,
+        engine="reference",
+        equation=1,
+        time=solution.time,
+        grains=scene.recorded,
+        displacement=solution.displacement[:, columns],
+        velocity=solution.velocity[:, columns],
+        error_estimate=ErrorEstimate(0.0, solution.error),
+        cost=Cost(0.0, 0.0, 0.0, 0, 0, scene.chain.grains, "", 0.0, 1),
+    )

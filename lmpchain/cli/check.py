@@ -1,0 +1,27 @@
+"""The command `check`: how wrong a run or a dump is, and how wrong a deck will be."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..errors import InputError, check_tolerance
+from .common import gather, keep, on_terminal, output, read
+
+
+def check(arguments: argparse.Namespace) -> int:
+    """Print the true error, its causes and its cures; exit code 1 if it is above a tolerance."""
+    subject = arguments.run or arguments.deck
+    if not subject or (arguments.run and arguments.deck):
+        raise InputError.at("run", "name one: a dump or a saved run, or else --deck FOLDER")
+    scene, numbers, _ = gather(
+        lambda: arguments.scene and read(arguments.scene),
+        lambda: arguments.json and output(arguments.json, arguments.scene or subject),
+        lambda: check_tolerance(0.5 if arguments.tolerance is None else arguments.tolerance),
+    )
+    from ..benchmark.own_run import check, check_deck
+
+    measure = check_deck if arguments.deck else check
+    result = measure(subject, scene, progress=on_terminal())
+    print(result.table())
+    keep(result, numbers, None)
+    return int(arguments.tolerance is not None and result.exceeds(arguments.tolerance))

@@ -1,0 +1,365 @@
+"""How wrong a run is: dumps of `lmp`, causes of their errors, cures, decks before a run."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import taylor_series
+from helpers.standalone_lammps import lmp, read_dump, small
+
+import lmpchain
+from lmpchain import (
+    Damping,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Packet,
+    Scene,
+    check,
+    check_deck,
+    simulate,
+)
+from lmpchain.cli.command_line import main
+from lmpchain.engines import Native
+from lmpchain.engines.lammps.deck_reader import read_deck
+from lmpchain.engines.lammps.export import write_deck
+from lmpchain.measure import front
+
+STEP = 4e-7  # s, too long
+VACUUM = small(Impulse(velocity=8.57e-3), gravity=0.0, bottom="wall")
+
+
+def run(scene: Scene, folder: Path, edit: tuple[str, str] = ("", ""), **options) -> Path:
+    """Run a deck by the stand-alone LAMMPS, edited before, and return its dump."""
+    deck = write_deck(scene, folder, **({"step": STEP} | options))
+    text = deck.read_text()
+    assert re.search(edit[0], text)
+    deck.write_text(re.sub(*edit, text, count=1) if edit[0] else text)
+    lmp(folder, "-screen", "none", "-log", "none")
+    return folder / "column.lammpstrj"
+
+
+def true_error(scene: Scene, motion: tuple[np.ndarray, np.ndarray]) -> float:
+    solution, itself = taylor_series.reference(scene, 1e-17)
+    assert itself < 1e-13
+    return solution.error(*motion)
+
+
+def causes(found) -> dict[str, float]:
+    return {cause.name: cause.error for cause in found.causes}
+
+
+def with_dense_samples(scene: Scene) -> Scene:
+    return scene.replace(samples=200 * (scene.samples - 1) + 1)
+
+
+@pytest.fixture(scope="module")
+def dump(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run(small(), tmp_path_factory.mktemp("deck"))
+
+
+def test_a_step_that_is_too_long_has_the_error_that_it_has(dump: Path):
+    found = check(dump, small())
+    assert found.error == pytest.approx(true_error(small(), read_dump(dump)), rel=1e-9)
+    assert found.error == max(found.error_displacement, found.error_velocity) > 1e-3
+    assert (found.integrator, found.steps) == ("verlet", 50)
+    assert found.step_s == pytest.approx(STEP, rel=1e-12)
+    assert found.cause == "step"
+    assert causes(found)["step"] == pytest.approx(found.error, rel=1e-4)
+    assert causes(found)["digits"] < 1e-6
+
+
+def test_each_cure_reaches_its_error_and_no_much_longer_step_does(dump: Path):
+    found = check(dump, small())
+    assert {(cure.target, cure.integrator) for cure in found.cures} == {
+        (target, name) for target in (1e-3, 1e-6) for name in ("verlet", "kahan-li6", "rkn6")
+    }
+    interval = 4e-6
+    for cure in found.cures:
+        t = simulate(small(), Native(cure.integrator, cure.step_s))
+        assert t.cost.steps == cure.steps
+        wrong = true_error(small(), (t.displacement, t.velocity))
+        assert wrong == pytest.approx(cure.error, rel=1e-3, abs=1e-15)
+        assert wrong <= cure.target
+        per_sample = round(interval / cure.step_s)
+        if cure.integrator == "verlet" and per_sample > 5:
+            longer = simulate(small(), Native("verlet", interval / round(0.8 * per_sample)))
+            assert true_error(small(), (longer.displacement, longer.velocity)) > cure.target
+
+
+def test_the_energy_is_that_of_the_motion(tmp_path: Path):
+    """In a vacuum nothing cancels, so that sums over grains and contacts show it."""
+    found = check(run(VACUUM, tmp_path), VACUUM)
+
+    def total(u, v):
+        chain = VACUUM.chain
+        constants = np.append(chain.contact_constants, chain.wall_constants[1])
+        overlap = np.maximum(u - np.append(u[:, 1:], np.zeros((len(u), 1)), axis=1), 0)
+        return (chain.masses * v**2 / 2).sum(1) + (constants * overlap**2.5 / 2.5).sum(1)
+
+    solution, _ = taylor_series.reference(VACUUM, 1e-17)
+    energy, exact = total(*read_dump(tmp_path / "column.lammpstrj")), total(*solution[:2])
+    assert found.error_energy == pytest.approx(np.abs(energy - exact).max() / exact.max(), rel=1e-6)
+    assert found.limit_s == np.inf
+    assert "no stability limit at rest" in found.table()
+
+
+def test_the_front_is_late_by_what_an_independent_solution_says(tmp_path: Path):
+    scene = small().replace(samples=41, duration=4e-5)
+    dump = run(scene, tmp_path)
+    found = check(dump, scene)
+    fine = with_dense_samples(scene)
+    velocity = taylor_series.reference(fine, 1e-17)[0].velocity
+    n = found.arrival.grain
+    # the peak of a parabola through the highest sample and its neighbours
+    k = int(velocity[:, n - 1].argmax())
+    before, top, after = velocity[k - 1 : k + 2, n - 1]
+    offset = (before - after) / (before - 2 * top + after) / 2
+    exact = (k + offset) * fine.duration / (fine.samples - 1)
+    tracked = front.track(lmpchain.Trajectory.from_dump(dump, scene))
+    late = tracked.time[tracked.grain == n][0] - exact
+    assert found.arrival.seconds == pytest.approx(abs(late), rel=1e-2)
+    assert found.arrival.relative == pytest.approx(found.arrival.seconds / exact, rel=1e-6)
+
+
+def test_few_digits_are_named_as_the_cause(tmp_path: Path):
+    short = {"integrator": "kahan-li6", "step": 1e-7}
+    all_digits = run(small(), tmp_path / "all", **short)
+    few = run(small(), tmp_path / "few", (r"float %\.17g", "float %g"), **short)
+    found = check(few, small())
+    (u, v), (x, y) = read_dump(few), read_dump(all_digits)
+    left_out = max(np.abs(u - x).max() / np.abs(x).max(), np.abs(v - y).max() / np.abs(y).max())
+    assert found.cause == "digits"
+    assert found.integrator == "kahan-li6"
+    assert causes(found)["digits"] == pytest.approx(left_out, rel=0.2)
+    assert found.error == pytest.approx(true_error(small(), (u, v)), rel=1e-4)
+    assert "%.17g" in found.causes[1].why
+    fine = check(all_digits, small())
+    assert causes(fine)["digits"] < 0.1 * left_out
+    assert "round-off of heights" in fine.causes[1].why
+    # and a deck says so before it runs
+    (expected,) = (c.error for c in check_deck(tmp_path / "few").causes if c.name == "digits")
+    assert left_out < expected < 10 * left_out
+
+
+def test_single_precision_is_few_digits(dump: Path, tmp_path: Path):
+    rounded = []
+    for line in dump.read_text().splitlines():
+        words = line.split()
+        if len(words) == 10 and words[0] != "ITEM:":
+            numbers = [f"{np.float32(word):.17g}" for word in words[5:9]]
+            line = " ".join([*words[:5], *numbers, words[9]])
+        rounded.append(line)
+    single = tmp_path / "single.lammpstrj"
+    single.write_text("\n".join(rounded) + "\n")
+    found = check(single, small())
+    u, v = read_dump(single)
+    x, y = read_dump(dump)
+    left_out = max(np.abs(u - x).max() / np.abs(x).max(), np.abs(v - y).max() / np.abs(y).max())
+    assert causes(found)["digits"] == pytest.approx(left_out, rel=0.5)
+    assert re.search(r"some [78] digits", found.causes[1].why)
+
+
+def test_what_neither_step_nor_digits_explain_is_said(tmp_path: Path):
+    damp = (r"\nfix +motion", r"\nfix damp mobile viscous 1e-4\g<0>")
+    found = check(run(small(), tmp_path, damp, step=1e-8), small())
+    assert found.cause == "another cause"
+    assert causes(found)["another cause"] == pytest.approx(found.error, rel=1e-2)
+    assert "forces that the scene" in " ".join(found.table().split())
+    with pytest.raises(InputError, match="fix damp mobile viscous"):
+        check_deck(tmp_path)
+
+
+def test_damped_dumps_have_the_error_of_their_first_order(tmp_path: Path):
+    scene = small(damping=Damping(viscoelastic=2e-7))
+    dump = run(scene, tmp_path, step=1e-7)
+    found = check(dump, scene)
+    assert found.error == pytest.approx(true_error(scene, read_dump(dump)), rel=1e-6)
+    assert found.cause == "step"
+    assert {cure.integrator for cure in found.cures} == {"verlet", "dop853"}
+
+
+DRIVEN = {"gravity": 0.0, "top_load": 2.0}
+DECKS = {
+    "impulse": small(),
+    "dimer": small(Impulse(velocity=1e-3, grain=3), diameter=[1e-3, 2e-3] * 12 + [1e-3]),
+    "displacement": small(Displacement(displacement=1e-9, grain=4), bottom="wall"),
+    "packet": small(Packet(frequency=2e4, width=1.5, grain=12, amplitude=1e-10)),
+    "burst": small(Force(grain=3, amplitude=1e-3, frequency=1e5, cycles=2), bottom="wall"),
+    "hammer": small(Force(grain=1, shape="half-sine", amplitude=1e-2, duration=1e-5)),
+    "drive": small(Drive(amplitude=1e-8, frequency=5e4), **DRIVEN),
+    "wall": small(Drive(grain=0, amplitude=1e-8, frequency=5e4, cycles=3), top="wall", **DRIVEN),
+    "linear": small(exponent=1.0, top_load=0.5),
+    "damped": small(damping=Damping(viscoelastic=1e-8, drag=50.0)),
+    "dragged": small(damping=Damping(drag=50.0), diameter=[1e-3, 2e-3] * 12 + [1e-3]),
+    "vacuum": VACUUM,
+}
+
+
+@pytest.mark.parametrize("name", DECKS)
+def test_a_deck_holds_its_scene(name: str, tmp_path: Path):
+    scene = DECKS[name]
+    write_deck(scene, tmp_path, step=1e-7)
+    deck = read_deck(tmp_path)
+    assert (deck.integrator, deck.gauge, deck.digits) == ("verlet", 0.0, 17)
+    assert deck.step == pytest.approx(1e-7, rel=1e-12)
+    assert deck.scene.time == pytest.approx(scene.time, rel=1e-12)
+    read = simulate(deck.scene, "native", 1e-9)
+    true = simulate(scene, "native", 1e-9)
+    # heights of LAMMPS leave so much of the overlaps at rest, on which a drive alone depends
+    loose = 1e-6 if name in ("drive", "wall") else 1e-10
+    for field in ("displacement", "velocity"):
+        answer = getattr(true, field)
+        off = np.abs(getattr(read, field) - answer).max()
+        assert off < (1e-5 if name in ("displacement", "packet") else loose) * np.abs(answer).max()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"diameter": "gauge"}, {"integrator": "kahan-li6"}, {"pair_style": "gran/hertz/history"}],
+)
+def test_every_kind_of_deck_is_read(options: dict[str, str], tmp_path: Path):
+    dump = run(small(), tmp_path, **options)
+    before = check_deck(tmp_path)
+    after = check(dump, small())
+    assert before.error == pytest.approx(after.error, rel=5e-2)
+    assert before.integrator == after.integrator == options.get("integrator", "verlet")
+    assert causes(before)["step"] == pytest.approx(causes(after)["step"], rel=1e-6)
+
+
+def test_a_deck_through_points_takes_its_scene(tmp_path: Path):
+    times = [0.0, 1e-6, 2e-5]
+    scene = small(Force(grain=1, times=times, force=[0.0, 1e-3, 0.0]), bottom="wall")
+    write_deck(scene, tmp_path, step=1e-7)
+    with pytest.raises(InputError, match=r"acts through points.*--scene"):
+        check_deck(tmp_path)
+    t = simulate(scene, Native("verlet", 1e-7))
+    assert check_deck(tmp_path, scene).error == pytest.approx(
+        true_error(scene, (t.displacement, t.velocity)), rel=1e-4
+    )
+
+
+def test_a_step_beyond_the_stability_limit_is_named(tmp_path: Path, capsys):
+    write_deck(small(), tmp_path, step=1e-6)
+    deck = tmp_path / "in.column"
+    deck.write_text(deck.read_text().replace("timestep        ${dt}", "timestep 5e-6"))
+    deck.write_text(re.sub(r"\nrun .*", "\nrun 20", deck.read_text()))
+    found = check_deck(tmp_path)
+    chain = small().chain
+    # of the linear chain, by its matrix
+    k = np.append(chain.linear_stiffness, 0.0)[: chain.movable]
+    matrix = np.diag(k + np.append(0.0, k[:-1])) - np.diag(k[:-1], 1) - np.diag(k[:-1], -1)
+    fastest = np.sqrt(np.linalg.eigvalsh(matrix / chain.masses[0])[-1])
+    assert found.limit_s == pytest.approx(2 / fastest, rel=1e-9)
+    assert found.error == np.inf
+    assert "beyond the stability limit" in found.table()
+    assert main(["check", "--deck", str(tmp_path)]) == 0
+    assert main(["check", "--deck", str(tmp_path), "--tolerance", "1e-3"]) == 1
+    said = capsys.readouterr().out
+    assert f"5e-06 s is beyond the stability limit of {found.limit_s:.3g} s" in said
+
+
+EDITS = [
+    ("index 9.81", "index 9.0", r"column.data: .* overlap by"),
+    (r"fix +motion mobile nve", "fix motion mobile nve/limit 1e-9", r"line \d+ .*nve/limit"),
+    (r"\nfix +weight.*", "", r"is not `fix weight"),
+    (r"\ntimestep.*", "\ntimestep $(v_dt/2)", r"line \d+ \(timestep .* holds no number"),
+    (r"\nrun .*", "\nrun 2.5", r"must hold a whole number"),
+    (r"\nrun .*", "\nrun 1", r"ends before the first dump"),
+    (r"\nrun .*", r"\g<0>\nshell touch gone", r"line \d+ \(shell touch gone\) is not known"),
+    (r"\nrun .*", "", r"has no command run"),
+    (r"dt      index .*", "dt index nan", r"must hold a finite number"),
+    (r"dt      index .*", "dt index -1e-7", r"must be a time above 0"),
+    (r"id 1:24", "id 1:20", r"moves other grains"),
+    (r"hertz 4\S+", "hertz x", r"holds no number"),
+    ("pair_style      granular", "pair_style granular 1", r"is no force that lmpchain writes"),
+    (r"%\.17g\n\nthermo", "%d\n\nthermo", r"must end in a format"),
+]
+
+
+@pytest.mark.parametrize(("pattern", "text", "fault"), EDITS)
+def test_what_cannot_be_understood_is_refused_in_a_line(
+    pattern: str, text: str, fault: str, tmp_path: Path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    write_deck(small(), "deck", step=1e-7)
+    deck = Path("deck/in.column")
+    before = deck.read_text()
+    deck.write_text(re.sub(pattern, text, before, count=1))
+    assert deck.read_text() != before
+    assert main(["check", "--deck", "deck"]) == 2
+    told = capsys.readouterr().err
+    assert re.search(fault, told)
+    assert told.count("\n") == 1
+    assert not list(tmp_path.rglob("gone"))
+
+
+def test_data_that_cannot_be_understood(tmp_path: Path):
+    write_deck(small(), tmp_path, step=1e-7)
+    data = tmp_path / "column.data"
+    text = data.read_text()
+    for broken in ("", text.replace("Velocities", "Speeds"), text.replace("\n7 1 ", "\n6 1 ")):
+        data.write_text(broken)
+        with pytest.raises(InputError, match=r"column.data: is no data file of a column"):
+            check_deck(tmp_path)
+    data.unlink()
+    with pytest.raises(InputError, match="there is no file"):
+        check_deck(tmp_path)
+
+
+def test_saved_runs_carry_their_scene(tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    small().to_toml("scene.toml")
+    small(Impulse(velocity=1e-3)).to_toml("other.toml")
+    t = simulate(small(), Native("verlet", STEP))
+    t.save("run.nc")
+    assert main(["check", "run.nc", "--json", "check.json"]) == 0
+    table = capsys.readouterr().out
+    assert max(map(len, table.splitlines())) <= 80
+    numbers = json.loads(Path("check.json").read_text())
+    assert numbers["error"] == pytest.approx(true_error(small(), (t.displacement, t.velocity)))
+    assert numbers["cause"] == "step"
+    assert numbers["reference"]["error"] < 1e-15
+    assert [cure["target"] for cure in numbers["cures"]] == 3 * [1e-3] + 3 * [1e-6]
+    assert main(["check", "run.nc", "--scene", "scene.toml", "--tolerance", "0.5"]) == 0
+    assert main(["check", "run.nc", "--tolerance", "1e-6"]) == 1
+    simulate(small(), "lammps", 1e-4, folder="folder")
+    assert main(["check", "folder", "--tolerance", "1e-4"]) == 0
+    capsys.readouterr()
+    for words, fault in (
+        (["run.nc", "--scene", "other.toml"], "scene: is not the one of the run"),
+        (["run.nc", "--deck", "deck"], "run: name one"),
+        ([], "run: name one"),
+        (["run.nc", "--tolerance", "2"], "tolerance: must be between 0 and 1"),
+        (["none.nc"], "none.nc: there is no such file"),
+    ):
+        assert main(["check", *words]) == 2
+        told = capsys.readouterr().err
+        assert fault in told
+        assert told.count("\n") == 1
+
+
+def test_a_dump_needs_its_scene(dump: Path, capsys):
+    assert main(["check", str(dump)]) == 2
+    assert "scene: is missing" in capsys.readouterr().err
+
+
+def test_a_solution_of_another_equation_is_off_by_that():
+    scene = small(Impulse(velocity=1e-5))
+    with pytest.warns(UserWarning, match="leaves out"):
+        t = simulate(scene, "modes")
+    found = check(t)
+    assert found.cause == "equation"
+    assert found.error == pytest.approx(true_error(scene, (t.displacement, t.velocity)), rel=1e-9)
+    assert "Eq. (3)" in found.table()
+
+
+def test_grains_that_were_not_recorded_leave_the_energy_open():
+    found = check(simulate(small().replace(grains="1:5"), Native("verlet", STEP)))
+    assert np.isnan(found.error_energy)
+    assert found.to_json()["error_energy"] is None
+    assert "grains that move were not recorded" in found.table()
