@@ -32,8 +32,8 @@ from .truth import as_trajectory, truth
 
 __dir__ = listed(__name__)
 
-WIDTH = 79  # letters of a line
-UNKNOWN = "unknown"  # integrator of a dump
+LINE_WIDTH = 79  # letters of a line
+UNKNOWN_METHOD = "unknown"  # integrator of a dump
 ARRIVAL = 0.1  # of a travel time, by which it may be uncertain at most
 
 
@@ -300,7 +300,7 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
     scene = answer.scene
     cost = answer.cost
     wrong = error(answer, solution)
-    if cost.integrator not in (*BY_NAME, UNKNOWN):
+    if cost.integrator not in (*BY_NAME, UNKNOWN_METHOD):
         why = f"it solves Eq. ({answer.equation}), and takes no steps"
         return "", 0.0, (Cause("equation", wrong, why),)
     if answer.engine == "native":
@@ -325,7 +325,7 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
 def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
     """Return the integrators and steps, s, that a run may have had, the likeliest first."""
     name = answer.cost.integrator.removeprefix("lagged-")
-    if name != UNKNOWN:
+    if name != UNKNOWN_METHOD:
         return [(name, answer.cost.step_s)]
     pairs = [("verlet", answer.cost.step_s)]
     composed = SPLITTINGS["kahan-li6"]
@@ -461,7 +461,7 @@ def _arrival(answer: Trajectory, true: Trajectory) -> Arrival | None:
 
 def _wrapped(text: str) -> list[str]:
     """Return a sentence as lines, the second and later ones indented."""
-    return textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    return textwrap.wrap(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _percent(value: float) -> str:

@@ -27,14 +27,14 @@ from .column import Column
 
 EXPONENTS = {"hertz": 1.5, "hooke": 1.0}
 HEAVIEST = 1e5  # kg/m3: denser grains are drawn with a gauge diameter
-ROUNDED = 1e-6  # relative difference of numbers that were written and read
+SAME_NUMBER = 1e-6  # relative difference of numbers that were written and read
 GAPS = 1e-4  # of an overlap, by which heights at rest may differ
 # lines that say how long steps and run are, and where files lie; of a composition the variables do
 FREE = {"verlet": {"timestep", "run", "thermo"}, "kahan-li6": {"thermo"}}
 FREE_VARIABLES = {"data", "every", "samples", "dump", "dt"}
-FORMAT = re.compile(r"%(?:\.(\d{1,2}))?g")
+FLOAT_FORMAT = re.compile(r"%(?:\.(\d{1,2}))?g")
 PRODUCT = re.compile(r"\$\(v_(\w+)\*v_(\w+)\)")
-NAME = re.compile(r"\$\{(\w+)\}")
+VARIABLE = re.compile(r"\$\{(\w+)\}")
 
 
 class Deck(NamedTuple):
@@ -117,7 +117,7 @@ class _Script:
         """Return a number, a variable or a product of two; raises `InputError`."""
         if match := PRODUCT.fullmatch(text):
             return math.prod(self.value(f"${{{name}}}", line) for name in match.groups())
-        if match := NAME.fullmatch(text):
+        if match := VARIABLE.fullmatch(text):
             text = self.variables.get(match[1], "")
         try:
             number = float(text)
@@ -241,49 +241,60 @@ def _read_data(path: Path) -> _Grains:
 def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
     """Return the chain of a deck."""
     masses = grains.masses
-    count = masses.size
+    d = grains.diameters
+    model, stiffness, damping = _contacts(script, grains.types)
+    hertz = model == "hertz"
+    constants = stiffness
+    share: Array | float = 1.0
+    if hertz:
+        constants = stiffness * np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
+        share = pair_value(masses) / 1.5
+    # only overlaps and masses enter the motion: a gauge diameter would be compressed too much
+    diameters = np.cbrt(6 * masses / (np.pi * 2500.0)) if gauge else d
+    return Chain(
+        grains=masses.size,
+        diameter=diameters,
+        masses=masses,
+        contact_constants=constants,
+        gravity=script.variable("g"),
+        exponent=EXPONENTS[model],
+        top_load=_load(script, grains, float(constants[0]), EXPONENTS[model]),
+        damping=_damping(script, damping * share / stiffness, masses),
+        **_ends(script, d, hertz),
+    )
+
+
+def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
+    """Return the ends of the chain of a deck, and the constants of its walls."""
+    count = diameters.size
     mobile = script.need("group", "mobile", "id")
     first, _, last = mobile.words[3].partition(":")
     if not (first in ("1", "2") and last in (str(count), str(count - 1))):
         raise script.refuse(mobile, "moves other grains than a column of lmpchain does")
-    model, stiffness, damping = _contacts(script, grains.types)
+    above, below = (script.find("fix", name, f"at_{name}") for name in ("top", "bottom"))
+    bottom = "wall" if below else "free" if last == str(count) else "fixed"
+    ends: dict[str, Any] = {"top": "wall" if above else "free", "bottom": bottom}
+    if above or below:
+        ends["wall_constants"] = [
+            _wall_constant(script, line, float(diameters[end]), hertz) if line else 0.0
+            for line, end in ((above, 0), (below, -1))
+        ]
+    return ends
+
+
+def _load(script: _Script, grains: _Grains, constant: float, exponent: float) -> float:
+    """Return the load on the top of the chain of a deck, N.
+
+    On a grain that is driven, or below a wall, it is none of the commands, but in the overlap of
+    the first contact at rest.
+    """
+    if not (script.find("group", "driven") or script.find("fix", "top", "at_top")):
+        return script.variable("load")
     d = grains.diameters
-    hertz = model == "hertz"
-    roots = np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2) if hertz else np.ones(count - 1)
-    constants = stiffness * roots
-    share = pair_value(masses) / 1.5 if hertz else 1.0
-    viscous = damping * share / stiffness
-    walls = {name: script.find("fix", name, f"at_{name}") for name in ("top", "bottom")}
-    planes = [
-        _wall_constant(script, line, float(d[end]), hertz) if line else 0.0
-        for line, end in zip(walls.values(), (0, -1), strict=True)
-    ]
-    gravity = script.variable("g")
-    # of a grain that is driven, and below a wall, the load is in the overlaps at rest
-    load = script.variable("load", missing=math.nan)
-    top = "wall" if walls["top"] else "free"
-    if math.isnan(load):
-        overlap = max(0.0, (d[0] + d[1]) / 2 - (grains.rest[0] - grains.rest[1]))
-        load = float(constants[0] * overlap ** EXPONENTS[model] - gravity * masses[0])
-        bears = (top == "wall" or first == "2") and load > GAPS * gravity * masses[0]
-        load = load if bears else 0.0
-    bottom = "wall" if walls["bottom"] else "free" if last == str(count) else "fixed"
-    # only overlaps and masses enter the motion: a gauge diameter would be compressed too much
-    diameters = np.cbrt(6 * masses / (np.pi * 2500.0)) if gauge else d
-    ends: dict[str, Any] = {"top": top, "bottom": bottom}
-    if any(planes):
-        ends["wall_constants"] = planes
-    return Chain(
-        grains=count,
-        diameter=diameters,
-        masses=masses,
-        contact_constants=constants,
-        gravity=gravity,
-        exponent=EXPONENTS[model],
-        top_load=load,
-        damping=_damping(script, viscous, masses),
-        **ends,
-    )
+    overlap = max(0.0, float((d[0] + d[1]) / 2 - (grains.rest[0] - grains.rest[1])))
+    weight = script.variable("g") * float(grains.masses[0])
+    load = constant * overlap**exponent - weight
+    return load if load > GAPS * weight else 0.0
 
 
 def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]:
@@ -327,7 +338,7 @@ def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
         drag = script.value(line.words[4], line) / float(masses[0])
     elif line := script.find("variable", "drag", "atom"):
         drag = script.value(line.words[3].removesuffix("*mass*vz").removeprefix("-"), line)
-    alike = np.ptp(viscous) <= ROUNDED * np.abs(viscous).max(initial=0.0)
+    alike = np.ptp(viscous) <= SAME_NUMBER * np.abs(viscous).max(initial=0.0)
     return Damping(viscoelastic=float(viscous.mean()) if alike else viscous, drag=drag)
 
 
@@ -358,7 +369,7 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
 def _digits(script: _Script) -> int:
     """Return the digits of the numbers in the dump."""
     line = script.need("dump_modify", "out")
-    match = FORMAT.fullmatch(line.words[-1])
+    match = FLOAT_FORMAT.fullmatch(line.words[-1])
     if not match:
         raise script.refuse(line, "must end in a format such as %.17g")
     # of C: six digits where none are given
@@ -389,7 +400,7 @@ def _check_heights(path: Path, scene: Scene, grains: _Grains) -> None:
         # a deck strikes by itself
         starts.append((0.0 - grains.speeds, v, 0.0))
     for values, start, rounding in starts:
-        if (np.abs(values - start) > rounding + ROUNDED * np.abs(start).max()).any():
+        if (np.abs(values - start) > rounding + SAME_NUMBER * np.abs(start).max()).any():
             worst = int(np.abs(values - start).argmax())
             raise InputError.at(
                 str(path),
@@ -436,6 +447,6 @@ def _alike(words: Sequence[str], others: Sequence[str]) -> bool:
 
 def _near(one: str, other: str) -> bool:
     try:
-        return math.isclose(float(one), float(other), rel_tol=ROUNDED, abs_tol=1e-300)
+        return math.isclose(float(one), float(other), rel_tol=SAME_NUMBER, abs_tol=1e-300)
     except ValueError:
         return False
