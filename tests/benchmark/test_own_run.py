@@ -197,6 +197,7 @@ DECKS = {
     "damped": small(damping=Damping(viscoelastic=1e-8, drag=50.0)),
     "dragged": small(damping=Damping(drag=50.0), diameter=[1e-3, 2e-3] * 12 + [1e-3]),
     "vacuum": VACUUM,
+    "striker": small(load_grain=2, bottom="wall", **DRIVEN),
 }
 
 

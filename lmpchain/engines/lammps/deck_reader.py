@@ -259,6 +259,7 @@ def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
         gravity=script.variable("g"),
         exponent=EXPONENTS[model],
         top_load=_load(script, grains, float(constants[0]), EXPONENTS[model]),
+        load_grain=_load_grain(script),
         damping=_damping(script, damping * share / stiffness, masses),
         **_ends(script, d, hertz),
     )
@@ -295,6 +296,12 @@ def _load(script: _Script, grains: _Grains, constant: float, exponent: float) ->
     weight = script.variable("g") * float(grains.masses[0])
     load = constant * overlap**exponent - weight
     return load if load > GAPS * weight else 0.0
+
+
+def _load_grain(script: _Script) -> int:
+    """Return the grain on which the load acts."""
+    line = script.find("group", "top", "id")
+    return script.count(line.words[3], line) if line else 1
 
 
 def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]:
