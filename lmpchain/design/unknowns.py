@@ -88,8 +88,8 @@ class Problem:
         symbol = params.unit(self.scene, name)
         if isinstance(choice, str) and choice == "common":
             if not base.any():
-                message = "is 0 everywhere, which no factor changes: name entries"
-                raise InputError.at(name, message)
+                cure = "begin with a guess above 0" if name in MAY_VANISH else "name entries"
+                raise InputError.at(name, f"is 0 everywhere, which no factor changes: {cure}")
             entries = base[base != 0]
             # entries that are all alike are estimated in their own unit, others by a factor
             alike = bool((entries == entries[0]).all())

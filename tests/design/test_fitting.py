@@ -219,6 +219,12 @@ def test_jacobians_of_forces_of_damped_chains_agree_with_differences(field: str)
         assert np.abs(exact[:, k] - slope).max() <= 1e-4 * np.abs(slope).max(), problem.names[k]
 
 
+def test_a_fit_of_damping_begins_above_0():
+    traces = Traces(SCENE.time, LOOKED_AT, measured())
+    with pytest.raises(InputError, match=r"damping\.viscoelastic: .*begin with a guess above 0"):
+        fit(traces, SCENE, ["damping.viscoelastic"])
+
+
 def test_a_chain_without_damping_is_found_to_have_none():
     """A does not fall below 0, whatever the noise says."""
     traces = Traces(SCENE.time, LOOKED_AT, measured(1e-4), noise=1e-4)

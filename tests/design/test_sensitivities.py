@@ -105,6 +105,17 @@ def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert len(kept["derivatives"]["diameters"]) == 12
 
 
+@pytest.mark.slow
+def test_the_command_knows_damping(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene = DAMPED.replace(duration=3e-5)
+    scene.to_toml(tmp_path / "scene.toml")
+    wanted = ["sensitivity", str(tmp_path / "scene.toml"), "--of", "momentum:3"]
+    assert main([*wanted, "--viscoelastic", "0.1", "--drag", "0.1"]) == 0
+    said = capsys.readouterr().out
+    assert "by the uncertainty of damping.viscoelastic" in said
+    assert "by the uncertainty of damping.drag" in said
+
+
 @pytest.mark.parametrize(
     ("of", "text"),
     [
