@@ -324,6 +324,7 @@ WORDS = {
     "sensitivity": ["r.nc", "--of", "momentum:3"],
     "deck": ["s.toml", "-o", "deck"],
     "dyson": ["r.nc", "--m", "1,2"],
+    "export": ["r.nc", "-o", "t.csv"],
     "fit": ["r.nc"],
     "report": ["r.nc"],
     "workprec": ["s.toml"],
