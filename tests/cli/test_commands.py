@@ -330,7 +330,7 @@ WORDS = {
     "workprec": ["s.toml"],
     "stability": ["s.toml"],
     "sweep": ["w.toml", "-o", "out"],
-    "check": ["column.lammpstrj", "--scene", "s.toml"],
+    "check": [],
     "doctor": [],
     "docs": [],
 }
