@@ -17,7 +17,12 @@ from ...chain.damping import viscous_force
 from ...util.arrays import Array
 from .maxima import Window
 
-POINTS = 33  # of an interval, at which forces are compared
+# of an interval, at which forces are compared; and how often the two around the largest are divided
+# in as many
+POINTS = 33
+ZOOMS = 4
+# of the difference of two polynomials: with a contact that opens among their samples either is off
+SAFETY = 4.0
 # of the largest at samples: what is smaller at both ends of an interval stays so
 HIGH = 0.8
 
@@ -37,34 +42,37 @@ class ViscousContact(NamedTuple):
 
 @cache
 def _hermite(nodes: tuple[int, ...]) -> Array:
-    """Return the polynomial through values and slopes at nodes, and its slope, (2, POINTS, 2Q).
-
-    At points from 0 to 1, as sums over the values at the Q nodes and then the slopes.
-    """
+    """Return the matrix (2Q, 2Q) from values and slopes at Q nodes to coefficients."""
+    at = np.array(nodes, float)[:, None]
     powers = np.arange(2 * len(nodes))
-
-    def rows(at: Array) -> Array:
-        value = at[:, None] ** powers
-        slope = powers * at[:, None] ** np.maximum(powers - 1, 0)
-        return np.array([value, slope])
-
-    given = np.concatenate(rows(np.array(nodes, float)))
-    return rows(np.linspace(0.0, 1.0, POINTS)) @ np.linalg.inv(given)
+    slopes = powers * at ** np.maximum(powers - 1, 0)
+    return np.linalg.inv(np.concatenate((at**powers, slopes)))
 
 
-def _between(motion: Array, h: float, first: Array, size: int, offset: int) -> Array:
-    """Return approach and rate at the points of intervals, (2, I, POINTS).
+class Polynomials(NamedTuple):
+    """Approaches, m, in I intervals of length h, s, as polynomials of time over h, (I, 2Q)."""
 
-    From `size` samples each, the first of which have these numbers, and lie `offset` before the
-    intervals; `motion` is approach and rate at the samples, (2, R).
-    """
-    table = _hermite(tuple(range(-offset, size - offset)))
-    near = motion[:, first[:, None] + np.arange(size)]
+    coefficients: Array
+    h: float
+
+    def at(self, when: Array) -> tuple[Array, Array]:
+        """Return approaches and rates, (I, P) m and m/s, at (I, P) times from 0 to 1."""
+        value = np.zeros(when.shape)
+        slope = np.zeros(when.shape)
+        # term by term: the bits of a product of matrices depend on how many intervals there are
+        for coefficient in self.coefficients.T[::-1]:
+            slope = slope * when + value
+            value = value * when + coefficient[:, None]
+        return value, slope / self.h
+
+
+def _between(motion: Array, h: float, first: Array, nodes: range) -> Polynomials:
+    """Return polynomials through samples with these numbers on, which lie at these nodes."""
+    near = motion[:, first[:, None] + np.arange(len(nodes))]
     # slopes in units of the interval
     data = np.concatenate((near[0], h * near[1]), axis=1)
-    # term by term: the bits of a product of matrices depend on how many intervals there are
-    terms = (data[:, [k]] * table[:, None, :, k] for k in range(2 * size))
-    return sum(terms, np.zeros((2, 1, 1))) / np.array([1.0, h])[:, None, None]
+    terms = (data[:, [k]] * row for k, row in enumerate(_hermite(tuple(nodes)).T))
+    return Polynomials(sum(terms, np.zeros((1, 1))), h)
 
 
 def largest_force(contact: ViscousContact, motion: Array, h: float, window: Window) -> Array:
@@ -89,24 +97,30 @@ def largest_force(contact: ViscousContact, motion: Array, h: float, window: Wind
     # at the ends of a run intervals lie at the ends of their samples
     begins = np.clip(numbers - 1, 0, max(count - 4, 0))
     for offset in np.unique(numbers - begins).tolist():
-        of_offset = numbers - begins == offset
-        first = begins[of_offset]
+        first = begins[numbers - begins == offset]
         size = min(4, count)
-        fine = _between(motion, h, first, size, offset)
+        fine = _between(motion, h, first, range(-offset, size - offset))
         # three samples around the interval
         skip = min(max(offset - 1, 0), size - 3) if size > 3 else 0
-        rough = _between(motion, h, first + skip, min(3, size), offset - skip)
-        force = contact.force(*fine)
-        row, point = np.unravel_index(force.argmax(), force.shape)
-        value = force[row, point]
-        error = abs(value - contact.force(*rough)[row, point])
-        if 0 < point < POINTS - 1:
-            # the top of a parabola through three points
-            below, above = force[row, point - 1], force[row, point + 1]
-            bend = 2 * value - below - above
-            rise = (above - below) ** 2 / (8 * bend) if bend > 0 else 0.0
-            value += rise
-            error += rise / POINTS
+        begin = skip - offset
+        rough = _between(motion, h, first + skip, range(begin, begin + min(3, size)))
+        row = np.arange(first.size)
+        middle = np.full((first.size, 1), 0.5)
+        reach = 0.5
+        for _ in range(ZOOMS):
+            when = np.clip(middle + reach * np.linspace(-1.0, 1.0, POINTS), 0.0, 1.0)
+            force = contact.force(*fine.at(when))
+            point = force.argmax(1)
+            middle = when[row, point][:, None]
+            reach *= 2 / (POINTS - 1)
+        top = int(force.max(1).argmax())
+        value = force[top].max()
         if value > best[0]:
-            best[:] = value, error, *fine[:, row, point]
+            at = middle[[top]]
+            closer, closing = (x[0, 0] for x in Polynomials(fine.coefficients[[top]], h).at(at))
+            other = Polynomials(rough.coefficients[[top]], h).at(at)
+            # where it closes: how the force falls from the point that is nearest
+            fall = np.abs(np.diff(force[top]))[max(point[top] - 1, 0) : point[top] + 1].min()
+            error = SAFETY * abs(value - contact.force(*other)[0, 0]) + fall
+            best[:] = value, error, closer, closing
     return best
