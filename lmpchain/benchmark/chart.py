@@ -1,4 +1,4 @@
-"""The work-precision chart: what leads in colour, all else in grey, times to one error as bars."""
+"""The work-precision chart: what leads and LAMMPS in colour, times as bars, the cheapest ways."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import chain, groupby
 from typing import TYPE_CHECKING, Any
 
 from ..scene.scene import Scene
-from ..util.plotting import LEAST_ERROR, MARKERS, SHADES, SHAPES, legend, panels, window
+from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, SHADES, SHAPES, legend, panels, window
 from .pareto import KNOWN, front, time_to
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 LABELLED = 5  # curves in colour, those that reach the target soonest
 TARGET = 1e-6  # error
 FRONT = "#F0E442"
+LAMMPS: dict[str, Any] = {"ms": 5, "lw": 1.3, "zorder": 3.5, "ls": "--"}
 GREY: dict[str, Any] = {"color": "0.75", "lw": 0.8, "ms": 3, "zorder": 1}
 
 
@@ -26,8 +27,14 @@ def draw(
 ) -> Axes:
     """Draw error against time and force evaluations, and times to one error."""
     if ax is None:
-        picture = window(14.0, 7.0)
-        ax = picture.subplots(1, 3, width_ratios=(5, 5, 3.5))
+        picture = window(14.0, 8.6)
+        rooms = picture.subplot_mosaic(
+            [["time", "evaluations", "bars"], ["ways"] * 3],
+            width_ratios=(5, 5, 3.5),
+            height_ratios=(7, 1.7),
+        )
+        _write_ways(rooms.pop("ways"), result)
+        ax = list(rooms.values())
         picture.suptitle(_title(result.scene), x=0.01, ha="left")
         picture.supxlabel(_footer(result), x=0.01, ha="left", fontsize="x-small", color="0.35")
     over_time, *rest = panels(ax)
@@ -46,6 +53,10 @@ def draw(
 
     soonest = sorted(stepped, key=rank)[:LABELLED]
     styles = {curve.name: _style(number, curve) for number, curve in enumerate(soonest)}
+    # in its colour wherever it stands: whoever has a deck looks for it
+    lammps = [curve for curve in result.curves if curve.engine == "lammps"]
+    for curve, shape in zip(lammps, SHAPES, strict=False):
+        styles[curve.name] = {"color": COLOURS["lammps"], "marker": shape, **LAMMPS}
     _draw_errors(over_time, "seconds", result, curves, styles)
     over_time.set(xlabel="time (s)", ylabel="relative error")
     legend(
@@ -60,6 +71,18 @@ def draw(
         _draw_orders(over_evaluations)
         _draw_bars(bars, times, styles)
     return over_time
+
+
+def _write_ways(ax: Axes, result: Any) -> None:
+    """Write the cheapest way to each error below the charts, LAMMPS in its colour."""
+    ax.set_axis_off()
+    lines = result.best()
+    for row, line in enumerate(lines):
+        colour = COLOURS["lammps"] if "lammps" in line else "black"
+        weight = "bold" if row == 0 else "normal"
+        height = 1 - row / len(lines)
+        text: dict[str, Any] = {"family": "monospace", "fontsize": "small", "va": "top"}
+        ax.text(0.0, height, line, transform=ax.transAxes, color=colour, weight=weight, **text)
 
 
 def _draw_errors(

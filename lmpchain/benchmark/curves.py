@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..scene.scene import Scene
 from ..util.notebook import Shown
 from ..util.provenance import processor
-from ..util.tables import align, finite, number
+from ..util.tables import align, duration, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .chart import draw
 from .comparison import Row
@@ -63,6 +65,49 @@ class Point(Row):
     pareto: bool = False
 
 
+class Choice(NamedTuple):
+    """The cheapest measured way to an error.
+
+    Attributes
+    ----------
+    target : float
+        Error that is asked for.
+    engine, integrator : str
+        The engine is empty if none reaches it.
+    step_s : float
+        s; NaN for a solution without steps.
+    error : float
+        That it has; NaN if there is none.
+    seconds : float
+        As `Point.seconds`.
+    to_tolerance : bool
+        Whether the engine chose the step itself, and its time is that with the error estimate.
+    why : str
+        Why there is none.
+    """
+
+    target: float
+    engine: str
+    integrator: str
+    step_s: float
+    error: float
+    seconds: float
+    to_tolerance: bool
+    why: str
+
+
+def _cells(choice: Choice, name: str) -> Sequence[str]:
+    """Return the cells of a row; without a choice, why there is none for the engine of a name."""
+    target = f"{choice.target:.0e}"
+    if not choice.engine:
+        return target, name, "-", "-", "-", textwrap.shorten(choice.why, LONGEST_REASON)
+    engine = f"{choice.engine} {choice.integrator}".rstrip()
+    step = number(choice.step_s, unit="s", missing="-")
+    remark = "with the estimate" if choice.to_tolerance else ""
+    return target, engine, step, f"{choice.error:.0e}", duration(choice.seconds), remark
+
+
+LONGEST_REASON = 24  # letters in a table
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 WITHOUT = "{}, without the estimate"
 
@@ -125,6 +170,51 @@ class WorkPrecision(Shown, Tabular):
         """All points, curve by curve."""
         return [point for curve in self.curves for point in curve.points]
 
+    def cheapest(self, engine: str = "") -> list[Choice]:
+        """Return the cheapest measured point for each of some errors: 1e-3, 1e-6, 1e-9, 1e-12.
+
+        Parameters
+        ----------
+        engine : str, optional
+            Of this engine alone, such as "lammps"; by default of all.
+        """
+        curves = [curve for curve in self.curves if engine in ("", curve.engine)]
+        return [self._choose(curves, target, engine) for target in TARGETS]
+
+    def _choose(self, curves: Sequence[Curve], target: float, engine: str) -> Choice:
+        """Return the cheapest point of some curves up to an error, or why there is none."""
+        points = [point for curve in curves for point in curve.points]
+        good = [point for point in points if point.error <= target]
+        if good:
+            best = min(good, key=lambda point: point.seconds)
+            integrator = best.integrator if best.steps and best.integrator != best.engine else ""
+            step = best.step_s if integrator else math.nan
+            chosen = best.tolerance is not None
+            return Choice(
+                target, best.engine, integrator, step, best.error, best.seconds, chosen, ""
+            )
+        why = "none was measured"
+        if points:
+            least = min(points, key=lambda point: point.error)
+            # where shorter steps were tried in vain, rounding is what is left
+            finest = max(p.steps for p in points if p.integrator == least.integrator)
+            end = "round-off" if least.steps < finest else "time over"
+            why = f"at best {least.error:.0e}: {end}"
+        else:
+            reasons = [text for text in self.left_out if engine and text.startswith(f"{engine}: ")]
+            why = next((text.partition(": ")[2] for text in reasons), why)
+        return Choice(target, "", "", math.nan, math.nan, math.nan, False, why)
+
+    def best(self) -> list[str]:
+        """Return the cheapest way to each error as lines of a table, with that of LAMMPS beside."""
+        rows: list[Sequence[str]] = [("to reach", "engine", "step", "error", "time", "")]
+        for pair in zip(self.cheapest(), self.cheapest("lammps"), strict=True):
+            for choice, name in zip(pair, ("none", "lammps"), strict=True):
+                # where LAMMPS is the cheapest of all, a row says it
+                if name == "none" or choice.engine != pair[0].engine:
+                    rows.append(_cells(choice, name))
+        return align(rows)
+
     def to_json(self) -> dict[str, Any]:
         """Return the points for a JSON file; numbers that are not finite become None."""
         rows = [finite(asdict(point)) for point in self.points]
@@ -135,10 +225,12 @@ class WorkPrecision(Shown, Tabular):
             "versions": self.versions,
             "dropped": self.dropped,
             "rows": rows,
+            "cheapest": [finite(choice._asdict()) for choice in self.cheapest()],
+            "cheapest_lammps": [finite(choice._asdict()) for choice in self.cheapest("lammps")],
         }
 
     def table(self, others: Mapping[str, Iterable[tuple[float, float]]] = {}) -> str:
-        """Return the time to reach several errors, as text, a line a curve.
+        """Return the cheapest way to several errors, and the time that each curve takes to them.
 
         Curves of other codes are given as {name: (seconds, error) ...}.
         """
@@ -153,8 +245,8 @@ class WorkPrecision(Shown, Tabular):
         lines = [["time to an error of", *(f"{target:.0e}" for target in TARGETS)]]
         for name, points in (curves | dict(others)).items():
             times = [time_to(target, points) for target in TARGETS]
-            lines.append([name, *(number(1e3 * t, unit="ms", missing="-") for t in times)])
-        return "\n".join(align(lines))
+            lines.append([name, *(duration(seconds) for seconds in times)])
+        return "\n".join([*self.best(), "", *align(lines)])
 
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()

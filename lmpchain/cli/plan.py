@@ -26,7 +26,7 @@ def plan(arguments: argparse.Namespace) -> int:
     if scene:
         from ..simulation.planner import plan
 
-        result = plan(scene, arguments.tolerance)
+        result = plan(scene, arguments.tolerance, arguments.engine)
         print(result.table())
         keep(result, numbers, None)
     return 0

@@ -191,6 +191,12 @@ VERBS = {
         (
             _argument("scene", metavar="SCENE.toml", nargs="?", help="scene file"),
             TOLERANCE,
+            _argument(
+                "--engine",
+                metavar="E",
+                help="what it would take in this engine, such as lammps, by each of its "
+                "integrators (default: all engines)",
+            ),
             NUMBERS,
             _argument(
                 "--calibrate",

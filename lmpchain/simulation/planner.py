@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import engines
+from ..engines.base import Engine
 from ..errors import check_tolerance
+from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
 from ..util.tables import align, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
-from .selection import Proposal, cheapest, propose, reason
+from .selection import Proposal, ask, cheapest, propose, reason
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-HEAD = ("", "engine", "Eq.", "model error", "solver error", "grains", "step", "cost", "")
+HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
+LINE_WIDTH = 80
+TRIAL_S = 10.0  # longest native run that finds the step of an engine that was not asked for
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,11 +66,24 @@ class Plan(Shown, Tabular):
     damping: str = ""
 
     def table(self) -> str:
-        """Return all candidates as a table, and why the first is taken."""
-        lines = [*align(self._summary()), f"{self.engine} {self.why}"]
+        """Return all candidates as a table, and why the first is taken, within 80 columns.
+
+        Errors are those of the equation, "model", and of its solution, "solver".
+        """
+        sentences = [f"{_label(each)}: {_verdict(each)}" for each in self._by_price()]
+        sentences.append(f"{self.engine} {self.why}")
         if self.damping:
-            lines.append(f"damping: {self.damping}")
+            sentences.append(f"damping: {self.damping}")
+        lines = align(self._summary())
+        for sentence in sentences:
+            lines += textwrap.wrap(
+                sentence, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False
+            )
         return "\n".join(lines)
+
+    def _by_price(self) -> list[Proposal]:
+        """Return the candidates, those that are kept first, and the cheapest of them foremost."""
+        return sorted(self.candidates, key=lambda proposal: proposal.price_s)
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         yield from (
@@ -73,8 +92,9 @@ class Plan(Shown, Tabular):
 
     def _summary(self) -> Iterator[Sequence[str]]:
         yield HEAD
-        for proposal in sorted(self.candidates, key=lambda proposal: proposal.price_s):
-            yield "*" if proposal.engine == self.engine else "", *_cells(proposal)
+        for proposal in self._by_price():
+            taken = (proposal.engine, proposal.integrator) == (self.engine, self.integrator)
+            yield "*" if taken else "", *_cells(proposal)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw expected error against cost of all candidates, with the tolerance; returns the axes.
@@ -125,7 +145,7 @@ class Plan(Shown, Tabular):
         return of_rows([proposal.to_json() for proposal in self.candidates])
 
 
-def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
+def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Plan:
     """Say which engine `simulate` takes for a scene with engine "auto", with which step, and why.
 
     Parameters
@@ -133,6 +153,9 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     scene : Scene
     tolerance : float
         Largest relative error, of equation and solver together.
+    engine : str, optional
+        An engine, such as "lammps": what each of its integrators would take. By default all
+        engines.
 
     Returns
     -------
@@ -141,9 +164,9 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     Raises
     ------
     InputError
-        If the tolerance is not between 0 and 1.
+        If the tolerance is not between 0 and 1, or there is no such engine.
     ToleranceNotMet
-        If no engine expects to meet it.
+        If no engine, or not the one that is named, expects to meet it.
 
     Examples
     --------
@@ -155,8 +178,15 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     """
     check_scene(scene)
     check_tolerance(tolerance)
-    proposals = propose(scene, tolerance, every=True)
-    best = cheapest(proposals)
+    if engine is None:
+        proposals = propose(scene, tolerance, every=True)
+        best = cheapest(proposals)
+        why = reason(best, proposals)
+        proposals = [_with_step(each, scene, tolerance, best) for each in proposals]
+    else:
+        proposals = [ask(each, scene, tolerance) for each in _ways(engine, scene)]
+        best = cheapest(proposals)
+        why = f"with {best.integrator} is the cheapest way" if best.integrator else "was asked for"
     assert best.active_grains is not None
     return Plan(
         engine=best.engine,
@@ -165,7 +195,7 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
         step=best.step,
         expected_error=best.model_error + best.solver_error,
         expected_cost_s=best.cost_s,
-        why=reason(best, proposals),
+        why=why,
         candidates=tuple(proposals),
         tolerance=tolerance,
         damping_effect=scene.damping_effect,
@@ -173,12 +203,39 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     )
 
 
+def _ways(name: str, scene: Scene) -> list[Engine]:
+    """Return an engine with each of its integrators that can do a scene."""
+    engine = engines.get(name)
+    methods = [kind for kind in methods_of(scene.chain.damped) if kind in engine.integrators]
+    return [engines.get(name, integrator=kind) for kind in methods] or [engine]
+
+
+def _with_step(proposal: Proposal, scene: Scene, tolerance: float, best: Proposal) -> Proposal:
+    """Return what an engine would take that is asked for by name only."""
+    if proposal.candidate or proposal.equation is not None or best.cost_s > TRIAL_S:
+        return proposal
+    asked = ask(engines.plain(proposal.engine), scene, tolerance)
+    why = proposal.why if asked.candidate else f"{proposal.why}; {asked.why}"
+    return asked._replace(kept=False, why=why)
+
+
+def _label(proposal: Proposal) -> str:
+    return f"{proposal.engine} {proposal.integrator}".rstrip()
+
+
+def _verdict(proposal: Proposal) -> str:
+    """Return in words whether a proposal is kept, and why."""
+    choices = proposal.candidate.choices if proposal.candidate else {}
+    diameter = choices.get("diameter")
+    drawn = f"; {diameter} diameter: {choices['why']}" if diameter else ""
+    return f"{'kept' if proposal.kept else 'dropped'}: {proposal.why}{drawn}"
+
+
 def _cells(proposal: Proposal) -> Iterator[str]:
-    yield f"{proposal.engine}{f' {proposal.integrator}' if proposal.integrator else ''}"
+    yield _label(proposal)
     yield "" if proposal.equation is None else f"({proposal.equation})"
     yield "0" if proposal.model_error == 0 else number(proposal.model_error, ".1g")
     yield number(proposal.solver_error, ".1g")
     yield "" if proposal.active_grains is None else str(proposal.active_grains)
     yield number(proposal.step, unit="s")
     yield number(1e3 * proposal.cost_s, unit="ms")
-    yield f"{'kept' if proposal.kept else 'dropped'}: {proposal.why}"

@@ -101,13 +101,13 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
     """
     automatic = [engines.plain(name) for name in engines.automatic()]
     exact = [engine for engine in automatic if engine.equation == 1]
-    proposals = [_ask(engine, scene, tolerance) for engine in exact]
+    proposals = [ask(engine, scene, tolerance) for engine in exact]
     cheapest_s = min(proposal.price_s for proposal in proposals)
     for engine in automatic:
         # no proposal costs less than its start
         begins_s, _ = speed(engine.name, engine.start_up_s)
         if engine.equation != 1 and (every or begins_s < cheapest_s):
-            proposals.append(_ask(engine, scene, tolerance))
+            proposals.append(ask(engine, scene, tolerance))
     return proposals + _ask_on_request(scene, tolerance, proposals)
 
 
@@ -116,11 +116,23 @@ def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) 
     if any(proposal.candidate for proposal in others):
         why = "only if asked for by name, or if no other engine can do the scene"
         return [Proposal(name, why=why) for name in engines.ON_REQUEST]
-    return [_ask(engines.plain(name), scene, tolerance) for name in engines.ON_REQUEST]
+    return [ask(engines.plain(name), scene, tolerance) for name in engines.ON_REQUEST]
 
 
-def _ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
-    """Return the proposal of an engine, with the verdict on it."""
+def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
+    """Return the proposal of an engine for a scene, with the verdict on it.
+
+    Parameters
+    ----------
+    engine : Engine
+    scene : Scene
+    tolerance : float
+
+    Returns
+    -------
+    Proposal
+        Without a candidate where the engine cannot do the scene or meet the tolerance.
+    """
     name = engine.name
     equation = engine.equation
     if reasons := engine.obstacles(scene):

@@ -35,6 +35,20 @@ def number(
     return f"{value:{form}} {unit}".rstrip()
 
 
+def duration(seconds: float, missing: str = "-") -> str:
+    """Return a time in the unit that suits it.
+
+    Examples
+    --------
+    >>> duration(7.23e-5), duration(0.5), duration(90.0), duration(math.nan)
+    ('72.3 us', '500 ms', '90 s', '-')
+    """
+    if not math.isfinite(seconds):
+        return missing
+    factor, unit = (1, "s") if seconds >= 1 else (1e3, "ms") if seconds >= 1e-3 else (1e6, "us")
+    return f"{factor * seconds:.3g} {unit}"
+
+
 def counted(count: int, thing: str) -> str:
     """Return how many there are of a thing, in the singular for one.
 

@@ -69,7 +69,7 @@ LEADING = [
 
 @pytest.fixture(scope="module")
 def panels() -> Any:
-    return RESULT.plot(others=OTHERS).figure.axes
+    return RESULT.plot(others=OTHERS).figure.axes[:3]
 
 
 def lines_of(ax: Any) -> dict[str, Any]:
@@ -84,14 +84,16 @@ def test_curves_that_reach_an_error_soonest_are_in_colour(panels: Any):
             (source,) = (each for each in CURVES if each.name == name)
             data = [(getattr(p, cost), p.error) for p in source.points]
             assert [tuple(row) for row in line.get_xydata()] == data
+            if name.startswith("lammps"):
+                continue
             first = place == 0
             assert line.get_color() == ("black" if first else SHADES[place])
             assert line.get_marker() == ("*" if first else SHAPES[place])
             assert (line.get_markersize(), line.get_linewidth()) == (8 if first else 5.5, 1.8)
             assert line.get_zorder() == (4 if first else 3)
-        assert set(lines) - set(LEADING) == {"Pareto front", "others"}
+        assert set(lines) - set(LEADING) == {"Pareto front", "others", "lammps, verlet"}
         grey = [line for line in ax.lines if line.get_color() == "0.75"]
-        names = ["lammps, verlet", "native, gear4"] + ["other"] * (cost == "seconds")
+        names = ["native, gear4"] + ["other"] * (cost == "seconds")
         assert len(grey) == len(names)
         assert [line.get_label() for line in grey] == ["others", *["_others"] * (len(names) - 1)]
         assert all(line.get_marker() == "." and line.get_zorder() == 1 for line in grey)
@@ -115,12 +117,14 @@ def test_the_front_is_drawn_through_the_points_that_lead(panels: Any):
 def test_rings_mark_the_longest_stable_steps_of_leading_curves(panels: Any):
     for ax, cost in zip(panels, ("seconds", "force_evaluations"), strict=False):
         rings = [line for line in ax.lines if line.get_markersize() == 14]
-        firsts = [each.points[0] for each in CURVES if each.name in LEADING[1:]]
+        ringed = {*LEADING[1:], "lammps, verlet"}
+        firsts = [each.points[0] for each in CURVES if each.name in ringed]
         places = [tuple(line.get_xydata()[0]) for line in rings]
         assert places == [(getattr(p, cost), p.error) for p in firsts]
-        names = [each.name for each in CURVES if each.name in LEADING[1:]]
+        names = [each.name for each in CURVES if each.name in ringed]
         assert [r.get_markeredgecolor() for r in rings] == [
-            SHADES[LEADING.index(name)] for name in names
+            COLOURS["lammps"] if name.startswith("lammps") else SHADES[LEADING.index(name)]
+            for name in names
         ]
 
 
@@ -189,6 +193,7 @@ def test_bars_are_times_to_one_error(panels: Any):
         [1e3 * times[name] for name in reached]
     )
     colours = {name: "black" if k == 0 else SHADES[k] for k, name in enumerate(LEADING)}
+    colours["lammps, rkn4"] = COLOURS["lammps"]
     from matplotlib.colors import to_rgba
 
     assert [bar.get_facecolor() for bar in bars.patches] == [
@@ -263,7 +268,8 @@ def test_rows_and_tables_of_given_points():
     )
     assert [row["longest"] for row in data["rows"][:5]] == [False, False, False, True, False]
     assert not any(row["pareto"] for row in data["rows"])
-    lines = RESULT.table({"other": [(0.05, 1e-5), (0.15, 1e-7)]}).splitlines()
+    text = RESULT.table({"other": [(0.05, 1e-5), (0.15, 1e-7)]})
+    lines = text.partition("\n\n")[2].splitlines()
     words = [line.split("  ") for line in lines]
     cells = {line[0]: [cell.strip() for cell in line[1:] if cell.strip()] for line in words}
     assert cells["time to an error of"] == ["1e-03", "1e-06", "1e-09", "1e-12"]
@@ -273,6 +279,49 @@ def test_rows_and_tables_of_given_points():
     assert cells["modes"] == ["10 ms", "-", "-", "-"]
     assert cells["other"][1] == "86.6 ms"
     assert machine().startswith(f"{processor()}, ")
+
+
+def test_a_row_a_tolerance_names_the_cheapest_way_and_lammps():
+    rows = [
+        (each.target, each.engine, each.integrator, each.error, each.seconds)
+        for each in RESULT.cheapest()
+    ]
+    assert rows[:2] == [
+        (1e-3, "bessel", "", 1.05e-4, 0.003),
+        (1e-6, "native", "rkn6", 1e-8, 0.2),
+    ]
+    beside = RESULT.cheapest("lammps")
+    assert [each.engine for each in beside] == ["lammps", "lammps", "", ""]
+    assert (beside[0].integrator, beside[0].seconds) == ("rkn4", 4.0)
+    assert beside[2].why == "at best 1e-07: time over"
+    lines = RESULT.table().splitlines()
+    assert [line.split()[:3] for line in lines[1:5]] == [
+        ["1e-03", "bessel", "-"],
+        ["1e-03", "lammps", "rkn4"],
+        ["1e-06", "native", "rkn6"],
+        ["1e-06", "lammps", "rkn4"],
+    ]
+    assert max(map(len, lines)) <= 80
+    (row,) = (line for line in lines if line.split()[:2] == ["1e-09", "lammps"])
+    assert row.endswith("at best 1e-07: time over")
+    data = RESULT.to_json()
+    assert data["cheapest"][1]["step_s"] == 1e-8
+    assert data["cheapest_lammps"][2]["engine"] == ""
+    assert data["cheapest_lammps"][2]["error"] is None
+    without = replace(RESULT, curves=CURVES[:4], left_out=("lammps: it is not installed",))
+    assert {each.why for each in without.cheapest("lammps")} == {"it is not installed"}
+
+
+def test_lammps_is_in_its_colour_and_the_rows_are_below(panels: Any):
+    for ax in panels[:2]:
+        lines = lines_of(ax)
+        for name in ("lammps, verlet", "lammps, rkn4"):
+            assert lines[name].get_color() == COLOURS["lammps"]
+    ways = panels[0].figure.axes[3]
+    assert [text.get_text() for text in ways.texts] == RESULT.best()
+    assert {text.get_color() for text in ways.texts if "lammps" in text.get_text()} == {
+        COLOURS["lammps"]
+    }
 
 
 # --- the comparison of answers

@@ -199,8 +199,8 @@ def test_json_has_the_agreed_shape(found):
 
 def test_the_picture(found, tmp_path):
     picture = found.plot(others=PEERS).figure
-    over_time, over_evaluations, bars = picture.axes
-    assert {ax.get_xscale() for ax in picture.axes} | {
+    over_time, over_evaluations, bars, ways = picture.axes
+    assert {ax.get_xscale() for ax in picture.axes[:3]} | {
         ax.get_yscale() for ax in picture.axes[:2]
     } == {"log"}
     assert over_time.get_xlabel() == "time (s)"
@@ -209,9 +209,11 @@ def test_the_picture(found, tmp_path):
         text.get_text().replace("\n", " ") for text in over_evaluations.get_legend().get_texts()
     ]
     assert {"native, to a tolerance", "others", "Pareto front"} <= set(shown)
-    assert len(shown) == len(set(shown)) <= LABELLED + 2
+    assert len(shown) == len(set(shown)) <= LABELLED + 5
+    assert {"lammps, verlet", "lammps, rkn6"} <= set(shown)
+    assert ways.texts[1].get_text().startswith("1e-03")
     rings = [line for line in over_evaluations.lines if line.get_markersize() == 14]
-    assert 1 <= len(rings) <= LABELLED
+    assert 1 <= len(rings) <= LABELLED + 3
     guides = [text.get_text() for text in over_evaluations.texts]
     assert {"better", "2", "4", "6", "8", "order"} <= set(guides)
     times = {
@@ -246,9 +248,26 @@ def test_a_picture_in_axes_of_ones_own(found):
 
 def test_the_table_gives_the_time_to_each_error(found):
     lines = found.table({"other": [(1e-2, 1e-5), (3e-2, 1e-9)]}).splitlines()
-    assert lines[0].split()[-4:] == ["1e-03", "1e-06", "1e-09", "1e-12"]
+    assert max(map(len, lines)) <= 80
+    head = lines[lines.index("") + 1]
+    assert head.split()[-4:] == ["1e-03", "1e-06", "1e-09", "1e-12"]
     assert re.fullmatch(r"other +10 ms +\S+ ms +30 ms +-", lines[-1])
     assert any(line.startswith("native, to a tolerance, without the estimate") for line in lines)
+
+
+def test_the_cheapest_way_to_an_error_has_it(found):
+    """A run with the engine, the integrator and the step of a row, by an independent integrator."""
+    u, v, _ = extended_reference(SCENE)
+    ways = [*found.cheapest(), *found.cheapest("lammps")]
+    assert len([way for way in ways if way.engine]) >= 5
+    for way in ways:
+        points = [p for p in found.points if p.error <= way.target and way.engine in ("", p.engine)]
+        if way.engine and not way.to_tolerance and way.integrator:
+            assert way.seconds == min(p.seconds for p in points)
+            engine = engines.get(way.engine, integrator=way.integrator, step=way.step_s)
+            t = simulate(SCENE, engine)
+            assert relative_error(t.displacement, t.velocity, u, v) <= 1.01 * way.target
+    assert [way.target for way in ways] == 2 * [1e-3, 1e-6, 1e-9, 1e-12]
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])

@@ -392,6 +392,7 @@ def test_table_and_json(tmp_path: Path, capsys):
         sum("dropped: strike number 8.5: linear theory leaves out up to 100 %" in x for x in said)
         == 2
     )
+    assert max(map(len, said)) <= 80
     found = json.loads(json_file.read_text())
     plan = lmpchain.plan(Scene.from_toml(SCENES / "fig5_1g.toml"), 1e-3)
     assert found["engine"] == plan.engine
@@ -400,7 +401,41 @@ def test_table_and_json(tmp_path: Path, capsys):
         *lmpchain.engines.names()[1:],
         "lammps",
     ]
-    assert next(row for row in found["candidates"] if row["engine"] == "lammps")["cost_s"] is None
+    lammps = next(row for row in found["candidates"] if row["engine"] == "lammps")
+    assert lammps["why"].startswith("only if asked for by name")
+    assert lammps["cost_s"] > 0
+    assert not lammps["kept"]
+    assert lammps["step"] == lmpchain.engines.get("lammps").candidate(plan_scene(), 1e-3).step
+
+
+def plan_scene() -> Scene:
+    return Scene.from_toml(SCENES / "fig5_1g.toml")
+
+
+def test_what_it_would_take_in_lammps(capsys: pytest.CaptureFixture[str]):
+    """Each integrator of an engine, and a run with its step has the error that was planned."""
+    plan = lmpchain.plan(plan_scene(), 1e-4, engine="lammps")
+    kinds = {each.integrator: each for each in plan.candidates}
+    assert list(kinds) == ["verlet", "rkn6", "kahan-li6"]
+    assert plan.engine == "lammps"
+    assert plan.expected_cost_s == min(each.cost_s for each in plan.candidates)
+    assert (plan.step, plan.integrator) == (kinds["rkn6"].step, "rkn6")
+    u, v, _ = extended_reference(plan_scene())
+    for kind, each in kinds.items():
+        t = simulate(plan_scene(), lmpchain.engines.Native(kind, each.step))
+        assert relative_error(t.displacement, t.velocity, u, v) <= each.solver_error <= 1e-4
+    words = ["plan", str(SCENES / "fig5_1g.toml"), "--engine", "lammps"]
+    assert main([*words, "--tolerance", "1e-4"]) == 0
+    said = capsys.readouterr().out
+    assert [line.split()[:2] for line in said.splitlines()[2:4]] == [
+        ["lammps", "kahan-li6"],
+        ["lammps", "verlet"],
+    ]
+    assert max(map(len, said.splitlines())) <= 80
+    assert main([*words, "--tolerance", "1e-13"]) == 1
+    assert "LAMMPS holds heights in double precision" in capsys.readouterr().err
+    assert main(["plan", str(SCENES / "fig5_1g.toml"), "--engine", "lamps"]) == 2
+    assert "did you mean 'lammps'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
