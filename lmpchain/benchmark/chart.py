@@ -26,37 +26,14 @@ def draw(
     result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
 ) -> Axes:
     """Draw error against time and force evaluations, and times to one error."""
-    if ax is None:
-        picture = window(14.0, 8.6)
-        rooms = picture.subplot_mosaic(
-            [["time", "evaluations", "bars"], ["ways"] * 3],
-            width_ratios=(5, 5, 3.5),
-            height_ratios=(7, 1.7),
-        )
-        _write_ways(rooms.pop("ways"), result)
-        ax = list(rooms.values())
-        picture.suptitle(_title(result.scene), x=0.01, ha="left")
-        picture.supxlabel(_footer(result), x=0.01, ha="left", fontsize="x-small", color="0.35")
-    over_time, *rest = panels(ax)
+    over_time, *rest = panels(_figure(result) if ax is None else ax)
     curves: dict[str, list[Mapping[str, Any]]] = {
         curve.name: [vars(point) for point in curve.points] for curve in result.curves
     }
     for row in others:
         curves.setdefault(row["code"], []).append(row)
     times = {name: time_to(TARGET, _pairs(points, "seconds")) for name, points in curves.items()}
-    stepped = [curve for curve in result.curves if len(curve.points) > 1 or curve.to_tolerance]
-
-    # a curve to a tolerance is what users get, and is always in colour
-    def rank(curve: Any) -> tuple[bool, float]:
-        seconds = times[curve.name]
-        return not curve.to_tolerance, math.inf if math.isnan(seconds) else seconds
-
-    soonest = sorted(stepped, key=rank)[:LABELLED]
-    styles = {curve.name: _style(number, curve) for number, curve in enumerate(soonest)}
-    # in its colour wherever it stands: whoever has a deck looks for it
-    lammps = [curve for curve in result.curves if curve.engine == "lammps"]
-    for curve, shape in zip(lammps, SHAPES, strict=False):
-        styles[curve.name] = {"color": COLOURS["lammps"], "marker": shape, **LAMMPS}
+    styles = _styles(result, times)
     _draw_errors(over_time, "seconds", result, curves, styles)
     over_time.set(xlabel="time (s)", ylabel="relative error")
     legend(
@@ -71,6 +48,38 @@ def draw(
         _draw_orders(over_evaluations)
         _draw_bars(bars, times, styles)
     return over_time
+
+
+def _figure(result: Any) -> list[Axes]:
+    """Return the axes of a figure of its own, with the cheapest ways written below them."""
+    picture = window(14.0, 8.6)
+    rooms = picture.subplot_mosaic(
+        [["time", "evaluations", "bars"], ["ways"] * 3],
+        width_ratios=(5, 5, 3.5),
+        height_ratios=(7, 1.7),
+    )
+    _write_ways(rooms.pop("ways"), result)
+    picture.suptitle(_title(result.scene), x=0.01, ha="left")
+    picture.supxlabel(_footer(result), x=0.01, ha="left", fontsize="x-small", color="0.35")
+    return list(rooms.values())
+
+
+def _styles(result: Any, times: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Return the looks of the curves in colour: those that lead, and LAMMPS."""
+    stepped = [curve for curve in result.curves if len(curve.points) > 1 or curve.to_tolerance]
+
+    # a curve to a tolerance is what users get, and is always in colour
+    def rank(curve: Any) -> tuple[bool, float]:
+        seconds = times[curve.name]
+        return not curve.to_tolerance, math.inf if math.isnan(seconds) else seconds
+
+    soonest = sorted(stepped, key=rank)[:LABELLED]
+    styles = {curve.name: _style(number, curve) for number, curve in enumerate(soonest)}
+    # in its colour wherever it stands: whoever has a deck looks for it
+    lammps = [curve for curve in result.curves if curve.engine == "lammps"]
+    for curve, shape in zip(lammps, SHAPES, strict=False):
+        styles[curve.name] = {"color": COLOURS["lammps"], "marker": shape, **LAMMPS}
+    return styles
 
 
 def _write_ways(ax: Axes, result: Any) -> None:

@@ -193,17 +193,19 @@ class WorkPrecision(Shown, Tabular):
             return Choice(
                 target, best.engine, integrator, step, best.error, best.seconds, chosen, ""
             )
-        why = "none was measured"
+        why = self._obstacle(points, engine)
+        return Choice(target, "", "", math.nan, math.nan, math.nan, False, why)
+
+    def _obstacle(self, points: Sequence[Point], engine: str) -> str:
+        """Return why no point of an engine reaches an error."""
         if points:
             least = min(points, key=lambda point: point.error)
             # where shorter steps were tried in vain, rounding is what is left
             finest = max(p.steps for p in points if p.integrator == least.integrator)
             end = "round-off" if least.steps < finest else "time over"
-            why = f"at best {least.error:.0e}: {end}"
-        else:
-            reasons = [text for text in self.left_out if engine and text.startswith(f"{engine}: ")]
-            why = next((text.partition(": ")[2] for text in reasons), why)
-        return Choice(target, "", "", math.nan, math.nan, math.nan, False, why)
+            return f"at best {least.error:.0e}: {end}"
+        reasons = [text for text in self.left_out if engine and text.startswith(f"{engine}: ")]
+        return next((text.partition(": ")[2] for text in reasons), "none was measured")
 
     def best(self) -> list[str]:
         """Return the cheapest way to each error as lines of a table, with that of LAMMPS beside."""

@@ -70,7 +70,8 @@ class Plan(Shown, Tabular):
 
         Errors are those of the equation, "model", and of its solution, "solver".
         """
-        sentences = [f"{_label(each)}: {_verdict(each)}" for each in self._by_price()]
+        sentences = ["model and solver: expected errors of the equation and of its solution"]
+        sentences += [f"{_label(each)}: {_verdict(each)}" for each in self._by_price()]
         sentences.append(f"{self.engine} {self.why}")
         if self.damping:
             sentences.append(f"damping: {self.damping}")
