@@ -227,7 +227,7 @@ def check(
     >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5)
     >>> found = check(simulate(scene, Native("verlet", step=1e-7)))
     >>> found.cause, f"{found.error:.0e}"
-    ('step', '2e-04')
+    ('step', '4e-05')
     """
     subject = f"trajectory of {run.engine}" if isinstance(run, Trajectory) else str(run)
     answer = _read(run, scene)
