@@ -12,6 +12,7 @@ __all__ = [
     "linear_mode",
     "mode_family",
     "normal_mode",
+    "switch",
 ]
 __getattr__ = attributes(
     __name__,
@@ -19,6 +20,7 @@ __getattr__ = attributes(
         "orbit": "Orbit",
         "search": "find linear_mode",
         "modes": "breather mode_family normal_mode",
+        "branches": "switch",
         "continuation": "follow",
         "family": "Event Family",
     },

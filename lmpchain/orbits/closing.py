@@ -48,8 +48,7 @@ def aspects(equations: Equations, member: Member) -> list[Aspect]:
     if equations.reversible:
         flow = equations.flow_at(point.value)
         half = flow.run(point.state, point.period, mesh[: mesh.size // 2])
-        state = flow.canonical(half.displacement[-1], half.velocity[-1])
-        later = equations.pack(Point(state, point.period, point.value))
+        later = equations.pack(Point(half.end, point.period, point.value))
         if not _equal(later, member.unknown, member.orbit.error):
             states.append(Aspect(later, member.orbit.error))
     return states

@@ -16,12 +16,15 @@ import numpy as np
 from scipy.linalg import svd
 
 from ..chain.chain import Chain
+from ..chain.damping import Damping
 from ..errors import InputError, RunFailed, shown
-from ..scene.excitation import Drive
+from ..scene.excitation import Drive, Force
 from ..util.arrays import Array, check_flags
 from ..util.linear_algebra import in_one_thread
 from ..util.progress import ProgressBar
+from . import floquet
 from .closing import Aspect, aspects, returns
+from .damped_flow import flow_of
 from .events import EVENTS, Member, locate
 from .family import Event, Family
 from .flow import Flow
@@ -99,7 +102,7 @@ class Curve:
     equations : Equations
     held : tuple of Constraint
         Of the period or the energy, if another number changes.
-    parameter : "energy", "period" or "value"
+    parameter : "energy", "period", "frequency" of the drive, or "value"
     exact : bool
         Whether directions of the family are good enough to locate events by.
     """
@@ -146,7 +149,14 @@ class Curve:
             turning = rate(self.parameter)
         elif self.parameter != "value":
             turning = rate("energy")
-        return Member(orbit, unknown, direction, rate(self.parameter), turning, solution)
+        multipliers = None
+        if self.exact and not orbit.flow.symplectic:
+            # the derivatives of the closure are the tangent map less the identity
+            size = point.state.size
+            tangent = solution.slopes[:size, :size] + np.eye(size)
+            multipliers = floquet.all_multipliers(tangent)
+        speed = rate(self.parameter)
+        return Member(orbit, unknown, direction, speed, turning, solution, multipliers)
 
     def along(
         self, member: Member, length: float, guess: Array | None = None, near: Member | None = None
@@ -205,6 +215,8 @@ class Curve:
         """Return the parameter of an orbit."""
         if self.parameter == "energy":
             return self.equations.flow_at(point.value).energy(point.state)[0]
+        if self.parameter == "frequency":
+            return self.equations.flow_at(point.value).cycles / point.period
         return point.period if self.parameter == "period" else point.value
 
     def value_of(self, member: Member) -> float:
@@ -271,6 +283,8 @@ class _March:
             self.reached = end is not None
             if end is None:
                 self.ending = Ending.MISSED
+        if self.ending is Ending.LOST:
+            end = self._meet_border(start)
         if end is None:
             return
         if self.events is not None:
@@ -309,6 +323,20 @@ class _March:
         self.ending = Ending.STILL if self.tries == STEPS.patience else Ending.LOST
         return None
 
+    def _meet_border(self, start: Member) -> Member | None:
+        """Return the member at the target where steps cannot pass it, as no damping is below 0."""
+        way = -self.miss / start.rate if start.rate else np.inf
+        if abs(way) > STEPS.longest * self.curve.size(start):
+            return None
+        guess = start.unknown + way * start.direction
+        solution = self.curve.solve(self.curve.equations.unpack(guess), self.target, start)
+        distance = self.curve.equations.pack(solution.point) - guess if solution else np.inf
+        if solution is None or np.linalg.norm(distance) > abs(way):
+            return None
+        self.ending = None
+        self.reached = True
+        return self.curve.member(solution, self.target, start.direction)
+
     def _locate_events(self, start: Member, end: Member, events: list[Event]) -> None:
         """Add the events of a step in their order along the family."""
         length = float(start.direction @ (end.unknown - start.unknown))
@@ -331,7 +359,8 @@ class _March:
         for kind in EVENTS:
             member = locate(kind, start, end, at)
             if member is not None:
-                event = Event(kind, self.curve.value_of(member), member.orbit)
+                after = len(self.members) - 1
+                event = Event(kind, self.curve.value_of(member), member.orbit, after)
                 located.append((float(start.direction @ member.unknown), event))
         events += [event for _, event in sorted(located, key=lambda pair: pair[0])]
         if self.work > STEPS.crowded and not self.reached:
@@ -378,8 +407,10 @@ def follow(
     ----------
     orbit : Orbit
     parameter : str, or function of a number that returns a chain
-        "energy" (J), "period" (s), "amplitude" (of the drive, m), a number of the chain such as
-        "top_load" or "exponent", or one of many, such as "masses[7]" (from 1).
+        "energy" (J), "period" (s), "drive.frequency" (Hz), "drive.amplitude" (m or N),
+        "damping.drag" (1/s), "damping.viscoelastic" (s), a number of the chain such as
+        "chain.top_load" or "chain.exponent", or one of many, such as "chain.masses[7]" (from 1);
+        "chain." may be left out, as may "drive." before the amplitude.
     until : float
         Value of the parameter where the family ends.
     start : float, optional
@@ -408,7 +439,7 @@ def follow(
         If the orbit is not one of the family at `start`.
     """
     check_flags(events=events)
-    curve, first = _curve(orbit, parameter, start, until, hold)
+    curve, first = family_curve(orbit, parameter, start, until, hold)
     curve = replace(curve, exact=events)
     # with the period held, the amplitude of a small orbit is next to free: hold its energy
     if curve.parameter == "period" and orbit.drive is None:
@@ -429,10 +460,12 @@ def follow(
         while not march.done:
             march.advance()
             bar.reach(max(0.0, 1 - abs(march.miss) / distance))
-    return march.family(parameter if isinstance(parameter, str) else "parameter", until)
+    family = march.family(parameter if isinstance(parameter, str) else "parameter", until)
+    found = tuple(replace(event, parameter=parameter, hold=hold) for event in family.events)
+    return replace(family, events=found)
 
 
-def _curve(
+def family_curve(
     orbit: Orbit,
     parameter: str | Callable[[float], Chain],
     start: float | None,
@@ -444,25 +477,29 @@ def _curve(
         raise InputError.at("until", f"must be a number (got {shown(until)})")
     if hold not in ("period", "energy") or (hold == "energy" and orbit.drive is not None):
         raise InputError.at("hold", 'must be "period", or "energy" of an orbit that is not driven')
-    if parameter in ("energy", "period"):
+    if parameter in ("energy", "period", "drive.frequency"):
         if parameter == "energy" and orbit.drive is not None:
             message = "energy is not conserved in a driven chain: follow period or amplitude"
+            raise InputError.at("parameter", message)
+        if parameter == "drive.frequency" and orbit.drive is None:
+            message = "drive.frequency is that of a drive, and the orbit is not driven"
             raise InputError.at("parameter", message)
         if until <= 0:
             raise InputError.at("until", f"must be above 0 for the {parameter} (got {until:g})")
         equations = _equations(orbit, lambda _: orbit.flow, 0.0)
-        return Curve(equations, (), str(parameter)), Point(orbit.state, orbit.period)
+        name = str(parameter).removeprefix("drive.")
+        return Curve(equations, (), name), Point(orbit.state, orbit.period)
     system_at, value = _vary(orbit, parameter, start)
 
     # every residual at one value of the parameter runs the same flow
     @lru_cache(maxsize=8)
     def flow_at(number: float) -> Flow:
         chain, drive = system_at(number)
-        return Flow(chain, orbit.flow.rate, drive, orbit.flow.cycles)
+        return flow_of(chain, orbit.flow.rate, drive, orbit.flow.cycles)
 
     # values that the chain does not allow are refused at once
     flow_at(until)
-    equations = _equations(orbit, flow_at, max(abs(value), abs(until)))
+    equations = _equations(orbit, flow_at, max(abs(value), abs(until)) or 1.0)
     constraint = fixed(equations, hold, orbit.period if hold == "period" else orbit.energy)
     state = flow_at(value).canonical(orbit.displacement, orbit.velocity)
     return Curve(equations, (constraint,), "value"), Point(state, orbit.period, value)
@@ -473,9 +510,12 @@ def _equations(orbit: Orbit, flow_at: Callable[[float], Flow], scale: float) -> 
     return Equations(flow_at, orbit.reversible, unit, scale, orbit.period)
 
 
+System = tuple[Chain, Drive | Force | None]
+
+
 def _vary(
     orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None
-) -> tuple[Callable[[float], tuple[Chain, Drive | None]], float]:
+) -> tuple[Callable[[float], System], float]:
     """Return chain and drive as a function of the parameter, and its value for this orbit."""
     chain = orbit.chain
     drive = orbit.drive
@@ -484,25 +524,42 @@ def _vary(
             message = "is missing: the value for which the function gives the chain of the orbit"
             raise InputError.at("start", message)
         return lambda number: (parameter(number), drive), float(start)
-    if parameter == "amplitude":
+    if parameter in ("amplitude", "drive.amplitude"):
         if drive is None:
-            message = "amplitude is that of a drive, and the orbit is not driven"
+            message = f"{parameter} is that of a drive, and the orbit is not driven"
             raise InputError.at("parameter", message)
         return lambda number: (chain, drive.replace(amplitude=number)), float(drive.amplitude)
-    element = ELEMENT.fullmatch(parameter)
-    name = element[1] if element else parameter
-    value = chain.diameters if element and name == "diameter" else getattr(chain, name, None)
-    field = name in chain.arguments
-    if element and field and isinstance(value, np.ndarray) and 1 <= int(element[2]) <= value.size:
+    return _vary_number(orbit, parameter)
+
+
+def _vary_number(orbit: Orbit, parameter: str) -> tuple[Callable[[float], System], float]:
+    """Return chain and drive as a function of a number of the chain or damping, and its value."""
+    chain = orbit.chain
+    drive = orbit.drive
+    room, _, name = parameter.removeprefix("chain.").rpartition(".")
+    owner: Chain | Damping = chain.damping if room == "damping" else chain
+    element = ELEMENT.fullmatch(name)
+    field = element[1] if element else name
+    value = chain.diameters if element and field == "diameter" else getattr(owner, field, None)
+    known = room in ("", "damping") and field in owner.arguments
+
+    def varied(number: float | Array) -> System:
+        if isinstance(owner, Damping):
+            return chain.replace(damping=owner.given() | {field: number}), drive
+        return owner.replace(**{field: number}), drive
+
+    if element and known and isinstance(value, np.ndarray) and 1 <= int(element[2]) <= value.size:
         index = int(element[2]) - 1
 
-        def with_element(number: float) -> tuple[Chain, Drive | None]:
+        def with_element(number: float) -> System:
             values = value.copy()
             values[index] = number
-            return chain.replace(**{name: values}), drive
+            return varied(values)
 
         return with_element, float(value[index])
-    if element or not field or type(value) is not float:
+    if element or not known or type(value) is not float:
         message = "must be energy, period, amplitude or a number of the chain"
+        if drive is not None:
+            message = "must be period, a number of the drive, of damping or of the chain"
         raise InputError.at("parameter", f"{message} (got {shown(parameter)})")
-    return lambda number: (chain.replace(**{name: number}), drive), value
+    return varied, value

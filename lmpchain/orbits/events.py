@@ -28,11 +28,15 @@ class Location:
         Most orbits for an event.
     near : float
         Of its place, over the step in which it lies.
+    circle : float
+        Distance from the unit circle within which a multiplier of a damped chain passes it; others
+        only meet and part outside of it.
     """
 
     split: float = 1e-6
     tries: int = 24
     near: float = 1e-6
+    circle: float = 1e-3
 
 
 LOCATION = Location()
@@ -52,6 +56,8 @@ class Member(NamedTuple):
         A number that passes 0 where a pair of multipliers passes 1 without a bifurcation; NaN where
         none is known.
     solution : Solution
+    multipliers : (2M,) array or None
+        Of a damped orbit, to a millionth; None of others, or where none are needed.
     """
 
     orbit: Orbit
@@ -60,6 +66,7 @@ class Member(NamedTuple):
     rate: float
     turning: float
     solution: Solution
+    multipliers: Complex | None = None
 
 
 def locate(
@@ -112,7 +119,14 @@ def locate(
         if bounds[1] - bounds[0] < LOCATION.near:
             break
         previous = side
-    return event
+    return _passing(kind, event)
+
+
+def _passing(kind: str, event: Member) -> Member | None:
+    """Return an event, or None where multipliers meet outside of the circle and none passes it."""
+    if kind == "fold" or event.multipliers is None:
+        return event
+    return event if _distance(kind, event, 0.0, True) < LOCATION.circle else None
 
 
 def _propose(bounds: list[float], values: list[float], halve: bool) -> float:
@@ -127,16 +141,26 @@ def _count(kind: str, member: Member) -> int:
     """Return a whole number that changes where an event of this kind happens."""
     if kind == "fold":
         return int(member.rate > 0)
-    mean = member.orbit.means
-    real = _real(mean)
+    values = _values(member)
+    real = _real(values)
     if kind == "Neimark-Sacker":
-        return mean.size - real.size
+        pairs = _complex(values)
+        # of pairs l, 1/l any complex mean is unstable
+        return pairs.size if member.multipliers is None else int((np.abs(pairs) > 1).sum())
     return int((real > 1).sum() if kind == "branch point" else (real < -1).sum())
+
+
+def _values(member: Member) -> Complex:
+    """Return the means of pairs of multipliers, or of a damped chain the multipliers themselves.
+
+    Either is real beyond 1 or -1 if a real multiplier is.
+    """
+    return member.orbit.means if member.multipliers is None else member.multipliers
 
 
 def _centre(member: Member) -> float:
     """Return the mean at which two pairs of multipliers have met: those that are least apart."""
-    pairs = _complex(member.orbit.means)
+    pairs = _complex(_values(member))
     return float(pairs.real[np.abs(pairs.imag).argmin()]) if pairs.size else 0.0
 
 
@@ -144,12 +168,14 @@ def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
     """Return the size of a number that passes zero where an event of this kind happens.
 
     Of two pairs of multipliers that meet at a mean, the discriminant, whether they have `met` or
-    not.
+    not; of a damped chain, the distance of the nearest complex multiplier from the unit circle.
     """
     if kind == "fold":
         return abs(member.rate)
-    mean = member.orbit.means
+    mean = _values(member)
     real = np.sort(_real(mean))
+    if kind == "Neimark-Sacker" and member.multipliers is not None:
+        return float(np.abs(np.abs(_complex(mean)) - 1).min(initial=1.0))
     if kind == "Neimark-Sacker":
         if met:
             pairs = _complex(mean)

@@ -1,13 +1,15 @@
-"""Families of periodic orbits, and their picture: energy against frequency."""
+"""Families of periodic orbits, and their pictures: energy or response against frequency."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..chain.chain import Chain
+from ..scene.excitation import Force
 from ..theory.bands import Cell, branches, repeating
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
@@ -20,6 +22,7 @@ from .orbit import Orbit
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+DECADES = 50.0  # ratio of sizes from which on an axis is logarithmic
 MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^", "branch point": "D"}
 
 
@@ -30,16 +33,24 @@ class Event:
     Attributes
     ----------
     kind : "fold", "period doubling", "Neimark-Sacker" or "branch point"
-        The parameter turns back; a pair of multipliers passes -1; two pairs meet on the unit circle
-        and leave it, or come back; a pair passes 1.
+        The parameter turns back; a multiplier passes -1; two pairs meet on the unit circle and
+        leave it, or come back, or of a damped chain a complex pair passes it; a multiplier passes
+        1.
     value : float
         Of the parameter.
     orbit : Orbit
+    after : int
+        Number from 0 of the orbit of the family that it comes after.
+    parameter, hold
+        As they were given to `follow`.
     """
 
     kind: str
     value: float
     orbit: Orbit
+    after: int = -1
+    parameter: str | Callable[[float], Chain] = ""
+    hold: str = "period"
 
     def to_json(self) -> dict[str, Any]:
         """Return the numbers of the event."""
@@ -102,51 +113,120 @@ class Family(Shown, Tabular):
         """Which orbits are stable, (P,) bool."""
         return np.array([orbit.stable for orbit in self.orbits])
 
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw energy against frequency, unstable orbits dashed, and return the axes.
+    def plot(self, ax: Axes | None = None, of: str = "") -> Axes:
+        """Draw energy against frequency, or the response to a drive, and return the axes.
 
         Behind them are the linear bands, above them stands why the family ended, if it did before
-        the value asked for.
-        """
-        from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullFormatter
+        the value asked for. Unstable orbits are dashed, those of a driven chain dotted.
 
-        ax = axes_in_units(ax, "Hz", "")
-        frequency = 1 / self.period
-        energy = self.energy
-        stable = self.stable
-        bands = self._bands()
-        for number, (low, high) in enumerate(bands):
-            label = "" if number else "linear waves"
-            ax.axvspan(low, high, color="0.9", lw=0, zorder=0, label=label)
-        # edges of bands so near that the family can be seen beside them
-        near = (bands > 0.9 * frequency.min()) & (bands < 1.1 * frequency.max())
-        span = np.append(frequency, bands[near])
-        colour = COLOURS["native"]
-        # an unstable stretch begins at the last stable orbit
-        beside = ~stable | np.append(~stable[1:], False)
-        for chosen, style, label in ((stable, "-", "stable"), (beside, "--", "unstable")):
-            if (chosen & (stable == (style == "-"))).any():
-                height = np.where(chosen, energy, np.nan)
-                ax.plot(frequency, height, style, marker=".", color=colour, label=label)
-        ring: dict[str, Any] = {"color": COLOURS["lammps"], "mfc": "none", "ms": 4.5, "mew": 0.9}
-        for kind, mark in MARKS.items():
-            events = [event.orbit for event in self.events if event.kind == kind]
-            if events:
-                x = [1 / orbit.period for orbit in events]
-                y = [orbit.energy for orbit in events]
-                ax.plot(x, y, mark, label=kind, **ring)
+        Parameters
+        ----------
+        ax : Axes, optional
+        of : str
+            "energy", by default of a chain without a drive; else as for `Orbit.response`, by
+            default "amplitude". The response stands against the frequency of the drive, or against
+            what was followed if that stays as it is.
+        """
+        from matplotlib.ticker import AutoMinorLocator, MaxNLocator
+
+        driven = self.orbits[0].drive is not None
+        of = of or ("amplitude" if driven else "energy")
+        by_frequency = not driven or self.parameter in ("period", "drive.frequency")
+        events = [event.orbit for event in self.events]
+        place = self.value
+        event_place = np.array([event.value for event in self.events])
+        name = self.parameter
+        if by_frequency:
+            place = self._frequencies(self.orbits)
+            event_place = self._frequencies(events)
+            name = "frequency of the drive" if driven else "frequency"
+        curve = np.stack((place, self._sizes(self.orbits, of)))
+        bifurcations = np.stack((event_place, self._sizes(events, of)))
+        label, unit = _label(of)
+        ax = axes_in_units(ax, "Hz" if by_frequency else self._unit(), unit)
+        span = np.append(place, self._shade_bands(ax, place) if by_frequency else [])
+        self._draw_curve(ax, curve, bifurcations, ":" if driven else "--")
+        self._mark_events(ax, bifurcations)
         margin = max(0.08 * np.ptp(span), 1e-3 * span.max())
-        limits = span.min() - margin, span.max() + margin
-        ax.set(xlabel="frequency", ylabel="energy above rest", xlim=limits, yscale="log")
+        ax.set(xlabel=name, xlim=(span.min() - margin, span.max() + margin))
         ax.xaxis.set_major_locator(MaxNLocator(5))
-        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(EngFormatter("J"))
-        ax.yaxis.set_minor_formatter(NullFormatter())
+        if of == "energy" or curve[1].max() > DECADES * curve[1].min():
+            self._scale_by_decades(ax, unit)
+        else:
+            ax.set_ylim(bottom=0.0)
+            ax.yaxis.set_minor_locator(AutoMinorLocator())
+        ax.set_ylabel(label)
         if self.ended:
             set_title(ax, self.ended[0].upper() + self.ended[1:])
         # it may lie on a band, whose patch is of its colour
         legend(ax, frameon=True, edgecolor="none", framealpha=1.0)
         return ax
+
+    def _shade_bands(self, ax: Axes, place: Array) -> Array:
+        """Shade the linear bands, and return edges so near that the family is seen beside them."""
+        bands = self._bands()
+        for number, (low, high) in enumerate(bands):
+            label = "" if number else "linear waves"
+            ax.axvspan(low, high, color="0.9", lw=0, zorder=0, label=label)
+        return bands[(bands > 0.9 * place.min()) & (bands < 1.1 * place.max())]
+
+    def _mark_events(self, ax: Axes, places: Array) -> None:
+        """Draw events at places and heights (2, E)."""
+        ring: dict[str, Any] = {"color": COLOURS["lammps"], "mfc": "none", "ms": 4.5, "mew": 0.9}
+        for kind, mark in MARKS.items():
+            events = [number for number, event in enumerate(self.events) if event.kind == kind]
+            if events:
+                ax.plot(*places[:, events], mark, label=kind, **ring)
+
+    def _draw_curve(self, ax: Axes, curve: Array, events: Array, broken: str) -> None:
+        """Draw places and heights of orbits (2, P) and events (2, E); unstable orbits broken.
+
+        A stretch ends at an event, or else an unstable one begins at the last stable orbit.
+        """
+        stable = self.stable
+        numbers = np.arange(stable.size)
+        known = [number for number, event in enumerate(self.events) if event.after >= 0]
+        after = np.array([self.events[number].after for number in known], int)
+        following = np.append(~stable[1:], False) & ~np.isin(numbers, after)
+        both = stable[after] & stable[after + 1]
+        order = np.argsort(np.concatenate((numbers, after + 0.5)))
+        place, height = np.hstack((curve, events[:, known]))[:, order]
+        solid = np.concatenate((stable, stable[after] | stable[after + 1]))[order]
+        unstable = np.concatenate((~stable | following, ~both))[order]
+        for chosen, some, style, label in (
+            (solid, stable.any(), "-", "stable"),
+            (unstable, (~stable).any(), broken, "unstable"),
+        ):
+            if some:
+                # points would fill the gaps of a dotted line
+                marker = "" if style == ":" else "."
+                shown = np.where(chosen, height, np.nan)
+                ax.plot(place, shown, style, marker=marker, color=COLOURS["native"], label=label)
+
+    @staticmethod
+    def _scale_by_decades(ax: Axes, unit: str) -> None:
+        from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+
+        ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(EngFormatter(unit))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+
+    @staticmethod
+    def _sizes(orbits: Sequence[Orbit], of: str) -> Array:
+        return np.array([o.energy if of == "energy" else o.response(of) for o in orbits])
+
+    @staticmethod
+    def _frequencies(orbits: Sequence[Orbit]) -> Array:
+        """Return the frequencies of the drives, or of the orbits without one, Hz."""
+        return np.array([1 / o.period if o.drive is None else o.drive.frequency for o in orbits])
+
+    def _unit(self) -> str:
+        """Return the unit of the parameter."""
+        if self.parameter.endswith("amplitude"):
+            return "N" if isinstance(self.orbits[0].drive, Force) else "m"
+        units = {"drag": "1/s", "viscoelastic": "s", "top_load": "N", "gravity": "m/s²"}
+        return units.get(self.parameter.rpartition(".")[2], "")
 
     def _bands(self) -> Array:
         """Return the bands of the linearised chain, (B, 2) Hz.
@@ -154,6 +234,8 @@ class Family(Shown, Tabular):
         A chain that does not repeat has one, from its slowest to its fastest mode.
         """
         chain = self.orbits[0].chain
+        # the frequencies that there would be without damping
+        chain = chain.replace(damping=None) if chain.damped else chain
         if not chain.linearisable:
             return np.zeros((0, 2))
         period = repeating(chain)
@@ -184,3 +266,12 @@ class Family(Shown, Tabular):
         yield NamedColumn("period", "s", self.period)
         yield NamedColumn("energy", "J", self.energy)
         yield NamedColumn("stable", "", self.stable)
+
+
+def _label(of: str) -> tuple[str, str]:
+    """Return the label and the unit of an axis for a size of orbits."""
+    kind, _, number = of.partition(":")
+    if not number:
+        return ("energy above rest", "J") if of == "energy" else ("largest displacement", "m")
+    what, unit = ("force of contact", "N") if kind == "force" else ("displacement of grain", "m")
+    return f"{what} {number}, half of its range", unit

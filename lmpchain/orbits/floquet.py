@@ -1,6 +1,6 @@
-"""Floquet multipliers of symplectic tangent maps, in exact pairs.
+"""Floquet multipliers of tangent maps; those of symplectic ones in exact pairs.
 
-Multipliers come in pairs l, 1/l. The skew-Hamiltonian (A + 1/A) / 2 has their means
+These come in pairs l, 1/l. The skew-Hamiltonian (A + 1/A) / 2 has their means
 c = (l + 1/l) / 2 as double eigenvalues; C. Van Loan, Linear Algebra Appl. 61, 233 (1984), brings it
 to a form that has each of them once.
 """
@@ -50,6 +50,14 @@ def reversible_means(half: Array) -> Complex:
     """
     _, b, c, _ = blocks(half)
     return (1 + 2 * eigvals(b.T @ c)).astype(complex)
+
+
+@in_one_thread
+def all_multipliers(matrix: Array) -> Complex:
+    """Return the multipliers of any tangent map (2M, 2M), the largest first, (2M,)."""
+    values = eigvals(matrix).astype(complex)
+    # of two that are conjugate the same one is always the first
+    return values[np.lexsort((-np.angle(values), -np.abs(values).round(12)))]
 
 
 def without_trivial(mean: Complex) -> Complex:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..chain.chain import Chain
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..integrators.batch import ChainBatch
 from ..integrators.kernels.layout import PAD, Links
 from ..integrators.kernels.tangent import Deviations, Held, Motion, Steps, march
 from ..integrators.splittings import KAHAN_LI8
-from ..scene.excitation import Drive, Profile
+from ..scene.excitation import Drive, Force, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
@@ -28,12 +28,18 @@ class Passage(NamedTuple):
     ----------
     displacement, velocity : (K+1, N) arrays
         States between the steps, m and m/s.
+    wall : (2, K+1) array
+        Those of the top wall.
+    end : (2, M) array
+        The last state.
     deviation : (2, M, C) array
         Deviations at the end.
     """
 
     displacement: Array
     velocity: Array
+    wall: Array
+    end: Array
     deviation: Array
 
 
@@ -41,14 +47,15 @@ class Passage(NamedTuple):
 class Flow:
     """Eq. (1) in canonical variables, for the M grains that are free.
 
-    ``q = sqrt(m) phi`` and ``p = sqrt(m) phi' / rate``, so that tangent maps are symplectic.
+    ``q = sqrt(m) phi`` and ``p = sqrt(m) phi' / rate``, so that tangent maps are symplectic. A
+    chain that loses energy, or is pushed by a force, moves by `damped_flow.DampedFlow`.
 
     Parameters
     ----------
     chain : Chain
     rate : float
         rad/s, of the order of the frequencies of the orbit.
-    drive : Drive, optional
+    drive : Drive or Force, optional
         Harmonic; its frequency follows the period.
     cycles : int
         Of the drive in a period.
@@ -61,19 +68,19 @@ class Flow:
 
     chain: Chain
     rate: float
-    drive: Drive | None = None
+    drive: Drive | Force | None = None
     cycles: int = 1
 
     def __post_init__(self) -> None:
         chain = self.chain
-        chain.refuse_damping("an orbit")
         drive = self.drive
         if drive is not None:
-            if drive.times is not None or getattr(drive, "cycles", None) is not None:
-                message = "must be a sine that never ends: give amplitude and frequency alone"
-                raise InputError.at("drive", message)
+            check_sine(drive)
             if faults := list(drive.faults(chain, 1.0)):
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
+        elif chain.damped:
+            cure = "give a drive, or leave damping out, as chain.replace(damping=None) does"
+            raise InputError.at("chain.damping", f"brings the chain to rest: {cure}")
         elif not chain.linearisable and self._flies_apart:
             message = "flies apart: use a top load, gravity, or walls at both ends"
             raise InputError.at("chain", message)
@@ -105,7 +112,12 @@ class Flow:
     @property
     def held(self) -> int:
         """Grains at the top that the drive holds: 1 or 0."""
-        return int(self.drive is not None and getattr(self.drive, "grain", 1) == 1)
+        return int(isinstance(self.drive, Drive) and self.drive.grain == 1)
+
+    @property
+    def symplectic(self) -> bool:
+        """Whether tangent maps are, so that multipliers come in pairs: nothing takes energy."""
+        return not self.chain.damped
 
     @property
     def free(self) -> slice:
@@ -117,20 +129,30 @@ class Flow:
         """Number of grains that move by themselves, M."""
         return self.chain.movable - self.held
 
+    @property
+    def units(self) -> Array:
+        """Canonical variables over displacements and velocities, (2, M)."""
+        return np.stack((self.weight, self.weight / self.rate))
+
     def canonical(self, displacement: Array, velocity: Array) -> Array:
         """Return (..., 2, M) canonical variables of states (..., N)."""
-        q = self.weight * displacement[..., self.free]
-        p = self.weight / self.rate * velocity[..., self.free]
-        return np.stack((q, p), -2)
+        return np.stack((displacement[..., self.free], velocity[..., self.free]), -2) * self.units
 
     def physical(self, state: Array) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain, (N,) each, at t = 0.
 
         A driven grain has none.
         """
+        return self._rows(state)
+
+    def deviation(self, state: Array, change: Array) -> tuple[Array, Array]:
+        """Return changes of displacement and velocity (N,) for a small change of a state (2, M)."""
+        return self._rows(change)
+
+    def _rows(self, state: Array) -> tuple[Array, Array]:
+        """Return the two rows (N,) that the compiled loop moves."""
         u, v = np.zeros((2, self.chain.grains))
-        u[self.free] = state[0] / self.weight
-        v[self.free] = state[1] / self.weight * self.rate
+        u[self.free], v[self.free] = state / self.units
         return u, v
 
     def run(
@@ -152,36 +174,53 @@ class Flow:
         """
         grains = self.chain.grains
         begin = np.zeros((2, self.size, 0)) if deviation is None else deviation
-        links, inverse_mass = self._kernel_arrays
-        rows = np.zeros((2, inverse_mass.size))
-        rows[:, PAD : PAD + grains] = self.physical(state)
+        rows = np.zeros((2, self._kernel_arrays[1].size))
+        rows[:, PAD : PAD + grains] = self._rows(state)
         columns = np.zeros((2, grains, begin.shape[2]))
-        scale = np.stack((self.weight, self.weight / self.rate))[..., None]
-        columns[:, self.free] = begin / scale
+        columns[:, self.free] = begin / self.units[..., None]
         # columns that are derivatives by log(period) grow with every step
         longer = np.zeros(begin.shape[2])
         longer[longer.size - stretch :] = 1.0
         nodes = np.zeros((2, mesh.size + 1, grains))
         motion = Motion(rows[0], rows[1])
-        deviations = Deviations(columns[0], columns[1], longer)
-        steps = Steps(np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period)
-        held = Held(PAD - 1 + self.held, self._path(mesh))
-        march(links, inverse_mass, motion, deviations, steps, held, nodes)
-        if self.held and self.drive is not None:
-            turns = 2 * np.pi * self.cycles * np.concatenate(([0.0], np.cumsum(mesh)))
+        self._march(motion, Deviations(columns[0], columns[1], longer), mesh, period, nodes)
+        end = nodes[:, -1, self.free] * self.units
+        wall = np.zeros((2, mesh.size + 1))
+        if isinstance(self.drive, Drive):
+            share = np.concatenate(([0.0], np.cumsum(mesh)))
             rate = 2 * np.pi * self.cycles / period
-            nodes[1, :, 0] = self.drive.amplitude * rate * np.cos(turns)
-        return Passage(nodes[0], nodes[1], columns[:, self.free] * scale)
+            driven = nodes[:, :, 0] if self.held else wall
+            driven[0] = self._imposed(share)
+            driven[1] = self.drive.amplitude * rate * np.cos(2 * np.pi * self.cycles * share)
+        self._complete(nodes, wall)
+        changed = columns[:, self.free] * self.units[..., None]
+        return Passage(nodes[0], nodes[1], wall, end, changed)
 
-    def _path(self, mesh: Array) -> Array:
-        """Return the position of the drive at every evaluation of the force, m."""
+    def _march(
+        self, motion: Motion, deviations: Deviations, mesh: Array, period: float, nodes: Array
+    ) -> None:
+        """Advance a motion and its deviations, and fill nodes (2, K+1, N) between the steps."""
+        links, inverse_mass = self._kernel_arrays
+        steps = Steps(np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period)
+        path = np.zeros(0)
+        if self.drive is not None:
+            begin = np.cumsum(mesh) - mesh
+            stages = begin[:, None] + mesh[:, None] * np.array([0.0, *METHOD.reach[:-1]])
+            path = self._imposed(np.append(stages.ravel(), mesh.sum()))
+        march(
+            links, inverse_mass, motion, deviations, steps, Held(PAD - 1 + self.held, path), nodes
+        )
+
+    def _complete(self, nodes: Array, wall: Array) -> None:
+        """Make displacements and velocities of what the compiled loop has moved, (2, K+1, N)."""
+
+    def _imposed(self, share: Array) -> Array:
+        """Return the motion, m, or the force, N, of the drive at shares of the period."""
         if self.drive is None:
             return np.zeros(0)
-        begin = np.cumsum(mesh) - mesh
-        stages = begin[:, None] + mesh[:, None] * np.array([0.0, *METHOD.reach[:-1]])
         # whole turns are left out: a sine of few radians is the most accurate
-        turns = self.cycles * np.append(stages.ravel(), mesh.sum())
-        return self.drive.amplitude * np.sin(2 * np.pi * (turns - np.round(turns)))
+        turns = self.cycles * share
+        return np.asarray(self.drive.amplitude * np.sin(2 * np.pi * (turns - np.round(turns))))
 
     def direction(self, state: Array) -> Array:
         """Return the rate of change of a state (2, M) at t = 0, over `rate`."""
@@ -195,3 +234,12 @@ class Flow:
         q_rate, p_rate = self.direction(state)
         energy = float(self.chain.excess_energy(*self.physical(state)))
         return energy, self.rate**2 * np.stack((-p_rate, q_rate))
+
+
+def check_sine(drive: Any) -> None:
+    """Raise `InputError` for all but a motion or force that is a sine and never ends."""
+    if not isinstance(drive, Drive | Force):
+        raise InputError.at("drive", f"must be a Drive or a Force (got {shown(drive)})")
+    if drive.frequency is None or drive.cycles is not None:
+        message = "must be a sine that never ends: give amplitude and frequency alone"
+        raise InputError.at("drive", message)

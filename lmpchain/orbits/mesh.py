@@ -33,7 +33,7 @@ class Mesh:
 
     reach: float = 0.3
     grading: float = 0.35
-    crossing: float = 1e-4
+    crossing: float = 1e-5
     steps: int = 20_000
 
 
@@ -52,14 +52,14 @@ def highest_frequency(flow: Flow, displacement: Array) -> float:
 def openings(flow: Flow, passage: Passage, period: float, mesh: Array) -> Array:
     """Return the times at which contacts open or close, as ascending fractions of the period."""
     contacts = flow.chain.contacts
-    overlap = contacts.overlap + contacts.closer(passage.displacement)
+    overlap = contacts.overlap + contacts.closer(passage.displacement, passage.wall[0])
     # a contact that round-off alone presses does not close
     noise = 1e-9 * np.abs(overlap).max()
     crossing = contacts.exists & (overlap.min(0) < 0) & (overlap.max(0) > noise)
     if not crossing.any():
         return np.zeros(0)
     time = np.concatenate(([0.0], np.cumsum(mesh)))
-    rate = contacts.closer(passage.velocity) * period
+    rate = contacts.closer(passage.velocity, passage.wall[1]) * period
     spline = CubicHermiteSpline(time, overlap[:, crossing], rate[:, crossing])
     times = np.concatenate([np.asarray(roots) for roots in spline.roots(extrapolate=False)])
     return np.sort(times[np.isfinite(times)])
@@ -75,23 +75,29 @@ def uniform(flow: Flow, period: float, displacement: Array, reach: float = MESH.
 def graded(
     flow: Flow, period: float, displacement: Array, times: Array, reach: float = MESH.reach
 ) -> Array:
-    """Return fractions, symmetric in time, that shrink towards openings at `times` (E,)."""
+    """Return fractions that shrink towards openings at `times` (E,).
+
+    They are symmetric in time unless there is a drive, with which the motion is not.
+    """
     even = uniform(flow, period, displacement, reach)
     if not times.size:
         return even
     shortest = MESH.crossing / (highest_frequency(flow, displacement) * period)
-    near = np.unique(np.concatenate((times, 1 - times, times - 1, times + 1, -times)))
+    mirrored = flow.drive is None
+    mirrors = (1 - times, -times) if mirrored else ()
+    near = np.unique(np.concatenate((times, times - 1, times + 1, *mirrors)))
     # openings closer than the shortest step are one
     near = near[np.append(True, np.diff(near) > shortest)]
     # the density of steps, between close nodes on either side of every opening
     away = np.geomspace(shortest / 4, 4 * even[0] / MESH.grading, 600)
     beside = (*(near + away[:, None]), *(near - away[:, None]))
-    nodes = np.concatenate((np.linspace(0.0, 0.5, 8 * even.size), near, *beside))
-    nodes = np.unique(np.concatenate(([0.0], nodes[(nodes > 0) & (nodes < 0.5)], [0.5])))
+    end = 0.5 if mirrored else 1.0
+    nodes = np.concatenate((np.linspace(0.0, end, 8 * even.size), near, *beside))
+    nodes = np.unique(np.concatenate(([0.0], nodes[(nodes > 0) & (nodes < end)], [end])))
     after = np.searchsorted(near, nodes).clip(1, near.size - 1)
     distance = np.minimum(np.abs(near[after] - nodes), np.abs(near[after - 1] - nodes))
     density = 1 / np.clip(MESH.grading * reach / MESH.reach * distance, shortest, even[0])
     count = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(nodes))))
-    half = int(np.ceil(min(count[-1], MESH.steps / 2)))
-    steps = np.diff(np.interp(np.linspace(0.0, count[-1], half + 1), count, nodes))
-    return np.concatenate((steps, steps[::-1]))
+    number = int(np.ceil(min(count[-1], MESH.steps * end)))
+    steps = np.diff(np.interp(np.linspace(0.0, count[-1], number + 1), count, nodes))
+    return np.concatenate((steps, steps[::-1])) if mirrored else steps

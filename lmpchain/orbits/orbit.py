@@ -11,15 +11,16 @@ import numpy as np
 from scipy.linalg import svd
 
 from ..chain.chain import Chain
+from ..chain.damping import viscous_force
 from ..errors import InputError, shown
-from ..scene.excitation import Drive, Profile
+from ..scene.excitation import Drive, Force, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
 from ..util.tabular import NamedColumn, Tabular
 from . import floquet
-from .flow import Flow
+from .flow import Flow, Passage
 from .shooting import Equations, Point, Solution
 
 if TYPE_CHECKING:
@@ -40,8 +41,8 @@ class Orbit(Shown, Tabular):
         s.
     displacement, velocity : (N,) arrays
         At t = 0, m and m/s.
-    drive : Drive or None
-        The motion of grain 1 or the top wall, at this period.
+    drive : Drive, Force or None
+        The motion of grain 1 or the top wall, or the force on a grain, at this period.
     reversible : bool
         Whether all grains rest at t = 0, so that the motion is the same backwards.
     residual : float
@@ -60,7 +61,7 @@ class Orbit(Shown, Tabular):
     period: float
     displacement: Array
     velocity: Array
-    drive: Drive | None
+    drive: Drive | Force | None
     reversible: bool
     residual: float
     error: float
@@ -77,7 +78,37 @@ class Orbit(Shown, Tabular):
     @property
     def amplitude(self) -> float:
         """Largest displacement of any grain, m."""
-        return float(np.abs(self._passage[0]).max())
+        return float(np.abs(self._passage.displacement).max())
+
+    def response(self, of: str = "amplitude") -> float:
+        """Return the size of the motion, m or N.
+
+        Parameters
+        ----------
+        of : str
+            "amplitude", the largest displacement of any grain, or half of the range over a period
+            of "displacement:GRAIN" or "force:CONTACT", where contact n lies below grain n.
+
+        Raises
+        ------
+        InputError
+            If it is none of these, or there is no such grain or contact.
+        """
+        if of == "amplitude":
+            return self.amplitude
+        kind, _, number = of.partition(":")
+        if kind not in ("displacement", "force") or not number.isdecimal():
+            cure = '"amplitude", "displacement:GRAIN" or "force:CONTACT"'
+            raise InputError.at("of", f"must be {cure} (got {shown(of)})")
+        contacts = np.flatnonzero(self.chain.contacts.exists)
+        places = contacts if kind == "force" else np.arange(1, self.chain.grains + 1)
+        if int(number) not in places:
+            what = "contacts" if kind == "force" else "grains"
+            fault = f"the {what} are numbered {places[0]} to {places[-1]} (got {shown(of)})"
+            raise InputError.at("of", fault)
+        if kind == "force":
+            return float(np.ptp(self.forces()[:, int(number)]) / 2)
+        return float(np.ptp(self._passage.displacement[:, int(number) - 1]) / 2)
 
     @cached_property
     def tangent(self) -> Array:
@@ -89,7 +120,10 @@ class Orbit(Shown, Tabular):
 
     @cached_property
     def monodromy(self) -> Array:
-        """Tangent map of a period, (2M, 2M), symplectic in the variables of `orbits.flow`."""
+        """Tangent map of a period, (2M, 2M), in the variables of `orbits.flow`.
+
+        It is symplectic unless the chain is damped.
+        """
         return read_only(floquet.close(self.tangent) if self.reversible else self.tangent)
 
     @cached_property
@@ -97,17 +131,26 @@ class Orbit(Shown, Tabular):
         """Mean (l + 1/l) / 2 of every pair of multipliers, (M-1,), driven (M,).
 
         It is real and from -1 to 1 if the pair is stable.
+
+        Raises
+        ------
+        InputError
+            Of a damped chain, whose multipliers come in no pairs.
         """
+        if not self.flow.symplectic:
+            raise InputError.at("means", "a damped chain has no pairs: see multipliers")
         means = (floquet.reversible_means if self.reversible else floquet.means)(self.tangent)
         return read_only(means if self.drive is not None else floquet.without_trivial(means))
 
     @cached_property
     def multipliers(self) -> floquet.Complex:
-        """Floquet multipliers in pairs l, 1/l side by side, the largest first, (2M,) complex.
+        """Floquet multipliers, the largest first, (2M,) complex.
 
-        Unless the orbit is driven, the last pair is 1: along the orbit, and to its neighbours in
-        the family.
+        They come in pairs l, 1/l side by side unless the chain is damped. Unless the orbit is
+        driven, the last pair is 1: along the orbit, and to its neighbours in the family.
         """
+        if not self.flow.symplectic:
+            return read_only(floquet.all_multipliers(self.monodromy))
         return read_only(floquet.multipliers(self.means, self.drive is None))
 
     @property
@@ -121,14 +164,26 @@ class Orbit(Shown, Tabular):
         return self.multipliers[np.abs(self.multipliers) >= 1 + STABLE]
 
     @cached_property
-    def _passage(self) -> tuple[Array, Array]:
-        """Displacement and velocity between the steps of a period, (K+1, N) each."""
-        passage = self.flow.run(self.state, self.period, self.mesh)
-        return passage.displacement, passage.velocity
+    def _passage(self) -> Passage:
+        """The motion over a period."""
+        return self.flow.run(self.state, self.period, self.mesh)
 
     def motion(self) -> tuple[Array, Array, Array]:
         """Return times (K+1,) s, displacement and velocity (K+1, N) at the steps of a period."""
-        return np.concatenate(([0.0], np.cumsum(self.mesh))) * self.period, *self._passage
+        time = np.concatenate(([0.0], np.cumsum(self.mesh))) * self.period
+        return time, self._passage.displacement, self._passage.velocity
+
+    def forces(self) -> Array:
+        """Return the forces of all contacts at the steps of a period, (K+1, N+1) N.
+
+        Contact n lies below grain n, contact 0 above grain 1; viscous forces are included.
+        """
+        contacts = self.chain.contacts
+        passage = self._passage
+        overlap = contacts.overlap + contacts.closer(passage.displacement, passage.wall[0])
+        closing = contacts.closer(passage.velocity, passage.wall[1])
+        viscous = viscous_force(contacts, self.chain.contact_viscosity, overlap, closing)
+        return np.asarray(contacts.force_at(overlap) + viscous)
 
     def direction(self, number: int = 1) -> tuple[Array, Array]:
         """Return displacement and velocity (N,) of an unstable direction.
@@ -156,7 +211,7 @@ class Orbit(Shown, Tabular):
         vector = svd(shifted)[2][-1].conj()
         # of a complex direction, which has no phase of its own, the one with the largest real part
         vector = vector * np.exp(-1j * np.angle(vector[np.abs(vector).argmax()]))
-        u, v = self.flow.physical(vector.real.reshape(2, -1))
+        u, v = self.flow.deviation(self.state, vector.real.reshape(2, -1))
         return u / np.abs(u).max(), v / np.abs(u).max()
 
     def perturbed(self, size: float, number: int = 1) -> Profile | Drive:
@@ -177,11 +232,20 @@ class Orbit(Shown, Tabular):
         """Return the excitation that begins with a state, (N,) m and m/s, and drives if driven."""
         if self.drive is None:
             return Profile(displacement=u, velocity=v)
+        if isinstance(self.drive, Force):
+            cure = "run Scene(excitation=orbit.drive) until the chain follows it"
+            raise InputError.at("drive", f"a force begins with the chain at rest: {cure}")
         free = np.arange(u.size) >= self.flow.held
         return self.drive.replace(start=Profile(displacement=u * free, velocity=v * free))
 
     def scene(self, periods: float = 1, samples: int = 101) -> Scene:
-        """Return the scene that runs the orbit for a number of periods, in any engine."""
+        """Return the scene that runs the orbit for a number of periods, in any engine.
+
+        Raises
+        ------
+        InputError
+            Of an orbit that a `Force` drives: its scenes begin at rest.
+        """
         excitation = self._excitation(self.displacement, self.velocity)
         return Scene(
             chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples

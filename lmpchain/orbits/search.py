@@ -9,12 +9,13 @@ from scipy.linalg import solve_banded
 
 from ..chain.chain import Chain
 from ..errors import InputError, RunFailed, shown
-from ..scene.excitation import Drive, Profile
+from ..scene.excitation import Drive, Force, Profile
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.linear_algebra import in_one_thread
 from ..util.validation import Checked
-from .flow import Flow
+from .damped_flow import flow_of
+from .flow import Flow, check_sine
 from .orbit import Orbit, orbit_of
 from .shooting import Equations, Point, fixed, solve_accurately
 
@@ -28,13 +29,14 @@ def find(
     period: float | None = None,
     *,
     energy: float | None = None,
-    drive: Drive | None = None,
+    drive: Drive | Force | None = None,
 ) -> Orbit:
     """Return the periodic orbit near a guess, by Newton shooting with the exact tangent map.
 
     A guess whose grains are all at rest gives an orbit that is symmetric in time, for half of the
-    work. The steps are those of a splitting of order 8, as many in a period as their error needs,
-    and shorter where contacts open. See J. L. Marin and S. Aubry, Nonlinearity 9, 1501 (1996), for
+    work. The steps are those of a splitting of order 8, with damping or a force those of a
+    Runge-Kutta method, as many in a period as their error needs, and shorter where contacts open.
+    See J. L. Marin and S. Aubry, Nonlinearity 9, 1501 (1996), for
     breathers by Newton's method.
 
     Parameters
@@ -47,8 +49,9 @@ def find(
         it is a guess.
     energy : float, optional
         J; the period then follows.
-    drive : Drive, optional
-        A harmonic motion of grain 1 or of the top wall; its `start` is the guess by default.
+    drive : Drive or Force, optional
+        A harmonic motion of grain 1 or of the top wall, whose `start` is the guess by default, or a
+        harmonic force on a grain. A damped chain needs one.
 
     Returns
     -------
@@ -72,7 +75,9 @@ def find(
     if isinstance(guess, Orbit):
         period = period or guess.period
         guess = (guess.displacement, guess.velocity)
-    if drive is not None and drive.start is not None:
+    if drive is not None:
+        check_sine(drive)
+    if isinstance(drive, Drive) and drive.start is not None:
         guess = drive.start if guess is None else guess
         drive = drive.replace(start=None)
     if energy is not None:
@@ -98,7 +103,7 @@ def find(
     return orbit_of(equations, solution, error)
 
 
-def _flow(chain: Chain, period: float | None, drive: Drive | None) -> tuple[Flow, float]:
+def _flow(chain: Chain, period: float | None, drive: Drive | Force | None) -> tuple[Flow, float]:
     """Return the motion over a period, and the period: by default that of the drive."""
     frequency = None if drive is None else drive.frequency
     if period is None and frequency is not None:
@@ -109,7 +114,7 @@ def _flow(chain: Chain, period: float | None, drive: Drive | None) -> tuple[Flow
         raise InputError.at(
             "period", f"must be a whole number of those of the drive, {period / turns:g} s"
         )
-    return Flow(chain, 2 * np.pi / period, drive, round(turns)), period
+    return flow_of(chain, 2 * np.pi / period, drive, round(turns)), period
 
 
 def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, float]:
@@ -182,16 +187,20 @@ def _linear_answer(flow: Flow) -> tuple[Array, Array]:
     if not chain.linearisable:
         message = "a chain that is not compressed has no linear answer to a drive"
         raise InputError.at("guess", f"is missing, and {message}")
-    stiffness = chain.contacts.stiffness
     omega = 2 * np.pi * drive.frequency
+    # (K (1 + i omega A) - m omega^2 + i omega gamma m) u = f, of motions Im(u exp(i omega t))
+    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
     free = np.arange(flow.free.start, flow.free.stop)
-    # (K - m omega^2) u = k A, and all grains pass rest at t = 0 with velocities omega u
-    bands = np.zeros((3, free.size))
-    bands[1] = stiffness[free] + stiffness[free + 1] - chain.masses[free] * omega**2
+    inertia = chain.masses[free] * (omega**2 - 1j * omega * chain.drag[free])
+    bands = np.zeros((3, free.size), complex)
+    bands[1] = stiffness[free] + stiffness[free + 1] - inertia
     bands[0, 1:] = -stiffness[free[1:]]
     bands[2, :-1] = bands[0, 1:]
-    pull = np.zeros(free.size)
-    pull[0] = stiffness[free[0]] * drive.amplitude
-    velocity = np.zeros(chain.grains)
-    velocity[free] = omega * solve_banded((1, 1), bands, pull)
-    return np.zeros(chain.grains), velocity
+    pull = np.zeros(free.size, complex)
+    if isinstance(drive, Force):
+        pull[drive.grain - 1] = drive.amplitude
+    else:
+        pull[0] = stiffness[free[0]] * drive.amplitude
+    answer = np.zeros(chain.grains, complex)
+    answer[free] = solve_banded((1, 1), bands, pull)
+    return answer.imag, omega * answer.real

@@ -148,7 +148,7 @@ class Equations:
         self, flow: Flow, point: Point, mesh: Array, columns: Array | None = None, stretch: int = 0
     ) -> tuple[Array, Array]:
         passage = flow.run(point.state, point.period, self._steps(mesh), columns, stretch)
-        end = flow.canonical(passage.displacement[-1], passage.velocity[-1])
+        end = passage.end
         residual = end[1] if self.reversible else (end - point.state).ravel()
         return residual / self.unit, passage.deviation.reshape(2 * flow.size, -1)
 
@@ -204,12 +204,21 @@ class Solution(NamedTuple):
 
 
 def fixed(equations: Equations, name: str, value: float) -> Constraint:
-    """Return the constraint that "period", "energy" or "value" is this number."""
+    """Return the constraint that "period", "frequency", "energy" or "value" is this number.
+
+    The frequency is that of the drive.
+    """
 
     def period(unknown: Array, point: Point) -> tuple[float, Array]:
         row = np.zeros(unknown.size)
         row[equations.period_at(unknown)] = 1.0
         return float(np.log(point.period / value)), row
+
+    def frequency(unknown: Array, point: Point) -> tuple[float, Array]:
+        row = np.zeros(unknown.size)
+        row[equations.period_at(unknown)] = -1.0
+        present = equations.flow_at(point.value).cycles / point.period
+        return float(np.log(present / value)), row
 
     def parameter(unknown: Array, point: Point) -> tuple[float, Array]:
         row = np.zeros(unknown.size)
@@ -226,7 +235,8 @@ def fixed(equations: Equations, name: str, value: float) -> Constraint:
             row[-1] = change / present
         return float(np.log(present / value)), row
 
-    return Constraint({"period": period, "energy": energy, "value": parameter}[name])
+    kinds = {"period": period, "frequency": frequency, "energy": energy, "value": parameter}
+    return Constraint(kinds[name])
 
 
 class System(NamedTuple):

@@ -12,7 +12,10 @@ from lmpchain.orbits.events import locate
 def place(means: list[complex], rate: float = 1.0, turning: float = 1.0) -> SimpleNamespace:
     """Return what `locate` reads of a place."""
     return SimpleNamespace(
-        orbit=SimpleNamespace(means=np.array(means, complex)), rate=rate, turning=turning
+        orbit=SimpleNamespace(means=np.array(means, complex)),
+        rate=rate,
+        turning=turning,
+        multipliers=None,
     )
 
 
@@ -161,3 +164,43 @@ def test_the_discriminant_is_that_of_the_pair_that_meets():
     assert event is not None
     assert event.orbit.means.real[:2].mean() == pytest.approx(-0.4, rel=1e-9)
     assert abs(event.orbit.means.imag[0]) < 1e-3
+
+
+def damped(multipliers: list[complex], turning: float = 1.0) -> SimpleNamespace:
+    """Return what `locate` reads of a place of a damped chain."""
+    return SimpleNamespace(rate=1.0, turning=turning, multipliers=np.array(multipliers, complex))
+
+
+@pytest.mark.parametrize("where", [0.013, 0.35, 0.98])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("kind", "turn"), [("branch point", 1.0), ("period doubling", -1.0), ("Neimark-Sacker", 1j)]
+)
+def test_a_multiplier_of_a_damped_chain_that_passes_the_circle_is_located(
+    kind: str, turn: complex, sign: int, where: float
+):
+    """Among others, inside and outside: a real one through 1 or -1, or a complex pair."""
+
+    def at(way: float) -> SimpleNamespace:
+        passing = turn * (1 + sign * (way - where) * (0.1 + 0.2 * way))
+        pair = [passing, passing.conjugate()] if kind == "Neimark-Sacker" else [passing]
+        return damped([*pair, 2.0, -3.0, 0.9 + 0.1j, 0.9 - 0.1j, 0.5])
+
+    event = located(kind, at, 25)
+    assert event is not None
+    assert abs(event.multipliers[0]) - 1 == pytest.approx(0, abs=4e-6)
+    assert np.sign(abs(event.multipliers[0]) - 1) == sign
+    for other in {"fold", "period doubling", "branch point", "Neimark-Sacker"} - {kind}:
+        assert located(other, at) is None
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_multipliers_of_a_damped_chain_that_meet_outside_of_the_circle_are_no_event(side: int):
+    """Two real ones become a complex pair, far from the circle."""
+
+    def at(way: float) -> SimpleNamespace:
+        root = np.sqrt(complex(0.4 - way))
+        return damped([side * (2 + root), side * (2 - root), 0.3])
+
+    for kind in ("fold", "period doubling", "branch point", "Neimark-Sacker"):
+        assert located(kind, at) is None

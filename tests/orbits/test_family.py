@@ -24,6 +24,7 @@ def family(
     orbits = [
         SimpleNamespace(
             chain=chain,
+            drive=None,
             period=1 / (scale * f),
             energy=e,
             stable=bool(s),
@@ -37,7 +38,7 @@ def family(
 
 
 def event(kind: str, place: int) -> Event:
-    orbit: Any = SimpleNamespace(period=1 / FREQUENCY[place], energy=ENERGY[place])
+    orbit: Any = SimpleNamespace(period=1 / FREQUENCY[place], energy=ENERGY[place], drive=None)
     return Event(kind, 3 * ENERGY[place], orbit)
 
 

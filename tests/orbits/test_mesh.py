@@ -59,19 +59,24 @@ def moving(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u, v
 
 
+def passage_of(u: np.ndarray, v: np.ndarray) -> Passage:
+    """Return what is read of a motion below a wall that rests."""
+    return Passage(u, v, np.zeros((2, len(u))), u[-1:], np.zeros(0))
+
+
 def test_openings_are_where_overlaps_pass_0():
     """Of a motion given in closed form, by a search along many times."""
     steps = np.random.default_rng(2).uniform(0.5, 1.5, 400)
     steps /= steps.sum()
     u, v = moving(np.concatenate(([0.0], np.cumsum(steps))))
     period = 3e-5
-    times = mesh.openings(FLOW, Passage(u, v / period, np.zeros(0)), period, steps)
+    times = mesh.openings(FLOW, passage_of(u, v / period), period, steps)
     dense = np.linspace(0, 1, 100_001)
     overlap = EPS - np.diff(moving(dense)[0], axis=1, prepend=0.0, append=0.0)
     passed = np.flatnonzero(np.diff(overlap > 0, axis=0).any(1))
     assert len(passed) > 2
     np.testing.assert_allclose(times, dense[passed], rtol=0, atol=1.2e-5)
-    closed = mesh.openings(FLOW, Passage(0.2 * u, 0.2 * v / period, np.zeros(0)), period, steps)
+    closed = mesh.openings(FLOW, passage_of(0.2 * u, 0.2 * v / period), period, steps)
     assert closed.size == 0
 
 
@@ -82,12 +87,12 @@ def test_a_contact_that_never_closes_does_not_open():
     steps = np.full(4, 0.25)
     size = 1e-7
     u = size * np.array([[1.0, -0.5], [0.9, -0.4], [0.8, -0.3], [0.9, -0.4], [1.0, -0.5]])
-    passage = Passage(u, np.zeros((5, 2)), np.zeros(0))
+    passage = passage_of(u, np.zeros((5, 2)))
     assert mesh.openings(flow, passage, 1.0, steps).size == 0
     for touch, many in ((1e-10, 0), (1e-8, 2)):
         touching = u.copy()
         touching[2, 0] = -touch * size  # the contact with the top wall closes for a moment
-        times = mesh.openings(flow, Passage(touching, np.zeros((5, 2)), np.zeros(0)), 1.0, steps)
+        times = mesh.openings(flow, passage_of(touching, np.zeros((5, 2))), 1.0, steps)
         assert times.size == many
 
 
@@ -109,7 +114,7 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
     every = np.array([0.13, 0.31, 0.38, 0.62, 0.69, 0.87])
     ends = np.concatenate(([0.0], np.cumsum(steps)))
     distance = np.abs((ends[1:] + ends[:-1])[:, None] / 2 - every).min(1)
-    least = 1e-4 / turns
+    least = mesh.MESH.crossing / turns
     grading = 0.35 * reach / 0.3
     wanted = np.clip(grading * distance, least, even[0])
     smooth = (np.abs(grading * distance - least) > 0.5 * least) & (distance > steps)
@@ -125,6 +130,16 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
         near = np.abs(ends[1:-1] - time).argmin()
         shortest = steps[max(near - 2, 0) : near + 3].min()
         assert shortest == pytest.approx(least, rel=0.1)
+
+
+def test_steps_of_a_driven_chain_are_short_at_its_openings_alone():
+    drive = Drive(amplitude=1e-9, frequency=1e5)
+    flow = Flow(CHAIN, 1e6, drive)
+    steps = mesh.graded(flow, 1e-5, np.zeros((1, CHAIN.grains)), np.array([0.13]), 0.3)
+    ends = np.concatenate(([0.0], np.cumsum(steps)))
+    assert ends[-1] == pytest.approx(1, rel=1e-12)
+    assert steps[np.abs(ends[1:] - 0.13).argmin()] < 1e-3 * steps.max()
+    assert steps[np.abs(ends[1:] - 0.87).argmin()] > 0.5 * steps.max()
 
 
 def test_without_openings_steps_are_uniform():

@@ -76,7 +76,7 @@ def _stiffness(overlap, strength, delta):
 
 
 @inlined
-def _evaluate(links, x, lost, response):
+def evaluate(links, x, lost, response):
     """Fill force and stiffness of all contacts; `lost` is what rounding has taken off x."""
     force, stiffness = response
     first = PAD - 1
@@ -100,7 +100,7 @@ def _evaluate(links, x, lost, response):
 
 
 @inlined
-def _add(row, lost, n, change):
+def add_exactly(row, lost, n, change):
     """Add a change to an element of a row, and keep what rounding takes off for the next one."""
     # exact for any two numbers, which needs that the compiler reorders nothing
     old = row[n]
@@ -123,7 +123,7 @@ def _kick(inverse_mass, kick, motion, lost, deviations, response):
         if push == 0.0:
             continue
         change = push * (force[n] - force[n + 1])
-        _add(motion.v, lost.v, PAD + n, change)
+        add_exactly(motion.v, lost.v, PAD + n, change)
         above = push * stiffness[n]
         below = push * stiffness[n + 1]
         x = dx[n]
@@ -143,7 +143,7 @@ def _drift(drift, motion, lost, deviations):
     dx, dv, stretch = deviations
     for n in range(dx.shape[0]):
         change = drift * motion.v[PAD + n]
-        _add(motion.x, lost.x, PAD + n, change)
+        add_exactly(motion.x, lost.x, PAD + n, change)
         x = dx[n]
         faster = dv[n]
         for c in range(x.size):
@@ -182,7 +182,7 @@ def march(batch, inverse_mass, motion, deviations, steps, held, states):
     lost = Motion(np.zeros(x.size), np.zeros(x.size))
     if held.path.size > 0:
         x[held.body] = held.path[0]
-    _evaluate(links, x, lost.x, response)
+    evaluate(links, x, lost.x, response)
     states[0, 0] = x[PAD : PAD + grains]
     states[1, 0] = v[PAD : PAD + grains]
     for k in range(steps.lengths.size):
@@ -192,7 +192,7 @@ def march(batch, inverse_mass, motion, deviations, steps, held, states):
             _drift(steps.drifts[stage] * h, motion, lost, deviations)
             if held.path.size > 0:
                 x[held.body] = held.path[k * stages + stage + 1]
-            _evaluate(links, x, lost.x, response)
+            evaluate(links, x, lost.x, response)
             kick = steps.kicks[stage + 1] * h
             _kick(inverse_mass, kick, motion, lost, deviations, response)
         states[0, k + 1] = x[PAD : PAD + grains]

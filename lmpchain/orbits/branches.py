@@ -1,0 +1,104 @@
+"""Branches of orbits of twice the period, which begin where a family doubles its period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import svd
+
+from ..errors import InputError, RunFailed, shown
+from ..util.arrays import Array
+from ..util.linear_algebra import in_one_thread
+from .continuation import family_curve
+from .family import Event
+from .flow import Flow
+from .orbit import Orbit, orbit_of
+from .shooting import Constraint, Point, estimate_error
+
+
+@dataclass(frozen=True)
+class Branching:
+    """How far from a period doubling the first orbit of its branch is sought.
+
+    Attributes
+    ----------
+    distances : tuple of float
+        Over the size of the orbit, one after the other.
+    still : float
+        Change of a momentum over that of the state, up to which all grains begin at rest.
+    """
+
+    distances: tuple[float, ...] = (0.02, 0.05, 0.005)
+    still: float = 1e-6
+
+
+BRANCHING = Branching()
+
+
+@in_one_thread
+def switch(event: Event) -> Orbit:
+    """Return an orbit of twice the period, on the branch that begins at a period doubling.
+
+    It lies a little beside the orbit of the event, in the direction of the multiplier -1; the
+    parameter of the family follows. `follow` goes on from there.
+
+    Parameters
+    ----------
+    event : Event
+        A "period doubling" of a family.
+
+    Returns
+    -------
+    Orbit
+
+    Raises
+    ------
+    InputError
+        If the event is none.
+    RunFailed
+        If no such orbit is found.
+    """
+    if not isinstance(event, Event) or event.kind != "period doubling":
+        kind = event.kind if isinstance(event, Event) else event
+        raise InputError.at("event", f'must be a "period doubling" of a family (got {shown(kind)})')
+    single = event.orbit
+    direction = svd(single.monodromy + np.eye(len(single.monodromy)))[2][-1]
+    momenta = direction[single.flow.size :]
+    twice = replace(
+        single,
+        period=2 * single.period,
+        flow=replace(single.flow, cycles=2 * single.flow.cycles),
+        mesh=np.tile(single.mesh, 2) / 2,
+        # of two orbits half a period apart, one may begin with all grains at rest
+        reversible=single.reversible and bool(np.abs(momenta).max() < BRANCHING.still),
+    )
+    curve, first = family_curve(twice, event.parameter, event.value, event.value, event.hold)
+    curve = replace(curve, exact=True)
+    equations = curve.equations
+    begin = equations.pack(first)
+    row = np.zeros(begin.size)
+    inner = direction[: equations.period_at(begin)]
+    row[: inner.size] = inner / np.linalg.norm(inner)
+    for share in BRANCHING.distances:
+        ahead = begin + share * np.linalg.norm(begin[: inner.size]) * row
+        beside = _plane(row, ahead)
+        solution = curve.solve(equations.unpack(ahead), beside)
+        if solution is None:
+            continue
+        point = solution.point
+        if _differs(equations.flow_at(point.value), single.mesh, point, share):
+            error = estimate_error(equations, solution, [*curve.held, beside])
+            return orbit_of(equations, solution, error)
+    raise RunFailed(f"no orbit of twice the period is found beside {event.value:g}")
+
+
+def _plane(row: Array, through: Array) -> Constraint:
+    return Constraint(lambda unknown, _: (float(row @ (unknown - through)), row))
+
+
+def _differs(flow: Flow, mesh: Array, point: Point, share: float) -> bool:
+    """Return whether an orbit differs from itself half a period later, by more than round-off."""
+    half = replace(flow, cycles=max(flow.cycles // 2, 1))
+    later = half.run(point.state, point.period / 2, mesh).end
+    return bool(np.linalg.norm(later - point.state) > share * np.linalg.norm(point.state))

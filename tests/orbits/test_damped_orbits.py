@@ -1,0 +1,442 @@
+"""Orbits of damped, driven chains: closed forms, extended precision, SciPy and long runs."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from lmpchain import Chain, Drive, Force, InputError, Profile, orbits, simulate
+from lmpchain.orbits import Family, Orbit
+from lmpchain.orbits.flow import Flow
+
+LEVEL = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
+TRIMER = Chain(
+    grains=4,
+    material=["steel", "ptfe", "steel", "brass"],
+    damping={"viscoelastic": [3e-7, 1e-7, 2e-7], "drag": [500.0, 2000.0, 1000.0, 700.0]},
+    bottom="wall",
+    **LEVEL,
+)
+# one grain between a driven one and a wall
+ONE = Chain(grains=2, material="steel", damping={"drag": 2000.0}, bottom="wall", **LEVEL)
+OVERLAP = float(ONE.contacts.overlap[1])
+OMEGA = float(np.sqrt(ONE.contacts.stiffness[1:3].sum() / ONE.masses[1]))
+
+
+@cache
+def resonance() -> Family:
+    """The response of one grain, from below its resonance, which softens, through two folds."""
+    drive = Drive(amplitude=0.05 * OVERLAP, frequency=0.75 * OMEGA / (2 * np.pi))
+    return orbits.follow(orbits.find(ONE, drive=drive), "drive.frequency", 1.1 * OMEGA / 6.283)
+
+
+def rate(orbit: Orbit, wide: Any = np.float64) -> Any:
+    """Return the right-hand side of Eq. (1) with damping, in displacements and velocities, and its
+    derivatives by both; of free grains alone, whose rows may have many columns.
+    """
+    chain = orbit.chain
+    drive = orbit.drive
+    assert drive is not None
+    held = int(isinstance(drive, Drive) and drive.grain == 1)
+    mass = chain.masses.astype(wide)[held:, None]
+    constant = chain.contacts.constant.astype(wide)[held:, None]
+    rest = chain.contacts.force.astype(wide)[held:, None]
+    delta = wide(chain.exponent)
+    overlap = np.where(constant > 0, (rest / np.where(constant > 0, constant, 1)) ** (1 / delta), 0)
+    viscosity = chain.contact_viscosity.astype(wide)[held:, None]
+    drag = chain.drag.astype(wide)[held:, None]
+    omega = 2 * wide(np.pi) * wide(drive.frequency)
+    if wide is np.longdouble:
+        omega = 8 * np.arctan(wide(1)) * wide(drive.frequency)
+    size = wide(drive.amplitude)
+
+    def closer(u: Any, top: Any) -> Any:
+        ends = np.zeros((1, u.shape[1]), wide)
+        return -np.diff(np.concatenate((ends + top, u, ends)), axis=0)
+
+    def move(t: Any, y: Any) -> Any:
+        """Return the rates of u and v, both (M,), followed by those of C deviations (2M, C)."""
+        u, v = y[:, :1].reshape(2, -1, 1)
+        push = np.zeros_like(u)
+        top = (wide(0), wide(0))
+        if isinstance(drive, Force):
+            push[drive.grain - 1] = size * np.sin(omega * t)
+        else:
+            top = (size * np.sin(omega * t), omega * size * np.cos(omega * t))
+        o = overlap + closer(u, top[0])
+        pressed = np.maximum(o, 0)
+        stiff = delta * constant * pressed ** (delta - 1)
+        closing = closer(v, top[1])
+        force = constant * pressed**delta - rest + viscosity * stiff * closing
+        pull = (push - np.diff(force, axis=0)) / mass - drag * v
+        du, dv = np.split(y[:, 1:], 2)
+        # d stiff / do is infinite where a contact opens
+        bend = np.zeros_like(o)
+        closed = o > 0
+        curve = delta * (delta - 1) * constant * np.where(closed, o, 1) ** (delta - 2)
+        bend[closed] = curve[closed]
+        change = (stiff + viscosity * bend * closing) * closer(du, 0) + viscosity * stiff * closer(
+            dv, 0
+        )
+        pulled = -np.diff(change, axis=0) / mass - drag * dv
+        return np.hstack((np.concatenate((v, pull)), np.concatenate((dv, pulled))))
+
+    return move
+
+
+def start_of(orbit: Orbit, columns: bool, wide: Any = np.float64) -> Any:
+    """Return the state of the grains that move, and the identity beside it."""
+    free = orbit.flow.free
+    state = np.concatenate((orbit.displacement[free], orbit.velocity[free])).astype(wide)[:, None]
+    return np.hstack((state, np.eye(state.size, dtype=wide))) if columns else state
+
+
+def extrapolated(move: Any, y: Any, period: Any, steps: int) -> Any:
+    """Return the state after a period: midpoint rule of Gragg, extrapolated, in 80-bit numbers."""
+    h = period / steps
+    for k in range(steps):
+        t = k * h
+        table: list[Any] = []
+        for row, count in enumerate(range(2, 26, 2)):
+            small = h / count
+            before = y
+            now = y + small * move(t, y)
+            for inner in range(1, count):
+                later = before + 2 * small * move(t + inner * small, now)
+                before = now
+                now = later
+            new = [(before + now + small * move(t + h, now)) / 2]
+            for column in range(row):
+                ratio = np.longdouble(count / (count - 2 * column - 2)) ** 2
+                new.append(new[column] + (new[column] - table[column]) / (ratio - 1))
+            table = new
+        y = table[-1]
+    return y
+
+
+DRIVES = {
+    "grain": Drive(amplitude=1e-8, frequency=9e3),
+    "wall": Drive(amplitude=1e-8, frequency=9e3, grain=0),
+    "force": Force(grain=2, amplitude=1e-2, frequency=9e3),
+}
+
+
+@pytest.mark.parametrize("kind", DRIVES)
+def test_a_linear_chain_answers_as_its_closed_form(kind: str):
+    """(K (1 + i w A) - w^2 M + i w gamma M) u = f, by a dense solution."""
+    chain = TRIMER.replace(exponent=1.0, top="wall" if kind == "wall" else "free")
+    drive = DRIVES[kind]
+    # a guess that is off: Newton's method has something to do
+    off = Profile(displacement=[0, 1e-9, 0, 0], velocity=np.zeros(4))
+    orbit = orbits.find(chain, off, drive=drive)
+    omega = 2 * np.pi * drive.frequency
+    complex_stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
+    ends = np.diff(np.eye(6), axis=0)  # of the walls and all grains
+    matrix = ends.T @ np.diag(complex_stiffness) @ ends
+    inertia = chain.masses * (omega**2 - 1j * omega * chain.drag)
+    matrix[1:-1, 1:-1] -= np.diag(inertia)
+    held = {"grain": [0, 1, 5], "wall": [0, 5], "force": [0, 5]}[kind]
+    free = [n for n in range(6) if n not in held]
+    answer = np.zeros(6, complex)
+    if kind != "force":
+        answer[held[-2]] = drive.amplitude
+    pull = -matrix @ answer
+    pull[2] += drive.amplitude * (kind == "force")
+    answer[free] = np.linalg.solve(matrix[np.ix_(free, free)], pull[free])
+    time, u, v = orbit.motion()
+    turning = answer[1:-1] * np.exp(1j * omega * time)[:, None]
+    bound = 1e-11 * np.abs(answer).max()
+    np.testing.assert_allclose(u, turning.imag, atol=bound, rtol=0)
+    np.testing.assert_allclose(v, omega * turning.real, atol=omega * bound, rtol=0)
+    overlap = np.diff(np.pad(turning.imag, ((0, 0), (1, 1))), axis=1)
+    if kind == "wall":
+        overlap[:, 0] -= drive.amplitude * np.sin(omega * time)
+    assert (np.abs(overlap).max(0) < chain.contacts.overlap)[chain.contacts.exists].all()
+    assert orbit.residual < 1e-12
+    assert orbit.error < 1e-12
+    assert orbit.stable
+
+
+def test_multipliers_of_a_linear_chain_are_those_of_its_modes():
+    """exp((-d +- i sqrt(w^2 - d^2)) T), d = (A w^2 + gamma) / 2, of undamped frequencies w."""
+    damping = {"viscoelastic": 4e-6, "drag": 3000.0}
+    chain = Chain(grains=5, material="steel", exponent=1.0, damping=damping, **LEVEL)
+    force = Force(grain=2, amplitude=1e-3, frequency=2e4)
+    orbit = orbits.find(chain, drive=force)
+    size = chain.movable
+    stiffness = chain.contacts.stiffness[1 : size + 1]
+    matrix = np.diag(stiffness + np.append(0.0, stiffness[:-1]))
+    matrix -= np.diag(stiffness[:-1], 1) + np.diag(stiffness[:-1], -1)
+    square = np.linalg.eigvalsh(matrix / chain.masses[0])
+    decay = (4e-6 * square + 3000.0) / 2
+    frequency = np.sqrt((square - decay**2).astype(complex))
+    exponents = np.concatenate((-decay + 1j * frequency, -decay - 1j * frequency))
+    expected = np.sort_complex(np.exp(exponents / 2e4))
+    assert np.sort_complex(orbit.multipliers) == pytest.approx(expected, abs=1e-11)
+    assert (np.diff(np.abs(orbit.multipliers)) < 1e-11).all()
+    with pytest.raises(InputError, match=r"^means: a damped chain has no pairs"):
+        _ = orbit.means
+
+
+@pytest.mark.parametrize("kind", DRIVES)
+def test_multipliers_are_those_of_extended_precision(kind: str):
+    """The variational equations in velocities, by extrapolation in 80-bit numbers: shares nothing
+    but Eq. (1).
+    """
+    chain = TRIMER.replace(top="wall" if kind == "wall" else "free")
+    drive = DRIVES[kind].replace(amplitude={"grain": 8e-6, "wall": 4e-7, "force": 6.0}[kind])
+    orbit = orbits.find(chain, drive=drive)
+    contacts = chain.contacts
+    changes = orbit.forces()[:, contacts.exists] / contacts.force[contacts.exists] - 1
+    assert -1 < changes.min() < -0.2  # it is not linear, and no contact opens
+    wide = np.longdouble
+    move = rate(orbit, wide)
+    end = extrapolated(move, start_of(orbit, True, wide), 1 / wide(drive.frequency), 12)
+    begin = start_of(orbit, False)
+    moved = orbit.flow.size
+    for block in (slice(moved), slice(moved, None)):
+        miss = np.abs((end[block, :1] - begin[block]).astype(float)).max()
+        assert miss < 1e-10 * np.abs(begin[block]).max()
+    expected = np.sort_complex(np.linalg.eigvals(end[:, 1:].astype(float)))
+    assert np.sort_complex(orbit.multipliers) == pytest.approx(expected, abs=1e-10)
+
+
+def test_multipliers_do_not_depend_on_the_number_of_steps():
+    """Also where contacts open."""
+    chain = TRIMER.replace(exponent=1.5)
+    drive = Drive(amplitude=2 * float(chain.contacts.overlap[1]), frequency=9e3)
+    orbit = orbits.find(chain, drive=drive)
+    contacts = chain.contacts
+    assert (contacts.overlap + contacts.closer(orbit.motion()[1]))[:, 1:].min() < 0
+    size = orbit.state.size
+    for many in (2, 3):
+        mesh = np.repeat(orbit.mesh, many) / many
+        passage = orbit.flow.run(orbit.state, orbit.period, mesh, np.eye(size).reshape(2, -1, size))
+        finer = np.sort_complex(np.linalg.eigvals(passage.deviation.reshape(size, size)))
+        assert np.sort_complex(orbit.multipliers) == pytest.approx(finer, abs=1e-9)
+    # the orbit itself, by SciPy in velocities
+    move = rate(orbit)
+    scale = np.repeat([1e-6, 1e-6 * 6.283 * 9e3], size // 2)
+    run = solve_ivp(
+        lambda t, y: move(t, (scale * y)[:, None])[:, 0] / scale,
+        (0, orbit.period),
+        start_of(orbit, False)[:, 0] / scale,
+        "DOP853",
+        rtol=1e-12,
+        atol=1e-13,
+    )
+    begin = run.y[:, 0]
+    assert np.abs(run.y[:, -1] - begin).max() < 1e-8 * np.abs(begin).max()
+
+
+def test_the_branch_is_what_long_runs_settle_to():
+    """At ten stable orbits: a run that begins a hundredth off, by the native engine."""
+    family = resonance()
+    assert family.reached
+    stable = np.flatnonzero(family.stable)
+    for number in stable[np.linspace(0, stable.size - 1, 10).astype(int)]:
+        orbit = family[int(number)]
+        # the slowest multiplier bounds how long a deviation lasts
+        periods = int(np.ceil(np.log(1e-12) / np.log(abs(orbit.multipliers[0]))))
+        scene = orbit.scene(periods, samples=2)
+        start = scene.excitation.start
+        off = Profile(displacement=1.01 * start.displacement, velocity=1.01 * start.velocity)
+        drive = scene.excitation.replace(start=off)
+        run = simulate(scene.replace(excitation=drive), "native", 1e-9)
+        largest = np.abs(orbit.motion()[2]).max(), orbit.amplitude
+        assert np.abs(run.displacement[-1] - orbit.displacement).max() < 1e-8 * largest[1]
+        assert np.abs(run.velocity[-1] - orbit.velocity)[1:].max() < 1e-8 * largest[0]
+
+
+def test_a_resonance_has_two_folds_with_an_unstable_stretch_between():
+    family = resonance()
+    assert [event.kind for event in family.events] == ["fold", "fold"]
+    for event in family.events:
+        assert np.abs(event.orbit.multipliers - 1).min() < 1e-4
+    first = family.events[0].after
+    last = family.events[1].after
+    between = np.arange(len(family))
+    np.testing.assert_array_equal(family.stable, (between <= first) | (between > last))
+    # the mean of the multipliers' logarithms is what drag takes
+    for orbit in family:
+        product = np.log(np.abs(orbit.multipliers)).sum()
+        assert product == pytest.approx(-2000.0 * orbit.period, rel=1e-9)
+
+
+def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
+    """Where det(A + 1) = 0, by SciPy; the doubled orbit by SciPy, too."""
+    chain = ONE.replace(damping={"drag": 300.0, "viscoelastic": 2e-9})
+    drive = Drive(amplitude=0.3 * OVERLAP, frequency=1.95 * OMEGA / (2 * np.pi))
+    family = orbits.follow(orbits.find(chain, drive=drive), "drive.amplitude", OVERLAP)
+    (event,) = (event for event in family.events if event.kind == "period doubling")
+    assert np.abs(event.orbit.multipliers + 1).min() < 1e-5
+    scale = np.array([OVERLAP, OVERLAP * OMEGA])
+
+    def moved(orbit: Orbit, begin: np.ndarray, period: float) -> np.ndarray:
+        move = rate(orbit)
+
+        def slopes(t: float, y: np.ndarray) -> np.ndarray:
+            return np.asarray(move(t, y.reshape(2, -1) * scale[:, None]) / scale[:, None]).ravel()
+
+        run = solve_ivp(slopes, (0, period), begin.ravel(), "DOP853", rtol=1e-12, atol=1e-13)
+        return np.asarray(run.y[:, -1].reshape(2, -1))
+
+    def excess(amplitude: float) -> float:
+        orbit = orbits.find(chain, event.orbit, drive=drive.replace(amplitude=amplitude * OVERLAP))
+        begin = np.hstack((start_of(orbit, False) / scale[:, None], np.eye(2)))
+        return float(np.linalg.det(moved(orbit, begin, orbit.period)[:, 1:] + np.eye(2)))
+
+    near = event.value / OVERLAP * np.array([0.99, 1.01])
+    assert event.value / OVERLAP == pytest.approx(brentq(excess, *near, xtol=1e-9), rel=1e-6)
+    branch = orbits.switch(event)
+    assert branch.period == pytest.approx(2 * event.orbit.period, rel=1e-12)
+    assert branch.drive.frequency == pytest.approx(drive.frequency, rel=1e-12)
+    state = start_of(branch, False) / scale[:, None]
+    half = moved(branch, state, branch.period / 2)
+    assert np.abs(half - state).max() > 0.01 * np.abs(state).max()
+    assert np.abs(moved(branch, half, branch.period / 2) - state).max() < 1e-9
+    # a branch that goes back beneath its family is unstable there
+    assert branch.stable == (branch.drive.amplitude > event.value)
+    later = orbits.follow(branch, "drive.amplitude", OVERLAP)
+    assert later.reached
+    assert later[-1].period == branch.period
+    assert later[-1].stable
+    assert not family[-1].stable
+    with pytest.raises(InputError, match=r'^event: must be a "period doubling"'):
+        orbits.switch(resonance().events[0])
+
+
+def test_a_period_doubling_without_a_drive_is_switched_at():
+    """Of the mode of a dimer: twice the period, a little more energy, and it closes."""
+    dimer = Chain(grains=9, material=["steel", "ptfe"] * 4 + ["steel"], **LEVEL)
+    family = orbits.mode_family(dimer, 5, 8.5e-4)
+    event = next(event for event in family.events if event.kind == "period doubling")
+    branch = orbits.switch(event)
+    assert branch.residual < 1e-12
+    assert branch.period == pytest.approx(2 * event.orbit.period, rel=1e-3)
+    half = branch.flow.run(branch.state, branch.period / 2, np.full(100, 0.01)).end
+    assert np.abs(half - branch.state).max() > 0.01 * np.abs(branch.state).max()
+
+
+@pytest.mark.parametrize(
+    ("parameter", "until"),
+    [
+        ("drive.frequency", 9.3e3),
+        ("drive.amplitude", 3e-8),
+        ("chain.top_load", 25.0),
+        ("damping.drag", 100.0),
+        ("damping.drag[2]", 100.0),
+        ("damping.viscoelastic", 0.0),
+        ("masses[2]", 2e-3),
+    ],
+)
+def test_numbers_of_drive_chain_and_damping_are_followed(parameter: str, until: float):
+    """The last orbit is that of the drive and the chain with this number."""
+    chain = TRIMER.replace(damping={"viscoelastic": 1e-7, "drag": 400.0})
+    if "[" in parameter:
+        chain = TRIMER
+    drive = DRIVES["grain"]
+    family = orbits.follow(orbits.find(chain, drive=drive), parameter, until)
+    assert family.reached
+    assert family.value[-1] == pytest.approx(until, rel=1e-12, abs=1e-20)
+    room, _, name = parameter.rpartition(".")
+    last_drive = drive.replace(**{name: until}) if room == "drive" else drive
+    damping = chain.damping
+    if name == "drag[2]":
+        damping = damping.replace(drag=np.where(np.arange(4) == 1, until, damping.drag))
+    elif room == "damping":
+        damping = damping.replace(**{name: until})
+    last = chain.replace(damping=damping)
+    if room == "chain":
+        last = last.replace(**{name: until})
+    elif not room:
+        last = last.replace(masses=np.where(np.arange(4) == 1, until, chain.masses))
+    expected = orbits.find(last, drive=last_drive)
+    bound = 1e-9 * expected.amplitude
+    np.testing.assert_allclose(family[-1].displacement, expected.displacement, atol=bound, rtol=0)
+    assert family[-1].multipliers == pytest.approx(expected.multipliers, abs=1e-8)
+
+
+def test_directions_and_forces_of_a_damped_orbit_are_those_of_its_motion():
+    family = resonance()
+    orbit = family[family.events[0].after + 1]
+    assert orbit.unstable.size == 1
+    u, v = orbit.direction()
+    size = 1e-7 * orbit.amplitude
+    begin = start_of(orbit, False)
+    changed = begin + size * np.array([[u[1]], [v[1]]])
+    scale = np.array([[OVERLAP], [OVERLAP * OMEGA]])
+    ends = []
+    for state in (begin, changed):
+        move = rate(orbit)
+        run = solve_ivp(
+            lambda t, y, move=move: (move(t, y[:, None] * scale) / scale)[:, 0],
+            (0, orbit.period),
+            (state / scale)[:, 0],
+            "DOP853",
+            rtol=1e-13,
+            atol=1e-14,
+        )
+        ends.append(run.y[:, -1])
+    growth = (ends[1] - ends[0]) / ((changed - begin) / scale)[:, 0]
+    assert growth == pytest.approx(orbit.unstable.real.repeat(2), rel=1e-4)
+    chain = orbit.chain
+    _, u, _ = orbit.motion()
+    overlap = chain.contacts.overlap[1] + u[:, 0] - u[:, 1]
+    force = chain.contacts.constant[1] * np.maximum(overlap, 0) ** 1.5
+    np.testing.assert_allclose(orbit.forces()[:, 1], force, rtol=1e-12)
+    assert orbit.response("force:1") == pytest.approx(np.ptp(force) / 2, rel=1e-12)
+    assert orbit.response("displacement:2") == pytest.approx(np.ptp(u[:, 1]) / 2, rel=1e-12)
+    assert orbit.response() == np.abs(u).max()
+
+
+def test_a_resonance_curve_is_drawn_through_its_folds():
+    family = resonance()
+    ax = family.plot(of="force:1")
+    lines = {line.get_label(): line for line in ax.lines}
+    assert list(lines) == ["stable", "unstable", "fold"]
+    assert lines["unstable"].get_linestyle() == ":"
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (
+        "frequency of the drive",
+        "force of contact 1, half of its range",
+    )
+    x, y = lines["stable"].get_data()
+    assert x.size == len(family) + 2
+    folds = lines["fold"].get_xydata()
+    for place, (fx, fy) in zip((1, 2), folds, strict=True):
+        at = family.events[place - 1].after + place
+        assert (x[at], y[at]) == (fx, fy)
+    assert np.isnan(y).any()
+    np.testing.assert_allclose(folds[:, 0], [event.value for event in family.events])
+    by_load = orbits.follow(family[0], "drive.amplitude", 0.06 * OVERLAP).plot()
+    assert by_load.get_xlabel() == "drive.amplitude"
+    assert by_load.get_ylabel() == "largest displacement"
+
+
+def test_what_is_no_damped_orbit_is_refused():
+    sine = DRIVES["grain"]
+    pushed = orbits.find(TRIMER, drive=DRIVES["force"])
+    cases: dict[str, Any] = {
+        r"^chain.damping: brings the chain to rest: give a drive": lambda: Flow(TRIMER, 1e5),
+        r"^drive: must be a Drive or a Force": lambda: orbits.find(
+            TRIMER, drive=Profile(velocity=np.zeros(4))
+        ),
+        r"^drive: must be a sine": lambda: orbits.find(
+            TRIMER, drive=Force(grain=1, shape="half-sine", amplitude=1.0, duration=1e-5)
+        ),
+        r"^drive: a force begins with the chain at rest": lambda: pushed.scene(),
+        r"^of: the contacts are numbered 1 to 4": lambda: pushed.response("force:9"),
+        r'^of: must be "amplitude"': lambda: pushed.response("energy"),
+        r"^parameter: must be period, a number of the drive": lambda: orbits.follow(
+            pushed, "damping.friction", 1.0
+        ),
+        r"^damping.drag": lambda: orbits.follow(
+            orbits.find(TRIMER.replace(damping={"drag": 1.0}), drive=sine), "damping.drag", -1.0
+        ),
+    }
+    for message, call in cases.items():
+        with pytest.raises(InputError, match=message):
+            call()
