@@ -43,7 +43,7 @@ class Search:
         Runs in a row without one, after which round-off dominates.
     """
 
-    cost_s: float = 10.0
+    cost_s: float = 3.0
     growth: float = 8.0
     room: float = 0.8
     better: float = 0.8

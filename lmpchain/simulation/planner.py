@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
 LINE_WIDTH = 80
-TRIAL_S = 10.0  # longest native run that finds the step of an engine that was not asked for
+TRIAL_S = 0.5  # cost of a scene up to which engines that run trials are asked, too
 
 
 @dataclass(frozen=True, repr=False)
@@ -213,8 +214,12 @@ def _ways(name: str, scene: Scene) -> list[Engine]:
 
 def _with_step(proposal: Proposal, scene: Scene, tolerance: float, best: Proposal) -> Proposal:
     """Return what an engine would take that is asked for by name only."""
-    if proposal.candidate or proposal.equation is not None or best.cost_s > TRIAL_S:
+    if proposal.candidate or proposal.equation is not None:
         return proposal
+    # trials begin anew with shorter steps; where nothing bounds the motion, for how long is unknown
+    if best.cost_s > TRIAL_S or scene.largest_strain == math.inf:
+        cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
+        return proposal._replace(why=f"{proposal.why}; {cure}")
     asked = ask(engines.plain(proposal.engine), scene, tolerance)
     why = proposal.why if asked.candidate else f"{proposal.why}; {asked.why}"
     return asked._replace(kept=False, why=why)
