@@ -216,8 +216,9 @@ def _with_step(proposal: Proposal, scene: Scene, tolerance: float, best: Proposa
     """Return what an engine would take that is asked for by name only."""
     if proposal.candidate or proposal.equation is not None:
         return proposal
-    # trials begin anew with shorter steps; where nothing bounds the motion, for how long is unknown
-    if best.cost_s > TRIAL_S or scene.largest_strain == math.inf:
+    # trials begin anew with shorter steps: where a drive may do any work, for how long is unknown
+    unbounded = scene.excitation.does_work and scene.largest_strain == math.inf
+    if best.cost_s > TRIAL_S or unbounded:
         cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")
     asked = ask(engines.plain(proposal.engine), scene, tolerance)
