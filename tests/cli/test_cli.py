@@ -438,7 +438,7 @@ def test_compare_with_an_engine_that_fails(
 def test_compare_says_when_the_native_engine_is_the_reference(
     scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr("lmpchain.cli.compare.REFERENCE_S", 0.0)
+    monkeypatch.setattr("lmpchain.benchmark.truth.LONGEST_S", 0.0)
     scene.write_text(SCENE.replace("samples = 11", "samples = 11\ngrains = [1, 3]"))
     assert main(["compare", str(scene), "--engines", "native"]) == 0
     out = capsys.readouterr().out
