@@ -150,7 +150,7 @@ class Family(Shown, Tabular):
         margin = max(0.08 * np.ptp(span), 1e-3 * span.max())
         ax.set(xlabel=name, xlim=(span.min() - margin, span.max() + margin))
         ax.xaxis.set_major_locator(MaxNLocator(5))
-        if of == "energy" or curve[1].max() > DECADES * curve[1].min():
+        if of == "energy" or (by_frequency and curve[1].max() > DECADES * curve[1].min()):
             self._scale_by_decades(ax, unit)
         else:
             ax.set_ylim(bottom=0.0)

@@ -107,7 +107,7 @@ class Orbit(Shown, Tabular):
             fault = f"the {what} are numbered {places[0]} to {places[-1]} (got {shown(of)})"
             raise InputError.at("of", fault)
         if kind == "force":
-            return float(np.ptp(self.forces()[:, int(number)]) / 2)
+            return float(np.ptp(self._force_changes()[:, int(number)]) / 2)
         return float(np.ptp(self._passage.displacement[:, int(number) - 1]) / 2)
 
     @cached_property
@@ -179,11 +179,22 @@ class Orbit(Shown, Tabular):
         Contact n lies below grain n, contact 0 above grain 1; viscous forces are included.
         """
         contacts = self.chain.contacts
+        closer = contacts.closer(self._passage.displacement, self._passage.wall[0])
+        elastic = contacts.force_at(np.maximum(contacts.overlap + closer, 0.0))
+        return np.asarray(elastic + self._viscous_forces())
+
+    def _force_changes(self) -> Array:
+        """Return the forces less those at rest, of which a weak motion loses no digits."""
+        contacts = self.chain.contacts
+        closer = contacts.closer(self._passage.displacement, self._passage.wall[0])
+        return contacts.force_change(closer) + self._viscous_forces()
+
+    def _viscous_forces(self) -> Array:
+        contacts = self.chain.contacts
         passage = self._passage
         overlap = contacts.overlap + contacts.closer(passage.displacement, passage.wall[0])
         closing = contacts.closer(passage.velocity, passage.wall[1])
-        viscous = viscous_force(contacts, self.chain.contact_viscosity, overlap, closing)
-        return np.asarray(contacts.force_at(overlap) + viscous)
+        return viscous_force(contacts, self.chain.contact_viscosity, overlap, closing)
 
     def direction(self, number: int = 1) -> tuple[Array, Array]:
         """Return displacement and velocity (N,) of an unstable direction.

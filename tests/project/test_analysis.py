@@ -109,6 +109,12 @@ KNOWN = {
         "faster than Coste's by, at 1.1 of the speed of sound": (0.15, 0.005),
     },
     "orbits": {"residual of the breather": (0, 1e-12)},
+    "rectifier": {
+        # sqrt(4 k / m) / 2 pi of an infinite chain
+        "upper end of the band": (6.918, 0.05),
+        "Neimark-Sacker, driven at the light sphere": (0.4962, 0.001),
+        "events, driven at the other end": (0, 0),
+    },
     "scattering": {
         "transparent at, diameter × 0.9": (0.8132874794, 0.005),
         "transparent at, diameter × 1.1": (0.6229566659, 0.005),
@@ -247,6 +253,13 @@ CAPTIONS = {
         "least energy of a narrow one": "takes {:.0f} µJ at least",
         "largest multiplier at 547 µJ": "the largest is {:.2f} a period",
         "residual of the breather": "return to {:.0e} after",
+    },
+    "rectifier": {
+        "upper end of the band": "ends at {:.2f} kHz",
+        "mode of the light sphere": "has a mode at {:.2f} kHz",
+        "Neimark-Sacker, driven at the light sphere": "point at {:.3f} µm",
+        "its second frequency": "second frequency is {:.2f} kHz",
+        "variance of the force at 1.2 thresholds, driven at the light sphere": "{:.2f} N² at",
     },
     "scattering": {
         "transparent at, diameter × 1.1": "{:.4f} and 0.4122 of its band edge",
