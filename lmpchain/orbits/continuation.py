@@ -121,7 +121,9 @@ class Curve:
         """
         constraints = [*self.held, constraint]
         neighbour = near and near.solution
-        return solve(self.equations, guess, constraints, near=neighbour, exact=self.exact)
+        # pairs that meet at 1 or -1 ask for more digits than multipliers of damped chains
+        exact = self.exact and self.equations.flow_at(guess.value).symplectic
+        return solve(self.equations, guess, constraints, near=neighbour, exact=exact)
 
     def member(
         self, solution: Solution, constraint: Constraint, before: Array | None = None

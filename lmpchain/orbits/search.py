@@ -14,11 +14,13 @@ from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.linear_algebra import in_one_thread
 from ..util.validation import Checked
+from .continuation import follow
 from .damped_flow import flow_of
 from .flow import Flow, check_sine
 from .orbit import Orbit, orbit_of
 from .shooting import Equations, Point, fixed, solve_accurately
 
+WEAK = 1e-2  # of a drive: one so much weaker has nearly the linear answer
 REST = 1e-3  # of the guess: an orbit that much smaller is the chain at rest
 
 
@@ -43,7 +45,8 @@ def find(
     ----------
     chain : Chain
     guess : Profile, Orbit, or (displacement, velocity), each (N,)
-        At t = 0, m and m/s. None for the answer of the linearised chain to the drive.
+        At t = 0, m and m/s. None for the answer of the linearised chain to the drive, or to a weak
+        one that is raised from there.
     period : float
         s; of a driven orbit a whole number of periods of the drive, by default one. With an energy
         it is a guess.
@@ -93,14 +96,30 @@ def find(
     reversible = drive is None and bool(np.abs(state[1]).max() < 1e-12 * size)
     equations = Equations(lambda _: flow, reversible, size)
     key, value = ("period", period) if energy is None else ("energy", energy)
-    solution, error = solve_accurately(
-        equations, Point(state, period), [fixed(equations, key, value)], f"a period of {period:g} s"
-    )
+    target = fixed(equations, key, value)
+    name = f"a period of {period:g} s"
+    try:
+        solution, error = solve_accurately(equations, Point(state, period), [target], name)
+    except RunFailed:
+        if guess is not None or drive is None:
+            raise
+        return find(chain, _raise_drive(chain, drive, period), period, drive=drive)
     if np.abs(solution.point.state).max() < REST * size and drive is None:
         raise RunFailed(
             "only the chain at rest is found near the guess: make it larger, or change the period"
         )
     return orbit_of(equations, solution, error)
+
+
+def _raise_drive(chain: Chain, drive: Drive | Force, period: float) -> Orbit:
+    """Return the answer to a drive that is as strong, by way of weaker ones."""
+    weak = drive.replace(amplitude=WEAK * drive.amplitude)
+    guess = _linear_answer(_flow(chain, period, weak)[0])
+    first = find(chain, guess, period, drive=weak)
+    family = follow(first, "drive.amplitude", drive.amplitude, events=False)
+    if not family.reached:
+        raise RunFailed(f"no periodic orbit found: from a weaker drive on, {family.ended}")
+    return family[-1]
 
 
 def _flow(chain: Chain, period: float | None, drive: Drive | Force | None) -> tuple[Flow, float]:
