@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from .scene.excitation import Impulse as Impulse
     from .scene.excitation import Packet as Packet
     from .scene.excitation import Profile as Profile
+    from .scene.excitation import Riemann as Riemann
     from .scene.scene import Scene as Scene
     from .simulation.api import resume as resume
     from .simulation.api import simulate as simulate
@@ -71,7 +72,7 @@ _MODULES = {
     "chain.impurities": "Impurity",
     "chain.materials": "Material GLASS SODA_LIME_GLASS STEEL STEEL_302 STEEL_440C ALUMINIUM"
     " BRASS BRONZE TUNGSTEN_CARBIDE PTFE POM NYLON RUBBER",
-    "scene.excitation": "Impulse Displacement Profile Packet Drive Force",
+    "scene.excitation": "Impulse Displacement Profile Packet Riemann Drive Force",
     "scene.scene": "Scene",
     "simulation.api": "simulate resume",
     "simulation.many": "simulate_many",

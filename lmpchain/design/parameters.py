@@ -109,18 +109,12 @@ def inputs(scene: Scene) -> Inputs:
     """Return all inputs of the motion as they are in the scene."""
     chain = scene.chain
     course = _course(scene)
-    if course is None:
-        drive = np.zeros(0)
-    elif course.times is None:
-        drive = np.array([course.amplitude, course.frequency or 0.0])
-    else:
-        drive = values(scene, course.kind)
     return Inputs(
         chain.masses,
         chain.contacts.constant,
         chain.contacts.force,
         *scene.initial(),
-        drive,
+        np.zeros(0) if course is None else course.numbers,
         chain.contact_viscosity,
         chain.drag,
     )
@@ -162,7 +156,7 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
         "gravity": 1,
         "displacement": chain.grains,
         "velocity": chain.grains,
-        "drive": 0 if course is None else 2 if course.times is None else len(course.times),
+        "drive": 0 if course is None else course.numbers.size,
         "viscosity": chain.grains + 1,
         "drag": chain.grains,
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PPoly
 
 from ..scene.acting import Drive, Force
 from ..scene.waveform import curve_through
@@ -20,19 +21,23 @@ class ImposedCourse:
     Attributes
     ----------
     size : int
-        2, or the number of samples.
+        2, or the number of samples, or 1 for the speed of a piston.
     """
 
     def __init__(self, excitation: Drive | Force):
         self.waveform = excitation.waveform
         self.frequency = excitation.frequency
         self.excitation = excitation
-        self.size = 2 if excitation.times is None else len(excitation.times)
+        self.size = excitation.numbers.size
 
     @cached_property
     def _basis(self) -> Any:
         """The curve through 1 at one sample and 0 at the others, for each of them."""
         drive = self.excitation
+        if drive.times is None:
+            # of a piston: its motion for a speed of 1
+            unit = drive.replace(velocity=1.0).waveform.spline
+            return PPoly(unit.c[..., None], unit.x)
         return curve_through(drive.times, np.eye(self.size), drive.interpolation, drive.holds)
 
     def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:

@@ -11,13 +11,14 @@ __all__ = [
     "Packet",
     "Profile",
     "Recording",
+    "Riemann",
     "Scene",
 ]
 __getattr__ = attributes(
     __name__,
     names={
         "base": "Excitation",
-        "excitation": "Displacement Drive Force Impulse Packet Profile",
+        "excitation": "Displacement Drive Force Impulse Packet Profile Riemann",
         "recording": "Recording",
         "scene": "Scene",
     },

@@ -82,6 +82,13 @@ class _Acting(Measured):
             return Waveform.through(self.times, values, self.interpolation, self.holds)
         return Waveform.sine(self.amplitude, self.frequency, self.cycles)
 
+    @property
+    def numbers(self) -> Array:
+        """Numbers that the course depends on: the values at points, or amplitude and frequency."""
+        if self.times is not None:
+            return np.asarray(getattr(self, self.strength[1]))
+        return np.array([self.amplitude, self.frequency or 0.0])
+
     def _faults(self) -> Iterator[tuple[str, str]]:
         values = self.strength[1]
         others = {"grain", "start", "interpolation", "source"}
@@ -94,7 +101,8 @@ class _Acting(Measured):
             # a burst of few cycles or a short push is fast by its envelope: that is to blame then
             key = "frequency"
             if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
-                key = "cycles" if "cycles" in fields else "duration"
+                # of a burst, of a push or of a piston
+                key = next(key for key in ("cycles", "duration", "rise") if key in fields)
             frequency = f"makes for {self.waveform.fastest:.2g} rad/s"
             yield key, f"{frequency}, too fast to compute with: use SI units"
 
@@ -146,9 +154,13 @@ class Drive(_Acting):
     cycles : float, optional
         with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and rest
         afterwards; or else
+    shape, velocity, rise
+        "piston": after a smooth start the constant speed ``velocity``, m/s, for ever, reached in
+        the time ``rise``, s, with an acceleration that grows and falls along straight lines, so
+        that the position is ``velocity (t - rise / 2)`` then; or else
     times, displacement : arrays
-        s and m: a curve through these points; two of them make a piston of constant speed. Before
-        the first of them it rests, after the last it holds still.
+        s and m: a curve through these points. Before the first of them it rests, after the last it
+        holds still.
     interpolation : "pchip", "linear" or "spline"
         The curve: monotone from point to point (SciPy's PCHIP), straight lines, or a cubic spline
         (not-a-knot), which is refused if it leaves the range of its points by more than a tenth.
@@ -164,9 +176,9 @@ class Drive(_Acting):
 
     Examples
     --------
-    >>> piston = Drive(times=[0, 1e-4], displacement=[0, 1e-6])
+    >>> piston = Drive(shape="piston", velocity=0.01, rise=2e-5)
     >>> [round(float(x), 9) for x in piston.motion(5e-5)]
-    [5e-07, 0.01]
+    [4e-07, 0.01]
     >>> burst = Drive(amplitude=1e-9, frequency=1e4, cycles=5, grain=0)
     >>> float(burst.motion(5e-4)[0])
     0.0
@@ -174,13 +186,16 @@ class Drive(_Acting):
 
     kind: ClassVar[str] = "drive"
     holds: ClassVar[bool] = True
-    strength: ClassVar[tuple[str, ...]] = ("amplitude", "displacement")
+    strength: ClassVar[tuple[str, ...]] = ("amplitude", "displacement", "velocity")
     unit: ClassVar[str] = "m"
     amplitude: Real = NOT_GIVEN
     frequency: Positive = NOT_GIVEN
     times: Vector = NOT_GIVEN
     displacement: Vector = NOT_GIVEN
     cycles: Positive = NOT_GIVEN
+    shape: Literal["piston"] = NOT_GIVEN
+    velocity: Real = NOT_GIVEN
+    rise: Positive = NOT_GIVEN
     grain: Annotated[Whole, Field(ge=0, le=1)] = 1
     start: Profile = NOT_GIVEN
     interpolation: Interpolation = "pchip"
@@ -196,6 +211,24 @@ class Drive(_Acting):
             text = f"{reading.text}; less {begin:.6g} m, where it is at t = 0"
             reading = replace(reading, text=text)
         return reading, arrays
+
+    def _ways(self, values: str) -> list[set[str]]:
+        return [*super()._ways(values), {"shape", "velocity", "rise"}]
+
+    def _words(self, values: str) -> str:
+        return f'{super()._words(values)}, or shape = "piston", velocity and rise'
+
+    @cached_property
+    def waveform(self) -> Waveform:
+        """Course of the motion over time, m."""
+        if self.shape is not None:
+            return Waveform.piston(self.velocity, self.rise)
+        return super().waveform
+
+    @property
+    def numbers(self) -> Array:
+        """Numbers that the course depends on, as for every course; of a piston its speed."""
+        return super().numbers if self.shape is None else np.array([self.velocity])
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         yield from super()._point_faults(key, values)

@@ -14,6 +14,7 @@ from .acting import Force as Force
 from .base import Excitation, Number, OneGrain
 from .packet import Packet as Packet
 from .profile import Profile as Profile
+from .riemann import Riemann as Riemann
 
 
 class Impulse(OneGrain):
@@ -72,5 +73,5 @@ class Displacement(OneGrain):
 
 
 EXCITATIONS: dict[str, type[Excitation]] = {
-    e.kind: e for e in (Impulse, Displacement, Profile, Packet, Drive, Force)
+    e.kind: e for e in (Impulse, Displacement, Profile, Packet, Riemann, Drive, Force)
 }

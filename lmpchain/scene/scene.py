@@ -59,7 +59,7 @@ class Scene(Recording):
     Parameters
     ----------
     chain : Chain
-    excitation : Impulse, Displacement, Profile, Packet, Drive or Force
+    excitation : Impulse, Displacement, Profile, Packet, Riemann, Drive or Force
     duration : float
         s.
     samples : int

@@ -120,6 +120,22 @@ class Waveform:
         """Return the waveform of `curve_through`."""
         return cls(spline=curve_through(times, values, interpolation, holds))
 
+    @classmethod
+    def piston(cls, velocity: float, rise: float) -> Waveform:
+        """Return a motion at constant speed after a smooth start, whose acceleration is a hat."""
+        from scipy.interpolate import PPoly
+
+        half = rise / 2
+        jerk = 4 * velocity / rise**2
+        # cubic, square, linear and constant terms of rise, second half of it, and constant speed
+        pieces = [
+            [jerk / 6, 0.0, 0.0, 0.0],
+            [-jerk / 6, velocity / rise, velocity / 2, velocity * rise / 12],
+            [0.0, 0.0, velocity, velocity * half],
+        ]
+        # the last piece goes on for ever
+        return cls(spline=PPoly(np.transpose(pieces), [0.0, half, rise, 2 * rise]))
+
     def at(self, t: float | Array, order: int = 0) -> Array:
         """Return its values at these times, s, or its derivatives of order 1 to 3."""
         t = numbers(t, "t")

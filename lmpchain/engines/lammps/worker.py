@@ -122,7 +122,8 @@ class Worker:
         elif plan.done and plan.pieces and plan.splitting.order == 2:
             # the first forces are those at the end of the last step, with its piece
             ends = [int(end / plan.step) for end, _ in plan.pieces]
-            self._use_piece(next(k for k, end in enumerate(ends) if end >= plan.done))
+            later = (k for k, end in enumerate(ends) if end >= plan.done)
+            self._use_piece(next(later, len(ends) - 1))
         self._lammps.command("run 0 post no")
         self._view_arrays(count)
         if state and count:

@@ -1,0 +1,111 @@
+"""Steps of velocity and compression, and pistons, begin as they say."""
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, InputError, Riemann, Scene, simulate
+from lmpchain.integrators.imposed import ImposedCourse
+
+
+def relative(values: np.ndarray, expected: np.ndarray) -> float:
+    """Return the largest difference over the largest expected value."""
+    return float(np.abs(values - expected).max() / np.abs(expected).max())
+
+
+LOADED = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0)
+PISTON = Drive(shape="piston", velocity=0.02, rise=1e-5)
+
+
+def test_contacts_are_closer_by_the_strain_on_either_side() -> None:
+    """Overlaps beyond rest are the strains times the mean diameter, down to the wall."""
+    walls = LOADED.replace(bottom="wall", diameter=np.linspace(1e-3, 2e-3, 12))
+    step = Riemann(velocity=(0.3, -0.1), strain=(2e-4, -1e-5), grain=5)
+    displacement, velocity = step.initial(walls)
+    closer = walls.contacts.closer(displacement)[1:] / walls.contact_lengths[1:]
+    assert closer == pytest.approx(np.repeat([2e-4, -1e-5], (5, 7)), rel=1e-9)
+    assert velocity.tolist() == [0.3] * 5 + [-0.1] * 7
+
+
+def test_held_grain_stays_where_it_is() -> None:
+    """Grain N of a chain with a fixed bottom is not displaced."""
+    displacement, _ = Riemann(velocity=(0, 0), strain=(1e-4, 1e-4), grain=5).initial(LOADED)
+    assert displacement[-1] == 0
+    assert displacement[0] == pytest.approx(11e-7)
+
+
+def test_piece_of_a_chain_has_the_same_step() -> None:
+    """Grains that are cut out begin as in the whole chain."""
+    step = Riemann(velocity=(0.3, 0), strain=(2e-4, 0), grain=5)
+    whole = step.initial(LOADED)
+    assert step.reach(LOADED) == (1, 5)
+    for values, expected in zip(step.part(2, 9).initial(LOADED.part(2, 9)), whole, strict=True):
+        assert values == pytest.approx(expected[1:9])
+
+
+def test_steps_and_pistons_in_scene_files(tmp_path) -> None:
+    """What a scene file says is what was written into it."""
+    step = Riemann(velocity=(0.3, 0), strain=(2e-4, 0), grain=5)
+    for excitation in (step, PISTON, PISTON.replace(grain=0)):
+        chain = LOADED.replace(top="wall")
+        scene = Scene(chain=chain, excitation=excitation, duration=1e-4)
+        path = tmp_path / "scene.toml"
+        scene.to_toml(path)
+        assert Scene.from_toml(path) == scene
+    assert step.scaled(2.0).strain.tolist() == [4e-4, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"strain": (0, 0, 0)}, "strain: must have two entries"),
+        ({"grain": 12}, "grain: must be at most 11"),
+        ({"velocity": (0, 1)}, "velocity: must be 0 on the right"),
+        ({"strain": (0.9, 0)}, "velocity: squeezes contact"),
+    ],
+)
+def test_steps_that_cannot_be(keys, message) -> None:
+    """A step that does not fit the chain is refused in one line."""
+    keys = {"velocity": (0, 0), "strain": (0, 0), "grain": 3} | keys
+    with pytest.raises(InputError, match=message):
+        Scene(chain=LOADED, excitation=Riemann(**keys), duration=1e-4)
+
+
+def test_piston_rises_along_straight_lines() -> None:
+    """Acceleration is a hat of the area of the speed, and the motion its integrals."""
+    rise = PISTON.rise
+    time = np.linspace(0, 3 * rise, 30001)
+    hat = np.interp(time / rise, [0, 0.5, 1, 3], [0, 2 * 0.02 / rise, 0, 0])
+    assert relative(PISTON.acceleration(time), hat) < 1e-12
+    step = time[1]
+    speed = np.append(0, np.cumsum((hat[1:] + hat[:-1]) / 2)) * step
+    assert relative(PISTON.motion(time)[1], speed) < 1e-8
+    path = np.append(0, np.cumsum((speed[1:] + speed[:-1]) / 2)) * step
+    assert relative(PISTON.motion(time)[0], path) < 1e-7
+    assert PISTON.motion(9 * rise)[0] == pytest.approx(0.02 * 8.5 * rise, rel=1e-14)
+
+
+def test_piston_needs_speed_and_rise() -> None:
+    """A piston without a start is refused, and what else would do is named."""
+    with pytest.raises(InputError, match='or shape = "piston", velocity and rise'):
+        Drive(shape="piston", velocity=0.1)
+    with pytest.raises(InputError, match="rise: makes for"):
+        Drive(shape="piston", velocity=0.1, rise=1e-25)
+
+
+def test_derivative_by_the_speed_of_a_piston() -> None:
+    """The motion is proportional to the speed."""
+    course = ImposedCourse(PISTON)
+    time = np.array([3e-6, 8e-6, 5e-5])
+    weight = np.array([1.0, -2.0, 0.5])
+    assert course.pull(time, weight, 1) * 0.02 == pytest.approx(PISTON.motion(time)[1] @ weight)
+    assert course.push(time, np.ones((1, 1)), 0)[0] * 0.02 == pytest.approx(PISTON.motion(time)[0])
+
+
+def test_piston_in_lammps() -> None:
+    """LAMMPS moves the wall at constant speed long after the start, as the native engine does."""
+    chain = LOADED.replace(top="wall", bottom="wall")
+    piston = PISTON.replace(grain=0)
+    scene = Scene(chain=chain, excitation=piston, duration=1e-4, samples=51)
+    native = simulate(scene, engine="native")
+    lammps = simulate(scene, engine="lammps")
+    assert relative(lammps.velocity, native.velocity) < 1e-3
