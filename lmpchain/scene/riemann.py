@@ -64,10 +64,12 @@ class Riemann(Excitation):
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""
         left = np.arange(1, chain.grains + 1) <= self.grain
-        closer = np.where(left, *self.strain) * chain.contact_lengths[1:]
+        velocity = np.where(left, self.velocity[0], self.velocity[1])
+        strain = np.where(left, self.strain[0], self.strain[1])
+        closer = strain * chain.contact_lengths[1:]
         # there is no contact below a grain that is held, nor below one at a free end
         closer[-1] *= chain.bottom == "wall"
-        return np.cumsum(closer[::-1])[::-1].copy(), np.where(left, *self.velocity)
+        return np.cumsum(closer[::-1])[::-1].copy(), velocity
 
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return grain 1, as the first, and the last grain that it moves."""
