@@ -20,6 +20,7 @@ from .flow import Flow, check_sine
 from .orbit import Orbit, orbit_of
 from .shooting import Equations, Point, fixed, solve_accurately
 
+Guess = Profile | tuple[Array, Array] | None
 WEAK = 1e-2  # of a drive: one so much weaker has nearly the linear answer
 REST = 1e-3  # of the guess: an orbit that much smaller is the chain at rest
 
@@ -27,7 +28,7 @@ REST = 1e-3  # of the guess: an orbit that much smaller is the chain at rest
 @in_one_thread
 def find(
     chain: Chain,
-    guess: Profile | Orbit | tuple[Array, Array] | None = None,
+    guess: Orbit | Guess = None,
     period: float | None = None,
     *,
     energy: float | None = None,
@@ -80,9 +81,7 @@ def find(
         guess = (guess.displacement, guess.velocity)
     if drive is not None:
         check_sine(drive)
-    if isinstance(drive, Drive) and drive.start is not None:
-        guess = drive.start if guess is None else guess
-        drive = drive.replace(start=None)
+        guess, drive = _take_start(guess, drive)
     if energy is not None:
         if drive is not None:
             raise InputError.at("energy", "is not conserved in a driven chain: give the period")
@@ -109,6 +108,13 @@ def find(
             "only the chain at rest is found near the guess: make it larger, or change the period"
         )
     return orbit_of(equations, solution, error)
+
+
+def _take_start(guess: Guess, drive: Drive | Force) -> tuple[Guess, Drive | Force]:
+    """Return a guess, by default the start of a drive, and the drive without it."""
+    if isinstance(drive, Drive) and drive.start is not None:
+        return drive.start if guess is None else guess, drive.replace(start=None)
+    return guess, drive
 
 
 def _raise_drive(chain: Chain, drive: Drive | Force, period: float) -> Orbit:
