@@ -43,6 +43,8 @@ class Patience:
 
 
 PATIENCE = Patience()
+# what chaos leaves to know, and its call
+AVERAGES = "averages over time (lmpchain.averages)"
 Collected = TypeVar("Collected")  # of the blocks of a run
 Proposed = TypeVar("Proposed")
 
@@ -110,7 +112,8 @@ class Outcome(NamedTuple, Generic[Collected]):
     missed : str
         Empty if the tolerance was met, or none is enforced.
     known_until : float
-        Time at which amplified round-off exceeds the tolerance, s; infinite if it never does.
+        Time at which amplified round-off exceeds the tolerance, s; infinite if it never does, or if
+        the answer met its tolerance.
     """
 
     collected: Collected
@@ -211,7 +214,9 @@ def solve_to_tolerance(
             missed = attempt.refusal or missed
             if missed and engine.suspect:
                 missed = f"{engine.suspect}; {missed}"
-            known_s = _known_until(error, attempt.tolerance, scenes[0]) if missed else math.inf
+            known_s = math.inf
+            if missed or attempt.candidate.fixed:
+                known_s = _known_until(error, attempt.tolerance, scenes[0])
             return Outcome(collected, attempt, errors, error, cost, missed, known_s)
         run_s = cost.integration_s + cost.estimate_s
         planned_s = attempt.planned_s + clock() - began - run_s
@@ -324,7 +329,7 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
         return f"{reason}: ask for less"
     return (
         f"{reason}: this scene amplifies round-off, which may exceed the tolerance at "
-        f"t = {time_s:.4g} s; record up to there, or ask for less"
+        f"t = {time_s:.4g} s; record up to there, ask for less, or take {AVERAGES}"
     )
 
 

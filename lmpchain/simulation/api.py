@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import mmap
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
@@ -13,7 +14,7 @@ import numpy as np
 
 from ..engines.base import Engine, Run
 from ..engines.cost_model import announce
-from ..engines.step_control import Attempt, Outcome, solve_to_tolerance
+from ..engines.step_control import AVERAGES, Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import LightCone, Scene, check_scene
 from ..trajectory.record import Block
@@ -247,6 +248,10 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
         error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{limit}"
         remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
         warn(remark.rstrip(". "), stacklevel=3)
+    if not outcome.missed and outcome.known_until < math.inf:
+        cannot = f"this scene amplifies round-off, beyond {task.tolerance:g} from about"
+        time_s = f"t = {outcome.known_until:.4g} s on"
+        warn(f"{cannot} {time_s}, where no step predicts it: take {AVERAGES}", stacklevel=3)
     if outcome.missed:
         if not task.best_effort:
             raise ToleranceNotMet(outcome.missed, trajectory, outcome.known_until)

@@ -182,7 +182,7 @@ def test_where_rounding_is_the_limit_it_says_so_and_since_when(now):
     time = f"{SCENE.time[2]:.4g}"
     assert solve(engine).missed == (
         f"{reason}this scene amplifies round-off, which may exceed the tolerance at t = {time} s; "
-        "record up to there, or ask for less"
+        "record up to there, ask for less, or take averages over time (lmpchain.averages)"
     )
     engine = Scripted([budget(2e-9, 3.3e-6)._replace(amplified=np.zeros(0))], now)
     engine.last = True

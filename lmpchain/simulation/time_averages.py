@@ -1,0 +1,692 @@
+"""Averages over time, for motions that no run predicts: `lmpchain.averages`."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..engines.cost_model import announce, seconds
+from ..engines.native import Native
+from ..engines.native.amplification import perturb
+from ..engines.native.step_choice import FIRST_STEP
+from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
+from ..integrators.batch import ChainBatch
+from ..integrators.splittings import SPLITTINGS, Splitting
+from ..integrators.step_schedule import StepSchedule
+from ..integrators.stepper import NativeStepper
+from ..scene.scene import Scene, check_scene
+from ..util.arrays import Array, check_flags
+from ..util.notebook import Shown
+from ..util.progress import RATE, ProgressBar
+from ..util.remarks import warn
+from ..util.tables import align, number
+from ..util.tabular import NamedColumn, Tabular
+from ..util.validation import make_unchecked
+from .batch_means import BATCHING, Estimate, estimate
+from .observables import Observable, observable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
+UNKNOWN = "unknown"  # half-width of an interval for which the time is too short
+BURST = 2**23  # grains x steps between two opportunities to stop
+
+
+@dataclass(frozen=True)
+class Averaging:
+    """How a motion is followed that is averaged; analysis/calibration/batch_means.py.
+
+    Attributes
+    ----------
+    warm_up : float
+        Share of the time that is left out at the beginning.
+    turn : float
+        Phase of the fastest motion between two samples, at most.
+    fewest : int
+        Samples of a stretch.
+    energies : int
+        Samples from one whose energy is looked at to the next.
+    judged : int
+        Energies that are seen before a step is called too long.
+    attempts : int
+        Steps that are tried.
+    change : float
+        By which copies of a chain begin apart, relative to the largest motion.
+    apart : float
+        Distance over the largest motion at which copies know nothing of each other.
+    """
+
+    warm_up: float = 0.2
+    turn: float = 2.0
+    fewest: int = 8
+    energies: int = 8
+    judged: int = 64
+    attempts: int = 8
+    change: float = 1e-9
+    apart: float = 0.1
+
+
+@dataclass(frozen=True)
+class EnergyErrors:
+    """What energy a splitting makes up, relative; analysis/calibration/batch_means.py.
+
+    Attributes
+    ----------
+    wobble : float
+        Root mean square at omega h = 1 with velocity Verlet, which falls with the square of h.
+    walk : float
+        The same by the openings of a radian of the fastest motion, of which it is a random walk.
+    smooth : float
+        Of rkn6, where no contact opens, falling with the sixth power.
+    longest : float
+        Longest omega h over the stability limit.
+    """
+
+    wobble: float = 0.03
+    walk: float = 1.1e-4
+    smooth: float = 1e-3
+    longest: float = 0.25
+
+
+AVERAGING = Averaging()
+ENERGY_ERRORS = EnergyErrors()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Averages(Shown, Tabular):
+    """Averages of quantities over time, by name, with intervals of 95 % confidence.
+
+    Attributes
+    ----------
+    scene : Scene
+    time : float
+        Of motion, warm-up included, of each copy, s.
+    warm_up : float
+        Left out at the beginning, s.
+    copies : int
+        Chains that were averaged over.
+    unit : dict of str
+        Of each quantity; empty for a ratio.
+    mean, variance : dict of float
+        Of each quantity over time; in its unit, and its square.
+    interval, variance_interval : dict of (float, float)
+        Of 95 % confidence, with what the error of the energy can do; infinite if the time was too
+        short to tell.
+    correlation_time : dict of float
+        Over which a quantity remembers: the integral of its correlation over positive lags, s; NaN
+        if the time was too short.
+    batches : dict of int
+        Whose means make the interval of the mean; 0 if they resemble each other.
+    energy_error : float
+        Of the integration: root mean square of the energy above rest over that at t = 0, less 1.
+    integrator : str
+    step : float
+        s.
+    middle : (S,) array
+        Middle of each of S = 256 stretches of time behind the warm-up, s.
+    stretch_mean : dict of (R, S) arrays
+        Mean of each quantity in each of them, for each of R copies.
+    """
+
+    scene: Scene
+    time: float
+    warm_up: float
+    copies: int
+    unit: Mapping[str, str]
+    mean: Mapping[str, float]
+    variance: Mapping[str, float]
+    interval: Mapping[str, tuple[float, float]]
+    variance_interval: Mapping[str, tuple[float, float]]
+    correlation_time: Mapping[str, float]
+    batches: Mapping[str, int]
+    energy_error: float
+    integrator: str
+    step: float
+    middle: Array
+    stretch_mean: Mapping[str, Array]
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        names = list(self.mean)
+        yield NamedColumn("quantity", "", names)
+        yield NamedColumn("unit", "", [self.unit[name] for name in names])
+        for title, values in (("mean", self.mean), ("variance", self.variance)):
+            ends = self.interval if title == "mean" else self.variance_interval
+            yield NamedColumn(title, "", [values[name] for name in names])
+            yield NamedColumn(f"{title}_from", "", [ends[name][0] for name in names])
+            yield NamedColumn(f"{title}_to", "", [ends[name][1] for name in names])
+        times = [self.correlation_time[name] for name in names]
+        yield NamedColumn("correlation_time", "s", times)
+        yield NamedColumn("batches", "", [self.batches[name] for name in names])
+
+    def table(self) -> str:
+        """Return means, variances and their intervals as text."""
+        rows = [("quantity", "mean, 95 %", "variance, 95 %", "remembers", "batches")]
+        for name, mean in self.mean.items():
+            unit = self.unit[name]
+            squared = f"({unit})2" if "/" in unit else f"{unit}2" if unit else ""
+            half_width = self.interval[name][1] - mean
+            low, high = self.variance_interval[name]
+            of_mean = f"± {half_width:.1e}" if math.isfinite(half_width) else f"± {UNKNOWN}"
+            of_variance = f"({low:.4g} to {high:.4g})" if math.isfinite(high) else f"({UNKNOWN})"
+            rows.append(
+                (
+                    name,
+                    f"{mean:.6g} {of_mean} {unit}".rstrip(),
+                    f"{self.variance[name]:.4g} {of_variance} {squared}".rstrip(),
+                    number(self.correlation_time[name], ".2g", "s", missing="too long"),
+                    str(self.batches[name]),
+                )
+            )
+        copies = f" of {self.copies} copies" if self.copies > 1 else ""
+        lines = [
+            f"averages over {self.time - self.warm_up:.6g} s{copies}, after {self.warm_up:.4g} s "
+            "of warm-up that are left out",
+            *align(rows),
+            f"{self.integrator}, step {self.step:.3g} s: the energy is off by "
+            f"{self.energy_error:.1e}, which is in the intervals",
+        ]
+        return "\n".join(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all numbers for JSON, null in place of infinite ends."""
+
+        def ends(interval: tuple[float, float]) -> list[float | None]:
+            return [end if math.isfinite(end) else None for end in interval]
+
+        quantities = {
+            name: {
+                "unit": self.unit[name],
+                "mean": mean,
+                "interval": ends(self.interval[name]),
+                "variance": self.variance[name],
+                "variance_interval": ends(self.variance_interval[name]),
+                "correlation_time_s": ends((self.correlation_time[name], 0.0))[0],
+                "batches": self.batches[name],
+            }
+            for name, mean in self.mean.items()
+        }
+        return {
+            "time_s": self.time,
+            "warm_up_s": self.warm_up,
+            "copies": self.copies,
+            "integrator": self.integrator,
+            "step_s": self.step,
+            "energy_error": self.energy_error,
+            "quantities": quantities,
+        }
+
+    def plot(self, ax: Axes | None = None, of: str | None = None) -> Axes:
+        """Draw the means of batches of a quantity over time, and return the axes.
+
+        With the average up to each time, and the interval of that of the whole time as a band.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+        of : str, optional
+            By default the first quantity.
+        """
+        from ..util.plotting import axes_in_units, legend, set_title
+
+        name = next(iter(self.mean)) if of is None else of
+        if name not in self.mean:
+            raise InputError.at("of", f"must be one of {', '.join(self.mean)} (got {shown(of)})")
+        ax = axes_in_units(ax, "s", self.unit[name])
+        means = self.stretch_mean[name]
+        grouped = self.middle.reshape(-1, BATCHING.finer).mean(1)
+        for row, copy in enumerate(means):
+            batches = copy.reshape(-1, BATCHING.finer).mean(1)
+            label = "means of batches" if row == 0 else None
+            ax.plot(grouped, batches, "o", ms=3, color="0.6", label=label)
+        so_far = np.cumsum(means.mean(0)) / np.arange(1, self.middle.size + 1)
+        ax.plot(self.middle, so_far, lw=1.2, label="average up to here")
+        low, high = self.interval[name]
+        if math.isfinite(high - low):
+            label = "95 % interval of the average"
+            ax.axhspan(low, high, color="C1", alpha=0.25, lw=0, label=label)
+        if self.warm_up:
+            ax.axvspan(0.0, self.warm_up, color="0.92", lw=0, label="warm-up, left out")
+        ax.set(xlabel="time", ylabel=name.replace("_", " "), xlim=(0.0, self.time))
+        unit = f" {self.unit[name]}" if self.unit[name] else ""
+        set_title(ax, f"{name.replace('_', ' ')}: {self.mean[name]:.5g}{unit}")
+        legend(ax)
+        return ax
+
+
+class _Course(NamedTuple):
+    """The samples of a motion that is averaged.
+
+    Attributes
+    ----------
+    scene : Scene
+        For as long as it takes, recorded at these samples.
+    warm_up : int
+        Samples that are left out.
+    stretch : int
+        Samples of each stretch behind them.
+    """
+
+    scene: Scene
+    warm_up: int
+    stretch: int
+
+    @property
+    def interval(self) -> float:
+        """Time between two samples, s."""
+        return self.scene.duration / (self.scene.samples - 1)
+
+    def pieces(self, most: int) -> Iterator[tuple[int, int, int]]:
+        """Yield stretch, -1 of the warm-up, first sample and last one, of no more than `most`."""
+        first = 1
+        lengths = [self.warm_up, *[self.stretch] * BATCHING.stretches]
+        for stretch, length in enumerate(lengths, -1):
+            end = first + length
+            for begin in range(first, end, most):
+                yield stretch, begin, min(begin + most, end) - 1
+            first = end
+
+
+class _Sums(NamedTuple):
+    """Sums over the samples of each stretch, of Q quantities of R copies.
+
+    Attributes
+    ----------
+    reference : (Q, 1) array
+        From which values are counted: near the mean, so that squares keep their digits.
+    first, square : (Q, R, S) arrays
+        Sums of the values so counted, and of their squares.
+    energy_error : float
+    """
+
+    reference: Array
+    first: Array
+    square: Array
+    energy_error: float
+
+
+class _TooLong(Exception):
+    """A step changes the energy by too much.
+
+    Parameters
+    ----------
+    error : float
+        Of the energy, relative, so far.
+    share : float
+        Of the motion that is done.
+    """
+
+    def __init__(self, error: float, share: float):
+        super().__init__()
+        self.error = error
+        self.share = share
+
+
+class _EnergyWatch:
+    """The error of the energy along a motion, which ends it where that exceeds a tolerance."""
+
+    def __init__(self, tolerance: float):
+        self._tolerance = tolerance
+        self._square = 0.0
+        self._count = 0
+        self._warming = True
+
+    def look(self, errors: Array, warming: bool, share: float) -> None:
+        """Take in relative errors of the energy; raise `_TooLong` if all so far are too large."""
+        if self._warming and not warming:
+            # what averages are to be of begins here
+            self._square = 0.0
+            self._count = 0
+        self._warming = warming
+        self._square += float((errors**2).sum())
+        self._count += errors.size
+        # the wave is steepest when it is young
+        allowed = 4 * self._tolerance if warming else self._tolerance
+        if self._count >= AVERAGING.judged and not self.error <= allowed:
+            raise _TooLong(self.error, share)
+
+    @property
+    def error(self) -> float:
+        """Root mean square of the relative error of the energy."""
+        return math.sqrt(self._square / max(self._count, 1))
+
+
+def averages(
+    scene: Scene,
+    quantities: Sequence[str],
+    *,
+    time: float | None = None,
+    tolerance: float = 1e-4,
+    warm_up: float | None = None,
+    copies: int = 1,
+    progress: bool = False,
+) -> Averages:
+    """Average quantities of a chain over time, with intervals of 95 % confidence.
+
+    Beyond its predictability time no run knows where the grains of a chaotic chain are; averages
+    over time it knows, as a motion that is a little off has the same ones. A symplectic method
+    moves the chain by equal steps, which are made so short that its energy stays right, and nothing
+    is recorded on the way.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a chain that conserves energy and that no grain can leave, with initial data. Its
+        duration and samples do not matter if `time` is given.
+    quantities : list of str
+        "kinetic_energy", "potential_energy" (above rest), "temperature" (twice the kinetic energy a
+        grain that moves, kB T in J), "equipartition" (see Notes), "force:10" of contact 10,
+        "kinetic_energy:10", "velocity:10" and "displacement:10" of grain 10.
+    time : float, optional
+        For how long the motion is followed, warm-up included, s; by default the duration of the
+        scene.
+    tolerance : float
+        Largest error of the energy, relative to that above rest, as a root mean square over time.
+        It sets the step, and is what the integration may do to averages; how long the average is
+        taken sets the rest of the intervals.
+    warm_up : float, optional
+        Left out at the beginning, s: equilibration. By default a fifth of the time.
+    copies : int
+        Chains that begin a relative 1e-9 apart and are averaged together, on all cores. Chaos must
+        part them within the warm-up.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Averages
+
+    Raises
+    ------
+    InputError
+        If an option is wrong, energy is not conserved, grains can fly away, or copies do not part.
+    ToleranceNotMet
+        If no step keeps the energy within the tolerance.
+
+    Warns
+    -----
+    UserWarning
+        If a quantity remembers for so long that the time is too short for its interval, which is
+        then infinite.
+
+    Notes
+    -----
+    Intervals are those of batch means (`lmpchain.simulation.batch_means`): Student's t with 8 to 32
+    batches a copy, which are longer, the longer a quantity remembers. They are wider by the energy
+    error e: an average may shift by e times the larger of its distance from rest and the standard
+    deviation, a variance by 2 e of itself, for neither grows faster than with the first and second
+    power of the energy.
+
+    The equipartition is ``(M + 2)/3 sum K_n^2 / (sum K_n)^2`` of the kinetic energies K_n of the M
+    grains that move. Its mean is 1 where all velocities of one kinetic energy are equally likely,
+    as in equilibrium, and (M + 2)/3 where one grain has all of it.
+
+    For a sonic vacuum between walls the microcanonical ensemble is known: the share of the kinetic
+    energy follows Beta's distribution with M/2 and M/(delta + 1), whose mean is (delta + 1) /
+    (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, J. Stat. Mech. 2017, 123204 =
+    arXiv:1701.05546.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, Impulse
+    >>> walls = {"gravity": 0, "top": "wall", "bottom": "wall"}
+    >>> chain = Chain(grains=10, material="steel", diameter=6e-3, **walls)
+    >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=0.1)
+    >>> average = averages(scene, ["kinetic_energy"], tolerance=1e-3)
+    >>> low, high = average.interval["kinetic_energy"]
+    >>> low < 5 / 9 * scene.energy < high
+    True
+    """
+    check_tolerance(tolerance)
+    check_flags(progress=progress)
+    names = _check(scene, quantities, copies)
+    observables = [observable(scene.chain, name) for name in names]
+    course = _course(scene, time, warm_up)
+    scenes = _copies(scene, course.scene, copies)
+    method, reach = _first_reach(course.scene, tolerance)
+    samples = course.scene.samples - 1
+    error = math.inf
+    with ProgressBar(samples, "averages", " samples", layout=RATE, shown=progress) as bar:
+        for _ in range(AVERAGING.attempts):
+            steps = math.ceil(course.interval * course.scene.highest_frequency / reach)
+            work = Native.seconds_per_grain_step * method.evaluations * steps * samples
+            announce(seconds("native", 0.0, work * copies * scene.chain.grains), "the average")
+            schedule = StepSchedule(steps, 1, course.interval / steps, adaptive=False)
+            try:
+                sums = _follow(course, scenes, observables, method, schedule, tolerance, bar)
+            except _TooLong as fault:
+                error = fault.error
+                # of a random walk, as it would be at the end
+                ratio = (tolerance / (error / math.sqrt(fault.share))) ** (1 / method.order)
+                reach *= min(max(0.9 * ratio, 0.25), 0.8) if math.isfinite(ratio) else 0.25
+                bar.reach(0)
+                continue
+            named = dict(zip(names, observables, strict=True))
+            return _conclude(scene, course, named, sums, schedule, method.name)
+    reason = f"the energy is off by {error:.2g} in {AVERAGING.attempts} attempts at shorter steps"
+    cure = "ask lmpchain.averages for less, or for a shorter time"
+    raise ToleranceNotMet(f"{reason}, above the tolerance of {tolerance:.2g}: {cure}")
+
+
+def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
+    """Return the names of the quantities; raise `InputError` if something cannot be averaged."""
+    check_scene(scene)
+    names = [quantities] if isinstance(quantities, str) else list(quantities)
+    faults = []
+    if not names or len(set(map(str, names))) < len(names):
+        given = f'such as ["kinetic_energy", "force:10"] (got {shown(quantities)})'
+        faults.append(("quantities", f"must be names, each once, {given}"))
+    if isinstance(copies, bool) or not isinstance(copies, int) or copies < 1:
+        faults.append(("copies", f"must be a whole number from 1 (got {shown(copies)})"))
+    chain = scene.chain
+    if chain.damped:
+        cure = "leave damping out, as chain.replace(damping=None) does"
+        faults.append(("chain.damping", f"averages are those of a motion that never ends: {cure}"))
+    if scene.excitation.does_work:
+        cure = "use an impulse, a displacement or a profile"
+        faults.append(("excitation", f"must leave the energy as it is at t = 0: {cure}"))
+    elif scene.at_rest:
+        faults.append(("excitation", "moves nothing: there is nothing to average"))
+    # neither weight nor load brings back what flies away
+    held = chain.compressed or chain.top == "wall"
+    if not held or chain.bottom == "free" or (chain.loose_grains and chain.top == "free"):
+        cure = 'use top = "wall" and bottom = "wall", gravity or a load on grain 1'
+        faults.append(("chain.top", f"grains would fly away, and no average last: {cure}"))
+    if faults:
+        raise InputError(faults)
+    return names
+
+
+def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
+    """Return the samples of a motion of this time and warm-up, s."""
+    total = scene.duration if time is None else _positive("time", time)
+    left_out = AVERAGING.warm_up * total
+    if warm_up is not None:
+        left_out = _positive("warm_up", warm_up) if warm_up else 0.0
+        if left_out >= total:
+            fault = f"must be shorter than the time of {total:g} s (got {warm_up:g})"
+            raise InputError.at("warm_up", fault)
+    lasting = (total - left_out) / BATCHING.stretches
+    stretch = max(AVERAGING.fewest, math.ceil(lasting * scene.highest_frequency / AVERAGING.turn))
+    interval = lasting / stretch
+    before = round(left_out / interval)
+    samples = before + stretch * BATCHING.stretches
+    # as the scene, a valid one, for another time
+    longer = make_unchecked(
+        Scene,
+        chain=scene.chain,
+        excitation=scene.excitation,
+        duration=samples * interval,
+        samples=samples + 1,
+    )
+    return _Course(longer, before, stretch)
+
+
+def _positive(key: str, value: Any) -> float:
+    """Return a time; raise `InputError` unless it is a finite number above 0."""
+    real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+    if not (real and 0 < value < math.inf):
+        raise InputError.at(key, f"must be a time above 0 s (got {shown(value)})")
+    return float(value)
+
+
+def _copies(scene: Scene, longer: Scene, copies: int) -> list[Scene]:
+    """Return the scene for a longer time, and copies of it that begin a little apart."""
+    changes = AVERAGING.change * np.arange(1, copies)
+    others = [
+        make_unchecked(
+            Scene,
+            chain=scene.chain,
+            excitation=perturb(scene, change).excitation,
+            duration=longer.duration,
+            samples=longer.samples,
+        )
+        for change in changes.tolist()
+    ]
+    return [longer, *others]
+
+
+def _first_reach(scene: Scene, tolerance: float) -> tuple[Splitting, float]:
+    """Return the method for a motion, and omega h of the step with which its energy stays right.
+
+    A method of high order pays where forces are smooth. Where contacts open, each opening shifts
+    the energy by as much with one as with the other, and velocity Verlet has the shortest steps.
+    """
+    if scene.largest_strain <= FIRST_STEP.safe_strain:
+        method = SPLITTINGS["rkn6"]
+        reach = (tolerance / ENERGY_ERRORS.smooth) ** (1 / method.order)
+    else:
+        method = SPLITTINGS["verlet"]
+        radians = scene.highest_frequency * scene.duration
+        error = ENERGY_ERRORS.wobble + ENERGY_ERRORS.walk * math.sqrt(radians)
+        reach = math.sqrt(tolerance / error)
+    return method, min(reach, ENERGY_ERRORS.longest * min(method.stability_limit, math.pi))
+
+
+def _follow(
+    course: _Course,
+    scenes: Sequence[Scene],
+    observables: Sequence[Observable],
+    method: Splitting,
+    schedule: StepSchedule,
+    tolerance: float,
+    bar: ProgressBar,
+) -> _Sums:
+    """Return sums over a motion; raise `_TooLong` if its energy is off by more than allowed."""
+    chain = course.scene.chain
+    batch = ChainBatch(scenes)
+    copies = len(scenes)
+    block = max(1, BLOCK_NUMBERS // (copies * chain.grains))
+    u, v = np.zeros((2, copies, block, chain.grains))
+    energies = np.array([scene.energy for scene in scenes])[:, None]
+    shape = (len(observables), copies, BATCHING.stretches)
+    first, square = np.zeros((2, *shape))
+    reference = np.zeros((len(observables), 1))
+    watch = _EnergyWatch(tolerance)
+    threads = min(copies, len(os.sched_getaffinity(0)))
+    with closing(NativeStepper(batch, method, schedule, {}, threads)) as stepper:
+        for stretch, begin, end in course.pieces(block):
+            while stepper.sample < end:
+                stepper.fill(u, v, begin, end, max(1, BURST // chain.grains))
+                bar.reach(stepper.sample)
+            shown_u = u[:, : end + 1 - begin]
+            shown_v = v[:, : end + 1 - begin]
+            some = slice(None, None, AVERAGING.energies)
+            energy = chain.excess_energy(shown_u[:, some], shown_v[:, some])
+            watch.look(energy / energies - 1, stretch < 0, end / course.scene.samples)
+            if stretch < 0:
+                if end == course.warm_up:
+                    _check_apart(shown_u[:, -1], course)
+                continue
+            for row, quantity in enumerate(observables):
+                values = quantity.measure(shown_u, shown_v)
+                if begin == course.warm_up + 1:
+                    reference[row] = values.mean()
+                values = values - reference[row]
+                first[row, :, stretch] += values.sum(-1)
+                square[row, :, stretch] += (values**2).sum(-1)
+    return _Sums(reference, first, square, watch.error)
+
+
+def _check_apart(u: Array, course: _Course) -> None:
+    """Raise `InputError` unless copies, at (R, N) m, are as far apart as any two motions."""
+    distances = np.abs(u[1:] - u[0]).max(-1)
+    if (distances < AVERAGING.apart * np.abs(u).max()).any():
+        warm_up = course.warm_up * course.interval
+        cure = "use one copy, or a longer warm_up"
+        fault = f"begin so close that they are still together after {warm_up:.3g} s of warm-up"
+        raise InputError.at("copies", f"{fault}: {cure}")
+
+
+def _conclude(
+    scene: Scene,
+    course: _Course,
+    observables: Mapping[str, Observable],
+    sums: _Sums,
+    schedule: StepSchedule,
+    integrator: str,
+) -> Averages:
+    """Return the averages that follow from sums over stretches."""
+    copies = sums.first.shape[1]
+    lasting = course.stretch * BATCHING.stretches * course.interval
+    warm_up = course.warm_up * course.interval
+    ends = np.linspace(warm_up, warm_up + lasting, BATCHING.stretches + 1)
+    fields = ("mean", "variance", "interval", "variance_interval", "correlation_time", "batches")
+    results: dict[str, dict[str, Any]] = {field: {} for field in fields}
+    stretch_mean = {}
+    for row, (name, quantity) in enumerate(observables.items()):
+        from_reference = sums.first[row] / course.stretch
+        stretch_mean[name] = from_reference + sums.reference[row]
+        mean = estimate(stretch_mean[name])
+        centre = mean.mean - float(sums.reference[row, 0])
+        deviation = sums.square[row] / course.stretch - 2 * centre * from_reference + centre**2
+        spread = estimate(deviation)
+        # the mean of the same values is nearer to them than the true one
+        known = mean.error if mean.batches else 0.0
+        variance = max(spread.mean, 0.0) + known**2
+        results["mean"][name] = mean.mean
+        results["variance"][name] = variance
+        size = max(abs(mean.mean - quantity.at_rest), math.sqrt(variance))
+        half_width = mean.half_width + sums.energy_error * size
+        results["interval"][name] = (mean.mean - half_width, mean.mean + half_width)
+        results["variance_interval"][name] = _of_variance(variance, mean, spread, sums.energy_error)
+        results["batches"][name] = mean.batches
+        results["correlation_time"][name] = math.nan
+        if mean.batches and variance:
+            results["correlation_time"][name] = copies * lasting * known**2 / (2 * variance)
+    time = course.scene.duration
+    if unknown := [name for name, batches in results["batches"].items() if not batches]:
+        short = f"a time of {time:.3g} s is too short for an interval of {', '.join(unknown)}"
+        cure = f"try time={4 * time:.2g}, or copies"
+        warn(f"{short}, which remember for as long as a batch takes: {cure}", stacklevel=3)
+    return Averages(
+        scene=scene,
+        time=time,
+        warm_up=warm_up,
+        copies=copies,
+        unit={name: quantity.unit for name, quantity in observables.items()},
+        energy_error=sums.energy_error,
+        integrator=integrator,
+        step=schedule.step,
+        middle=(ends[1:] + ends[:-1]) / 2,
+        stretch_mean=stretch_mean,
+        **results,
+    )
+
+
+def _of_variance(
+    variance: float, mean: Estimate, spread: Estimate, energy_error: float
+) -> tuple[float, float]:
+    """Return the interval of a variance, in which its logarithm is spread evenly, as of chi^2."""
+    if not variance:
+        return 0.0, 0.0
+    if not (mean.batches and spread.batches):
+        return 0.0, math.inf
+    half_width = spread.half_width / variance + 2 * energy_error
+    return variance * math.exp(-half_width), variance * math.exp(half_width)

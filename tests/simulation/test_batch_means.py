@@ -1,0 +1,77 @@
+"""Intervals from batch means, for sequences whose mean and memory are known exactly."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from lmpchain.simulation.batch_means import BATCHING, correlation_of_neighbours, estimate
+
+TRIALS = 1000
+
+
+def sequences(memory: float, copies: int, per_stretch: int, rng: np.random.Generator) -> np.ndarray:
+    """Return stationary AR(1) sequences of mean 0 and variance 1, (R, S, P)."""
+    shape = copies, BATCHING.stretches * per_stretch
+    noise = np.sqrt(1 - memory**2) * rng.normal(size=shape)
+    start = memory * rng.normal(size=(copies, 1))
+    values, _ = lfilter([1.0], [1.0, -memory], noise, axis=1, zi=start)
+    return values.reshape(copies, BATCHING.stretches, per_stretch)
+
+
+def coverage(memory: float, copies: int, per_stretch: int, trials: int, seed: int) -> float:
+    """Return how many intervals of the mean cover 0."""
+    rng = np.random.default_rng(seed)
+    covered = 0
+    for _ in range(trials):
+        average = estimate(sequences(memory, copies, per_stretch, rng).mean(-1))
+        covered += abs(average.mean) <= average.half_width
+    return covered / trials
+
+
+@pytest.mark.parametrize(
+    ("memory", "copies"), [(0.0, 1), (0.5, 1), (0.8, 4), (0.9, 1), (0.9, 4), (-0.5, 1)]
+)
+def test_94_to_96_percent_of_1000_intervals_cover(memory: float, copies: int):
+    """A thousand of them scatter by 0.7 % themselves, hence 2 in place of 1 %."""
+    least, most = (0.93, 0.97) if memory >= 0 else (0.93, 1.0)
+    assert least <= coverage(memory, copies, 8 if memory < 0.9 else 16, TRIALS, 1) <= most
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(("memory", "copies"), [(0.0, 1), (0.5, 1), (0.8, 2), (0.9, 4), (0.9, 1)])
+def test_94_to_96_percent_of_20000_intervals_cover(memory: float, copies: int):
+    assert 0.94 <= coverage(memory, copies, 32, 20 * TRIALS, 2) <= 0.96
+
+
+@pytest.mark.parametrize("memory", [0.95, 0.99, 0.999, 0.9999])
+def test_intervals_of_long_memories_are_not_too_narrow(memory: float):
+    """They are of few batches, or infinite; those that are left are wide enough in the mean."""
+    assert coverage(memory, 1, 8, 400, 3) > 0.92
+
+
+def test_a_walk_has_no_interval():
+    steps = np.random.default_rng(4).normal(size=BATCHING.stretches)
+    average = estimate(np.cumsum(steps)[None])
+    assert average.batches == 0
+    assert average.half_width == np.inf
+
+
+def test_the_standard_error_is_that_of_the_sequence():
+    """Var of the mean of n values of AR(1) is (1 + a) / (1 - a) / n."""
+    rng = np.random.default_rng(5)
+    memory, per_stretch = 0.9, 64
+    errors = [estimate(sequences(memory, 1, per_stretch, rng).mean(-1)).error for _ in range(400)]
+    exact = (1 + memory) / (1 - memory) / (BATCHING.stretches * per_stretch)
+    # of 400 with 31 degrees of freedom each: 1.3 %, and what widens them
+    assert np.mean(np.square(errors)) == pytest.approx(exact, rel=0.05)
+
+
+def test_a_constant_is_known_exactly():
+    average = estimate(np.full((2, BATCHING.stretches), 3.0))
+    assert average[:4] == (3.0, 0.0, 0.0, 64)
+
+
+def test_correlation_of_neighbours_is_unbiased():
+    rng = np.random.default_rng(6)
+    rows = [correlation_of_neighbours(rng.normal(size=(1, 64))) for _ in range(2000)]
+    assert abs(np.mean(rows)) < 4 / np.sqrt(64 * 2000)

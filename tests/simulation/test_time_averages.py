@@ -1,0 +1,247 @@
+"""Averages over time against ensembles known in closed form, and what is refused."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, averages
+from lmpchain.simulation import time_averages
+from lmpchain.simulation.observables import observable
+
+
+def vacuum(grains: int, exponent: float = 1.5, **others) -> Chain:
+    """Return steel beads of 6 mm that just touch each other and two walls."""
+    ends = {"top": "wall", "bottom": "wall"}
+    size = {"grains": grains, "material": "steel", "diameter": 6e-3}
+    return Chain(**size, gravity=0, exponent=exponent, **ends, **others)
+
+
+def struck(chain: Chain, seed: int = 1) -> Scene:
+    """Return a scene of 1 m/s in all, shared out at random."""
+    speeds = np.random.default_rng(seed).normal(size=chain.grains)
+    speeds[chain.movable :] = 0.0
+    still = np.zeros(chain.grains)
+    start = Profile(displacement=still, velocity=speeds / np.linalg.norm(speeds))
+    return Scene(chain=chain, excitation=start, duration=0.1)
+
+
+def beta(grains: int, exponent: float) -> tuple[float, float]:
+    """Return mean and variance of K / E in the microcanonical ensemble.
+
+    The volume of phase space below an energy is that of a product: momenta give E^(N/2), and
+    displacements, of whose potential a factor s on all makes s^(delta+1), give E^(N/(delta+1)).
+    Hence K / E follows Beta's distribution with these two exponents.
+    """
+    a = grains / 2
+    b = grains / (exponent + 1)
+    return a / (a + b), a * b / ((a + b) ** 2 * (a + b + 1))
+
+
+@pytest.mark.parametrize(("grains", "exponent"), [(38, 1.5), (30, 2.5)])
+def test_kinetic_energy_of_beads_between_walls_is_microcanonical(grains: int, exponent: float):
+    """The mean is exact for any motion (virial theorem), the variance in equilibrium alone."""
+    scene = struck(vacuum(grains, exponent))
+    mean, variance = beta(grains, exponent)
+    found = averages(scene, ["kinetic_energy"], time=0.3, tolerance=1e-3)
+    assert found.mean["kinetic_energy"] / scene.energy == pytest.approx(mean, rel=1e-3)
+    assert found.variance["kinetic_energy"] / scene.energy**2 == pytest.approx(variance, rel=0.03)
+    low, high = found.variance_interval["kinetic_energy"]
+    # one in twenty does not cover: half as wide again
+    assert low / 1.01 < variance * scene.energy**2 < high * 1.01
+    assert found.energy_error <= 1e-3
+
+
+@pytest.mark.soak
+def test_variance_of_the_kinetic_energy_of_38_beads_to_a_thousandth():
+    chain = vacuum(38)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=0.1)
+    mean, variance = beta(38, 1.5)
+    found = averages(scene, ["kinetic_energy"], time=60.0, tolerance=3e-4)
+    assert found.mean["kinetic_energy"] / scene.energy == pytest.approx(mean, rel=1e-3)
+    assert found.variance["kinetic_energy"] / scene.energy**2 == pytest.approx(variance, rel=1.5e-3)
+
+
+@pytest.mark.soak
+def test_94_to_96_percent_of_1000_intervals_of_chains_cover():
+    """Of the kinetic energy of one bead of ten: 5/9 of a tenth of all."""
+    chain = vacuum(10)
+    name = "kinetic_energy:3"
+    covered = 0
+    for seed in range(1000):
+        scene = struck(chain, seed)
+        low, high = averages(scene, [name], time=0.2, tolerance=3e-4).interval[name]
+        covered += low < 5 / 9 * scene.energy / 10 < high
+    # a thousand scatter by 0.7 % themselves
+    assert 0.93 <= covered / 1000 <= 0.97
+
+
+def test_temperature_and_equipartition():
+    scene = struck(vacuum(20))
+    names = ["temperature", "kinetic_energy", "potential_energy", "equipartition", "velocity:7"]
+    found = averages(scene, names, time=0.3, tolerance=1e-3)
+    mean = found.mean
+    assert mean["temperature"] == pytest.approx(mean["kinetic_energy"] / 10, rel=1e-12)
+    whole = mean["kinetic_energy"] + mean["potential_energy"]
+    assert whole == pytest.approx(scene.energy, rel=2 * found.energy_error)
+    # 1 where velocities of one kinetic energy are equally likely
+    assert mean["equipartition"] == pytest.approx(1.0, abs=0.05)
+    # what stays between walls has no mean velocity
+    low, high = found.interval["velocity:7"]
+    assert low < 0 < high
+    assert found.variance["velocity:7"] == pytest.approx(
+        mean["temperature"] / scene.chain.masses[6], rel=0.1
+    )
+
+
+def test_a_linear_chain_has_the_averages_of_its_mode():
+    """A single mode: half the energy is kinetic, with the variance E^2 / 8 of its cosine."""
+    chain = Chain(grains=12, diameter=1e-3, gravity=0, top_load=1.0, top="wall", bottom="wall")
+    modes = lmpchain.theory.modes.eigenmodes(chain)
+    shape = modes.shape[:, 2] / np.sqrt(chain.masses)
+    start = Profile(displacement=1e-13 * shape / abs(shape).max(), velocity=np.zeros(12))
+    scene = Scene(chain=chain, excitation=start, duration=1e-3)
+    period = 2 * np.pi / modes.frequency[2]
+    found = averages(scene, ["kinetic_energy"], time=1280.3 * period, tolerance=1e-6)
+    assert found.integrator == "rkn6"
+    assert found.mean["kinetic_energy"] == pytest.approx(scene.energy / 2, rel=1e-3)
+    assert found.variance["kinetic_energy"] == pytest.approx(scene.energy**2 / 8, rel=2e-3)
+
+
+@pytest.mark.parametrize("number", [0, 1, 4, 5])
+def test_forces_are_those_of_measure(number: int):
+    chain = Chain(grains=5, diameter=1e-3, top="wall", bottom="wall")
+    displacement, velocity = 1e-9 * np.random.default_rng(1).normal(size=(2, 3, 5))
+    force = observable(chain, f"force:{number}").measure(displacement, velocity)
+    closer = chain.contacts.closer(displacement)[:, number]
+    change = chain.contacts.of(number).force_change(closer)
+    np.testing.assert_allclose(force, chain.contacts.force[number] + change, rtol=1e-9)
+
+
+def test_equipartition_is_largest_where_one_grain_has_all():
+    chain = Chain(grains=5, diameter=1e-3)
+    velocity = np.array([[0.0, 2.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0, 0.0], [0.0] * 5])
+    found = observable(chain, "equipartition").measure(np.zeros((3, 5)), velocity)
+    # four grains move
+    np.testing.assert_allclose(found, [2.0, 0.5, 1.0], rtol=1e-14)
+
+
+def test_copies_agree_with_one(recwarn):
+    scene = struck(vacuum(10))
+    one, four = (
+        averages(scene, ["force:5"], time=time, tolerance=1e-3, copies=copies)
+        for time, copies in ((0.4, 1), (0.1, 4))
+    )
+    assert four.copies == 4
+    assert four.batches["force:5"] == 4 * one.batches["force:5"]
+    assert four.stretch_mean["force:5"].shape == (4, 256)
+    apart = abs(one.mean["force:5"] - four.mean["force:5"])
+    widths = [a.interval["force:5"][1] - a.mean["force:5"] for a in (one, four)]
+    assert apart < 2 * sum(widths)
+
+
+def test_copies_that_stay_together_are_refused():
+    chain = Chain(grains=5, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Displacement(displacement=1e-14), duration=1e-3)
+    with pytest.raises(InputError, match="copies: begin so close that they are still together"):
+        averages(scene, ["kinetic_energy"], copies=2)
+
+
+def test_a_time_too_short_has_no_interval_and_names_the_cure():
+    scene = struck(vacuum(20))
+    with pytest.warns(UserWarning, match=r"too short for an interval of equipartition.*try time="):
+        found = averages(scene, ["equipartition"], time=2e-3, tolerance=1e-2)
+    assert found.interval["equipartition"] == (-math.inf, math.inf)
+    assert found.variance_interval["equipartition"] == (0.0, math.inf)
+    assert found.to_json()["quantities"]["equipartition"]["interval"] == [None, None]
+    assert "unknown" in found.table()
+
+
+def test_the_step_follows_from_the_tolerance():
+    scene = struck(vacuum(8))
+    loose, tight = (
+        averages(scene, ["kinetic_energy"], time=0.02, tolerance=tolerance)
+        for tolerance in (1e-2, 1e-5)
+    )
+    assert tight.step < loose.step
+    assert tight.energy_error <= 1e-5 < loose.energy_error <= 1e-2
+
+
+def test_what_no_step_meets_names_the_call(monkeypatch):
+    patience = time_averages.Averaging(attempts=1)
+    monkeypatch.setattr(time_averages, "AVERAGING", patience)
+    with pytest.raises(lmpchain.ToleranceNotMet, match=r"ask lmpchain\.averages for less"):
+        averages(struck(vacuum(8)), ["kinetic_energy"], time=0.02, tolerance=1e-14)
+
+
+def test_results_are_tables_and_pictures(tmp_path):
+    found = averages(struck(vacuum(8)), ["force:3", "kinetic_energy"], time=0.02, tolerance=1e-3)
+    frame = found.to_dataframe()
+    assert list(frame["quantity"]) == ["force:3", "kinetic_energy"]
+    assert frame["mean"][0] == found.mean["force:3"]
+    assert found.plot().get_ylabel() == "force:3"
+    with pytest.raises(InputError, match="of: must be one of"):
+        found.plot(of="force:4")
+    assert "warm-up" in found.table()
+    assert found.warm_up == pytest.approx(0.004, rel=0.01)
+    assert found.time == pytest.approx(0.02, rel=0.01)
+
+
+SCENE = Scene(chain=vacuum(8), excitation=Impulse(velocity=1.0), duration=0.01)
+COLUMN = Chain(grains=8, diameter=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "fault"),
+    [
+        (SCENE, {"quantities": []}, "quantities: must be names"),
+        (SCENE, {"quantities": ["force"]}, "quantities: must be kinetic_energy"),
+        (SCENE, {"quantities": ["force:9"]}, "quantities: the contacts are numbered 0 to 8"),
+        (SCENE, {"quantities": ["velocity:9"]}, "quantities: the grains that move are numbered"),
+        (SCENE, {"quantities": ["velocity:1", "velocity:1"]}, "quantities: must be names, each"),
+        (SCENE, {"quantities": [3]}, "quantities: must be names"),
+        (SCENE, {"time": -1.0}, "time: must be a time above 0 s"),
+        (SCENE, {"warm_up": 0.02}, "warm_up: must be shorter"),
+        (SCENE, {"copies": 0}, "copies: must be a whole number from 1"),
+        (SCENE, {"tolerance": 2.0}, "tolerance: must be between 0 and 1"),
+        ("scene.toml", {}, "scene: must be a Scene"),
+        (
+            SCENE.replace(chain=SCENE.chain.replace(damping={"drag": 1.0})),
+            {},
+            "chain.damping: averages are those of a motion that never ends",
+        ),
+        (
+            SCENE.replace(chain=SCENE.chain.replace(top="free")),
+            {},
+            "chain.top: grains would fly away",
+        ),
+        (
+            SCENE.replace(chain=COLUMN, excitation=Drive(amplitude=1e-9, frequency=1e4)),
+            {},
+            "excitation: must leave the energy as it is",
+        ),
+        (SCENE.replace(excitation=Impulse(velocity=0.0)), {}, "excitation: moves nothing"),
+    ],
+)
+def test_bad_input_is_one_line(scene, options: dict, fault: str):
+    with pytest.raises(InputError, match=f"^{fault}"):
+        averages(scene, **{"quantities": ["kinetic_energy"]} | options)
+
+
+def test_a_run_at_a_given_step_beyond_predictability_warns():
+    chain = Chain(grains=12, material="glass", diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
+    with pytest.warns(UserWarning, match=r"no step predicts it: take averages.*lmpchain\.averages"):
+        lmpchain.simulate(scene, engine="native", step=1e-7)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lmpchain.simulate(scene.replace(duration=1e-4), engine="native", step=1e-7)
+
+
+def test_a_tolerance_beyond_predictability_names_the_call():
+    chain = Chain(grains=12, material="glass", diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
+    with pytest.raises(lmpchain.ToleranceNotMet, match=r"lmpchain\.averages"):
+        lmpchain.simulate(scene)
