@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from ..errors import shown
+from .averages import averages
 from .check import check
 from .compare import compare, doctor, stability, workprec
 from .new import EXAMPLES, new
@@ -204,6 +205,49 @@ VERBS = {
                 help="measure the speed of the engines on this machine and store it for the cost "
                 "model",
             ),
+        ),
+    ),
+    "averages": Verb(
+        averages,
+        "time averages with intervals, for chains whose motion no run predicts",
+        (
+            SCENE,
+            _argument(
+                "--of",
+                metavar="A,B,...",
+                required=True,
+                help="kinetic_energy, potential_energy, temperature, equipartition, force:CONTACT, "
+                "kinetic_energy:GRAIN, velocity:GRAIN, displacement:GRAIN",
+            ),
+            _argument(
+                "--time",
+                metavar="S",
+                type=float,
+                help="for how long, s, warm-up included (default: the duration of the scene)",
+            ),
+            _argument(
+                "--warm-up",
+                metavar="S",
+                type=float,
+                help="left out at the beginning, s (default: a fifth of the time)",
+            ),
+            _argument(
+                "--copies",
+                metavar="R",
+                type=int,
+                default=1,
+                help="chains that begin a little apart and are averaged together, on all cores "
+                "(default: 1)",
+            ),
+            _argument(
+                "--tolerance",
+                metavar="X",
+                type=float,
+                default=1e-4,
+                help="largest relative error of the energy (default: 1e-4)",
+            ),
+            PICTURE,
+            NUMBERS,
         ),
     ),
     "orbit": Verb(

@@ -320,6 +320,7 @@ WORDS = {
     "resume": ["run/"],
     "compare": ["s.toml"],
     "plan": [],
+    "averages": ["s.toml", "--of", "kinetic_energy"],
     "orbit": ["s.toml", "--mode", "2", "--energy", "1e-9"],
     "sensitivity": ["r.nc", "--of", "momentum:3"],
     "deck": ["s.toml", "-o", "deck"],

@@ -1,0 +1,39 @@
+"""The command `averages`: time averages of a scene with intervals, beyond predictability."""
+
+from __future__ import annotations
+
+import argparse
+
+from .common import check_outputs, gather, keep, on_terminal, read
+
+
+def averages(arguments: argparse.Namespace) -> int:
+    """Average quantities of a scene over time."""
+    scene, picture, numbers = gather(
+        lambda: read(arguments.scene),
+        *check_outputs(arguments, arguments.scene),
+    )
+    from ..simulation import time_averages
+
+    result = time_averages.averages(
+        scene,
+        [name.strip() for name in arguments.of.split(",")],
+        time=arguments.time,
+        tolerance=arguments.tolerance,
+        warm_up=arguments.warm_up,
+        copies=arguments.copies,
+        progress=on_terminal(),
+    )
+    print(result.table())
+    keep(result, numbers, None)
+    # a panel a quantity, where other commands draw one result
+    if picture:
+        from ..util.plotting import figure, save
+
+        pages = figure(7.0, 3.0 * len(result.mean))
+        panels = pages.subplots(len(result.mean), squeeze=False)[:, 0]
+        for ax, name in zip(panels, result.mean, strict=True):
+            result.plot(ax, of=name)
+        save(pages, picture)
+        print(f"picture: {picture}")
+    return 0
