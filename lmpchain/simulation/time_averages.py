@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
-UNKNOWN = "unknown"  # half-width of an interval for which the time is too short
+NO_INTERVAL = "unknown"  # half-width of an interval for which the time is too short
 BURST = 2**23  # grains x steps between two opportunities to stop
 
 
@@ -96,6 +96,7 @@ class EnergyErrors:
 
 
 AVERAGING = Averaging()
+LEAST_TOLERANCE = 1e-10  # below, rounding alone shifts the energy of long motions
 ENERGY_ERRORS = EnergyErrors()
 
 
@@ -173,8 +174,10 @@ class Averages(Shown, Tabular):
             squared = f"({unit})2" if "/" in unit else f"{unit}2" if unit else ""
             half_width = self.interval[name][1] - mean
             low, high = self.variance_interval[name]
-            of_mean = f"± {half_width:.1e}" if math.isfinite(half_width) else f"± {UNKNOWN}"
-            of_variance = f"({low:.4g} to {high:.4g})" if math.isfinite(high) else f"({UNKNOWN})"
+            of_mean = f"± {half_width:.1e}" if math.isfinite(half_width) else f"± {NO_INTERVAL}"
+            of_variance = (
+                f"({low:.4g} to {high:.4g})" if math.isfinite(high) else f"({NO_INTERVAL})"
+            )
             rows.append(
                 (
                     name,
@@ -445,6 +448,10 @@ def averages(
     """
     check_tolerance(tolerance)
     check_flags(progress=progress)
+    if tolerance < LEAST_TOLERANCE:
+        cure = "what chance leaves is far more"
+        fault = f"must be at least {LEAST_TOLERANCE:g} (got {tolerance:g}): {cure}"
+        raise InputError.at("tolerance", fault)
     names = _check(scene, quantities, copies)
     observables = [observable(scene.chain, name) for name in names]
     course = _course(scene, time, warm_up)
@@ -484,23 +491,27 @@ def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
         faults.append(("quantities", f"must be names, each once, {given}"))
     if isinstance(copies, bool) or not isinstance(copies, int) or copies < 1:
         faults.append(("copies", f"must be a whole number from 1 (got {shown(copies)})"))
+    if faults := [*faults, *_unsteady(scene)]:
+        raise InputError(faults)
+    return names
+
+
+def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield why the motion of a scene does not go on for ever, with the same energy."""
     chain = scene.chain
     if chain.damped:
         cure = "leave damping out, as chain.replace(damping=None) does"
-        faults.append(("chain.damping", f"averages are those of a motion that never ends: {cure}"))
+        yield "chain.damping", f"averages are those of a motion that never ends: {cure}"
     if scene.excitation.does_work:
         cure = "use an impulse, a displacement or a profile"
-        faults.append(("excitation", f"must leave the energy as it is at t = 0: {cure}"))
+        yield "excitation", f"must leave the energy as it is at t = 0: {cure}"
     elif scene.at_rest:
-        faults.append(("excitation", "moves nothing: there is nothing to average"))
+        yield "excitation", "moves nothing: there is nothing to average"
     # neither weight nor load brings back what flies away
     held = chain.compressed or chain.top == "wall"
     if not held or chain.bottom == "free" or (chain.loose_grains and chain.top == "free"):
         cure = 'use top = "wall" and bottom = "wall", gravity or a load on grain 1'
-        faults.append(("chain.top", f"grains would fly away, and no average last: {cure}"))
-    if faults:
-        raise InputError(faults)
-    return names
+        yield "chain.top", f"grains would fly away, and no average last: {cure}"
 
 
 def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
@@ -664,7 +675,7 @@ def _conclude(
     if unknown := [name for name, batches in results["batches"].items() if not batches]:
         short = f"a time of {time:.3g} s is too short for an interval of {', '.join(unknown)}"
         cure = f"try time={4 * time:.2g}, or copies"
-        warn(f"{short}, which remember for as long as a batch takes: {cure}", stacklevel=3)
+        warn(f"{short}: memories are as long as batches; {cure}", stacklevel=3)
     return Averages(
         scene=scene,
         time=time,
