@@ -1,43 +1,78 @@
-"""The command `orbit`: the nonlinear normal mode that a linear one grows into."""
+"""The command `orbit`: a nonlinear normal mode, or the answer of a chain to a drive."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
+from ..errors import InputError, shown
 from .common import check_outputs, gather, keep, on_terminal, read
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..orbits.family import Family
+    from ..scene.scene import Scene
 
 
 def orbit(arguments: argparse.Namespace) -> int:
-    """Follow a mode of the chain of a scene from its linear limit up to an energy."""
-    scene, picture, numbers = gather(
+    """Follow a mode of the chain of a scene up to an energy, or the answer to its drive."""
+    scene, (name, until), picture, numbers = gather(
         lambda: read(arguments.scene),
+        lambda: _followed(arguments),
         *check_outputs(arguments, arguments.scene),
     )
-    from ..orbits.modes import mode_family
+    if name:
+        family = _answers(scene, name, until)
+        family[0].response(arguments.of)
+    else:
+        from ..orbits.modes import mode_family
 
-    family = mode_family(scene.chain, arguments.mode, arguments.energy, progress=on_terminal())
+        family = mode_family(scene.chain, arguments.mode, arguments.energy, progress=on_terminal())
     print("\n".join(_describe(family)))
     keep(family, numbers, None)
     # both the family and its last orbit, where other commands draw one result
     if picture:
         from ..util.plotting import save
 
-        save(_picture(family), picture)
+        save(_picture(family, arguments.of), picture)
         print(f"picture: {picture}")
     return 0 if family.reached else 1
+
+
+def _followed(arguments: argparse.Namespace) -> tuple[str, float]:
+    """Return the number that is followed, and up to where; no name for a mode."""
+    mode = arguments.mode is not None and arguments.energy is not None
+    if mode == (arguments.follow is not None):
+        cure = "give --mode and --energy, or --follow drive.frequency=1.2e4"
+        raise InputError.at("orbit", f"is a mode or the answer to a drive: {cure}")
+    if mode:
+        return "", 0.0
+    name, _, value = arguments.follow.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        example = f"drive.frequency=1.2e4 (got {shown(arguments.follow)})"
+        raise InputError.at(
+            "--follow", f"must be a number and its last value, as {example}"
+        ) from None
+
+
+def _answers(scene: Scene, name: str, until: float) -> Family:
+    """Return the answers to the drive of a scene, along a number up to a value."""
+    from .. import orbits
+
+    first = orbits.find(scene.chain, drive=scene.excitation)
+    return orbits.follow(first, name, until, progress=on_terminal())
 
 
 def _describe(family: Family) -> list[str]:
     """Return lines about the last orbit and the events on the way to it."""
     last = family[-1]
     state = "stable" if last.stable else f"unstable, largest multiplier {abs(last.unstable[0]):.6g}"
-    frequencies = f"{1 / last.period:.6g} Hz; linear: {1 / family[0].period:.6g} Hz"
+    driven = last.drive is not None
+    first = "at the begin" if driven else "linear"
+    frequencies = f"{1 / last.period:.6g} Hz; {first}: {1 / family[0].period:.6g} Hz"
     lines = [
         f"period: {last.period:.12g} s ({frequencies})",
         f"energy: {last.energy:.6g} J",
@@ -45,22 +80,24 @@ def _describe(family: Family) -> list[str]:
         f"residual after a period: {last.residual:.1e}; error of the steps: {last.error:.1e}",
         f"Floquet multipliers: {state}",
     ]
+    unit = f"of {family.parameter}" if driven else "J"
     lines += [
-        f"{event.kind}: at {event.value:.6g} J, {1 / event.orbit.period:.6g} Hz"
+        f"{event.kind}: at {event.value:.6g} {unit}, {1 / event.orbit.period:.6g} Hz"
         for event in family.events
     ]
     if not family.reached:
-        lines.append(f"the family does not come to the energy asked for: {family.ended}")
+        goal = f"{family.parameter} asked for"
+        lines.append(f"the family does not come to the {goal}: {family.ended}")
     return lines
 
 
-def _picture(family: Family) -> Figure:
+def _picture(family: Family, of: str) -> Figure:
     from ..util.plotting import COLOURS, figure
 
     picture = figure(11.0, 4.2)
     first, right = picture.subplots(1, 2)
     for ax in (first, right):
         ax.set_prop_cycle(color=list(COLOURS.values()))
-    family.plot(first)
+    family.plot(first, of if family[0].drive else "")
     family[-1].plot(right)
     return picture

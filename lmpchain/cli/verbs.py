@@ -252,18 +252,22 @@ VERBS = {
     ),
     "orbit": Verb(
         orbit,
-        "periodic orbit of the chain: a linear mode followed up to an energy",
+        "periodic orbits of the chain: a linear mode up to an energy, or the answer to a drive",
         (
             SCENE,
+            _argument("--mode", metavar="K", type=int, help="number of the mode, the lowest is 1"),
+            _argument("--energy", metavar="E", type=float, help="energy above rest, J"),
             _argument(
-                "--mode",
-                metavar="K",
-                type=int,
-                required=True,
-                help="number of the mode, the lowest is 1",
+                "--follow",
+                metavar="NUMBER=UNTIL",
+                help="the answer to the drive of the scene, from there to this value of "
+                "drive.frequency, drive.amplitude, damping.drag, chain.top_load ...",
             ),
             _argument(
-                "--energy", metavar="E", type=float, required=True, help="energy above rest, J"
+                "--of",
+                metavar="SIZE",
+                default="amplitude",
+                help="what is drawn of it: amplitude, displacement:GRAIN or force:CONTACT",
             ),
             PICTURE,
             NUMBERS,

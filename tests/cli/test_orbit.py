@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from lmpchain import Chain, Impulse, Scene, orbits
+from lmpchain import Chain, Drive, Impulse, Scene, orbits
 from lmpchain.cli.command_line import main
 
 
@@ -44,3 +44,35 @@ def test_a_mode_that_there_is_not(tmp_path: Path, capsys: pytest.CaptureFixture)
     Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2).to_toml(scene)
     assert main(["orbit", str(scene), "--mode", "9", "--energy", "1e-12"]) == 2
     assert "mode: must be a whole number from 1 to 5" in capsys.readouterr().err
+
+
+def test_the_answer_to_a_drive_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture):
+    """Of a scene file with damping, through two folds."""
+    level = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
+    chain = Chain(grains=2, material="steel", damping={"drag": 2000.0}, **level)
+    drive = Drive(amplitude=1e-7, frequency=1.2e4)
+    scene = tmp_path / "scene.toml"
+    Scene(chain=chain, excitation=drive, duration=1e-3, samples=2).to_toml(scene)
+    picture = tmp_path / "curve.png"
+    numbers = tmp_path / "curve.json"
+    command = ["orbit", str(scene), "--follow", "drive.frequency=1.8e4", "--of", "force:1"]
+    assert main([*command, "-o", str(picture), "--json", str(numbers)]) == 0
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    said = capsys.readouterr().out
+    assert said.count("fold: at 13") == 2
+    assert "of drive.frequency" in said
+    found = json.loads(numbers.read_text())
+    assert found["value"][-1] == pytest.approx(1.8e4, rel=1e-12)
+    last = orbits.find(chain, drive=drive.replace(frequency=1.8e4))
+    assert found["orbit"]["displacement_m"] == pytest.approx(
+        last.displacement.tolist(), abs=1e-10 * last.amplitude
+    )
+    for wrong, message in {
+        ("--follow", "drive.frequency"): "--follow: must be a number and its last value",
+        ("--follow", "drive.speed=1"): "parameter: must be period, a number of the drive",
+        ("--follow", "drive.frequency=1.3e4", "--of", "force:9"): "of: the contacts are numbered",
+        ("--mode", "1"): "orbit: is a mode or the answer to a drive",
+        (): "orbit: is a mode or the answer to a drive",
+    }.items():
+        assert main(["orbit", str(scene), *wrong]) == 2
+        assert message in capsys.readouterr().err
