@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
 NO_INTERVAL = "unknown"  # half-width of an interval for which the time is too short
-BURST = 2**23  # grains x steps between two opportunities to stop
+STEPS_AT_ONCE = 2**23  # grains x steps between two opportunities to stop
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class EnergyErrors:
 
     wobble: float = 0.03
     walk: float = 1.1e-4
-    smooth: float = 1e-3
+    smooth: float = 1e-7
     longest: float = 0.25
 
 
@@ -604,7 +604,7 @@ def _follow(
     with closing(NativeStepper(batch, method, schedule, {}, threads)) as stepper:
         for stretch, begin, end in course.pieces(block):
             while stepper.sample < end:
-                stepper.fill(u, v, begin, end, max(1, BURST // chain.grains))
+                stepper.fill(u, v, begin, end, max(1, STEPS_AT_ONCE // chain.grains))
                 bar.reach(stepper.sample)
             shown_u = u[:, : end + 1 - begin]
             shown_v = v[:, : end + 1 - begin]
