@@ -225,7 +225,13 @@ class Family(Shown, Tabular):
         """Return the unit of the parameter."""
         if self.parameter.endswith("amplitude"):
             return "N" if isinstance(self.orbits[0].drive, Force) else "m"
-        units = {"drag": "1/s", "viscoelastic": "s", "top_load": "N", "gravity": "m/s²"}
+        units = {
+            "frequency": "Hz",
+            "drag": "1/s",
+            "viscoelastic": "s",
+            "top_load": "N",
+            "gravity": "m/s²",
+        }
         return units.get(self.parameter.rpartition(".")[2], "")
 
     def _bands(self) -> Array:
@@ -262,9 +268,11 @@ class Family(Shown, Tabular):
         }
 
     def _columns(self) -> Iterator[NamedColumn]:
-        yield NamedColumn(self.parameter, "", self.value)
+        yield NamedColumn(self.parameter, self._unit(), self.value)
         yield NamedColumn("period", "s", self.period)
         yield NamedColumn("energy", "J", self.energy)
+        if self.orbits[0].drive is not None:
+            yield NamedColumn("amplitude", "m", self._sizes(self.orbits, "amplitude"))
         yield NamedColumn("stable", "", self.stable)
 
 
