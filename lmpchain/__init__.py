@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from .simulation.many import simulate_many as simulate_many
     from .simulation.planner import plan as plan
     from .simulation.signals import Stopped as Stopped
+    from .simulation.time_averages import Averages as Averages
     from .simulation.time_averages import averages as averages
     from .sweeps.results import load_sweep as load_sweep
     from .sweeps.run import sweep as sweep
@@ -79,7 +80,7 @@ _MODULES = {
     "simulation.many": "simulate_many",
     "simulation.planner": "plan",
     "simulation.signals": "Stopped",
-    "simulation.time_averages": "averages",
+    "simulation.time_averages": "averages Averages",
     "sweeps.run": "sweep",
     "sweeps.results": "load_sweep",
     "trajectory.trajectory": "Trajectory",

@@ -71,17 +71,20 @@ class Estimate(NamedTuple):
     resemblance: float
 
 
-def estimate(means: Array) -> Estimate:
+def estimate(means: Array, known: Array | None = None) -> Estimate:
     """Return the average of the means of stretches of some time, with its interval.
 
     Parameters
     ----------
     means : (R, S) array
         Of S = `BATCHING.stretches` of equal length, one after the other, in each of R copies.
+    known : (R, S) array, optional
+        What shifts them by some factor, and is not to count: an error of the energy, which walks.
 
     Examples
     --------
-    >>> noise = np.random.default_rng(1).normal(3.0, 1.0, (1, BATCHING.stretches))
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(3).normal(3.0, 1.0, (1, BATCHING.stretches))
     >>> average = estimate(noise)
     >>> average.batches, abs(average.mean - 3.0) < average.half_width
     (32, True)
@@ -90,17 +93,26 @@ def estimate(means: Array) -> Estimate:
 
     copies = len(means)
     mean = float(means.mean())
+    lost = 1
+    if known is not None and known.any():
+        shift = known - known.mean()
+        means = means - shift * ((shift * means).sum() / (shift**2).sum())
+        lost = 2
     resemblance = math.nan
     for count in BATCHING.counts:
-        shorter = means.reshape(copies, count * BATCHING.finer, -1).mean(-1)
-        resemblance = correlation_of_neighbours(shorter)
+        # of ever longer stretches: those that remember a little for long show it late
+        resemblances = {
+            finer: correlation_of_neighbours(means.reshape(copies, count * finer, -1).mean(-1))
+            for finer in (BATCHING.finer, BATCHING.finer // 2, BATCHING.finer // 4)
+        }
+        resemblance = resemblances[BATCHING.finer]
         if resemblance > BATCHING.resemblance:
             continue
-        batches = shorter.reshape(copies, count, BATCHING.finer).mean(-1)
-        # what is left of c / b: stretches of this correlation are about c / (2 resemblance) long
-        widened = 1 + 2 * max(resemblance, 0.0) / BATCHING.finer
-        error = math.sqrt(widened * batches.var(ddof=1) / batches.size)
-        student = float(t.ppf((1 + LEVEL) / 2, batches.size - 1))
+        batches = means.reshape(copies, count, -1).mean(-1)
+        # c / b, for stretches of this correlation are about c / (2 resemblance) long
+        widened = 1 + max(0.0, *(2 * each / finer for finer, each in resemblances.items()))
+        error = math.sqrt(widened * batches.var(ddof=lost) / batches.size)
+        student = float(t.ppf((1 + LEVEL) / 2, batches.size - lost))
         return Estimate(mean, error, student * error, batches.size, resemblance)
     return Estimate(mean, math.inf, math.inf, 0, resemblance)
 

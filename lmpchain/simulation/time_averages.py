@@ -305,12 +305,16 @@ class _Sums(NamedTuple):
         From which values are counted: near the mean, so that squares keep their digits.
     first, square : (Q, R, S) arrays
         Sums of the values so counted, and of their squares.
+    energy : (R, S) array
+        Mean relative error of the energy in each stretch.
     energy_error : float
+        Its root mean square over all times.
     """
 
     reference: Array
     first: Array
     square: Array
+    energy: Array
     energy_error: float
 
 
@@ -599,6 +603,7 @@ def _follow(
     shape = (len(observables), copies, BATCHING.stretches)
     first, square = np.zeros((2, *shape))
     reference = np.zeros((len(observables), 1))
+    drift = np.zeros(shape[1:])
     watch = _EnergyWatch(tolerance)
     threads = min(copies, len(os.sched_getaffinity(0)))
     with closing(NativeStepper(batch, method, schedule, {}, threads)) as stepper:
@@ -610,11 +615,13 @@ def _follow(
             shown_v = v[:, : end + 1 - begin]
             some = slice(None, None, AVERAGING.energies)
             energy = chain.excess_energy(shown_u[:, some], shown_v[:, some])
-            watch.look(energy / energies - 1, stretch < 0, end / course.scene.samples)
+            energy = energy / energies - 1
+            watch.look(energy, stretch < 0, end / course.scene.samples)
             if stretch < 0:
                 if end == course.warm_up:
                     _check_apart(shown_u[:, -1], course)
                 continue
+            drift[:, stretch] += energy.mean(-1) * (end + 1 - begin) / course.stretch
             for row, quantity in enumerate(observables):
                 values = quantity.measure(shown_u, shown_v)
                 if begin == course.warm_up + 1:
@@ -622,7 +629,7 @@ def _follow(
                 values = values - reference[row]
                 first[row, :, stretch] += values.sum(-1)
                 square[row, :, stretch] += (values**2).sum(-1)
-    return _Sums(reference, first, square, watch.error)
+    return _Sums(reference, first, square, drift, watch.error)
 
 
 def _check_apart(u: Array, course: _Course) -> None:
@@ -654,10 +661,10 @@ def _conclude(
     for row, (name, quantity) in enumerate(observables.items()):
         from_reference = sums.first[row] / course.stretch
         stretch_mean[name] = from_reference + sums.reference[row]
-        mean = estimate(stretch_mean[name])
+        mean = estimate(stretch_mean[name], sums.energy)
         centre = mean.mean - float(sums.reference[row, 0])
         deviation = sums.square[row] / course.stretch - 2 * centre * from_reference + centre**2
-        spread = estimate(deviation)
+        spread = estimate(deviation, sums.energy)
         # the mean of the same values is nearer to them than the true one
         known = mean.error if mean.batches else 0.0
         variance = max(spread.mean, 0.0) + known**2
