@@ -18,6 +18,7 @@ __all__ = [
     "modes",
     "restitution",
     "scattering",
+    "shock",
     "soliton",
 ]
 __getattr__ = attributes(__name__, __all__)

@@ -1,0 +1,492 @@
+"""Shocks, dispersive shocks and rarefactions: edges, plateaus and predictions beside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+from scipy import stats
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from ..errors import InputError
+from ..scene.acting import Drive
+from ..scene.riemann import Riemann
+from ..theory.shock import Edges, Medium, State
+from ..theory.soliton import solve, struck
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend, set_title
+from .flight import summit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__dir__ = listed(__name__)
+
+Kind = Literal["dispersive shock", "steady shock", "rarefaction"]
+END_CONTACTS = 5  # at an end a wave meets its reflection
+FEWEST = 24  # contacts that the leading edge passes
+OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor solitary waves
+FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
+STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
+
+
+@dataclass(frozen=True)
+class Edge:
+    """An edge of a wave.
+
+    Attributes
+    ----------
+    speed, error : float
+        Grains/s, NaN where there is no such edge; by how much it may be off: twice the standard
+        error, and the change since the wave was two thirds as old.
+    height, height_error : float
+        Overlap in the leading crest beyond that ahead, m, and its change in the same way; NaN of a
+        trailing edge.
+    velocity : float
+        Of grains in the leading crest beyond that ahead, m/s.
+    """
+
+    speed: float
+    error: float
+    height: float = np.nan
+    height_error: float = np.nan
+    velocity: float = np.nan
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Shock(Shown):
+    """A shock or a rarefaction, and what theory says of it; see `lmpchain.theory.shock`.
+
+    Velocities are positive in the way of travel; overlaps are those of contacts in all.
+
+    Attributes
+    ----------
+    kind : str
+        "dispersive shock", of a chain without damping, "steady shock" or "rarefaction".
+    ahead, behind : State
+        Velocity, m/s, and overlap, m, before the wave, and in the plateau behind it, in the mean.
+    behind_error : State
+        By how much the plateau varies, twice the standard deviation of velocity and overlap.
+    leading, trailing : Edge
+        Both the same, at half the jump, of a steady shock.
+    thickness : float
+        Grains: the jump over the steepest slope of a steady shock, else the distance of the edges
+        at the end; NaN without a trailing edge.
+    mass_speed, momentum_speed : float
+        Grains/s: ``(v_b - v_a) / (R_b - R_a)`` and ``(F_b - F_a) / (m (v_b - v_a))`` of the
+        plateaus, with which mass and momentum grow; the same in a steady shock.
+    rankine_hugoniot : (State, float)
+        State behind a steady shock of this velocity behind, and its speed, grains/s; NaN of a
+        rarefaction.
+    solitary : float
+        Speed of the exact solitary wave as high as the leading crest, `soliton.solve`, grains/s:
+        that of the leading edge of an old dispersive shock; NaN of other waves.
+    simple : State
+        What a simple or dispersive wave leaves behind at this velocity.
+    predictions : dict
+        `Edges` by name: "whitham", "toda" and "kdv" of a dispersive shock, "continuum" of a
+        rarefaction; "burgers" has the thickness of a steady shock in weak viscous damping in place
+        of the height.
+    time : float
+        The last that was used, s.
+    contact, overlap : (C,) arrays
+        Their numbers, and their overlaps then, m.
+    """
+
+    kind: Kind
+    ahead: State
+    behind: State
+    behind_error: State
+    leading: Edge
+    trailing: Edge
+    thickness: float
+    mass_speed: float
+    momentum_speed: float
+    rankine_hugoniot: tuple[State, float]
+    solitary: float
+    simple: State
+    predictions: dict[str, Edges]
+    time: float
+    contact: np.ndarray
+    overlap: Array
+    _source: float
+    _start: float
+    _downward: bool
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the overlaps at the end with edges and plateaus, predicted edges dashed."""
+        ax = axes_in_units(ax, "", "m")
+        ax.plot(self.contact, self.overlap, lw=1, color="0.3", label="overlap")
+        for name, state, style in (("ahead", self.ahead, ":"), ("behind", self.behind, "-.")):
+            ax.axhline(state.overlap, color="#009E73", lw=1, ls=style, label=f"plateau {name}")
+        for name, edge, colour in (
+            ("leading", self.leading, "#D55E00"),
+            ("trailing", self.trailing, "#0072B2"),
+        ):
+            if np.isfinite(edge.speed):
+                label = f"{name} edge, {edge.speed:.5g} ± {edge.error:.1g} grains/s"
+                ax.axvline(self._place(edge.speed), color=colour, lw=1.2, label=label)
+            for theory, edges in self.predictions.items():
+                speed = getattr(edges, name)
+                # one dashed line is enough: that of the best theory, which comes first
+                if np.isfinite(speed):
+                    label = f"{name} edge, {theory}: {speed:.5g} grains/s"
+                    ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
+                    break
+        ax.set(xlabel="contact, from the top", ylabel="overlap")
+        set_title(ax, f"{self.kind} after {self.time:.3g} s")
+        legend(ax)
+        return ax
+
+    def _place(self, speed: float) -> float:
+        """Return the contact that an edge of this speed has reached at the end."""
+        way = speed * (self.time - self._start)
+        return self._source + (way if self._downward else -way)
+
+
+class _Wave(NamedTuple):
+    """Motion of a wave that travels towards larger numbers: the arrays of an upward one mirrored.
+
+    Attributes
+    ----------
+    time, velocity, overlap : (T,), (T, M) and (T, M-1) arrays
+        Up to the last useful time, s, m/s and m.
+    source, start : int, float
+        Contact, counted from 0, where it begins, and when, s.
+    reached : int
+        Contacts that the front has passed at the end.
+    """
+
+    time: Array
+    velocity: Array
+    overlap: Array
+    source: int
+    start: float
+    reached: int
+
+
+class _Answer(NamedTuple):
+    """Edges of a wave of one kind, thickness, grains, and what theory says of it."""
+
+    kind: Kind
+    leading: Edge
+    trailing: Edge
+    thickness: float
+    predictions: dict[str, Edges]
+
+
+def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> Shock:
+    """Measure the shock or rarefaction of a piston or a step, and predict it.
+
+    Of a step (`Riemann`) one wave goes down and one up. The run is used until the front is near the
+    end of the chain, or waves from the ends may have come to the step.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of a `Drive` with a piston, of a `Riemann`, or of another way to push for long; all grains
+        recorded.
+    direction : "down" or "up"
+        In which the wave travels.
+
+    Returns
+    -------
+    Shock
+
+    Raises
+    ------
+    InputError
+        If the chain is not uniform, has gravity, springs, or grains that were not recorded; if
+        there is no step, or the wave has not passed 24 contacts with enough samples.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=100, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall")
+    >>> piston = lmpchain.Drive(shape="piston", velocity=0.1, rise=1e-6, grain=0)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=piston, duration=1e-4, samples=601)
+    >>> shock = find(lmpchain.simulate(scene, engine="native"))
+    >>> shock.kind, bool(abs(shock.behind.velocity / 0.1 - 1) < 1e-3)
+    ('dispersive shock', True)
+    """
+    if direction not in ("down", "up"):
+        raise InputError.at("direction", 'must be "down" or "up"')
+    chain = trajectory.scene.chain
+    gas = _medium(trajectory)
+    wave = _wave_of(trajectory, direction == "up", gas)
+    ahead = State(float(wave.velocity[0, -2]), float(wave.overlap[0, -1]))
+    behind, behind_error = _plateau(wave, gas, ahead)
+    steady = (State(np.nan, np.nan), np.nan)
+    if behind.overlap <= ahead.overlap:
+        answer = _rarefaction_edges(wave, gas, ahead, behind)
+    else:
+        steady = gas.rankine_hugoniot(ahead, behind.velocity)
+        if chain.damped:
+            answer = _steady_front(wave, ahead, behind)
+            thickness = _thickness(gas, ahead, steady[0], float(chain.contact_viscosity[1]))
+            answer.predictions["burgers"] = Edges(steady[1], steady[1], thickness)
+        else:
+            answer = _dispersive_edges(wave, gas, ahead, behind)
+    leading = answer.leading
+    dispersive = answer.kind == "dispersive shock"
+    jump = behind.velocity - ahead.velocity
+    rise = gas.force(behind.overlap) - gas.force(ahead.overlap)
+    contact = np.arange(1, wave.overlap.shape[1] + 1)[:: 1 if direction == "down" else -1]
+    return Shock(
+        kind=answer.kind,
+        ahead=ahead,
+        behind=behind,
+        behind_error=behind_error,
+        leading=leading,
+        trailing=answer.trailing,
+        thickness=answer.thickness,
+        mass_speed=jump / (behind.overlap - ahead.overlap),
+        momentum_speed=rise / (gas.mass * jump),
+        rankine_hugoniot=steady,
+        solitary=_solitary_speed(gas, ahead, leading.velocity) if dispersive else np.nan,
+        simple=gas.driven(ahead, behind.velocity),
+        predictions=answer.predictions,
+        time=float(wave.time[-1]),
+        contact=contact,
+        overlap=wave.overlap[-1],
+        _source=float(contact[wave.source]),
+        _start=wave.start,
+        _downward=direction == "down",
+    )
+
+
+def _medium(trajectory: Trajectory) -> Medium:
+    """Return the chain as a gas, if it is uniform and wholly recorded."""
+    chain = trajectory.scene.chain
+    if chain.gravity or chain.loose_grains or chain.exponent == 1:
+        rule = "no gravity, an exponent above 1 and a load, if any, on grain 1"
+        raise InputError.at("chain", f"a shock is measured with {rule}")
+    masses = chain.masses[: chain.movable]
+    constants = chain.contact_constants
+    if chain.grains < FEWEST or max(np.ptp(x) / x[0] for x in (masses, constants)) > 1e-9:
+        raise InputError.at("chain", f"must be uniform, of {FEWEST} grains or more")
+    recorded = trajectory.grains.size
+    if recorded < chain.grains:
+        raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
+    return Medium(chain.exponent, float(constants[0]), float(masses[0]))
+
+
+def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _Wave:
+    """Return the motion while nothing but the wave from the source matters."""
+    scene = trajectory.scene
+    displacement = np.asarray(trajectory.displacement)
+    velocity = np.asarray(trajectory.velocity)
+    closer = displacement[:, :-1] - displacement[:, 1:]
+    overlap = scene.chain.equilibrium_overlap + closer
+    excitation = scene.excitation
+    step = isinstance(excitation, Riemann)
+    source = excitation.grain - 1 if isinstance(excitation, Riemann) else 0
+    start = 0.0
+    if isinstance(excitation, Drive) and excitation.rise is not None:
+        start = excitation.rise / 2
+    contacts = overlap.shape[1]
+    if upward:
+        velocity = -velocity[:, ::-1]
+        overlap = overlap[:, ::-1]
+        source = contacts - 1 - source
+    last = trajectory.time.size
+    if step:
+        # waves from both ends travel at the speed of sound
+        fastest = gas.sound(float(np.maximum(overlap[0], 0.0).max()))
+        last = int(np.searchsorted(trajectory.time, source / fastest))
+        if overlap[0, -1] != overlap[0, 0] or velocity[0, -2]:
+            way = (contacts - source) / 2
+            last = min(last, int(np.searchsorted(trajectory.time, way / fastest)))
+    change = np.abs(overlap[:last] - overlap[0, -1])
+    size = np.median(change[-(len(change) // 4) :, source + 1 : source + 3])
+    if len(change) < FEWEST or not size > 0:
+        raise InputError.at("duration", "shows no wave of which a plateau remains: record longer")
+    beyond = change[:, source:] > size / 2
+    front = np.where(beyond.any(1), contacts - 1 - beyond[:, ::-1].argmax(1), source)
+    ended = np.flatnonzero(front >= contacts - END_CONTACTS)
+    last = int(ended[0]) if ended.size else last
+    reached = int(front[last - 1])
+    if reached - source < FEWEST:
+        passed = f"the wave has passed {reached - source} contacts"
+        raise InputError.at("duration", f"{passed}, fewer than {FEWEST}: record longer")
+    return _Wave(trajectory.time[:last], velocity[:last], overlap[:last], source, start, reached)
+
+
+def _plateau(wave: _Wave, gas: Medium, ahead: State) -> tuple[State, State]:
+    """Return mean velocity and overlap behind the wave, and how much they vary."""
+    late = slice(-(len(wave.time) // 5), None)
+    sound = gas.sound(ahead.overlap)
+    behind = float(np.median(wave.overlap[late, wave.source + 1 : wave.source + 4]))
+    # linear waves behind the trailing edge die out towards the source
+    slowest = max(2 * sound - gas.sound(behind), 0.0) if behind > ahead.overlap else sound
+    slowest = min(slowest, gas.sound(behind))
+    way = slowest * (wave.time[late][0] - wave.start)
+    near = max(4, int(0.3 * max(way, 0.3 * (wave.reached - wave.source) * (slowest == 0))))
+    inside = slice(wave.source + 1, wave.source + 1 + near)
+    values = [x[late, inside] for x in (wave.velocity, wave.overlap)]
+    mean, spread = ([float(f(x)) for x in values] for f in (np.mean, np.std))
+    return State(*mean), State(*(2 * x for x in spread))
+
+
+def _edge_speed(time: Array, place: Array) -> tuple[float, float]:
+    """Return the speed in the later half of passages, and by how much it may be off."""
+    half = len(time) // 2
+    late = stats.linregress(time[half:], place[half:])
+    early = stats.linregress(time[:half], place[:half])
+    return float(late.slope), float(2 * late.stderr + abs(late.slope - early.slope))
+
+
+def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
+    """Return time and height of the first maximum of each signal above half its largest, (C, 2)."""
+    crests = []
+    for n in contacts:
+        signal = signals[:, n]
+        inner = signal[1:-1]
+        tops = (inner >= signal[:-2]) & (inner > signal[2:]) & (inner > signal.max() / 2)
+        crests.append(
+            summit(time, signal, 1 + int(tops.argmax()), 1) if tops.any() else (np.nan,) * 2
+        )
+    return np.array(crests)
+
+
+def _leading_crest(wave: _Wave, ahead: State) -> Edge:
+    """Return the leading solitary wave, followed through the later two thirds of the way."""
+    # the crest is a few contacts behind the front
+    first = wave.source + (wave.reached - wave.source) // 3
+    contacts = np.arange(first, wave.reached - END_CONTACTS)
+    crests = _crests(wave.time, wave.overlap - ahead.overlap, contacts)
+    seen = np.isfinite(crests[:, 0])
+    speed, error = _edge_speed(crests[seen, 0], contacts[seen].astype(float))
+    heights = crests[seen, 1]
+    half = len(heights) // 2
+    height = float(heights[half:].mean())
+    drift = abs(height - float(heights[:half].mean()))
+    velocities = _crests(
+        wave.time, wave.velocity - ahead.velocity, contacts[-(len(contacts) // 3) :]
+    )
+    return Edge(speed, error, height, drift, float(np.nanmean(velocities[:, 1])))
+
+
+def _trailing_edge(wave: _Wave, ahead: State, behind: State) -> Edge:
+    """Return where oscillations would end, from their sizes at several contacts.
+
+    The wave is self-similar: at the speed n / t they have one size, which grows smoothly from the
+    trailing edge on.
+    """
+    jump = behind.overlap - ahead.overlap
+    ends = []
+    total = wave.reached - wave.source
+    contacts = np.unique(np.linspace(0.5 * total, 0.85 * total, 24).astype(int) + wave.source)
+    # without a load the train reaches back to where it began
+    for n in contacts if ahead.overlap > 0 else ():
+        curve = CubicSpline(wave.time, wave.overlap[:, n])
+        turns = curve.derivative().roots(extrapolate=False)
+        share = np.abs(np.diff(curve(turns))) / (2 * jump)
+        middle = (turns[1:] + turns[:-1]) / 2
+        # from the crest of the leading wave on
+        first = int(share.argmax()) if share.size else 0
+        used = np.flatnonzero((share > OSCILLATIONS[0]) & (share < OSCILLATIONS[1]))
+        used = used[used >= first]
+        if used.size >= FEWEST_OSCILLATIONS:
+            speeds = (n - wave.source) / (middle[used] - wave.start)
+            ends.append([np.polyfit(share[used], speeds, degree)[-1] for degree in (1, 2)])
+    if len(ends) < 4:
+        return Edge(np.nan, np.nan)
+    half = len(ends) // 2
+    straight = np.mean(ends, axis=0)[0]
+    early = np.mean(ends[:half], axis=0)[1]
+    late = float(np.mean(ends[half:], axis=0)[1])
+    scatter = 2 * float(np.std(ends[half:], axis=0)[1])
+    return Edge(late, float(abs(late - early) + abs(late - straight) + scatter))
+
+
+def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
+    """Return the speed of the solitary wave whose grains reach a velocity, grains/s."""
+    if ahead.overlap == 0:
+        # in units of mass and contact constant, and of m/s
+        length = (gas.mass / gas.constant) ** (1 / (1 + gas.exponent))
+        return solve(gas.exponent, velocity=velocity).speed / length
+    sound = gas.sound(ahead.overlap)
+    return struck(velocity / (ahead.overlap * sound), gas.exponent).speed * sound
+
+
+def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:
+    """Return both edges, from the places between at which the speed of sound is known."""
+    sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
+    places = []
+    times = np.linspace(len(wave.time) // 2, len(wave.time) - 1, 16).astype(int)
+    for k in times:
+        overlap = np.maximum(wave.overlap[k], 0.0)
+        sound = gas.sound(1.0) * overlap ** ((gas.exponent - 1) / 2)
+        share = (sound - sounds[1]) / (sounds[0] - sounds[1])
+        inside = np.flatnonzero((share > 0.2) & (share < 0.8))
+        inside = inside[inside >= wave.source]
+        if inside.size < 3:
+            raise InputError.at("duration", "is too short for the rarefaction to open: run longer")
+        fit = stats.linregress(share[inside], inside)
+        places.append((fit.intercept + fit.slope, fit.intercept))
+    leading, trailing = (
+        Edge(*_edge_speed(wave.time[times], place)) for place in np.transpose(places)
+    )
+    height = behind.overlap - ahead.overlap
+    velocity = behind.velocity - ahead.velocity
+    return _Answer(
+        "rarefaction",
+        Edge(leading.speed, leading.error, height, 0.0, velocity),
+        trailing,
+        (leading.speed - trailing.speed) * float(wave.time[-1] - wave.start),
+        {"continuum": gas.rarefaction(ahead, behind.overlap)},
+    )
+
+
+def _dispersive_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:
+    """Return the leading crest, the trailing edge, and the theories of both."""
+    leading = _leading_crest(wave, ahead)
+    trailing = _trailing_edge(wave, ahead, behind)
+    theories = {"whitham": gas.dispersive, "toda": gas.toda, "kdv": gas.kdv}
+    return _Answer(
+        "dispersive shock",
+        leading,
+        trailing,
+        (leading.speed - trailing.speed) * float(wave.time[-1] - wave.start),
+        {name: law(ahead, behind.overlap) for name, law in theories.items()},
+    )
+
+
+def _thickness(gas: Medium, ahead: State, behind: State, viscosity: float) -> float:
+    """Return the thickness of a weak viscous shock, NaN without a load or without viscosity."""
+    if ahead.overlap > 0 and viscosity > 0:
+        return gas.thickness(ahead, behind.overlap, viscosity)
+    return np.nan
+
+
+def _steady_front(wave: _Wave, ahead: State, behind: State) -> _Answer:
+    """Return the edge at half the jump, and the thickness in grains."""
+    jump = behind.overlap - ahead.overlap
+    total = wave.reached - wave.source
+    # the last of them the whole front has passed
+    passed = wave.overlap[-1, wave.source :] > ahead.overlap + STEADY * jump
+    last = wave.source + int(np.flatnonzero(passed)[-1]) if passed.any() else wave.source
+    contacts = np.arange(wave.source + total // 2, last)
+    if contacts.size < FEWEST:
+        raise InputError.at("chain.grains", "are too few for a shock so thick: use more of them")
+    half = ahead.overlap + jump / 2
+    samples = np.arange(wave.time.size)
+    interval = wave.time[1] - wave.time[0]
+    crossings = []
+    for n in contacts:
+        # over the number of the sample, in which a spline is well conditioned
+        curve = CubicSpline(samples, (wave.overlap[:, n] - half) / jump)
+        k = int((wave.overlap[:, n] > half).argmax())
+        crossings.append(brentq(curve, k - 1, k) * interval)
+    speed, error = _edge_speed(np.array(crossings), contacts.astype(float))
+    height = float(wave.overlap[:, contacts[-1]].max()) - ahead.overlap
+    steepest = float(curve.derivative()(np.linspace(0, samples[-1], 8 * samples.size)).max())
+    velocity = float((wave.velocity[:, contacts[-1]] - ahead.velocity).max())
+    edge = Edge(speed, error, height, 0.0, velocity)
+    return _Answer("steady shock", edge, edge, speed * interval / steepest, {})

@@ -1,0 +1,96 @@
+"""Closed forms of shocks agree with each other, and with Korteweg and de Vries's as they weaken."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from lmpchain import InputError
+from lmpchain.theory.shock import Medium, State, medium
+
+GAS = Medium(exponent=1.5, constant=2.0, mass=0.3)
+AHEAD = State(0.1, 0.7)
+
+
+def test_simple_waves_follow_the_characteristics() -> None:
+    """J is the integral of the speed of sound over the overlap, and `driven` its inverse."""
+    behind = GAS.driven(AHEAD, 1.3)
+    overlaps = np.linspace(AHEAD.overlap, behind.overlap, 20001)
+    integral = np.trapezoid([GAS.sound(x) for x in overlaps], overlaps)
+    assert integral == pytest.approx(1.3 - AHEAD.velocity, rel=1e-8)
+
+
+def test_steady_shock_conserves_mass_and_momentum() -> None:
+    """What flows in flows out, under a load and without; there K R^(delta+1) = m v^2."""
+    for ahead in (AHEAD, State(0.1, 0.0)):
+        behind, speed = GAS.rankine_hugoniot(ahead, 1.3)
+        rise = GAS.force(behind.overlap) - GAS.force(ahead.overlap)
+        assert speed * (behind.overlap - ahead.overlap) == pytest.approx(1.2, rel=1e-12)
+        assert GAS.mass * speed * 1.2 == pytest.approx(rise, rel=1e-12)
+    assert behind.overlap == pytest.approx((0.3 * 1.2**2 / 2.0) ** 0.4, rel=1e-12)
+
+
+def test_step_leaves_the_state_of_both_waves() -> None:
+    """The state between two waves is behind the one, and behind the mirrored other."""
+    left = State(0.4, 0.9)
+    middle = GAS.between(left, AHEAD)
+    assert GAS.driven(AHEAD, middle.velocity).overlap == pytest.approx(middle.overlap, rel=1e-12)
+    mirrored = GAS.driven(State(-0.4, 0.9), -middle.velocity)
+    assert mirrored.overlap == pytest.approx(middle.overlap, rel=1e-12)
+
+
+def test_edges_solve_the_equations_of_the_fitting() -> None:
+    """The closed forms are the numerical solution of El's equations for w = 2 c sin(k/2)."""
+    behind = 1.4 * AHEAD.overlap
+
+    def rate(overlap: float, slope: float) -> float:
+        return slope * (GAS.exponent - 1) / 2 / overlap
+
+    def linear(overlap: float, k: np.ndarray) -> np.ndarray:
+        return rate(overlap, 1.0) * 2 / np.tan(k / 4)
+
+    def solitary(overlap: float, q: np.ndarray) -> np.ndarray:
+        return -rate(overlap, 1.0) * 2 / np.tanh(q / 4)
+
+    step = 1e-9 * AHEAD.overlap
+    start = [4 * np.sqrt(rate(AHEAD.overlap, step))]
+    options = {"rtol": 1e-11, "atol": 1e-13}
+    k = solve_ivp(linear, (AHEAD.overlap + step, behind), start, **options).y[0, -1]
+    start = [4 * np.sqrt(rate(behind, step))]
+    q = solve_ivp(solitary, (behind - step, AHEAD.overlap), start, **options).y[0, -1]
+    edges = GAS.dispersive(AHEAD, behind)
+    assert edges.trailing == pytest.approx(GAS.sound(behind) * np.cos(k / 2), rel=1e-7)
+    leading = GAS.sound(AHEAD.overlap) * np.sinh(q / 2) / (q / 2)
+    assert edges.leading == pytest.approx(leading, rel=1e-7)
+
+
+@pytest.mark.parametrize("law", ["dispersive", "toda"])
+@pytest.mark.parametrize("exponent", [1.3, 1.5, 2.6])
+def test_weak_shocks_are_those_of_korteweg_and_de_vries(law: str, exponent: float) -> None:
+    """The differences of both edges fall as the square of the jump."""
+    gas = Medium(exponent, 2.0, 0.3)
+    jumps = 0.04 * AHEAD.overlap / 2.0 ** np.arange(4)
+    for number in range(2):
+        differences = [
+            abs(getattr(gas, law)(AHEAD, AHEAD.overlap + jump)[number] - limit[number])
+            for jump in jumps
+            if (limit := gas.kdv(AHEAD, AHEAD.overlap + jump))
+        ]
+        slopes = np.diff(np.log2(differences))
+        assert slopes == pytest.approx(-2.0, abs=0.05)
+    heights = gas.dispersive(AHEAD, AHEAD.overlap + jumps[0]).height
+    assert heights == pytest.approx(2 * jumps[0], rel=0.04)
+
+
+def test_no_trailing_edge_behind_strong_shocks_and_in_a_vacuum() -> None:
+    """Where sound behind is twice as fast as ahead, the train reaches back to the piston."""
+    assert GAS.dispersive(AHEAD, 15.9 * AHEAD.overlap).trailing > 0
+    assert np.isnan(GAS.dispersive(AHEAD, 16.1 * AHEAD.overlap).trailing)
+    assert np.isnan(GAS.dispersive(State(0.0, 0.0), 1.0)).all()
+
+
+def test_what_is_no_shock_is_refused() -> None:
+    """Springs, and a piston that pulls, make none."""
+    with pytest.raises(InputError, match="exponent: must be above 1"):
+        medium(1.0, 2.0, 0.3)
+    with pytest.raises(InputError, match="velocity: must exceed"):
+        GAS.rankine_hugoniot(AHEAD, 0.05)
