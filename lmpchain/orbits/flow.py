@@ -80,7 +80,8 @@ class Flow:
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
         elif chain.damped:
             cure = "give a drive, or leave damping out, as chain.replace(damping=None) does"
-            raise InputError.at("chain.damping", f"brings the chain to rest: {cure}")
+            fault = "an orbit without a drive knows no damping, which brings it to rest"
+            raise InputError.at("chain.damping", f"{fault}: {cure}")
         elif not chain.linearisable and self._flies_apart:
             message = "flies apart: use a top load, gravity, or walls at both ends"
             raise InputError.at("chain", message)

@@ -456,7 +456,7 @@ def test_what_is_no_damped_orbit_is_refused():
     sine = DRIVES["grain"]
     pushed = orbits.find(TRIMER, drive=DRIVES["force"])
     cases: dict[str, Any] = {
-        r"^chain.damping: brings the chain to rest: give a drive": lambda: Flow(TRIMER, 1e5),
+        r"^chain.damping: .* brings it to rest: give a drive": lambda: Flow(TRIMER, 1e5),
         r"^drive: must be a Drive or a Force": lambda: orbits.find(
             TRIMER, drive=Profile(velocity=np.zeros(4))
         ),
