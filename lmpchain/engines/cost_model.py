@@ -28,10 +28,17 @@ def seconds(engine: str, start_up_s: float, work_s: float) -> float:
     return start + slowness * work_s
 
 
-def announce(cost_s: float, work: str) -> None:
-    """Warn of work that takes minutes, before it begins."""
+def announce(cost_s: float, work: str, keeps: str = ", a folder keeps what is done") -> None:
+    """Warn of work that takes minutes, before it begins; `keeps` says what is not lost if stopped.
+
+    Parameters
+    ----------
+    cost_s : float
+        s.
+    work, keeps : str
+    """
     if cost_s > PATIENCE_S:
-        cure = "a shorter duration or a larger tolerance takes less, a folder keeps what is done"
+        cure = f"a shorter duration or a larger tolerance takes less{keeps}"
         warn(f"{work} takes some {cost_s / 60:.2g} minutes: {cure}", stacklevel=4)
 
 

@@ -466,8 +466,11 @@ def averages(
     with ProgressBar(samples, "averages", " samples", layout=RATE, shown=progress) as bar:
         for _ in range(AVERAGING.attempts):
             steps = math.ceil(course.interval * course.scene.highest_frequency / reach)
-            work = Native.seconds_per_grain_step * method.evaluations * steps * samples
-            announce(seconds("native", 0.0, work * copies * scene.chain.grains), "the average")
+            # before the first of them alone
+            if error == math.inf:
+                work = Native.seconds_per_grain_step * method.evaluations * steps * samples
+                cost_s = seconds("native", 0.0, work * copies * scene.chain.grains)
+                announce(cost_s, "the average", keeps="")
             schedule = StepSchedule(steps, 1, course.interval / steps, adaptive=False)
             try:
                 sums = _follow(course, scenes, observables, method, schedule, tolerance, bar)
