@@ -216,7 +216,8 @@ class Drive(_Acting):
         return [*super()._ways(values), {"shape", "velocity", "rise"}]
 
     def _words(self, values: str) -> str:
-        return f'{super()._words(values)}, or shape = "piston", velocity and rise'
+        # the words end with points, which a file may hold
+        return f'shape = "piston", velocity and rise, or {super()._words(values)}'
 
     @cached_property
     def waveform(self) -> Waveform:

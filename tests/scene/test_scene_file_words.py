@@ -30,7 +30,7 @@ def test_sections_that_are_missing_or_wrong() -> None:
     assert text.startswith("unknown section")
     assert "chain" in text.partition(";")[0]
     assert text.endswith("; the sections are chain, excitation, recording")
-    kinds = "impulse | displacement | profile | packet | drive | force"
+    kinds = "impulse | displacement | profile | packet | riemann | drive | force"
     assert faults(GOOD | {"excitation": {"velocity": 1e-6}}) == [
         ("excitation.kind", f"is missing; {kinds}")
     ]

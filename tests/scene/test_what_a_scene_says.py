@@ -19,6 +19,7 @@ from lmpchain import (
     Material,
     Packet,
     Profile,
+    Riemann,
     Scene,
     plan,
     simulate,
@@ -397,8 +398,8 @@ REFUSED = {
         {"kind": "drive", "amplitude": 1e-12},
         (
             "amplitude",
-            "give amplitude and frequency, with or without cycles, or times and displacement (or a "
-            "file with both)",
+            'give shape = "piston", velocity and rise, or amplitude and frequency, with or without '
+            "cycles, or times and displacement (or a file with both)",
         ),
     ),
     "no shape": (
@@ -512,30 +513,32 @@ def test_every_kind_says_what_it_is() -> None:
     impulse = Impulse(velocity=-2e-3, grain=2)
     moved = Displacement(displacement=1e-9)
     profile = Profile(velocity=np.zeros(9))
+    step = Riemann(velocity=(0, 0), strain=(0, 0), grain=3)
     drive = Drive(**WAVE)
     force = Force(**WAVE)
-    kinds = (impulse, moved, profile, packet, drive, force)
-    assert tuple(EXCITATIONS) == ("impulse", "displacement", "profile", "packet", "drive", "force")
+    kinds = (impulse, moved, profile, packet, step, drive, force)
+    names = "impulse displacement profile packet riemann drive force"
+    assert list(EXCITATIONS) == names.split()
     assert [kind.label for kind in kinds] == [
         "an impulse of -2 mm/s",
         *(f"a {kind.kind}" for kind in kinds[1:]),
     ]
-    assert [kind.does_work for kind in kinds] == [False] * 4 + [True] * 2
-    assert [kind.linear for kind in kinds] == [True] * 6
-    assert [kind.of_chain for kind in kinds] == [False, False, False, True, False, True]
-    assert [kind.driven for kind in kinds] == [0, 0, 0, 0, 1, 0]
+    assert [kind.does_work for kind in kinds] == [False] * 5 + [True] * 2
+    assert [kind.linear for kind in kinds] == [True] * 7
+    assert [kind.of_chain for kind in kinds] == [False, False, False, True, True, False, True]
+    assert [kind.driven for kind in kinds] == [0, 0, 0, 0, 0, 1, 0]
     assert Drive(**WAVE, grain=0).driven == 0
-    assert [kind.strike_velocity for kind in kinds] == [-2e-3, 0, 0, 0, 0, 0]
-    assert [kind.strikes_top for kind in kinds] == [False] * 6
-    assert [kind.wall is not None for kind in kinds] == [False] * 6
+    assert [kind.strike_velocity for kind in kinds] == [-2e-3, 0, 0, 0, 0, 0, 0]
+    assert [kind.strikes_top for kind in kinds] == [False] * 7
+    assert [kind.wall is not None for kind in kinds] == [False] * 7
     assert Drive(**WAVE, grain=0).wall.amplitude == 1e-12
     assert [kind.fastest for kind in kinds] == pytest.approx(
-        [0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14
+        [0, 0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14
     )
-    assert [kind.corner_spacing for kind in kinds] == [np.inf] * 6
+    assert [kind.corner_spacing for kind in kinds] == [np.inf] * 7
     assert Drive(**POINTS).corner_spacing == pytest.approx(1e-4, rel=1e-11)
     assert not Drive(**POINTS).linear
-    assert [kind.smooth_until(1.0) for kind in kinds] == [True] * 6
+    assert [kind.smooth_until(1.0) for kind in kinds] == [True] * 7
     assert impulse.energy(COLUMN) == pytest.approx(2e-6 * COLUMN.masses[1], rel=1e-15)
     assert impulse.strongest(COLUMN) == (0.0, 2e-3)
     assert moved.strongest(COLUMN) == (1e-9, 0.0)
