@@ -85,7 +85,7 @@ class Shock(Shown):
         rarefaction.
     solitary : float
         Speed of the exact solitary wave as high as the leading crest, `soliton.solve`, grains/s:
-        that of the leading edge of an old dispersive shock; NaN of other waves.
+        that of the leading edge of an old dispersive shock; NaN of other waves and of the weakest.
     simple : State
         What a simple or dispersive wave leaves behind at this velocity.
     predictions : dict
@@ -412,7 +412,11 @@ def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
         length = (gas.mass / gas.constant) ** (1 / (1 + gas.exponent))
         return solve(gas.exponent, velocity=velocity).speed / length
     sound = gas.sound(ahead.overlap)
-    return struck(velocity / (ahead.overlap * sound), gas.exponent).speed * sound
+    try:
+        return struck(velocity / (ahead.overlap * sound), gas.exponent).speed * sound
+    except InputError:
+        # too weak for anything but Korteweg and de Vries's equation
+        return np.nan
 
 
 def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:

@@ -84,6 +84,13 @@ def test_edges_of_a_dispersive_shock(velocity: float) -> None:
     assert found.leading.speed == pytest.approx(found.solitary, rel=2e-3)
 
 
+def test_weakest_shocks_have_edges_too() -> None:
+    """Below the slowest solitary wave that is solved for, its speed is left out."""
+    found = shock.find(piston(1e-5))
+    assert np.isnan(found.solitary)
+    assert found.leading.speed == pytest.approx(SOUND, rel=0.01)
+
+
 def test_piston_in_a_sonic_vacuum() -> None:
     """The leading wave is the exact solitary wave, of twice the speed of the piston."""
     chain = CHAIN.replace(grains=200, top_load=0.0)
