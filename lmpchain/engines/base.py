@@ -244,6 +244,10 @@ class Engine(ABC):
         """Return why a scene cannot be done, as (key, reason); empty by default: it can."""
         return []
 
+    def trial_s(self, scene: Scene, tolerance: float) -> float:
+        """Return the expected time of the runs by which an engine finds its step, s; 0 if none."""
+        return 0.0
+
     @abstractmethod
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose how to answer within the tolerance.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -20,6 +21,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, set_title
+from ..util.tabular import Tabular
 from .flight import summit
 
 if TYPE_CHECKING:
@@ -59,7 +61,7 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Shock(Shown):
+class Shock(Shown, Tabular):
     """A shock or a rarefaction, and what theory says of it; see `lmpchain.theory.shock`.
 
     Velocities are positive in the way of travel; overlaps are those of contacts in all.
@@ -97,6 +99,8 @@ class Shock(Shown):
     contact, overlap : (C,) arrays
         Their numbers, and their overlaps then, m.
     """
+
+    _units: ClassVar[Mapping[str, str]] = {"contact": "", "overlap": "m"}
 
     kind: Kind
     ahead: State

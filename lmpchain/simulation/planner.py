@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
 LINE_WIDTH = 80
-TRIAL_S = 0.5  # cost of a scene up to which engines that run trials are asked, too
+TRIAL_S = 0.5  # cost of a trial up to which engines that run one are asked, too
 
 
 @dataclass(frozen=True, repr=False)
@@ -184,7 +184,7 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
         proposals = propose(scene, tolerance, every=True)
         best = cheapest(proposals)
         why = reason(best, proposals)
-        proposals = [_with_step(each, scene, tolerance, best) for each in proposals]
+        proposals = [_with_step(each, scene, tolerance) for each in proposals]
     else:
         proposals = [ask(each, scene, tolerance) for each in _ways(engine, scene)]
         best = cheapest(proposals)
@@ -212,16 +212,18 @@ def _ways(name: str, scene: Scene) -> list[Engine]:
     return [engines.get(name, integrator=kind) for kind in methods] or [engine]
 
 
-def _with_step(proposal: Proposal, scene: Scene, tolerance: float, best: Proposal) -> Proposal:
+def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     """Return what an engine would take that is asked for by name only."""
     if proposal.candidate or proposal.equation is not None:
         return proposal
     # trials begin anew with shorter steps: where a drive may do any work, for how long is unknown
     unbounded = scene.excitation.does_work and scene.largest_strain == math.inf
-    if best.cost_s > TRIAL_S or unbounded:
+    engine = engines.plain(proposal.engine)
+    possible = not engine.obstacles(scene)
+    if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > TRIAL_S):
         cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")
-    asked = ask(engines.plain(proposal.engine), scene, tolerance)
+    asked = ask(engine, scene, tolerance)
     why = proposal.why if asked.candidate else f"{proposal.why}; {asked.why}"
     return asked._replace(kept=False, why=why)
 

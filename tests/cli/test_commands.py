@@ -310,6 +310,7 @@ def test_help_states_the_defaults(verb: str):
             "integrator",
             "pair_style",
             "example",
+            "of",
         ):
             assert action.default in (None, False), action.dest
 
@@ -321,7 +322,7 @@ WORDS = {
     "compare": ["s.toml"],
     "plan": [],
     "averages": ["s.toml", "--of", "kinetic_energy"],
-    "orbit": ["s.toml", "--mode", "2", "--energy", "1e-9"],
+    "orbit": ["s.toml"],
     "sensitivity": ["r.nc", "--of", "momentum:3"],
     "deck": ["s.toml", "-o", "deck"],
     "dyson": ["r.nc", "--m", "1,2"],
@@ -573,6 +574,7 @@ def test_an_orbit_is_told_in_numbers():
             for name in ("period", "energy", "amplitude", "residual", "error")
         }
     )
+    loose.drive = None
     loose.stable = False
     loose.unstable = np.array([1.5 + 2j, 1.0])
     event = SimpleNamespace(
@@ -580,6 +582,7 @@ def test_an_orbit_is_told_in_numbers():
     )
 
     class Family(list):
+        parameter = "energy"
         events = (event,)
         reached = False
         ended = "it turns back"

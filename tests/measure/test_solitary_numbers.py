@@ -123,6 +123,10 @@ def test_what_is_steady_enough(struck: Trajectory, front: Front, monkeypatch: py
 
 
 def test_chains_in_which_no_wave_stays_as_it_is():
+    def check(chain: Chain) -> None:
+        solitary._check_chain(chain)
+        solitary._uniform_piece(chain, np.arange(1, 9))
+
     for more, key in (
         ({"gravity": 1e-9}, "gravity"),
         ({"exponent": 1.0, "top_load": 1.0}, "exponent"),
@@ -132,10 +136,9 @@ def test_chains_in_which_no_wave_stays_as_it_is():
     ):
         chain = Chain(**{"grains": 8, "diameter": 1e-3, "gravity": 0.0} | more)
         with pytest.raises(InputError) as error:
-            solitary._check_chain(chain)
+            check(chain)
         assert [name for name, _ in error.value.faults] == [key]
-    solitary._check_chain(
-        Chain(
-            grains=8, diameter=1e-3, gravity=0.0, masses=1e-6 * (1 + 0.9e-9 * (np.arange(8) == 3))
-        )
+    even = Chain(
+        grains=8, diameter=1e-3, gravity=0.0, masses=1e-6 * (1 + 0.9e-9 * (np.arange(8) == 3))
     )
+    check(even)

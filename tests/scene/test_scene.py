@@ -380,7 +380,7 @@ def test_faults_of_walls_impurities_and_drives_come_at_once(
         + impurities
         + "[excitation]"
     )
-    drive = 'kind = "drive"\nfrequency = -1.0\ntimes = "all"\nvelocity = 1.0'
+    drive = 'kind = "drive"\nfrequency = -1.0\ntimes = "all"\nmass = 1.0'
     file.write_text(
         GOOD.replace("[excitation]", table)
         .replace(STRIKE, drive)
@@ -396,8 +396,8 @@ def test_faults_of_walls_impurities_and_drives_come_at_once(
         "chain.top",
         "chain.top_material",
         "excitation.frequency",
+        "excitation.mass",
         "excitation.times",
-        "excitation.velocity",
         "recording.samples",
     ]
 

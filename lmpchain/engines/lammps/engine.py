@@ -180,6 +180,20 @@ class Lammps(TimeSteppingEngine):
             return error.faults
         return []
 
+    def trial_s(self, scene: Scene, tolerance: float) -> float:
+        """Return the expected time of the native trial that finds the step, s; infinite if none is.
+
+        Only its first attempt is foreseen.
+        """
+        try:
+            return first_attempt(self._trial(scene), scene, tolerance / 2).candidate.cost_s
+        except ToleranceNotMet:
+            return math.inf
+
+    def _trial(self, scene: Scene) -> Native:
+        """Return the engine of the native trial: the same map."""
+        return Native(self.splitting(scene).name, self.step, adaptive=False)
+
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Find the step with native trials of the same map, and the diameter from the round-off."""
         fixed = self.step is not None
@@ -189,7 +203,7 @@ class Lammps(TimeSteppingEngine):
             candidate = super().propose(scene, tolerance, choice)
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
             return candidate._replace(solver_error=math.nan, choices=_choices(gauge, "as asked"))
-        native = Native(self.splitting(scene).name, self.step, adaptive=False)
+        native = self._trial(scene)
         # half of the tolerance is for the step, half for round-off
         asked = first_attempt(native, scene, tolerance / 2).candidate
         announce(asked.cost_s, "the native trial that finds the step for LAMMPS")
