@@ -53,7 +53,17 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
 
 
 def as_trajectory(scene: Scene, solution: Reference) -> Trajectory:
-    """Return a reference solution as the trajectory of a scene, of the grains that it records."""
+    """Return a reference solution as the trajectory of a scene, of the grains that it records.
+
+    Parameters
+    ----------
+    scene : Scene
+    solution : Reference
+
+    Returns
+    -------
+    Trajectory
+    """
     columns = scene.recorded - 1
     return Trajectory(
         scene=scene,

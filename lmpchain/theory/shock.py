@@ -191,6 +191,19 @@ def _above_zero(speed: float) -> float:
 def medium(exponent: float, constant: float, mass: float) -> Medium:
     """Return a uniform chain as a gas, its numbers checked.
 
+    Parameters
+    ----------
+    exponent : float
+        delta.
+    constant : float
+        K, N/m^delta.
+    mass : float
+        Of a grain, kg.
+
+    Returns
+    -------
+    Medium
+
     Raises
     ------
     InputError

@@ -328,7 +328,7 @@ def test_the_script(tmp_path):
     command = [sys.executable, SCRIPT, "weak", "--budget", "0.1", "-o", tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("weak\ntime to an error of ")
+    assert done.stdout.startswith("weak\nto reach ")
     rows = json.loads((tmp_path / "work_precision_weak.json").read_text())["rows"]
     assert {row["engine"] for row in rows} == {
         "native",
