@@ -439,7 +439,7 @@ class ExponentFit(Fitted):
             ylabel="local exponent d log / d log h\nless that of a weak wave",
         )
         # curves may be anywhere within
-        legend(ax, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.3), ncols=3, columnspacing=1.0)
         return ax
 
 
