@@ -80,7 +80,10 @@ def test_a_picture_has_energies_over_frequencies_the_unstable_part_dashed():
     assert ax.get_title("left") == "It stops here"
     assert ax.xaxis.get_major_formatter()(2000.0) == "2 kHz"
     assert ax.yaxis.get_major_formatter()(2e-6).endswith("J")
-    ticks = np.round(1e6 * ax.yaxis.get_majorticklocs(), 9)
+    places = ax.yaxis.get_majorticklocs()
+    low, high = ax.get_ylim()
+    # Matplotlib 3.10 has some more beyond what is drawn
+    ticks = np.round(1e6 * places[(places >= low) & (places <= high)], 9)
     assert {1.0, 2.0, 5.0} <= set(ticks) <= {0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0}
     assert ax.yaxis.get_minor_formatter()(2e-6) == ""
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
