@@ -163,7 +163,7 @@ def _fewest_steps(
             measured[steps] = math.inf if run is None else error(run, solution)
         return measured[steps]
 
-    def scaled(steps: int, aim: float) -> int:
+    def steps_for(steps: int, aim: float) -> int:
         """Return how many steps should have an error, from the one with these and the order."""
         return math.ceil(steps * (measured[steps] / aim) ** (1 / method.order))
 
@@ -178,13 +178,15 @@ def _fewest_steps(
         coarse = not measured[steps] < 1
         most = math.ceil(SEARCH.growth * steps)
         steps = (
-            2 * steps if coarse else max(steps + 1, min(scaled(steps, SEARCH.room * target), most))
+            2 * steps
+            if coarse
+            else max(steps + 1, min(steps_for(steps, SEARCH.room * target), most))
         )
         cost = engine.cost(scene, method, steps * (scene.samples - 1))
         if cost > SEARCH.cost_s or (stalled > SEARCH.patience and not coarse):
             return None
     # one step back, where the last one went too far
-    fewer = max(scaled(steps, target), failing + 1)
+    fewer = max(steps_for(steps, target), failing + 1)
     return fewer if fewer < steps and measure(fewer) <= target else steps
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -24,7 +23,7 @@ from ..trajectory.dump_frames import is_dump
 from ..trajectory.trajectory import Trajectory
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.tables import align, finite, number
+from ..util.tables import align, finite, number, wrap
 from .comparison import error, errors
 from .cures import Cure, cures, distance, height_round_off, stability_limit, twin_run
 from .reference import Reference
@@ -32,7 +31,6 @@ from .truth import as_trajectory, truth
 
 __dir__ = listed(__name__)
 
-LINE_WIDTH = 79  # letters of a line
 UNKNOWN_METHOD = "unknown"  # integrator of a dump
 ARRIVAL = 0.1  # of a travel time, by which it may be uncertain at most
 
@@ -152,18 +150,18 @@ class RunCheck(Shown):
     def table(self) -> str:
         """Return errors, causes and cures as text, within 80 columns."""
         steps = f", {self.steps} steps of {self.step_s:.4g} s by {self.integrator}"
-        lines = _wrapped(f"{self.subject}{steps if self.integrator else ''}")
+        lines = wrap(f"{self.subject}{steps if self.integrator else ''}")
         lines += align(self._summary())
         for cause in self.causes:
-            lines += _wrapped(f"{cause.name}: {cause.why}")
+            lines += wrap(f"{cause.name}: {cause.why}")
         if self.cures:
             lines += ["", *align(self._remedies())]
-            lines += _wrapped(
+            lines += wrap(
                 "digits in LAMMPS: round-off of heights that it adds, with the physical diameter, "
                 "or with --diameter gauge where that one is too large. `lmpchain deck` writes "
                 "verlet and kahan-li6, `lmpchain run` has rkn6, too."
             )
-        lines += _wrapped(f"reference: {self.reference.method}; error {self.reference.error:.0e}")
+        lines += wrap(f"reference: {self.reference.method}; error {self.reference.error:.0e}")
         return "\n".join(lines)
 
     def _remedies(self) -> Iterator[Sequence[str]]:
@@ -457,11 +455,6 @@ def _arrival(answer: Trajectory, true: Trajectory) -> Arrival | None:
     relative = late / times
     worst = int(relative.argmax())
     return Arrival(float(relative[worst]), float(late[worst]), int(grains[worst]))
-
-
-def _wrapped(text: str) -> list[str]:
-    """Return a sentence as lines, the second and later ones indented."""
-    return textwrap.wrap(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _percent(value: float) -> str:

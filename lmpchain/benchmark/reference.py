@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..chain.equilibrium import carried_at_rest
+from ..chain.equilibrium import force_at_rest
 from ..errors import RunFailed
 from ..scene.scene import Scene
 from ..scene.strike import first_overlaps
@@ -185,7 +185,7 @@ class _Motion:
         mass = chain.masses.astype(Long)
         constant = chain.contacts.constant.astype(Long)
         weight = Long(chain.gravity) * np.cumsum(mass)
-        carried = carried_at_rest(weight, chain.top_load, chain.load_grain)
+        carried = force_at_rest(weight, chain.top_load, chain.load_grain)
         pressed = (constant > 0) & (carried > 0)
         overlap = np.where(pressed, carried / np.where(pressed, constant, 1), 0) ** (1 / self.delta)
         deepest = first_overlaps(chain, excitation).astype(Long)

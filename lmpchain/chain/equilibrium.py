@@ -118,13 +118,13 @@ def derive_chain(grains: Grains) -> Equilibrium:
     constants = _contact_constants(grains, lengths)
     # in long doubles: the rounding of the weight of many grains would show in the stiffnesses
     weight = grains.gravity * masses.cumsum(-1, dtype=np.longdouble)
-    force = carried_at_rest(weight, grains.top_load, grains.load_grain).astype(float)
+    force = force_at_rest(weight, grains.top_load, grains.load_grain).astype(float)
     force = np.where(constants > 0, force, 0.0)
     contacts = Contacts.at_rest(constants, force, grains.exponent)
     return Equilibrium(contacts, *map(read_only, (lengths, diameters, masses)))
 
 
-def carried_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDArray[Any]:
+def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDArray[Any]:
     """Return what every contact would carry at rest, (..., N+1) N, if there is one.
 
     Parameters

@@ -1,7 +1,7 @@
 """Chains whose grains follow a pattern: tapered, periodic, decorated; and ends that absorb.
 
 Each function returns a `Chain`; other keywords are passed on to `Chain`. `repeated` and
-`written_out` read the keys `cell` and `taper` of scene files.
+`write_out` read the keys `cell` and `taper` of scene files.
 """
 
 from __future__ import annotations
@@ -189,10 +189,10 @@ def repeated(grains: int, cell: Any, taper: float = 0.0, **rest: Any) -> Chain:
     >>> (shrinking.diameters * 1e3).round(6).tolist()
     [2.0, 0.9, 1.62, 0.729]
     """
-    return Chain(**written_out({"grains": grains, "cell": cell, "taper": taper} | rest))
+    return Chain(**write_out({"grains": grains, "cell": cell, "taper": taper} | rest))
 
 
-def written_out(keys: dict[str, Any]) -> dict[str, Any]:
+def write_out(keys: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a chain with `material` and `diameter` in place of `cell` and `taper`.
 
     Parameters

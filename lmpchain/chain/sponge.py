@@ -162,12 +162,12 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
     return np.asarray(-incoming / outgoing)
 
 
-def graded(size: int, strongest: float, power: int) -> Array:
+def drag_profile(size: int, strongest: float, power: int) -> Array:
     """Return the drag of a sponge of S grains away from the chain, (S,) 1/s."""
     return strongest * ((np.arange(size) + 0.5) / size) ** power
 
 
-def matched(sponge: Layer) -> Array:
+def match_drag(sponge: Layer) -> Array:
     """Return the drag, (S,) 1/s, that reflects least in the middle of all bands of the cell."""
     from scipy.optimize import minimize_scalar
 
@@ -177,7 +177,7 @@ def matched(sponge: Layer) -> Array:
     bounds = [math.log(highest * x) for x in (GRADING.weakest, GRADING.strongest)]
 
     def worst(strongest: float, power: int) -> float:
-        drag = graded(size, math.exp(strongest), power)
+        drag = drag_profile(size, math.exp(strongest), power)
         return float(np.log(np.abs(reflection(sponge, drag, frequency))).max())
 
     best: list[Any] = []
@@ -185,13 +185,13 @@ def matched(sponge: Layer) -> Array:
         least = minimize_scalar(worst, bounds=bounds, args=(power,), method="bounded")
         best.append((least.fun, power, math.exp(least.x)))
     _, power, strongest = min(best)
-    return graded(size, strongest, power)
+    return drag_profile(size, strongest, power)
 
 
 def period(chain: Chain, end: str) -> int:
     """Return the period of the grains at an end; 1 if none repeats, of the last grain alone."""
     # that of a sponge which is there already repeats nothing
-    fields = _listed(chain) | {"drag": 0.0}
+    fields = _values_of_all(chain) | {"drag": 0.0}
     rows = [row for row in fields.values() if isinstance(row, tuple | np.ndarray)]
     window = 2 * GRADING.longest_cell
     tails = [list(row[::-1] if end == "top" else row)[-window:] for row in rows]
@@ -216,7 +216,7 @@ def add(chain: Chain, top: int, bottom: int) -> Chain:
         ending = layer(longer, end, size, cells[end])
         if not ending.stiffness[:-1].all():
             raise InputError.at(end, NOT_PRESSED)
-        gamma = matched(ending)
+        gamma = match_drag(ending)
         _remark(end, size, ending, gamma)
         if end == "top":
             drag[:size] += gamma[::-1]
@@ -237,7 +237,7 @@ def _remark(end: str, size: int, ending: Layer, drag: Array) -> None:
         )
 
 
-def _listed(chain: Chain) -> dict[str, Any]:
+def _values_of_all(chain: Chain) -> dict[str, Any]:
     """Return what a chain has of all grains or contacts, or lists for each."""
     fields = chain.given()
     keys = ("material", "diameter", "masses", "contact_constants")
@@ -259,7 +259,7 @@ def _longer(chain: Chain, sizes: dict[str, int], cells: dict[str, int]) -> Chain
         number = np.where(number >= size, cell + (number - cell) % cells["bottom"], number)
         return values[number] if isinstance(values, np.ndarray) else [values[n] for n in number]
 
-    lists = {key: go_on(values) for key, values in _listed(chain).items()}
+    lists = {key: go_on(values) for key, values in _values_of_all(chain).items()}
     damping = Damping(viscoelastic=lists.pop("viscoelastic"), drag=lists.pop("drag"))
     impurity = [one.replace(grain=one.grain + top) for one in chain.impurity]
     fields = chain.given() | lists | {"grains": chain.grains + top + sizes["bottom"]}

@@ -19,7 +19,7 @@ def orbit(arguments: argparse.Namespace) -> int:
     """Follow a mode of the chain of a scene up to an energy, or the answer to its drive."""
     scene, (name, until), picture, numbers = gather(
         lambda: read(arguments.scene),
-        lambda: _followed(arguments),
+        lambda: _read_goal(arguments),
         *check_outputs(arguments, arguments.scene),
     )
     if name:
@@ -40,7 +40,7 @@ def orbit(arguments: argparse.Namespace) -> int:
     return 0 if family.reached else 1
 
 
-def _followed(arguments: argparse.Namespace) -> tuple[str, float]:
+def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
     """Return the number that is followed, and up to where; no name for a mode."""
     mode = arguments.mode is not None and arguments.energy is not None
     if mode == (arguments.follow is not None):

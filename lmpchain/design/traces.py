@@ -17,7 +17,7 @@ from ..scene.scene import Scene
 from ..scene.trace_file import TraceFile
 from ..util.arrays import Array, check_flags, numbers, whole_numbers
 from ..util.remarks import note
-from ..util.tabular import NamedColumn, Tabular, numbered
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from ..util.units import FIELD_UNITS
 from .seen import Seen, contact_force
 
@@ -144,7 +144,7 @@ class Traces(Tabular):
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)
-        yield from numbered(self.field, FIELD_UNITS[self.field], self.places, self.values)
+        yield from number_columns(self.field, FIELD_UNITS[self.field], self.places, self.values)
 
 
 def model(

@@ -27,18 +27,15 @@ from numpy.typing import NDArray
 
 from ..chain.chain import Chain
 from ..chain.contacts import Contacts
-from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .batch import ChainBatch
-from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
-from .kernels.adjoint import Path
 from .kernels.adjoint_rows import Above, Adjoint, Bodies, Law, Way
 from .kernels.adjoint_tangent import Change, Response, tangent
 from .kernels.contact_forces import ROOTS, Form
 from .kernels.course import Course, Looks, Stretch
 from .kernels.layout import PAD, Links
+from .observed_run import ObservedRun
 from .splittings import Splitting
 
 
@@ -118,47 +115,6 @@ class Inputs(NamedTuple):
         return Inputs(*(value + added for value, added in zip(self, other, strict=True)))
 
 
-class HeldSteps(NamedTuple):
-    """Steps that a run is to take.
-
-    Attributes
-    ----------
-    time : (looks+1,) array
-        When grains are looked at, s; from 0 to the duration.
-    lengths, begins : (K,) arrays
-        s.
-    before : (looks+1,) array
-        How many steps are made before each look.
-    """
-
-    time: Array
-    lengths: Array
-    begins: Array
-    before: NDArray[np.intp]
-
-
-def hold_steps(scene: Scene, step: float | list[Array], looks: int) -> HeldSteps:
-    """Return the steps of a run, as `DifferentiableRun` takes them."""
-    time = np.linspace(0.0, scene.duration, looks + 1)
-    if isinstance(step, list):
-        lengths = np.concatenate(step)
-        counts = [len(of_part) for of_part in step]
-        pairs = zip(time, step, strict=False)
-        begins = np.concatenate([t + np.cumsum(of_part) - of_part for t, of_part in pairs])
-    else:
-        count = max(1, math.ceil(scene.duration / looks / step * (1 - 1e-12)))
-        lengths = np.full(looks * count, scene.duration / (looks * count))
-        counts = [count] * looks
-        begins = np.arange(looks * count) * lengths[0]
-    return HeldSteps(time, lengths, begins, np.concatenate(([0], np.cumsum(counts))))
-
-
-def acting(scene: Scene) -> ImposedCourse | None:
-    """Return the motion or force that is imposed after t = 0, if any is."""
-    excitation = scene.excitation
-    return ImposedCourse(excitation) if isinstance(excitation, (Drive, Force)) else None
-
-
 class Call(NamedTuple):
     """Pieces, from the first to the one behind the last, that a call of a compiled loop takes.
 
@@ -209,7 +165,7 @@ def economised(exponent: float, reach: float) -> Array:
     return np.pad(coefficients, (0, terms - coefficients.size)) / reach ** np.arange(terms)
 
 
-class DifferentiableRun:
+class DifferentiableRun(ObservedRun):
     """A run by given steps with its exact derivatives.
 
     Parameters
@@ -242,42 +198,29 @@ class DifferentiableRun:
         looks: int,
         grains: NDArray[np.intp],
     ):
-        self.scene = scene
-        self.grains = np.asarray(grains)
-        self.time, lengths, self._begins, steps_before = hold_steps(scene, step, looks)
-        self.step = float(lengths.max())
-        self.steps = lengths.size
+        super().__init__(scene, step, looks, grains)
         self._reach = np.array((0.0, *method.reach[:-1]))
         self._course = Course(
-            np.array(method.kicks), np.array(method.drifts), lengths, steps_before
+            np.array(method.kicks), np.array(method.drifts), self._lengths, self._before
         )
         # rows before each look: one a stage, and the last kick before each look
-        self._offsets = method.evaluations * steps_before + np.arange(looks + 1)
-        self.imposed = acting(scene)
-        self._driven = self.imposed is not None and bool(scene.excitation.driven)
-        self._lay_out(scene)
+        self._offsets = method.evaluations * self._before + np.arange(looks + 1)
+        self._lay_out(scene.chain)
         self._cut()
-        bodies = self.grains + (PAD - 1)
-        self._looks = Looks(bodies, np.zeros((2, looks + 1, self.grains.size)))
         self._run()
 
-    def _lay_out(self, scene: Scene) -> None:
-        """Lay out the chain for the compiled loops."""
-        batch = ChainBatch([scene])
-        links = batch.links
-        u, v = batch.initial
-        self._x, self._v, self._state = batch.place(u[None], v[None])
+    def _lay_out(self, chain: Chain) -> None:
+        """Lay out the contacts for the compiled loops."""
+        links = self._links
         width = self._x.shape[1]
-        self._chains = batch.arrays(self._x, self._v, np.zeros((1, 0, width)), self._state)
-        self._mobility = batch.inverse_mass[0]
         # on the way back a contact has the place of the body below it
         above = aligned(3, width)
         above[0, 1:] = links.inverse_length[0, :-1]
         above[1, 1:] = links.strength[0, :-1]
-        above[2] = scene.chain.exponent * above[1] * above[0]
+        above[2] = chain.exponent * above[1] * above[0]
         self._above = Above(*above)
-        way = _way(scene.chain, links)
-        less = scene.chain.exponent - 1.0
+        way = _way(chain, links)
+        less = chain.exponent - 1.0
         self._law = Law(
             way=int(way),
             pressed=links.precompressed,
@@ -317,14 +260,6 @@ class DifferentiableRun:
         inside = self._begins[step] + self._reach[stage] * self._course.lengths[step]
         return np.where(last, self.time[look + 1], inside)
 
-    def _path(self, row: int, count: int) -> Path:
-        """Return the imposed motion or force in some rows, or none."""
-        if self.imposed is None:
-            return Path(0, np.empty(0), np.empty(0))
-        body = int(self._chains.imposed.wave["body"][0])
-        imposed = self.imposed.waveform.at(self._times(row, count))
-        return Path(body, imposed, np.zeros(imposed.size))
-
     def _calls(self) -> list[Call]:
         """Return the calls of a compiled loop that a way through the run takes."""
         starts = self._pieces.starts
@@ -347,21 +282,7 @@ class DifferentiableRun:
             kernels.forward(
                 self._chains, self._course, self._room, path, self._pieces, pieces, self._looks
             )
-        # the loops leave a driven grain without a velocity
-        if self.imposed and self._driven:
-            for order in (0, 1):
-                motion = self.imposed.waveform.at(self.time, order)
-                values[order][:, self.grains == 1] = motion[:, None]
-
-    @property
-    def displacement(self) -> Array:
-        """Displacement of the grains looked at, (looks+1, G) m."""
-        return self._looks.values[0]
-
-    @property
-    def velocity(self) -> Array:
-        """Velocity of the grains looked at, (looks+1, G) m/s."""
-        return self._looks.values[1]
+        self._fill_motion_of_driven(values)
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
         """Return the derivatives of an answer by all inputs, from those by what was seen.
@@ -480,10 +401,7 @@ class DifferentiableRun:
             stretch = Stretch(int(pieces.looks[piece]), int(pieces.rows[piece]), count)
             path = self._path(row, count)
             tangent(moved, self._law, self._course, stretch, path, memory, changes, looks)
-        if self.imposed and self._driven:
-            for order in (0, 1):
-                driven = self.imposed.push(self.time, change.drive, order)
-                looks.values[:, order][:, :, self.grains == 1] = driven[..., None]
+        self._fill_change_of_driven(looks.values, change)
         return looks.values[:, 0], looks.values[:, 1]
 
     @property

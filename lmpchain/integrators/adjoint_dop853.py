@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .adjoint import Inputs, acting, by_contacts, hold_steps
-from .batch import ChainBatch
+from .adjoint import Inputs, by_contacts
 from .dop853 import DormandPrince
 from .kernels import adjoint_dop853 as kernels
-from .kernels.adjoint import Path
 from .kernels.adjoint_rows import Law, Way
 from .kernels.course import Looks
 from .kernels.layout import PAD
+from .observed_run import ObservedRun
 
 
 class Checkpoints(NamedTuple):
@@ -47,7 +46,7 @@ class Checkpoints(NamedTuple):
 CHECKPOINTS = Checkpoints()
 
 
-class DifferentiableDampedRun:
+class DifferentiableDampedRun(ObservedRun):
     """A run of a damped chain by given steps of DOP853 with its exact derivatives.
 
     Parameters, attributes and methods are those of `adjoint.DifferentiableRun`.
@@ -61,31 +60,19 @@ class DifferentiableDampedRun:
         looks: int,
         grains: NDArray[np.intp],
     ):
-        self.scene = scene
-        self.grains = np.asarray(grains)
-        self.time, lengths, self._begins, before = hold_steps(scene, step, looks)
-        self.step = float(lengths.max())
-        self.steps = lengths.size
-        look = np.full(lengths.size + 1, -1)
-        look[before] = np.arange(looks + 1)
-        self._steps = kernels.Steps(lengths, look)
-        self.imposed = acting(scene)
-        self._driven = self.imposed is not None and bool(scene.excitation.driven)
+        super().__init__(scene, step, looks, grains)
+        look = np.full(self.steps + 1, -1)
+        look[self._before] = np.arange(looks + 1)
+        self._steps = kernels.Steps(self._lengths, look)
         self._lay_out(method)
-        bodies = self.grains + (PAD - 1)
-        self._looks = Looks(bodies, np.zeros((2, looks + 1, self.grains.size)))
         self._run()
 
     def _lay_out(self, method: DormandPrince) -> None:
         """Lay out the chain for the compiled loops, and cut the run into pieces."""
         chain = self.scene.chain
-        batch = ChainBatch([self.scene])
-        links = batch.links
-        u, v = batch.initial
-        self._x, self._v, self._state = batch.place(u[None], v[None])
+        links = self._links
         width = self._x.shape[1]
-        self._chains = batch.arrays(self._x, self._v, np.zeros((1, 0, width)), self._state)
-        mobility = batch.inverse_mass[0]
+        mobility = self._mobility
         damped = kernels.Damped(mobility, *np.zeros((5, width)))
         damped.inverse_length[1:] = links.inverse_length[0, :-1]
         damped.strength[1:] = links.strength[0, :-1]
@@ -153,14 +140,6 @@ class DifferentiableDampedRun:
         times = self._begins[steps, None] + nodes * self._steps.lengths[steps, None]
         return np.append(times, self.time[-1]) if end == self.steps else times.ravel()
 
-    def _path(self, pieces: NDArray[np.intp]) -> Path:
-        """Return the imposed motion or force in all stages of some pieces, or none."""
-        if self.imposed is None:
-            return Path(0, np.empty(0), np.empty(0))
-        body = int(self._chains.imposed.wave["body"][0])
-        imposed = self.imposed.waveform.at(self._times(pieces))
-        return Path(body, imposed, np.zeros(imposed.size))
-
     def _run(self) -> None:
         """Move on to the end, with checkpoints at the begin of every piece."""
         bodies, values = self._looks
@@ -180,21 +159,7 @@ class DifferentiableDampedRun:
             )
         # rounded where it was made of reduced velocities
         values[:, 0] = start
-        # the loops leave a driven grain without a velocity
-        if self.imposed and self._driven:
-            for order in (0, 1):
-                motion = self.imposed.waveform.at(self.time, order)
-                values[order][:, self.grains == 1] = motion[:, None]
-
-    @property
-    def displacement(self) -> Array:
-        """Displacement of the grains looked at, (looks+1, G) m."""
-        return self._looks.values[0]
-
-    @property
-    def velocity(self) -> Array:
-        """Velocity of the grains looked at, (looks+1, G) m/s."""
-        return self._looks.values[1]
+        self._fill_motion_of_driven(values)
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
         """Return the derivatives of an answer by all inputs, from those by what was seen.
@@ -296,8 +261,5 @@ class DifferentiableDampedRun:
                 self._chains, self._system, self._steps, span, path, looks, memory, changes
             )
         looks.values[:, :, 0] = start
-        if self.imposed and self._driven:
-            for order in (0, 1):
-                driven = self.imposed.push(self.time, change.drive, order)
-                looks.values[:, order][:, :, self.grains == 1] = driven[..., None]
+        self._fill_change_of_driven(looks.values, change)
         return looks.values[:, 0], looks.values[:, 1]

@@ -17,7 +17,7 @@ from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend, thin_rows
-from ..util.tabular import NamedColumn, Tabular, numbered
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ class ContactHistory(Shown, Tabular):
         yield NamedColumn("time", "s", self.time)
         units = {"overlap": "m", "closing": "m/s", "force": "N", "change": "N"}
         for name, unit in units.items():
-            yield from numbered(f"{name}_contact", unit, self.contact, getattr(self, name))
+            yield from number_columns(f"{name}_contact", unit, self.contact, getattr(self, name))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

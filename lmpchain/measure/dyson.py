@@ -16,7 +16,7 @@ from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.tables import align, number
-from ..util.tabular import NamedColumn, Tabular, numbered
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import motion
 
 if TYPE_CHECKING:
@@ -220,8 +220,8 @@ class DysonSums(Shown, Tabular):
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)
-        yield from numbered("as_printed", "m/s", self.m, self.as_printed.T)
-        yield from numbered("normalised", "m/s", self.m, self.normalised.T)
+        yield from number_columns("as_printed", "m/s", self.m, self.as_printed.T)
+        yield from number_columns("normalised", "m/s", self.m, self.normalised.T)
 
 
 def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:

@@ -19,7 +19,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, set_title
-from ..util.tabular import NamedColumn, Tabular, numbered
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion, motion_of_all
 from .motion import Motion, motion_of
 
@@ -170,8 +170,8 @@ class EnergyLosses(Shown, Tabular):
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)
         contacts = self.of_contact.shape[1]
-        yield from numbered("of_contact", "J", range(contacts), self.of_contact)
-        yield from numbered("of_grain", "J", range(1, contacts), self.of_grain)
+        yield from number_columns("of_contact", "J", range(contacts), self.of_contact)
+        yield from number_columns("of_grain", "J", range(1, contacts), self.of_grain)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -223,9 +223,9 @@ class EnergyShares(Shown, Tabular):
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)
-        yield from numbered("kinetic", "J", self.grain, self.kinetic)
-        yield from numbered("elastic_contact", "J", self.contact, self.elastic)
-        yield from numbered("of_grain", "J", self.grain, self.of_grain)
+        yield from number_columns("kinetic", "J", self.grain, self.kinetic)
+        yield from number_columns("elastic_contact", "J", self.contact, self.elastic)
+        yield from number_columns("of_grain", "J", self.grain, self.of_grain)
 
 
 def shares(trajectory: Trajectory | Motion) -> EnergyShares:

@@ -99,7 +99,7 @@ def gather(
     traces: dict[str, Array] = {}
     units = {}
     start = "change_" if above_rest else ""
-    for place in _listed(force):
+    for place in _as_list(force):
         name = f"{start}force_{place}"
         traces[name] = _force(trajectory, place, above_rest)
         units[name] = "N"
@@ -107,7 +107,7 @@ def gather(
         ("velocity", velocity, "m/s"),
         ("displacement", displacement, "m"),
     ):
-        for grain in whole_numbers(_listed(grains), field):
+        for grain in whole_numbers(_as_list(grains), field):
             name = f"{field}_{grain}"
             column = np.flatnonzero(trajectory.grains == grain)
             if not column.size:
@@ -124,7 +124,7 @@ def gather(
     return TraceTable(trajectory.time, traces, units)
 
 
-def _listed(places: Any) -> list[Any]:
+def _as_list(places: Any) -> list[Any]:
     """Return one place or several as a list."""
     one = isinstance(places, str) or not isinstance(places, Sequence | np.ndarray)
     return [places] if one else list(places)

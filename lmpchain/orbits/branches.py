@@ -14,7 +14,7 @@ from .continuation import family_curve
 from .family import Event
 from .flow import Flow
 from .orbit import Orbit, orbit_of
-from .shooting import Constraint, Point, estimate_error
+from .shooting import Point, estimate_error, plane
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def switch(event: Event) -> Orbit:
     row[: inner.size] = inner / np.linalg.norm(inner)
     for share in BRANCHING.distances:
         ahead = begin + share * np.linalg.norm(begin[: inner.size]) * row
-        beside = _plane(row, ahead)
+        beside = plane(ahead, row)
         solution = curve.solve(equations.unpack(ahead), beside)
         if solution is None:
             continue
@@ -91,10 +91,6 @@ def switch(event: Event) -> Orbit:
             error = estimate_error(equations, solution, [*curve.held, beside])
             return orbit_of(equations, solution, error)
     raise RunFailed(f"no orbit of twice the period is found beside {event.value:g}")
-
-
-def _plane(row: Array, through: Array) -> Constraint:
-    return Constraint(lambda unknown, _: (float(row @ (unknown - through)), row))
 
 
 def _differs(flow: Flow, mesh: Array, point: Point, share: float) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..util.arrays import Array
 from .events import Member
-from .shooting import Constraint, Equations, Point, Solution
+from .shooting import Constraint, Equations, Point, Solution, plane
 
 
 @dataclass(frozen=True)
@@ -79,16 +79,12 @@ def returns(
         nearest = int(distance.argmin())
         if distance[nearest] > CLOSING.near * length:
             continue
-        plane = _plane(aspect.unknown, step / length)
-        solution = solver(equations.unpack(curve[nearest]), plane, end)
+        across = plane(aspect.unknown, step / length)
+        solution = solver(equations.unpack(curve[nearest]), across, end)
         error = end.orbit.error + aspect.error
         if solution and _equal(equations.pack(solution.point), aspect.unknown, error):
             return True
     return False
-
-
-def _plane(through: Array, normal: Array) -> Constraint:
-    return Constraint(lambda unknown, _: (float(normal @ (unknown - through)), normal))
 
 
 def _curve(start: Member, end: Member, length: float) -> Array:

@@ -36,6 +36,7 @@ from .shooting import (
     Solution,
     estimate_error,
     fixed,
+    plane,
     solve,
     solve_step,
 )
@@ -169,19 +170,16 @@ class Curve:
         """
         # the orbit lies in the plane across the family at this distance
         ahead = member.unknown + length * member.direction
-
-        def arc(unknown: Array, _: Point) -> tuple[float, Array]:
-            return float(member.direction @ (unknown - ahead)), member.direction
-
+        across = plane(ahead, member.direction)
         start = self.equations.unpack(ahead if guess is None else guess)
         try:
-            solution = self.solve(start, Constraint(arc), near or member)
+            solution = self.solve(start, across, near or member)
         except InputError:
             # beyond the end of what the parameter of a chain may be
             return None
         if solution is None:
             return None
-        return self.member(solution, Constraint(arc), member.direction)
+        return self.member(solution, across, member.direction)
 
     def miss(self, member: Member, target: Constraint) -> float:
         """Return by how much a member misses a target, with its sign."""
@@ -545,7 +543,7 @@ def _vary_number(orbit: Orbit, parameter: str) -> tuple[Callable[[float], System
     value = chain.diameters if element and field == "diameter" else getattr(owner, field, None)
     known = room in ("", "damping") and field in owner.arguments
 
-    def varied(number: float | Array) -> System:
+    def vary(number: float | Array) -> System:
         if isinstance(owner, Damping):
             return chain.replace(damping=owner.given() | {field: number}), drive
         return owner.replace(**{field: number}), drive
@@ -556,7 +554,7 @@ def _vary_number(orbit: Orbit, parameter: str) -> tuple[Callable[[float], System
         def with_element(number: float) -> System:
             values = value.copy()
             values[index] = number
-            return varied(values)
+            return vary(values)
 
         return with_element, float(value[index])
     if element or not known or type(value) is not float:
@@ -564,4 +562,4 @@ def _vary_number(orbit: Orbit, parameter: str) -> tuple[Callable[[float], System
         if drive is not None:
             message = "must be period, a number of the drive, of damping or of the chain"
         raise InputError.at("parameter", f"{message} (got {shown(parameter)})")
-    return varied, value
+    return vary, value

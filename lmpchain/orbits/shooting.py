@@ -179,6 +179,11 @@ class Constraint(NamedTuple):
     of: Callable[[Array, Point], tuple[float, Array]]
 
 
+def plane(through: Array, normal: Array) -> Constraint:
+    """Return the constraint that the unknowns lie in a plane through a point, (U,) both."""
+    return Constraint(lambda unknown, _: (float(normal @ (unknown - through)), normal))
+
+
 class Solution(NamedTuple):
     """A solution of Newton's method: a periodic orbit, its steps and its derivatives.
 

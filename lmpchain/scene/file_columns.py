@@ -27,7 +27,9 @@ class Quantity(NamedTuple):
 INSTANT = Quantity("time", "s")
 
 
-def named(table: NumberTable, quantities: Sequence[Quantity], columns: Any) -> list[int | None]:
+def find_columns(
+    table: NumberTable, quantities: Sequence[Quantity], columns: Any
+) -> list[int | None]:
     """Return the places of quantities that columns or the header name; None of others."""
     if columns is None:
         return [_by_name(table, *quantity.others, quantity.name) for quantity in quantities]
@@ -43,7 +45,9 @@ def named(table: NumberTable, quantities: Sequence[Quantity], columns: Any) -> l
     return [_place(table, column) for column in columns]
 
 
-def timed(table: NumberTable, quantities: Sequence[Quantity], columns: Any) -> list[int | None]:
+def find_time_and_columns(
+    table: NumberTable, quantities: Sequence[Quantity], columns: Any
+) -> list[int | None]:
     """Return the places of the times, None if there are none, and of all quantities.
 
     Raises
@@ -53,10 +57,10 @@ def timed(table: NumberTable, quantities: Sequence[Quantity], columns: Any) -> l
     """
     everything = [INSTANT, *quantities]
     if columns is None:
-        return _timed_by_header(table, everything)
+        return _find_by_header(table, everything)
     # times may follow from the interval of the samples
     alone = not isinstance(columns, dict) and len(columns) == len(quantities)
-    places = named(table, quantities if alone else everything, columns)
+    places = find_columns(table, quantities if alone else everything, columns)
     places = [None, *places] if alone else places
     for quantity, place in zip(quantities, places[1:], strict=True):
         if place is None:
@@ -64,16 +68,16 @@ def timed(table: NumberTable, quantities: Sequence[Quantity], columns: Any) -> l
     return places
 
 
-def _timed_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[int | None]:
+def _find_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[int | None]:
     """Return the places of time and quantities by the header, or because there are no others."""
-    places = named(table, quantities, None)
+    places = find_columns(table, quantities, None)
     if places[0] is None:
         places[0] = _time_place(table)
     missing = [k for k, place in enumerate(places) if place is None]
     rest = [place for place in table.numeric if place not in places]
     if places[0] is not None:
         rest = [place for place in rest if table.columns[place].name.lower() not in COUNTERS]
-    elif _sampled(table, rest, len(missing)):
+    elif _has_interval(table, rest, len(missing)):
         missing = missing[1:]
     if missing and len(rest) != len(missing):
         raise ambiguous(table, quantities)
@@ -82,7 +86,7 @@ def _timed_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list
     return places
 
 
-def _sampled(table: NumberTable, rest: Sequence[int], missing: int) -> bool:
+def _has_interval(table: NumberTable, rest: Sequence[int], missing: int) -> bool:
     """Return whether a file says the interval of its samples in place of their times."""
     names = [table.columns[place].name for place in rest]
     return table.fact(*INTERVALS) is not None and (len(rest) < missing or any(names))

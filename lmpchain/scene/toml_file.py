@@ -17,7 +17,7 @@ from ..chain.chain import Chain
 from ..chain.damping import Damping
 from ..chain.impurities import Impurity
 from ..chain.materials import MATERIALS, Material
-from ..chain.patterns import IN_FILES, written_out
+from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
 from ..util.suggestions import did_you_mean, not_among
@@ -235,7 +235,7 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
         if "mass" in columns:
             columns["masses"] = columns.pop("mass")
         keys = {"grains": len(columns["diameter"])} | columns | keys
-    return Chain(**written_out(keys))
+    return Chain(**write_out(keys))
 
 
 def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:

@@ -17,7 +17,14 @@ from ..util.number_tables import NumberTable, read_table
 from ..util.tables import counted
 from ..util.units import unit_of
 from ..util.validation import NOT_GIVEN, Checked, Positive, Real, Whole
-from .file_columns import COUNTERS, INTERVALS, Quantity, ambiguous, named, timed
+from .file_columns import (
+    COUNTERS,
+    INTERVALS,
+    Quantity,
+    ambiguous,
+    find_columns,
+    find_time_and_columns,
+)
 
 # what a file says of the sampling in place of a column: first time, first sample
 BEGINS = ("start", "x0", "t0", "hoffset")
@@ -129,7 +136,7 @@ class TableFile(Checked):
             If it cannot be read, or does not tell which columns these are.
         """
         table = read_table(self.file, self.skip)
-        places = named(table, quantities, self.columns)
+        places = find_columns(table, quantities, self.columns)
         if not any(place is not None for place in places):
             raise ambiguous(table, quantities)
         present = [
@@ -142,10 +149,10 @@ class TableFile(Checked):
         ]
         if counts and not (table.values(counts)[:, 0] == np.arange(len(table.lines)) + 1).all():
             raise InputError.at("file", f"{self.file}: the column grain must count 1, 2, 3 ...")
-        values, words = self._calibrated(table, present)
+        values, words = self._calibrate_columns(table, present)
         return Reading(np.empty(0), values, self._text(table, words), [q.name for q, _ in present])
 
-    def _calibrated(
+    def _calibrate_columns(
         self, table: NumberTable, present: Sequence[tuple[Quantity, Any]], base: Array | None = None
     ) -> tuple[Array, list[str]]:
         """Return the values of columns in SI units, and in words how they came about."""
@@ -217,10 +224,10 @@ class TraceFile(TableFile):
         if len(table.lines) < 2:
             names = ", ".join(["time", *(quantity.name for quantity in quantities)])
             raise InputError.at("file", f"{self.file} has not two lines of numbers: {names}")
-        time_place, *places = timed(table, quantities, self.columns)
+        time_place, *places = find_time_and_columns(table, quantities, self.columns)
         time, word = self._time(table, time_place)
         present = list(zip(quantities, places, strict=True))
-        values, words = self._calibrated(table, present, self._window(time))
+        values, words = self._calibrate_columns(table, present, self._window(time))
         words = [word, *words]
         if self.trigger is not None:
             time, values, before = self._from_trigger(time, values, from_zero)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
-from ..util.tables import align, number
+from ..util.tables import align, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .selection import Proposal, ask, cheapest, propose, reason
 
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
-LINE_WIDTH = 80
 TRIAL_S = 0.5  # cost of a trial up to which engines that run one are asked, too
 
 
@@ -76,12 +74,7 @@ class Plan(Shown, Tabular):
         sentences.append(f"{self.engine} {self.why}")
         if self.damping:
             sentences.append(f"damping: {self.damping}")
-        lines = align(self._summary())
-        for sentence in sentences:
-            lines += textwrap.wrap(
-                sentence, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False
-            )
-        return "\n".join(lines)
+        return "\n".join([*align(self._summary()), *wrap(*sentences)])
 
     def _by_price(self) -> list[Proposal]:
         """Return the candidates, those that are kept first, and the cheapest of them foremost."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..chain.contacts import Contacts
-from ..chain.equilibrium import carried_at_rest
+from ..chain.equilibrium import force_at_rest
 from ..engines import Lammps, Native
 from ..engines.native.time_stepping import TimeSteppingEngine
 from ..errors import InputError
@@ -148,7 +148,7 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
     mass = chain.masses.astype(Long)
     constant: Any = chain.contacts.constant.astype(Long)
     weight = Long(chain.gravity) * np.cumsum(mass)
-    carried = carried_at_rest(weight, chain.top_load, chain.load_grain)
+    carried = force_at_rest(weight, chain.top_load, chain.load_grain)
     exponent: Any = Long(chain.exponent)
     contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), exponent)
     mobility = np.where(np.arange(chain.grains) < chain.movable, 1 / mass, 0)

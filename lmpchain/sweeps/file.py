@@ -18,7 +18,7 @@ import numpy as np
 
 from .. import engines
 from ..chain.materials import Material, named
-from ..chain.patterns import written_out
+from ..chain.patterns import write_out
 from ..disorder.draws import Law, Of, realisation
 from ..errors import InputError, check_tolerance, short, shown
 from ..scene.scene import Scene
@@ -383,7 +383,7 @@ def _set_each_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str
         return _set_value(tables, path, values.tolist(), key)
     try:
         # a cell has no entry for every grain
-        chain = written_out(tables.get("chain") or {})
+        chain = write_out(tables.get("chain") or {})
     except InputError as error:
         raise InputError(error.under("chain")) from None
     material = chain.get("material", "glass")

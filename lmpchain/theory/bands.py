@@ -25,7 +25,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
-from ..util.tabular import NamedColumn, Tabular, numbered
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .domain import real, require
 from .modes import eigenmodes
 
@@ -167,8 +167,8 @@ class Bands(Shown, Tabular):
     def _columns(self) -> Iterator[NamedColumn]:
         branches = range(1, len(self.frequency) + 1)
         yield NamedColumn("wavenumber", "", self.wavenumber)
-        yield from numbered("frequency", "rad/s", branches, self.frequency.T)
-        yield from numbered("group_velocity", "cells/s", branches, self.group_velocity.T)
+        yield from number_columns("frequency", "rad/s", branches, self.frequency.T)
+        yield from number_columns("group_velocity", "cells/s", branches, self.group_velocity.T)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -60,13 +60,18 @@ class Medium:
     mass : float
         Of a grain, kg.
 
+    Raises
+    ------
+    InputError
+        Unless the exponent is above 1, and constant and mass are above 0.
+
     Examples
     --------
     >>> gas = Medium(exponent=1.5, constant=1.0, mass=1.5)
     >>> rest = State(0.0, 1.0)
-    >>> gas.sound(1.0), round(gas.driven(rest, 0.1).overlap, 6)
+    >>> gas.sound(1.0), round(gas.behind(rest, 0.1).overlap, 6)
     (1.0, 1.098809)
-    >>> edges = gas.dispersive(rest, gas.driven(rest, 0.1).overlap)
+    >>> edges = gas.dispersive(rest, gas.behind(rest, 0.1).overlap)
     >>> [round(speed, 6) for speed in edges[:2]]
     [1.015841, 0.976164]
     """
@@ -74,6 +79,16 @@ class Medium:
     exponent: float
     constant: float
     mass: float
+
+    def __post_init__(self) -> None:
+        faults = []
+        if not self.exponent > 1:
+            faults.append(("exponent", "must be above 1: linear waves make no shocks"))
+        faults += [
+            (key, "must be above 0") for key in ("constant", "mass") if not getattr(self, key) > 0
+        ]
+        if faults:
+            raise InputError(faults)
 
     def force(self, overlap: float) -> float:
         """Return the force of a contact, N."""
@@ -88,21 +103,21 @@ class Medium:
         """Return J, m/s: the velocity of a wave one way, into a chain without overlap."""
         return 2 / (self.exponent + 1) * self.sound(overlap) * overlap
 
-    def compressed_to(self, invariant: float) -> float:
+    def overlap_at(self, invariant: float) -> float:
         """Return the overlap at which J has this value, m; 0 below, where contacts open."""
         power = 2 / (self.exponent + 1)
         return float((max(invariant, 0.0) / self.invariant(1.0)) ** power)
 
-    def driven(self, ahead: State, velocity: float) -> State:
+    def behind(self, ahead: State, velocity: float) -> State:
         """Return what a simple or dispersive wave leaves behind grains driven at a speed, m/s."""
         change = velocity - ahead.velocity
-        return State(velocity, self.compressed_to(self.invariant(ahead.overlap) + change))
+        return State(velocity, self.overlap_at(self.invariant(ahead.overlap) + change))
 
     def between(self, left: State, right: State) -> State:
         """Return the state that simple or dispersive waves to both sides leave of a step."""
         above = left.velocity + self.invariant(left.overlap)
         below = right.velocity - self.invariant(right.overlap)
-        return State((above + below) / 2, self.compressed_to((above - below) / 2))
+        return State((above + below) / 2, self.overlap_at((above - below) / 2))
 
     def rankine_hugoniot(self, ahead: State, velocity: float) -> tuple[State, float]:
         """Return the state behind a steady shock, and the speed of that, grains/s.
@@ -186,37 +201,3 @@ def _solitary_speed(cosh: float) -> float:
 
 def _above_zero(speed: float) -> float:
     return speed if speed > 0 else np.nan
-
-
-def medium(exponent: float, constant: float, mass: float) -> Medium:
-    """Return a uniform chain as a gas, its numbers checked.
-
-    Parameters
-    ----------
-    exponent : float
-        delta.
-    constant : float
-        K, N/m^delta.
-    mass : float
-        Of a grain, kg.
-
-    Returns
-    -------
-    Medium
-
-    Raises
-    ------
-    InputError
-        Unless the exponent is above 1, and constant and mass are above 0.
-    """
-    faults = []
-    if not exponent > 1:
-        faults.append(("exponent", "must be above 1: linear waves make no shocks"))
-    faults += [
-        (key, "must be above 0")
-        for key, value in (("constant", constant), ("mass", mass))
-        if not value > 0
-    ]
-    if faults:
-        raise InputError(faults)
-    return Medium(exponent, constant, mass)

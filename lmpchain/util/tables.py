@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+LINE_WIDTH = 80  # letters, which every terminal has
 
 
 def align(rows: Iterable[Sequence[str]]) -> list[str]:
@@ -18,6 +21,19 @@ def align(rows: Iterable[Sequence[str]]) -> list[str]:
     rows = list(rows)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
+def wrap(*sentences: str) -> list[str]:
+    """Return sentences in lines of 80 letters, the further ones of each indented.
+
+    Examples
+    --------
+    >>> first, second, third = wrap("word " * 20, "and another")
+    >>> len(first), second, third
+    (79, '  word word word word', 'and another')
+    """
+    fold = textwrap.TextWrapper(LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    return [line for sentence in sentences for line in fold.wrap(sentence)]
 
 
 def number(

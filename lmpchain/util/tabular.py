@@ -57,7 +57,7 @@ class Tabular:
             values = np.asarray(getattr(self, name))
             unit = text.format(field=FIELD_UNITS.get(getattr(self, "field", ""), ""))
             if values.ndim == 2:
-                yield from numbered(name, unit, getattr(self, self._numbers), values)
+                yield from number_columns(name, unit, getattr(self, self._numbers), values)
             elif np.iscomplexobj(values):
                 yield NamedColumn(f"{name}_real", unit, values.real)
                 yield NamedColumn(f"{name}_imaginary", unit, values.imag)
@@ -89,7 +89,7 @@ class Tabular:
                 writer.writerow([_digits(value) for value in row])
 
 
-def numbered(
+def number_columns(
     name: str, unit: str, numbers: Iterable[Any], values: np.ndarray
 ) -> Iterator[NamedColumn]:
     """Yield the columns of an (R, C) array, which bear the numbers of what they are of."""

@@ -11,7 +11,7 @@ import pytest
 
 import lmpchain
 from lmpchain import GLASS, PTFE, STEEL, Chain, Impulse, InputError, Scene
-from lmpchain.chain.patterns import decorated, periodic, repeated, tapered, written_out
+from lmpchain.chain.patterns import decorated, periodic, repeated, tapered, write_out
 
 CHAINS = {
     "tapered": tapered(12, 4e-3, 0.08, material="steel", gravity=0.0, top_load=2.0),
@@ -274,7 +274,7 @@ def test_a_taper_in_a_file(tmp_path):
 
 
 def test_a_cell_of_one_kind_needs_no_arrays():
-    plain = written_out({"grains": 10**8, "cell": ["steel"], "diameter": 1e-3})
+    plain = write_out({"grains": 10**8, "cell": ["steel"], "diameter": 1e-3})
     assert plain == {"grains": 10**8, "material": STEEL, "diameter": 1e-3}
 
 

@@ -12,7 +12,7 @@ from lmpchain import Chain, Impulse, InputError, Scene, simulate
 from lmpchain.design import Traces, fit
 from lmpchain.design.unknowns import Problem
 from lmpchain.engines import Native
-from lmpchain.measure.fit.table import rounded
+from lmpchain.measure.fit.table import round_to_error
 
 WEAK = 1e-9  # m/s: linear to 1e-7
 CHAIN = Chain(grains=6, diameter=2e-3, top_load=0.5, gravity=9.81, top="wall", bottom="wall")
@@ -106,7 +106,7 @@ def test_a_fit_is_written_and_drawn_with_its_data():
         ["quantity", "value", "error", "unit"],
         [
             "velocity",
-            rounded(answer.estimate[0], answer.error[0]),
+            round_to_error(answer.estimate[0], answer.error[0]),
             f"{answer.error[0]:.1g}",
             "m/s",
         ],

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from lmpchain import InputError
-from lmpchain.theory.shock import Medium, State, medium
+from lmpchain.theory.shock import Medium, State
 
 GAS = Medium(exponent=1.5, constant=2.0, mass=0.3)
 AHEAD = State(0.1, 0.7)
@@ -13,7 +13,7 @@ AHEAD = State(0.1, 0.7)
 
 def test_simple_waves_follow_the_characteristics() -> None:
     """J is the integral of the speed of sound over the overlap, and `driven` its inverse."""
-    behind = GAS.driven(AHEAD, 1.3)
+    behind = GAS.behind(AHEAD, 1.3)
     overlaps = np.linspace(AHEAD.overlap, behind.overlap, 20001)
     integral = np.trapezoid([GAS.sound(x) for x in overlaps], overlaps)
     assert integral == pytest.approx(1.3 - AHEAD.velocity, rel=1e-8)
@@ -33,8 +33,8 @@ def test_step_leaves_the_state_of_both_waves() -> None:
     """The state between two waves is behind the one, and behind the mirrored other."""
     left = State(0.4, 0.9)
     middle = GAS.between(left, AHEAD)
-    assert GAS.driven(AHEAD, middle.velocity).overlap == pytest.approx(middle.overlap, rel=1e-12)
-    mirrored = GAS.driven(State(-0.4, 0.9), -middle.velocity)
+    assert GAS.behind(AHEAD, middle.velocity).overlap == pytest.approx(middle.overlap, rel=1e-12)
+    mirrored = GAS.behind(State(-0.4, 0.9), -middle.velocity)
     assert mirrored.overlap == pytest.approx(middle.overlap, rel=1e-12)
 
 
@@ -91,6 +91,6 @@ def test_no_trailing_edge_behind_strong_shocks_and_in_a_vacuum() -> None:
 def test_what_is_no_shock_is_refused() -> None:
     """Springs, and a piston that pulls, make none."""
     with pytest.raises(InputError, match="exponent: must be above 1"):
-        medium(1.0, 2.0, 0.3)
+        Medium(1.0, 2.0, 0.3)
     with pytest.raises(InputError, match="velocity: must exceed"):
         GAS.rankine_hugoniot(AHEAD, 0.05)

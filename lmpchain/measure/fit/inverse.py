@@ -17,7 +17,7 @@ from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
 from ...util.plotting import axes_in_units, choose_few, legend, set_title
-from ...util.tabular import NamedColumn, Tabular, numbered
+from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
 from ..bodies import motion
 from ..contact import sensor
@@ -168,8 +168,10 @@ class ParameterFit(Fitted, Tabular):
         grains = np.atleast_1d(trace.grain)
         shape = len(trace.time), grains.size
         yield NamedColumn("time", "s", trace.time)
-        yield from numbered(trace.field, unit, grains, np.reshape(trace.values, shape))
-        yield from numbered(f"{trace.field}_fitted", unit, grains, np.reshape(self.model, shape))
+        yield from number_columns(trace.field, unit, grains, np.reshape(trace.values, shape))
+        yield from number_columns(
+            f"{trace.field}_fitted", unit, grains, np.reshape(self.model, shape)
+        )
 
 
 def fit_parameter(

@@ -10,10 +10,10 @@ from typing import Any
 from ...errors import InputError
 from ...trajectory.trajectory import Trajectory
 from ...util.notebook import Shown
-from ...util.tables import align, finite
+from ...util.tables import align, finite, wrap
 from .column import fit_continuum, fit_exponents
 from .solitary import fit_soliton
-from .table import TITLES, Fitted, Row, folded
+from .table import TITLES, Fitted, Row
 from .waves import ModeFit, fit_bessel, fit_modes
 
 # strike number up to which linear theory is right to about 1 % in peak velocities
@@ -61,7 +61,7 @@ class Summary(Shown):
         """Return the numbers as text, within 80 columns."""
         lines = align(self.cells()) if self.rows else []
         left_out = [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
-        lines += folded([*self.notes, *left_out])
+        lines += wrap(*self.notes, *left_out)
         remark = (
             ""
             if self.strike_number <= WEAK_STRIKE

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ...util.notebook import Shown
-from ...util.tables import align, number
+from ...util.tables import align, number, wrap
 
-WIDTH = 80  # letters of a line
 TITLES = ("quantity", "value", "error", "theory", "unit")
 
 
@@ -38,9 +36,9 @@ class Row:
         """Return quantity, value, error, theory and unit as text."""
         return (
             self.quantity,
-            rounded(self.value, self.error),
+            round_to_error(self.value, self.error),
             number(self.error, ".1g"),
-            rounded(self.expected, self.error),
+            round_to_error(self.expected, self.error),
             self.unit,
         )
 
@@ -62,7 +60,7 @@ class Fitted(Shown):
 
     def table(self) -> str:
         """Return the numbers as text, within 80 columns."""
-        return "\n".join([*align(table_of(self.rows())), *folded(self.notes())])
+        return "\n".join([*align(table_of(self.rows())), *wrap(*self.notes())])
 
     __str__ = table
 
@@ -74,19 +72,15 @@ def table_of(rows: Iterable[Row]) -> list[Sequence[str]]:
     return list(zip(*columns, strict=True))
 
 
-def folded(notes: Iterable[str]) -> list[str]:
-    """Return sentences in lines of 80 letters, the further ones of each indented."""
-    fold = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_on_hyphens=False)
-    return [line for note in notes for line in fold.wrap(note)]
-
-
-def rounded(value: float, error: float = math.nan) -> str:
+def round_to_error(value: float, error: float = math.nan) -> str:
     """Return a number rounded to the digits that its error leaves significant.
 
     Examples
     --------
-    >>> rounded(1.23456789, 0.00234), rounded(5.4321, 60.0), rounded(5.4321), rounded(math.nan)
-    ('1.2346', '5.4', '5.4321', '')
+    >>> round_to_error(1.23456789, 0.00234), round_to_error(5.4321, 60.0)
+    ('1.2346', '5.4')
+    >>> round_to_error(5.4321), round_to_error(math.nan)
+    ('5.4321', '')
     """
     if math.isnan(value):
         return ""
