@@ -32,7 +32,7 @@ from pydantic import BeforeValidator
 
 from ..errors import InputError, shown
 from ..util.arrays import Array, read_only
-from ..util.validation import Checked, non_negative
+from ..util.validation import Checked, check_positive, non_negative
 from .contacts import Contacts, hertz_constant, pair_value
 from .materials import Material, one_material
 
@@ -188,8 +188,7 @@ class Damping(Checked):
             fault = f"must be above 0, at most 1 (got {shown(restitution)})"
             raise InputError.at("restitution", fault)
         for key, value in (("velocity", velocity), ("diameter", diameter)):
-            if not 0 < value < math.inf:
-                raise InputError.at(key, f"must be a finite number above 0 (got {shown(value)})")
+            check_positive(key, value, "a finite number above 0")
         try:
             sphere = one_material(material)
         except ValueError as error:

@@ -401,7 +401,7 @@ class DifferentiableRun(ObservedRun):
             stretch = Stretch(int(pieces.looks[piece]), int(pieces.rows[piece]), count)
             path = self._path(row, count)
             tangent(moved, self._law, self._course, stretch, path, memory, changes, looks)
-        self._fill_change_of_driven(looks.values, change)
+        self._fill_change_of_driven(looks.values, change.drive)
         return looks.values[:, 0], looks.values[:, 1]
 
     @property

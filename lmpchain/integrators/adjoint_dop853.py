@@ -261,5 +261,5 @@ class DifferentiableDampedRun(ObservedRun):
                 self._chains, self._system, self._steps, span, path, looks, memory, changes
             )
         looks.values[:, :, 0] = start
-        self._fill_change_of_driven(looks.values, change)
+        self._fill_change_of_driven(looks.values, change.drive)
         return looks.values[:, 0], looks.values[:, 1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ from .imposed import ImposedCourse
 from .kernels.adjoint import Path
 from .kernels.course import Looks
 from .kernels.layout import PAD
-
-if TYPE_CHECKING:
-    from .adjoint import Inputs
 
 
 class HeldSteps(NamedTuple):
@@ -120,9 +117,9 @@ class ObservedRun:
                 motion = self.imposed.waveform.at(self.time, order)
                 values[order][:, self.grains == 1] = motion[:, None]
 
-    def _fill_change_of_driven(self, values: Array, change: Inputs) -> None:
-        """Fill by how much what is seen of a driven grain changes, in each direction."""
+    def _fill_change_of_driven(self, values: Array, drive: Array) -> None:
+        """Fill by how much what is seen of a driven grain changes with its drive (D, P)."""
         if self.imposed and self._driven:
             for order in (0, 1):
-                motion = self.imposed.push(self.time, change.drive, order)
+                motion = self.imposed.push(self.time, drive, order)
                 values[:, order][:, :, self.grains == 1] = motion[..., None]

@@ -11,10 +11,11 @@ from scipy.special import roots_legendre
 from ..chain.chain import Chain
 from ..errors import InputError, RunFailed
 from ..util.arrays import Array
+from ..util.validation import check_positive
 from .continuation import follow
 from .family import Family
 from .orbit import Orbit
-from .search import check_number, check_positive, find, linear_mode
+from .search import check_number, find, linear_mode
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ..scene.excitation import Drive, Force, Profile
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.linear_algebra import in_one_thread
-from ..util.validation import Checked
+from ..util.validation import Checked, check_positive
 from .continuation import follow
 from .damped_flow import flow_of
 from .flow import Flow, check_sine
@@ -178,14 +178,6 @@ def check_number(key: str, value: Any, last: int) -> None:
     if not integer or not 1 <= value <= last:
         message = f"must be a whole number from 1 to {last} (got {shown(value)})"
         raise InputError.at(key, message)
-
-
-def check_positive(key: str, value: Any) -> float:
-    """Return a number above 0; raise `InputError` for anything else."""
-    real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
-    if not real or not 0 < value < np.inf:
-        raise InputError.at(key, f"must be a number above 0 (got {shown(value)})")
-    return float(value)
 
 
 def _state(chain: Chain, guess: Profile | tuple[Array, Array]) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
 from ..util.tables import align, number
 from ..util.tabular import NamedColumn, Tabular
-from ..util.validation import make_unchecked
+from ..util.validation import check_positive, make_unchecked
 from .batch_means import BATCHING, Estimate, estimate
 from .observables import Observable, observable
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
+A_TIME = "a time above 0 s"
 NO_INTERVAL = "unknown"  # half-width of an interval for which the time is too short
 STEPS_AT_ONCE = 2**23  # grains x steps between two opportunities to stop
 
@@ -523,10 +524,10 @@ def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
     """Return the samples of a motion of this time and warm-up, s."""
-    total = scene.duration if time is None else _positive("time", time)
+    total = scene.duration if time is None else check_positive("time", time, A_TIME)
     left_out = AVERAGING.warm_up * total
     if warm_up is not None:
-        left_out = _positive("warm_up", warm_up) if warm_up else 0.0
+        left_out = check_positive("warm_up", warm_up, A_TIME) if warm_up else 0.0
         if left_out >= total:
             fault = f"must be shorter than the time of {total:g} s (got {warm_up:g})"
             raise InputError.at("warm_up", fault)
@@ -544,14 +545,6 @@ def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
         samples=samples + 1,
     )
     return _Course(longer, before, stretch)
-
-
-def _positive(key: str, value: Any) -> float:
-    """Return a time; raise `InputError` unless it is a finite number above 0."""
-    real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
-    if not (real and 0 < value < math.inf):
-        raise InputError.at(key, f"must be a time above 0 s (got {shown(value)})")
-    return float(value)
 
 
 def _copies(scene: Scene, longer: Scene, copies: int) -> list[Scene]:

@@ -288,6 +288,14 @@ def _one_or_many(value: Any) -> Any:
     return _positive_vector(value)
 
 
+def check_positive(key: str, value: Any, what: str = "a number above 0") -> float:
+    """Return a number above 0; raise `InputError` for anything else, which is not `what`."""
+    real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+    if not real or not 0 < value < np.inf:
+        raise InputError.at(key, f"must be {what} (got {shown(value)})")
+    return float(value)
+
+
 def non_negative(value: Any) -> Any:
     """Return a number from 0 as a float, or a list of them as an array."""
     value = _plain(value)
