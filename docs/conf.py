@@ -6,8 +6,10 @@ import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
+import sphinx.ext.autosummary
+
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # for gallery_pictures, which Sphinx keeps by name
+sys.path.insert(0, str(HERE))  # for what Sphinx keeps by name: equations, gallery_pictures
 
 project = "lmpchain"
 author = "the lmpchain developers"
@@ -20,6 +22,8 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
     "sphinxarg.ext",
+    "sphinxcontrib.bibtex",
+    "equations",
 ]
 exclude_patterns = [
     "build",
@@ -41,6 +45,11 @@ copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
+myst_dmath_double_inline = True
+html_math_renderer = "mathml"
+bibtex_bibfiles = ["references.bib"]
+bibtex_reference_style = "author_year"
 myst_links_external_new_tab = False
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
@@ -49,6 +58,8 @@ nb_merge_streams = True
 
 default_role = "py:obj"  # what docstrings put between single backquotes
 autosummary_generate = True
+# a summary ends with its sentence, not within it
+sphinx.ext.autosummary.WELL_KNOWN_ABBREVIATIONS += ("Eq.", "Eqs.", "Fig.", "Phys.")
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "none"  # numpydoc's sections name the types
 numpydoc_show_class_members = False

@@ -100,6 +100,22 @@ def test_links_lead_somewhere(page: Path):
         assert not place or place in places(target), link
 
 
+def test_equations_that_are_cited_are_written_out():
+    """By their numbers in the paper, 1 to 35, which are links on the built pages."""
+    model = (DOCS / "model.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\$\$ \(eq-(\d+)\)$", model, re.MULTILINE) == [
+        str(number) for number in range(1, 36)
+    ]
+    sources = [*DOCS.glob("*.md"), *(ROOT / "lmpchain").rglob("*.py")]
+    cited = set()
+    for source in sources:
+        for list_of_numbers in re.findall(
+            r"Eqs?\.\s\(\d+\)(?:(?:,| and| to)\s\(\d+\))*", source.read_text(encoding="utf-8")
+        ):
+            cited.update(map(int, re.findall(r"\d+", list_of_numbers)))
+    assert cited and max(cited) <= 35 and min(cited) >= 1
+
+
 def test_every_page_is_in_the_contents():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     listed = "\n".join(
@@ -450,6 +466,16 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     index = (build / "searchindex.js").read_text(encoding="utf-8")
     assert index.startswith("Search.setIndex(")  # a script, which works from the file system
     assert 'src="searchindex.js"' in (build / "search.html").read_text(encoding="utf-8")
+    model = (build / "model.html").read_text(encoding="utf-8")
+    assert model.count("<math") > 100
+    assert not re.search("<script[^>]*mathjax", model, re.IGNORECASE)
+    cited = [
+        number
+        for page in build.rglob("*.html")
+        for number in re.findall(r"#equation-eq-(\d+)\"", page.read_text(encoding="utf-8"))
+    ]
+    assert len(cited) > 100
+    assert all(f'id="equation-eq-{number}"' in model for number in set(cited))
     for script in GALLERY if executed else ():
         page = (build / "measurements" / f"{script.stem}.html").read_text(encoding="utf-8")
         assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count(
