@@ -1,7 +1,8 @@
 """Equations on the pages: typeset when they are built, and cited by links.
 
-Mathematics becomes MathML, which browsers draw without a script. Wherever a page or a docstring cites an equation of the paper by its number, "Eq. (3)",
-the number leads to the page "Model and equations", which writes it out.
+Mathematics becomes MathML, which browsers draw without a script. Wherever a page or a docstring
+cites an equation of the paper by its number, "Eq. (3)", the number leads to the page "Model and
+equations", which writes it out.
 """
 
 import re
