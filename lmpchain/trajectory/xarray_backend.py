@@ -1,0 +1,40 @@
+"""A run folder as an xarray dataset, by `xarray.open_dataset("folder")`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import xarray
+from xarray.backends import BackendEntrypoint
+
+from .zarr_store import NAME
+
+
+class RunFolderBackend(BackendEntrypoint):
+    """Opens a folder that `lmpchain run -o folder/` wrote, also while the run goes on.
+
+    The dataset is that of `Trajectory.to_xarray`: displacement (m) and velocity (m/s) of (time,
+    grain), with the scene, the engine and the error estimate as attributes; arrays stay on the disk
+    until they are used. xarray finds this class by itself.
+    """
+
+    description = "Open run folders of lmpchain"
+    open_dataset_parameters = ("filename_or_obj", "drop_variables")
+
+    def open_dataset(  # type: ignore[override]
+        self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
+    ) -> xarray.Dataset:
+        """Return the dataset of a run folder, without the variables that are to be dropped."""
+        from .trajectory import Trajectory
+
+        dataset = Trajectory.load(filename_or_obj).to_xarray()
+        return dataset.drop_vars(drop_variables) if drop_variables else dataset
+
+    def guess_can_open(self, filename_or_obj: Any) -> bool:
+        """Return whether this is a folder with the samples of a run."""
+        return (
+            isinstance(filename_or_obj, str | PathLike) and (Path(filename_or_obj) / NAME).is_dir()
+        )
