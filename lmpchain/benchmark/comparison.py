@@ -14,7 +14,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, legend, panels, set_title, window
-from ..util.tables import align, finite, number
+from ..util.tables import align, finite, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .reference import Reference
 
@@ -167,13 +167,13 @@ class Comparison(Shown, Tabular):
     def _summary(self) -> Iterator[Sequence[str]]:
         yield (
             "engine",
-            "equation",
+            "Eq.",
             "integrator",
             "error",
             "expected",
             "integration",
             "steps",
-            "force evaluations",
+            "evaluations",
         )
         for row in (*self.rows, *([self.lossless] if self.lossless else [])):
             errors = f"{row.error:.2e}", f"{row.expected_error:.2e}"
@@ -186,12 +186,14 @@ class Comparison(Shown, Tabular):
         source = f"reference: {self.reference.method}; its own error is about {error}"
         meaning = (
             "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
-            "the larger of displacement and velocity"
+            "the larger of displacement and velocity; evaluations: of the forces of all contacts"
         )
-        lines = [*align(self._summary()), source, meaning]
+        sentences = [source, meaning]
         if self.lossless:
-            lines.append("without damping: what leaving it out changes, and at most by the plan")
-        return "\n".join(lines)
+            sentences.append(
+                "without damping: what leaving it out changes, and at most by the plan"
+            )
+        return "\n".join([*align(self._summary()), *wrap(*sentences)])
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
         """Draw the trajectories, their errors over time and their cost, and return the first axes.

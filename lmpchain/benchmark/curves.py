@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -100,14 +99,13 @@ def _cells(choice: Choice, name: str) -> Sequence[str]:
     """Return the cells of a row; without a choice, why there is none for the engine of a name."""
     target = f"{choice.target:.0e}"
     if not choice.engine:
-        return target, name, "-", "-", "-", textwrap.shorten(choice.why, LONGEST_REASON)
+        return target, name, "-", "-", "-", choice.why
     engine = f"{choice.engine} {choice.integrator}".rstrip()
     step = number(choice.step_s, unit="s", missing="-")
     remark = "with the estimate" if choice.to_tolerance else ""
     return target, engine, step, f"{choice.error:.0e}", duration(choice.seconds), remark
 
 
-LONGEST_REASON = 24  # letters in a table
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 WITHOUT = "{}, without the estimate"
 

@@ -190,7 +190,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, verb in VERBS.items():
-        sub = verbs.add_parser(name, help=verb.summary)
+        sub = verbs.add_parser(
+            name,
+            help=verb.summary,
+            description=f"{verb.summary[0].upper()}{verb.summary[1:]}.",
+            epilog=f"Example: lmpchain {verb.example}",
+        )
         sub.set_defaults(command=verb.command)
         for names, options in verb.arguments:
             sub.add_argument(*names, **options)

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from ..errors import InputError
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..scene.scene import Scene
 
 PICTURES = (".png", ".pdf", ".svg")
+COLOURS = {"error": "bold red", "fault": "bold red", "warning": "bold yellow", "ok": "green"}
 
 
 def complain(text: str, kind: str = "error") -> None:
@@ -24,7 +25,20 @@ def complain(text: str, kind: str = "error") -> None:
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in " ".join(text.split())
     )
-    print(f"{kind}: {''.join(letters)}", file=sys.stderr)
+    show(kind, f": {''.join(letters)}", sys.stderr)
+
+
+def show(kind: str, text: str, stream: TextIO | None) -> None:
+    """Print a line that begins with its kind, in colour on a terminal, unless NO_COLOR is set."""
+    # a closed stream is None
+    if stream is None or not stream.isatty():
+        print(f"{kind}{text}", file=stream, flush=True)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    line = Text.assemble((kind, COLOURS[kind]), text)
+    Console(file=stream, highlight=False).print(line, soft_wrap=True)
 
 
 def on_terminal() -> bool:

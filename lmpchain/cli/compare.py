@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,11 +27,13 @@ from .common import (
     on_terminal,
     output,
     read,
+    show,
     write_json,
 )
 
 if TYPE_CHECKING:
     from ..benchmark.curves import WorkPrecision
+    from ..doctor import Finding
     from ..scene.scene import Scene
     from ..stability.result import Stability
     from ..trajectory.trajectory import Trajectory
@@ -176,12 +179,16 @@ def _show(result: WorkPrecision | Stability, numbers: Path | None, picture: Path
     keep(result, numbers, picture)
 
 
+def _show_finding(finding: Finding) -> None:
+    show(finding.state, str(finding).removeprefix(finding.state), sys.stdout)
+
+
 def doctor(arguments: argparse.Namespace) -> int:
     """Check the installation and print finding by finding; a fault sets the exit code."""
     path = arguments.json and output(arguments.json, "")
     from ..doctor import diagnose
 
-    diagnosis = diagnose(tell=lambda finding: print(finding, flush=True))
+    diagnosis = diagnose(tell=_show_finding)
     print(diagnosis.summary)
     if path:
         write_json(diagnosis.to_json(), path)

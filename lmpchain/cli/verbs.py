@@ -38,10 +38,13 @@ Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
 class Verb(NamedTuple):
-    """A command: its function, a summary, its arguments, and options of which one may be given."""
+    """A command: its function, a summary, an example, its arguments, and those of which one may be
+    given.
+    """
 
     command: Callable[[argparse.Namespace], int]
     summary: str
+    example: str
     arguments: Sequence[Argument]
     choice: Sequence[Argument] = ()
 
@@ -101,6 +104,7 @@ VERBS = {
     "new": Verb(
         new,
         "begin here: write a commented scene, which the commands below take",
+        "new striker.toml --example striker",
         (
             _argument("scene", metavar="SCENE.toml", help="file to write"),
             _argument(
@@ -116,6 +120,7 @@ VERBS = {
     "run": Verb(
         run,
         "solve a scene and save the trajectory, in a file or a run folder",
+        "run scene.toml --engine lammps --tolerance 1e-6 -o run.nc",
         (
             SCENE,
             _argument(
@@ -165,6 +170,7 @@ VERBS = {
     "resume": Verb(
         resume,
         "continue the run in a folder, bit-identical to a run without the stop",
+        "resume job/ --max-wall 0:25:00",
         (
             _argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made"),
             RANKS,
@@ -174,6 +180,7 @@ VERBS = {
     "compare": Verb(
         compare,
         "solve a scene with several engines, compare with a reference",
+        "compare scene.toml --engines lammps,native -o compare.png",
         (
             SCENE,
             _argument(
@@ -189,6 +196,7 @@ VERBS = {
     "plan": Verb(
         plan,
         "show which engine solves a scene at the lowest cost, and why",
+        "plan scene.toml --tolerance 1e-9",
         (
             _argument("scene", metavar="SCENE.toml", nargs="?", help="scene file"),
             TOLERANCE,
@@ -210,6 +218,7 @@ VERBS = {
     "averages": Verb(
         averages,
         "time averages with intervals, for chains whose motion no run predicts",
+        "averages box.toml --of temperature,force:10 --time 10 -o averages.png",
         (
             SCENE,
             _argument(
@@ -253,6 +262,7 @@ VERBS = {
     "orbit": Verb(
         orbit,
         "periodic orbits of the chain: a linear mode up to an energy, or the answer to a drive",
+        "orbit scene.toml --mode 1 --energy 1e-9 -o orbit.png",
         (
             SCENE,
             _argument("--mode", metavar="K", type=int, help="number of the mode, the lowest is 1"),
@@ -276,6 +286,7 @@ VERBS = {
     "sensitivity": Verb(
         sensitivity,
         "what an answer of a saved run depends on, grain by grain",
+        "sensitivity run.nc --of peak_force:10 --diameter 0.01 -o sensitivity.png",
         (
             _argument("run", metavar="RUN.nc", help="saved run, or a scene file"),
             _argument(
@@ -309,6 +320,7 @@ VERBS = {
     "deck": Verb(
         deck,
         "write a LAMMPS input that runs by itself",
+        "deck scene.toml -o deck",
         (
             SCENE,
             _argument(
@@ -336,6 +348,7 @@ VERBS = {
     "dyson": Verb(
         dyson,
         "weighted velocities of Eq. (22), beside the mean over random chains",
+        "dyson run.nc --m 1,5,20 -o dyson.png",
         (
             *RUN,
             _argument(
@@ -365,6 +378,7 @@ VERBS = {
     "export": Verb(
         export,
         "write traces of a saved run as a CSV file: forces, velocities, energies",
+        "export run.nc -o traces.csv --force 10,wall --velocity 1",
         (
             *RUN,
             _argument("-o", "--output", metavar="TRACE.csv", required=True, help="file to write"),
@@ -391,6 +405,7 @@ VERBS = {
     "check": Verb(
         check,
         "how wrong is my own run or deck: its true error, why, and what helps",
+        "check column.lammpstrj --scene scene.toml --tolerance 1e-3",
         (
             _argument(
                 "run",
@@ -420,11 +435,13 @@ VERBS = {
     "fit": Verb(
         fit,
         "fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front",
+        "fit run.nc",
         (*RUN, NUMBERS),
     ),
     "report": Verb(
         report,
         "write a page about a saved run: pictures, fits, errors, provenance",
+        "report run.nc -o report.html",
         (
             *RUN,
             _argument(
@@ -438,6 +455,7 @@ VERBS = {
     "workprec": Verb(
         workprec,
         "work-precision chart of every engine and integrator on a scene",
+        "workprec scene.toml --budget 30 -o chart.png",
         (
             SCENE,
             _argument(
@@ -459,11 +477,13 @@ VERBS = {
     "stability": Verb(
         stability,
         "find where methods fail on a scene: steps, round-off, chaos, theories",
+        "stability scene.toml -o stability.png",
         (SCENE, PICTURE, NUMBERS),
     ),
     "sweep": Verb(
         sweep,
         "solve many scenes: a grid, a list, random draws, disordered chains",
+        "sweep sweep.toml -o results --workers 4",
         (
             _argument("sweep", metavar="SWEEP.toml", help="sweep file"),
             _argument(
@@ -487,7 +507,8 @@ VERBS = {
     "doctor": Verb(
         doctor,
         "check the installation: LAMMPS, MPI, versions, cores, engines",
+        "doctor",
         (_argument("--json", metavar="FILE", help="file for the findings"),),
     ),
-    "docs": Verb(docs, "open the pages of the documentation", ()),
+    "docs": Verb(docs, "open the pages of the documentation", "docs", ()),
 }

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import math
+import shutil
+import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 LINE_WIDTH = 80  # letters, which every terminal has
+GAP = 2  # letters between the columns of a table
+
+
+def line_width() -> int:
+    """Return the letters of a line: those of the terminal, if it has more than 80."""
+    on_terminal = sys.stdout is not None and sys.stdout.isatty()
+    return max(LINE_WIDTH, shutil.get_terminal_size().columns if on_terminal else 0)
 
 
 def align(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return one line per row of a table, with its columns aligned on the left.
+    """Return the lines of a table, its columns aligned on the left, wide cells wrapped.
 
     Examples
     --------
@@ -20,11 +29,32 @@ def align(rows: Iterable[Sequence[str]]) -> list[str]:
     """
     rows = list(rows)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    lines = [(" " * GAP).join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    # most tables fit, and need not wait for the library
+    return lines if max(map(len, lines), default=0) <= line_width() else _wrap_cells(rows)
+
+
+def _wrap_cells(rows: Sequence[Sequence[str]]) -> list[str]:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, GAP, 0, 0))
+    # a word, such as a path to copy, stays whole, be the line longer for it
+    longest = [max(map(len, " ".join(column).split(" "))) for column in zip(*rows, strict=True)]
+    for width in longest:
+        table.add_column(min_width=width)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    width = max(line_width(), sum(longest) + GAP * len(longest))
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(table)
+    return [line.rstrip() for line in capture.get().splitlines()]
 
 
 def wrap(*sentences: str) -> list[str]:
-    """Return sentences in lines of 80 letters, the further ones of each indented.
+    """Return sentences in lines of the terminal, the further ones of each indented.
 
     Examples
     --------
@@ -32,7 +62,7 @@ def wrap(*sentences: str) -> list[str]:
     >>> len(first), second, third
     (79, '  word word word word', 'and another')
     """
-    fold = textwrap.TextWrapper(LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    fold = textwrap.TextWrapper(line_width(), subsequent_indent="  ", break_on_hyphens=False)
     return [line for sentence in sentences for line in fold.wrap(sentence)]
 
 

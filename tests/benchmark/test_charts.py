@@ -491,9 +491,7 @@ def test_the_table_of_a_comparison_in_numbers():
     comparison, _ = compared(LONG)
     lines = comparison.table().splitlines()
     cells = [" ".join(line.split()) for line in lines]
-    assert (
-        cells[0] == "engine equation integrator error expected integration steps force evaluations"
-    )
+    assert cells[0] == "engine Eq. integrator error expected integration steps evaluations"
     assert cells[1] == "native (1) rkn4 1.00e-03 3.00e-04 0.3 s 40 160"
     assert cells[2] == "lammps (1) rkn4 5.00e-01 3.00e-04 0.3 s 40 160"
     assert cells[3] == "reference: made up; its own error is about 1.0e-12"

@@ -153,7 +153,7 @@ def test_rows_repeat_what_the_answers_say():
         1,
     )
     lines = comparison.table().splitlines()
-    assert lines[0].split()[:3] == ["engine", "equation", "integrator"]
+    assert lines[0].split()[:3] == ["engine", "Eq.", "integrator"]
     assert lines[2].split()[:4] == ["lammps", "(1)", second.cost.integrator, "5.00e-01"]
     assert "made up" in comparison.table()
 

@@ -1,9 +1,11 @@
 """What commands print, number by number, their defaults, exit codes and refusals."""
 
 import argparse
+import io
 import json
 import os
 import re
+import shlex
 import signal
 import sys
 from dataclasses import replace
@@ -31,6 +33,7 @@ from lmpchain import (
 from lmpchain.benchmark.truth import truth
 from lmpchain.cli import command_line, common, compare, orbit, pages
 from lmpchain.cli.command_line import main
+from lmpchain.cli.verbs import VERBS
 from lmpchain.simulation.signals import Stopped
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util import mpi
@@ -87,6 +90,7 @@ def test_the_summary_of_a_run_number_by_number(
         return answer
 
     monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
+    monkeypatch.setattr("lmpchain.util.tables.line_width", lambda: 200)
     assert main(["run", str(scene), "--tolerance", "1e-4"]) == 0
     said = lines(capsys.readouterr().out)
     assert said == {
@@ -653,6 +657,35 @@ def test_a_place_where_one_may_not_write(tmp_path: Path, monkeypatch: Any):
     monkeypatch.setattr(os, "access", lambda path, mode: mode in (os.W_OK | os.X_OK, os.W_OK))
     assert common.output(f"{tmp_path}/there.nc", "")
     assert common.output(f"{tmp_path}/new.nc", "")
+
+
+def test_each_command_has_an_example_that_it_takes(capsys: pytest.CaptureFixture[str]):
+    for name, verb in VERBS.items():
+        words = shlex.split(verb.example)
+        assert words[0] == name
+        assert command_line._parser().parse_args(words).command is verb.command
+        main([name, "--help"])
+        shown = " ".join(capsys.readouterr().out.split())
+        assert f"Example: lmpchain {verb.example}" in shown
+        assert verb.summary[1:] in shown
+
+
+def test_a_terminal_shows_faults_in_colour(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    common.show("error", ": no such [file]", terminal)
+    monkeypatch.setenv("NO_COLOR", "1")
+    common.show("error", ": no such [file]", terminal)
+    coloured, plain = terminal.getvalue().splitlines()
+    assert "\x1b[1;31merror" in coloured
+    assert coloured.endswith(": no such [file]")
+    assert "31m" not in plain
+    assert "error" in plain
+    monkeypatch.setattr("sys.stderr", aside := io.StringIO())
+    common.complain("no such file")
+    assert aside.getvalue() == "error: no such file\n"
 
 
 def test_complaints_are_one_printable_line(capsys: pytest.CaptureFixture[str]):
