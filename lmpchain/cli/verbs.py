@@ -38,9 +38,7 @@ Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
 class Verb(NamedTuple):
-    """A command: its function, a summary, an example, its arguments, and those of which one may be
-    given.
-    """
+    """A command with its summary and an example; of the arguments in `choice` one may be given."""
 
     command: Callable[[argparse.Namespace], int]
     summary: str
