@@ -27,7 +27,14 @@ from ..native import Native
 from ..native.companion_run import CompanionRun
 from ..native.step_choice import StepChoice
 from ..native.time_stepping import TimeSteppingEngine
-from ..step_control import first_attempt, loosen, run_to_tolerance
+from ..step_control import (
+    Attempt,
+    Outcome,
+    first_attempt,
+    loosen,
+    run_to_tolerance,
+    solve_to_tolerance,
+)
 from . import deck
 from .column import PAIR_STYLES, Column
 from .launch import gather
@@ -207,7 +214,7 @@ class Lammps(TimeSteppingEngine):
         # half of the tolerance is for the step, half for round-off
         asked = first_attempt(native, scene, tolerance / 2).candidate
         announce(asked.cost_s, "the native trial that finds the step for LAMMPS")
-        trial = run_to_tolerance(native, scene, tolerance / 2, _largest_motion)
+        trial = _try_steps(native, scene, tolerance / 2)
         peaks, closest = trial.collected
         steps = trial.attempt.candidate.steps(scene.samples)
         gauge = gauge_diameter(scene, closest)
@@ -414,6 +421,21 @@ def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
     integer = isinstance(ranks, int) and not isinstance(ranks, bool)
     if ranks is not None and not (integer and ranks >= 1):
         raise InputError.at("ranks", f"must be a whole number from 1 (got {shown(ranks)})")
+
+
+def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[Array, float]]:
+    """Return the native trial at the longest steps that meet the tolerance, if any do.
+
+    Where nothing bounds the strain beforehand, its first steps may be much too short.
+    """
+    trial = run_to_tolerance(native, scene, tolerance, _largest_motion)
+    longer = native.lengthen(scene, trial.attempt.candidate, trial.error, tolerance)
+    if trial.missed or not longer:
+        return trial
+    attempt = Attempt(native.name, longer, tolerance)
+    lengthened = solve_to_tolerance(native, [scene], attempt, _largest_motion)
+    gains = lengthened.attempt.candidate.step > trial.attempt.candidate.step
+    return lengthened if gains and not lengthened.missed else trial
 
 
 def _largest_motion(run: Run) -> tuple[Array, float]:

@@ -133,9 +133,12 @@ class StepControl:
             return self.most
         if error.roundoff > self.roundoff * tolerance:
             return None
+        return min(max(self.aim(error, tolerance), self.least), self.most)
+
+    def aim(self, error: ErrorBudget, tolerance: float) -> float:
+        """Return the old step over the one at which the next error is aimed, without bounds."""
         room = max(tolerance - error.roundoff, tolerance / 4)
-        ratio = (error.truncation / (self.target * room)) ** (1 / error.order)
-        return min(max(ratio, self.least), self.most)
+        return (error.truncation / (self.target * room)) ** (1 / error.order)
 
 
 FIRST_STEP = FirstStep()

@@ -19,7 +19,7 @@ from ...util.suggestions import not_among
 from ..base import Candidate, Engine, ErrorBudget
 from ..cost_model import seconds
 from .companion_run import CompanionRun
-from .companions import longer_steps
+from .companions import LONGER, longer_steps
 from .step_choice import FIRST_STEP, STEP_CONTROL, StepChoice, choose_given_step, choose_step
 
 AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
@@ -154,6 +154,21 @@ class TimeSteppingEngine(Engine):
         shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
         # with a step a sample or more, to interpolate none is cheaper
         return shorter.sampled if shorter.steps_per_landing > shorter.stride else shorter
+
+    def lengthen(
+        self, scene: Scene, candidate: Candidate, error: ErrorBudget, tolerance: float
+    ) -> Candidate | None:
+        """Lengthen a step as far as its error allows; None if that gains little, or is not asked.
+
+        Companions at four times the step remain stable, which show the rate at which errors fall.
+        """
+        method = BY_NAME[candidate.integrator]
+        interval = candidate.step * candidate.steps_per_landing
+        longest = min(method.stability_limit, math.pi) / LONGER[-1] / scene.highest_frequency
+        aimed = candidate.steps_per_landing * STEP_CONTROL.aim(error, tolerance)
+        steps = math.ceil(max(aimed, interval / longest))
+        gains = candidate.steps_per_landing >= STEP_CONTROL.least * steps
+        return candidate.with_steps(steps) if gains and not candidate.fixed else None
 
     def start(
         self,
