@@ -43,7 +43,7 @@ def simulate(
     max_wall: float | None = None,
     **options: Any,
 ) -> Trajectory:
-    """Answer a scene.
+    """Simulate a scene and return its trajectory.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
     bound = outcome.error.model_bound
     if model > task.tolerance:
         limit = f" (at most {bound:.2g})" if bound > model else ""
-        error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{limit}"
+        error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the solution{limit}"
         remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
         warn(remark.rstrip(". "), stacklevel=3)
     if not outcome.missed and outcome.known_until < math.inf:

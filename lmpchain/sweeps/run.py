@@ -53,7 +53,7 @@ def sweep(
     executor: Executor | None = None,
     progress: bool = False,
 ) -> xarray.Dataset:
-    """Answer all scenes of a sweep that have not been answered in this folder before.
+    """Simulate the scenes of a sweep; those that are already in the folder are skipped.
 
     The answers are the same, to the last bit, whoever gives them, in what order, and however often
     the sweep is stopped and begun again. A scene that cannot be made, misses its tolerance or
