@@ -106,7 +106,7 @@ class Auto:
             return None
         began = clock()
         bound = max(error.model, error.model_bound)
-        left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the answer"
+        left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the solution"
         if error.remark:
             left_out += f", {error.remark}"
         # engines that were not asked are listed with their reason, too

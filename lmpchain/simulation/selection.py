@@ -166,7 +166,7 @@ def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
 def percent(error: float) -> str:
     """Return an error in per cent, or as a number if it is far below one."""
     if error < 1e-4:
-        return f"{error:.1g} of the answer"
+        return f"{error:.1g} of the solution"
     return f"{100 * error:.0f} %" if error > 0.1 else f"{100 * error:.2g} %"
 
 

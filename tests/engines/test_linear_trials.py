@@ -367,7 +367,7 @@ def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency)
         chain=Chain(grains=120, diameter=1e-3), excitation=drive, duration=5e-4, samples=101
     )
     planned = next(p for p in lmpchain.plan(scene).candidates if p.engine == "chebyshev")
-    with pytest.warns(UserWarning, match=r"leaves out about .* of the answer \(at most "):
+    with pytest.warns(UserWarning, match=r"leaves out about .* of the solution \(at most "):
         t = simulate(scene, "chebyshev")
     known = truth(scene)
     assert known

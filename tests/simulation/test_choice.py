@@ -51,7 +51,7 @@ def judged(equation: int = 3, tolerance: float = 1e-6, **errors) -> tuple[bool, 
 def test_equation_and_solver_together_must_keep_to_the_tolerance():
     assert judged(model=4e-7, solver=6e-7) == (True, "within the tolerance")
     left_out = f"strike number {NUMBER}: linear theory leaves out up to"
-    assert judged(model=5e-7, solver=6e-7) == (False, f"{left_out} 5e-07 of the answer")
+    assert judged(model=5e-7, solver=6e-7) == (False, f"{left_out} 5e-07 of the solution")
     assert judged(solver=2e-6) == (False, "its solver leaves about 2e-06, above the tolerance")
     assert judged(model=0.25) == (False, f"{left_out} 25 %")
     assert judged(model=1.0) == (False, f"{left_out} 100 %")
@@ -64,8 +64,8 @@ def test_equation_and_solver_together_must_keep_to_the_tolerance():
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (9.9e-5, "0.0001 of the answer"),
-        (3e-7, "3e-07 of the answer"),
+        (9.9e-5, "0.0001 of the solution"),
+        (3e-7, "3e-07 of the solution"),
         (1e-4, "0.01 %"),
         (0.0123, "1.2 %"),
         (0.099, "9.9 %"),
@@ -269,7 +269,7 @@ def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
         most = max(error.model, error.model_bound)
         remark = ", contact 3 opens" if error.remark else ""
         assert following.candidate.choices["redone"] == (
-            f"Eq. (3) leaves out up to {most:.1g} of the answer{remark} along the run of modes, "
+            f"Eq. (3) leaves out up to {most:.1g} of the solution{remark} along the run of modes, "
             "expected were 3e-07: run again with native, Eq. (1)"
         )
         assert (

@@ -62,7 +62,7 @@ def test_a_warning_says_how_much_the_equation_leaves_out(velocity):
         t = simulate(scene, "chebyshev", 1e-3)
     model = t.error_estimate.model
     words = str(said[0].message)
-    assert words.startswith(f"Eq. (3) leaves out about {model:.2g} of the answer")
+    assert words.startswith(f"Eq. (3) leaves out about {model:.2g} of the solution")
     assert ", more than 0.001" in words
     assert said[0].filename == __file__
     if model < 1:
