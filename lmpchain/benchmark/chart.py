@@ -1,4 +1,4 @@
-"""The work-precision chart: what leads and LAMMPS in colour, times as bars, the cheapest ways."""
+"""The work-precision chart: what leads and LAMMPS in colour, times, the cheapest ways."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import chain, groupby
 from typing import TYPE_CHECKING, Any
 
 from ..scene.scene import Scene
-from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, SHADES, SHAPES, legend, panels, window
+from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, legend, look_of, panels, window
 from .pareto import KNOWN, front, time_to
 
 if TYPE_CHECKING:
@@ -18,7 +18,13 @@ if TYPE_CHECKING:
 LABELLED = 5  # curves in colour, those that reach the target soonest
 TARGET = 1e-6  # error
 FRONT = "#F0E442"
-LAMMPS: dict[str, Any] = {"ms": 5, "lw": 1.3, "zorder": 3.5, "ls": "--"}
+LAMMPS: dict[str, Any] = {
+    "color": COLOURS["lammps"],
+    "ms": 5,
+    "lw": 1.3,
+    "zorder": 3.5,
+    "ls": "--",
+}
 GREY: dict[str, Any] = {"color": "0.75", "lw": 0.8, "ms": 3, "zorder": 1}
 
 
@@ -74,11 +80,11 @@ def _styles(result: Any, times: Mapping[str, float]) -> dict[str, dict[str, Any]
         return not curve.to_tolerance, math.inf if math.isnan(seconds) else seconds
 
     soonest = sorted(stepped, key=rank)[:LABELLED]
-    styles = {curve.name: _style(number, curve) for number, curve in enumerate(soonest)}
+    styles = {curve.name: _style(curve) for curve in soonest}
     # in its colour wherever it stands: whoever has a deck looks for it
-    lammps = [curve for curve in result.curves if curve.engine == "lammps"]
-    for curve, shape in zip(lammps, SHAPES, strict=False):
-        styles[curve.name] = {"color": COLOURS["lammps"], "marker": shape, **LAMMPS}
+    for curve in result.curves:
+        if curve.engine == "lammps":
+            styles[curve.name] = look_of(curve.integrator) | LAMMPS
     return styles
 
 
@@ -181,22 +187,26 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
 
 
 def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[str, Any]]) -> None:
-    """Draw the time that each curve takes to one error, and name those that never reach it."""
+    """Mark the time that each curve takes to one error, and name those that never reach it."""
     reached = sorted((name for name in times if math.isfinite(times[name])), key=times.__getitem__)
     rows = range(len(reached))
-    colours = [styles.get(name, GREY)["color"] for name in reached]
-    ax.barh(rows, [1e3 * times[name] for name in reached], color=colours)
     for row, name in enumerate(reached):
+        # a dot: on a logarithmic axis the length of a bar would mean nothing
+        look = styles.get(name, GREY)
+        mark = {"color": look["color"], "marker": look.get("marker", "."), "ms": 7}
+        ax.plot(1e3 * times[name], row, ls="none", **mark)
         text: dict[str, Any] = {
             "textcoords": "offset points",
             "va": "center",
             "fontsize": "x-small",
         }
-        ax.annotate(f"{1e3 * times[name]:.3g}", (1e3 * times[name], row), (3, 0), **text)
+        ax.annotate(f"{1e3 * times[name]:.3g}", (1e3 * times[name], row), (7, 0), **text)
     ax.set_yticks(rows, reached, fontsize="x-small")
     ax.set(xscale="log", xlabel="ms", ylim=(len(reached) - 0.4, -0.6))
     ax.margins(x=0.15)
-    ax.set_title(f"Time to an error of {TARGET:g}", loc="left", fontsize="medium")
+    ax.grid(axis="x", color="0.92", lw=0.6)
+    exponent = round(math.log10(TARGET))
+    ax.set_title(f"Time to an error of $10^{{{exponent}}}$", loc="left", fontsize="medium")
     never = [name for name in times if name not in reached]
     if never:
         ax.set_xlabel(f"ms\n\nnever: {textwrap.fill(', '.join(never), 48)}", fontsize="x-small")
@@ -206,11 +216,11 @@ def _pairs(points: Iterable[Mapping[str, Any]], cost: str) -> list[tuple[float, 
     return [(point[cost], point["error"]) for point in points if point[cost]]
 
 
-def _style(number: int, curve: Any) -> dict[str, Any]:
+def _style(curve: Any) -> dict[str, Any]:
     """Return the look of a curve that leads."""
     if curve.to_tolerance:
         return {"color": "black", "marker": "*", "ms": 8, "lw": 1.8, "zorder": 4}
-    return {"color": SHADES[number], "marker": SHAPES[number], "ms": 5.5, "lw": 1.8, "zorder": 3}
+    return look_of(curve.integrator) | {"ms": 5.5, "lw": 1.8, "zorder": 3}
 
 
 def _draw_orders(ax: Axes) -> None:

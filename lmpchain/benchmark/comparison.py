@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,16 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, legend, panels, set_title, window
+from ..util.plotting import (
+    COLOURS,
+    LEAST_ERROR,
+    MARKERS,
+    label_ends,
+    legend,
+    panels,
+    set_title,
+    window,
+)
 from ..util.tables import align, finite, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .reference import Reference
@@ -200,17 +210,18 @@ class Comparison(Shown, Tabular):
 
         Parameters
         ----------
-        ax : axes, or three of them, optional
-            In one the trajectories alone are drawn; by default all three in their own figure.
+        ax : axes, or up to four of them, optional
+            In one the trajectories alone are drawn; by default these, errors, costs and the motion
+            over time and depth in a figure of their own.
         """
         if ax is None:
-            picture = window(8.0, 7.0)
-            ax = list(picture.subplot_mosaic([["wave", "wave"], ["error", "cost"]]).values())
+            picture = window(10.5, 7.6)
+            rooms = picture.subplot_mosaic([["map", "wave"], ["error", "cost"]])
+            ax = [rooms[name] for name in ("wave", "error", "cost", "map")]
         wave, *others = panels(ax)
         _draw_wave(self, wave)
-        # the only legend: colours and markers are the same below
         legend(wave)
-        for draw, axes in zip((_draw_errors, _draw_cost), others, strict=False):
+        for draw, axes in zip((_draw_errors, _draw_cost, _draw_map), others, strict=False):
             draw(self, axes)
         return wave
 
@@ -270,6 +281,8 @@ def _row(answer: Trajectory, reference: Reference) -> Row:
 
 
 WIDEST = 60  # grains of the wave that are shown
+# points from a marker to its name, and whether that is above: neighbours in turn
+NAME_PLACES = ((13, True), (-13, False), (26, True), (-26, False))
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
@@ -284,8 +297,9 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     last = reference.velocity[-1] / unit
     axes.plot(np.arange(1, last.size + 1), last, color="0.55", lw=2, label="reference")
     first, end = _window(reference.velocity[-1])
-    count = len(comparison.trajectories)
-    for index, answer in enumerate(comparison.trajectories):
+    shown = _shown(comparison)
+    count = len(shown)
+    for index, answer in enumerate(shown):
         visible = (answer.grains >= first) & (answer.grains <= end)
         axes.plot(
             answer.grains[visible],
@@ -308,14 +322,26 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     if np.ptp(span):
         axes.set_ylim(span + 0.25 * np.ptp(span) * np.array([-1, 1]))
     limits = axes.get_ylim()
-    far = [
-        answer.engine
-        for answer in comparison.trajectories
-        if _leaves(answer.velocity[-1] / unit, limits)
-    ]
+    far = [answer.engine for answer in shown if _leaves(answer.velocity[-1] / unit, limits)]
     if far:
         text = f"partly beyond the scale: {', '.join(far)}"
         axes.text(0.01, 0.02, text, transform=axes.transAxes, fontsize=8)
+
+
+def _shown(comparison: Comparison) -> list[Trajectory]:
+    """Return the trajectories of Eq. (1), and of all others the one with the smallest error."""
+    pairs = list(zip(comparison.rows, comparison.trajectories, strict=True))
+    approximate = [(row.error, index) for index, (row, _) in enumerate(pairs) if row.equation != 1]
+    best = min(approximate)[1] if approximate else None
+    return [t for index, (row, t) in enumerate(pairs) if row.equation == 1 or index == best]
+
+
+def _draw_map(comparison: Comparison, axes: Axes) -> None:
+    """Draw the motion of the trajectory with the smallest error over time and depth."""
+    errors = [row.error for row in comparison.rows]
+    comparison.trajectories[int(np.argmin(errors))].plot(axes)
+    last = _window(comparison.reference.velocity[-1])[1]
+    axes.set_ylim(last + 0.5, 0.5)
 
 
 def _window(velocity: Array) -> tuple[int, int]:
@@ -348,11 +374,17 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     axes.set(xlabel="time (µs)", ylabel="relative error")
     set_title(axes, "Error over time; dashed: expected by the engine, dotted: of the reference")
     axes.margins(y=0.12)
+    ends = [
+        (float(max(curve[-1], LEAST_ERROR)), row.engine, _colour(row.engine))
+        for row, curve in zip(comparison.rows, curves, strict=True)
+    ]
+    label_ends(axes, [*ends, (float(max(reference.error, LEAST_ERROR)), "reference", "0.4")])
 
 
 def _draw_cost(comparison: Comparison, axes: Axes) -> None:
     """Draw the error against the time of the integration."""
-    for row in comparison.rows:
+    cheapest_first = sorted(comparison.rows, key=lambda row: row.integration_s)
+    for row, (height, above) in zip(cheapest_first, cycle(NAME_PLACES), strict=False):
         x = max(row.integration_s, 1e-9)
         y = max(row.error, LEAST_ERROR)
         expected = max(row.expected_error, LEAST_ERROR)
@@ -361,9 +393,12 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
         axes.loglog(x, expected, "_", ms=10, mew=1.8, color=colour)
         name = row.engine if row.integrator == row.engine else f"{row.engine}, {row.integrator}"
         axes.loglog(x, y, MARKERS.get(row.engine, "x"), ms=8, color=colour, label=name)
+        end = max(y, expected) if above else min(y, expected)
+        text: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "small"}
+        axes.annotate(name, (x, end), (0, height), textcoords="offset points", color=colour, **text)
     axes.set(xlabel="integration time (s)", ylabel="relative error")
     set_title(axes, "Error and cost; bar: expected error")
-    axes.margins(x=0.2, y=0.15)
+    axes.margins(x=0.25, y=0.3)
 
 
 def _leaves(values: Array, limits: tuple[float, float]) -> bool:

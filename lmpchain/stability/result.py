@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.ticker import EngFormatter, LogLocator
 
-from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LEAST_ERROR, SHADES, panels, window
+from ..util.plotting import COLOURS, LEAST_ERROR, look_of, panels, window
 from ..util.tables import align, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
 
@@ -163,7 +162,7 @@ def _draw_steps(axes: Axes, result: Stability) -> None:
 
 def _draw_energy(axes: Axes, result: Stability) -> None:
     for curve in (curve for curve in result.curves if curve.panel == "energy"):
-        colour = SHADES[list(METHODS).index(curve.name) % len(SHADES)]
+        colour = look_of(curve.name)["color"]
         error = np.maximum(curve.y[1:], LEAST_ERROR)
         axes.plot(curve.x[1:], error, color=colour, lw=1.2, label=curve.name)
     axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")

@@ -40,6 +40,49 @@ LEAST_ERROR = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic
 # colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
 SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
+# each integrator looks the same in every picture
+INTEGRATORS = ("kahan-li6", "kahan-li8", "verlet", "rkn6", "rkn4", "dop853", "gear4")
+LABEL_HEIGHT = 0.055  # of the axes: what a line of small letters takes
+
+
+def look_of(integrator: str) -> dict[str, Any]:
+    """Return the colour and the marker of an integrator.
+
+    Examples
+    --------
+    >>> look_of("verlet")
+    {'color': '#0072B2', 'marker': 's'}
+    """
+    place = INTEGRATORS.index(integrator) if integrator in INTEGRATORS else len(SHADES) - 1
+    return {"color": SHADES[place], "marker": SHAPES[place]}
+
+
+def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
+    """Write names at the right of axes, at the heights where curves end, one above the other.
+
+    Parameters
+    ----------
+    ends : list of (height, name, colour)
+        Heights in units of the vertical axis.
+    """
+    # settles the limits, on which places depend
+    ax.get_ylim()
+    place = ax.transData.transform
+    low, high = ax.transAxes.transform([(0, 0), (0, 1)])[:, 1]
+    heights = [(place((1, height))[1] - low) / (high - low) for height, _, _ in ends]
+    below = -np.inf
+    for share, (height, name, colour) in sorted(zip(heights, ends, strict=True)):
+        below = max(share, below + LABEL_HEIGHT)
+        ax.annotate(
+            name,
+            (1.0, height),
+            (1.02, below),
+            ("axes fraction", "data"),
+            "axes fraction",
+            color=colour,
+            va="center",
+            fontsize="small",
+        )
 
 
 def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]:

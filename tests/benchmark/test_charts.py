@@ -14,7 +14,7 @@ from lmpchain.benchmark.curves import Curve, Point, WorkPrecision, machine
 from lmpchain.benchmark.pareto import front, time_to
 from lmpchain.benchmark.reference import Reference
 from lmpchain.trajectory.record import Cost, ErrorEstimate
-from lmpchain.util.plotting import COLOURS, MARKERS, SHADES, SHAPES, figure
+from lmpchain.util.plotting import COLOURS, MARKERS, figure, look_of
 from lmpchain.util.provenance import processor
 
 CHAIN = Chain(grains=8, diameter=1e-3)
@@ -87,8 +87,8 @@ def test_curves_that_reach_an_error_soonest_are_in_colour(panels: Any):
             if name.startswith("lammps"):
                 continue
             first = place == 0
-            assert line.get_color() == ("black" if first else SHADES[place])
-            assert line.get_marker() == ("*" if first else SHAPES[place])
+            look = {"color": "black", "marker": "*"} if first else look_of(source.integrator)
+            assert {"color": line.get_color(), "marker": line.get_marker()} == look
             assert (line.get_markersize(), line.get_linewidth()) == (8 if first else 5.5, 1.8)
             assert line.get_zorder() == (4 if first else 3)
         assert set(lines) - set(LEADING) == {"Pareto front", "others", "lammps, verlet"}
@@ -123,7 +123,7 @@ def test_rings_mark_the_longest_stable_steps_of_leading_curves(panels: Any):
         assert places == [(getattr(p, cost), p.error) for p in firsts]
         names = [each.name for each in CURVES if each.name in ringed]
         assert [r.get_markeredgecolor() for r in rings] == [
-            COLOURS["lammps"] if name.startswith("lammps") else SHADES[LEADING.index(name)]
+            COLOURS["lammps"] if name.startswith("lammps") else look_of(name.split()[-1])["color"]
             for name in names
         ]
 
@@ -181,7 +181,7 @@ def test_slopes_of_orders_are_theirs(panels: Any):
         assert y == pytest.approx(1e6 * ax.get_ylim()[0], rel=1e-9)
 
 
-def test_bars_are_times_to_one_error(panels: Any):
+def test_dots_are_times_to_one_error(panels: Any):
     bars = panels[2]
     times = {
         each.name: time_to(1e-6, [(p.seconds, p.error) for p in each.points]) for each in CURVES
@@ -189,20 +189,18 @@ def test_bars_are_times_to_one_error(panels: Any):
     times["other"] = time_to(1e-6, [(r["seconds"], r["error"]) for r in OTHERS])
     reached = sorted((name for name in times if math.isfinite(times[name])), key=times.__getitem__)
     assert [label.get_text() for label in bars.get_yticklabels()] == reached
-    assert [bar.get_width() for bar in bars.patches] == pytest.approx(
-        [1e3 * times[name] for name in reached]
-    )
-    colours = {name: "black" if k == 0 else SHADES[k] for k, name in enumerate(LEADING)}
-    colours["lammps, rkn4"] = COLOURS["lammps"]
-    from matplotlib.colors import to_rgba
-
-    assert [bar.get_facecolor() for bar in bars.patches] == [
-        to_rgba(colours.get(name, "0.75")) for name in reached
+    assert [dot.get_xydata()[0] for dot in bars.lines] == [
+        pytest.approx([1e3 * times[name], row]) for row, name in enumerate(reached)
+    ]
+    colours = {name: look_of(name.split()[-1])["color"] for name in LEADING[1:]}
+    colours |= {LEADING[0]: "black", "lammps, rkn4": COLOURS["lammps"]}
+    assert [dot.get_color() for dot in bars.lines] == [
+        colours.get(name, "0.75") for name in reached
     ]
     assert [text.get_text() for text in bars.texts] == [
         f"{1e3 * times[name]:.3g}" for name in reached
     ]
-    assert bars.get_title(loc="left") == "Time to an error of 1e-06"
+    assert bars.get_title(loc="left") == "Time to an error of $10^{-6}$"
     assert bars.get_xscale() == "log"
     assert " ".join(bars.get_xlabel().split()) == "ms never: lammps, verlet, modes, bessel"
     low, high = bars.get_ylim()
@@ -356,7 +354,8 @@ def compared(
     truth = Reference(scene.time, u, v, 1e-12, "made up")
     answers = [answer(name, scene, share) for name, share in zip(names, off, strict=True)]
     comparison: Comparison = compare(answers, truth)
-    return comparison, comparison.plot().figure.axes
+    # the map comes first, its colour bar last
+    return comparison, comparison.plot().figure.axes[1:4]
 
 
 LONG = Scene(
@@ -396,6 +395,25 @@ def test_the_wave_is_drawn_in_units_of_the_strike():
     assert ax.get_ylim() == pytest.approx((low / 2e-3, high / 2e-3), rel=1e-9)
     assert [text.get_text() for text in ax.texts] == ["partly beyond the scale: lammps"]
     assert not compared(LONG, (1e-3, -0.2))[1][0].texts
+
+
+def test_of_linear_engines_the_best_is_drawn_with_the_wave():
+    u, v = wave(LONG)
+    truth = Reference(LONG.time, u, v, 1e-12, "made up")
+    answers = [answer("native", LONG, 1e-9), answer("modes", LONG, 1e-2)]
+    answers += [answer("chebyshev", LONG, 1e-1)]
+    answers[1:] = [replace(each, equation=3) for each in answers[1:]]
+    picture = compare(answers, truth).plot().figure
+    motion, drawn, over_time = picture.axes[:3]
+    assert set(lines_of(drawn)) == {"reference", "native", "modes"}
+    assert {text.get_text() for text in over_time.texts} == {
+        "native", "modes", "chebyshev", "reference"
+    }  # fmt: skip
+    heights = [text.xyann[1] for text in over_time.texts]
+    # names of curves that end close to each other do not overlap
+    assert np.diff(sorted(heights)).min() >= 0.05
+    # the map shows what moves, from the top down
+    assert motion.get_ylim() == (drawn.get_xlim()[1], 0.5)
 
 
 def test_without_a_strike_velocities_are_in_m_per_s():
@@ -478,7 +496,7 @@ def test_no_error_and_no_time_are_drawn_at_the_end_of_the_scale():
     u, v = wave(scene)
     exact = replace(answer("modes", scene, 0.0, integrator="modes", integration_s=0.0),
                     error_estimate=ErrorEstimate(0.0, 0.0))  # fmt: skip
-    _, ax, cost = compare([exact], Reference(scene.time, u, v, 0.0, "exact")).plot().figure.axes
+    _, ax, cost = compare([exact], Reference(scene.time, u, v, 0.0, "exact")).plot().figure.axes[1:4]
     assert set(lines_of(ax)["modes"].get_ydata()) == {1e-17}
     assert [line.get_ydata()[0] for line in ax.lines if len(line.get_ydata()) == 2] == [
         1e-17,
