@@ -496,7 +496,9 @@ def test_no_error_and_no_time_are_drawn_at_the_end_of_the_scale():
     u, v = wave(scene)
     exact = replace(answer("modes", scene, 0.0, integrator="modes", integration_s=0.0),
                     error_estimate=ErrorEstimate(0.0, 0.0))  # fmt: skip
-    _, ax, cost = compare([exact], Reference(scene.time, u, v, 0.0, "exact")).plot().figure.axes[1:4]
+    _, ax, cost = (
+        compare([exact], Reference(scene.time, u, v, 0.0, "exact")).plot().figure.axes[1:4]
+    )
     assert set(lines_of(ax)["modes"].get_ydata()) == {1e-17}
     assert [line.get_ydata()[0] for line in ax.lines if len(line.get_ydata()) == 2] == [
         1e-17,
