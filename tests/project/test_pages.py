@@ -372,6 +372,16 @@ def test_times_in_the_readme_are_those_of_the_page():
     assert set(rows) <= set(page)
 
 
+def test_a_measured_figure_stands_on_one_page():
+    """The page that names the script which measured it; the others lead there."""
+    cited: dict[str, set[str]] = {}
+    for page in [*DOCS.glob("*.md"), ROOT / "README.md"]:
+        for script in re.findall(r"analysis/[\w/]+\.py", page.read_text(encoding="utf-8")):
+            cited.setdefault(script, set()).add(page.name)
+    assert len(cited) > 5
+    assert [script for script, pages in cited.items() if len(pages) > 1] == []
+
+
 def public_functions() -> list[str]:
     """Return the dotted names of the functions that the reference shows."""
     found = []
