@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from .errors import LmpchainError as LmpchainError
     from .errors import RunFailed as RunFailed
     from .errors import ToleranceNotMet as ToleranceNotMet
+    from .report.exploration import explore as explore
     from .scene.excitation import Displacement as Displacement
     from .scene.excitation import Drive as Drive
     from .scene.excitation import Force as Force
@@ -81,6 +82,7 @@ _MODULES = {
     "simulation.planner": "plan",
     "simulation.signals": "Stopped",
     "simulation.time_averages": "averages Averages",
+    "report.exploration": "explore",
     "sweeps.run": "sweep",
     "sweeps.results": "load_sweep",
     "trajectory.trajectory": "Trajectory",

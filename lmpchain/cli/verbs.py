@@ -11,6 +11,7 @@ from ..errors import shown
 from .averages import averages
 from .check import check
 from .compare import compare, doctor, stability, workprec
+from .explore import explore
 from .new import EXAMPLES, new
 from .orbit import orbit
 from .pages import docs
@@ -448,6 +449,26 @@ VERBS = {
                 metavar="REPORT.html",
                 help="file to write (default: RUN.html beside the run)",
             ),
+        ),
+    ),
+    "explore": Verb(
+        explore,
+        "write a page whose sliders go through runs of a scene, made beforehand",
+        "explore scene.toml --over excitation.velocity=1e-6:1e-1:25:log -o explore.html",
+        (
+            SCENE,
+            _argument(
+                "--over",
+                metavar="KEY=LOW:HIGH[:N][:log]",
+                action="append",
+                required=True,
+                help="a slider: key of the scene file, its range in SI units, how many runs "
+                "(15 if left out), and log for equal ratios; several for several sliders",
+            ),
+            _argument(
+                "-o", "--output", metavar="PAGE.html", required=True, help="page to write, to 2 MB"
+            ),
+            TOLERANCE,
         ),
     ),
     "workprec": Verb(

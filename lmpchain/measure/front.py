@@ -106,8 +106,11 @@ class Front(Shown, Tabular):
 
     def between(self, first: int, last: int) -> Front:
         """Return the front at the grains from `first` to `last`."""
-        inside = (self.grain >= first) & (self.grain <= last)
-        return replace(self, **{key: x[inside] for key, x in vars(self).items() if key != "field"})
+        return self.where((self.grain >= first) & (self.grain <= last))
+
+    def where(self, chosen: np.ndarray) -> Front:
+        """Return the front at the grains where `chosen`, (P,), is true."""
+        return replace(self, **{key: x[chosen] for key, x in vars(self).items() if key != "field"})
 
     def against_depth(self, quantity: Quantity) -> DepthProfile:
         """Return the size of a quantity over depth, where it is finite."""

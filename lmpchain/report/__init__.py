@@ -2,6 +2,6 @@
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["page", "write"]
-__getattr__ = attributes(__name__, names={"document": "page write"})
+__all__ = ["explore", "page", "write"]
+__getattr__ = attributes(__name__, names={"document": "page write", "exploration": "explore"})
 __dir__ = listed(__name__)

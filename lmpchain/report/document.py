@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
-from markupsafe import Markup
 
 from ..chain.chain import Chain
-from ..errors import LmpchainError
+from ..errors import InputError, LmpchainError
 from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
 from ..util.files import write_aside
 from ..util.plotting import si
 from ..util.progress import ProgressBar
 from ..util.tables import counted
-from ..util.templates import render
 from . import live, panels
+from .html import render_live
 from .origin import NOT_RECORDED
 from .panels import Panel
+from .verdicts import front_below, linear_theory, strike_verdict
 
 Rows = Sequence[Sequence[str]]
 PANELS: dict[str, Callable[[Trajectory], Panel]] = {
@@ -80,27 +78,25 @@ def page(
     -------
     str
     """
-    script = render("report.js")
-    # the policy of the page names the script by its hash, so that no other runs
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     # the wave and the fits take time, too
     steps = len(PANELS) + 2
     with ProgressBar(steps, "report", " parts", shown=progress) as bar:
         bar.describe("The wave in space and time")
         # for readers without JavaScript, and on paper
         still = panels.wave(trajectory)
-        numbers = live.numbers(trajectory)
+        linear = linear_theory(live.crop(trajectory))
+        numbers = live.numbers([_view(trajectory, linear)])
         bar.advance()
         sections = list(_sections(trajectory, bar))
         bar.describe("Fits")
         fits = summary(trajectory)
         bar.advance()
-    return render(
+    return render_live(
         "report.html",
+        numbers,
         title=title(trajectory),
-        cards=list(_cards(trajectory, origin)),
+        cards=list(_cards(trajectory, linear, origin)),
         still=still,
-        live=numbers,
         sections=sections,
         fits=list(fits.cells()) if fits.rows else [],
         notes=fits.notes,
@@ -108,9 +104,19 @@ def page(
         facts=list(_facts(trajectory)),
         provenance=list(trajectory.provenance.items()),
         scene=trajectory.scene.to_text(),
-        script=Markup(script),  # ours, and the only one that the policy of the page allows
-        digest=digest,
     )
+
+
+def _view(trajectory: Trajectory, linear: Trajectory | None) -> live.View:
+    """Return what the live figure shows of the run."""
+    try:
+        front = front_below(trajectory)
+    except InputError:
+        # the panel about the front says why
+        front = None
+    between = live.extent(live.crop(trajectory))
+    shown = live.view(trajectory, between, linear=linear, front=front)
+    return shown.thinned(live.VIEW.times, live.VIEW.grains)
 
 
 def title(trajectory: Trajectory) -> str:
@@ -139,12 +145,14 @@ def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
         bar.advance()
 
 
-def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+def _cards(
+    trajectory: Trajectory, linear: Trajectory | None, origin: Mapping[str, str]
+) -> Iterator[tuple[str, str, str]]:
     """Yield name, value and remark of each card."""
     scene = trajectory.scene
     error = trajectory.error_estimate
     cost = trajectory.cost
-    strike = f"strike number {scene.strike_number:.3g}; linear theory needs far below 1"
+    strike = strike_verdict(live.crop(trajectory), linear)
     yield "Scene", f"{counted(scene.chain.grains, 'grain')}, {scene.excitation.label}", strike
     yield "Engine", trajectory.engine, f"solves Eq. ({trajectory.equation}) {cost.integrator}"
     tolerance = trajectory.provenance.get("tolerance", "not recorded")

@@ -1,23 +1,30 @@
-"""Numbers of the live view of a page: velocities of the grains that move, in 16 bits."""
+"""The live figure: what it shows of one run or of a grid of them, in 16 bits a number."""
 
 from __future__ import annotations
 
 import base64
-from dataclasses import replace
+import hashlib
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..errors import InputError
+from ..measure import energy
+from ..measure.front import Front
 from ..measure.recorded import leaves_rest
 from ..measure.spectrum import travel_time
 from ..trajectory.picture import MOVING, scale
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
-from ..util.plotting import thin_rows
+from ..util.plotting import loudest_rows
 
 
 class ViewSizes(NamedTuple):
-    """Sizes of the live view.
+    """Sizes of the live figure.
 
     Attributes
     ----------
@@ -25,14 +32,85 @@ class ViewSizes(NamedTuple):
         Most rows of both; of more, some are shown.
     margin : int
         Grains at rest that are shown on either side of those that move.
+    levels : int
+        Steps from 0 to the largest value of an array.
     """
 
     times: int = 240
     grains: int = 160
     margin: int = 4
+    levels: int = np.iinfo(np.int16).max
 
 
 VIEW = ViewSizes()
+NOTHING = np.iinfo(np.int16).min  # in place of NaN, which integers lack
+
+
+@dataclass(frozen=True)
+class View:
+    """What the live figure shows of a run, at T times and G grains.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    grains : (G,) array
+        Numbers, from the top.
+    velocity, displacement : (T, G) arrays
+        m/s, m.
+    rest : (G - 1,) array
+        Overlap at rest between each grain and the next one shown, that of all contacts between, m.
+    limit : float
+        Velocity at which colours saturate, m/s.
+    linear : (T, G) array, optional
+        Velocity by linear theory, m/s.
+    kinetic, total : (T,) arrays, optional
+        Energy above rest, J.
+    front, law : (G,) arrays, optional
+        When the front passes, and when a long weak wave would, s; NaN where none does.
+    facts : mapping
+        Text beside the figure, by name.
+    """
+
+    time: Array
+    grains: np.ndarray
+    velocity: Array
+    displacement: Array
+    rest: Array
+    limit: float
+    linear: Array | None = None
+    kinetic: Array | None = None
+    total: Array | None = None
+    front: Array | None = None
+    law: Array | None = None
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+    def thinned(self, times: int, grains: int) -> View:
+        """Return so many times and grains at most, evenly spaced.
+
+        Of every few grains, the velocity is that of the one that moves most.
+        """
+        rows = np.unique(np.linspace(0, self.time.size - 1, times).round().astype(int))
+        first, loudest = loudest_rows(self.velocity[rows].T, grains)
+        # the overlap between two grains that stay is that of all contacts between
+        height = np.concatenate(([0.0], np.cumsum(self.rest)))
+        return replace(
+            self,
+            time=self.time[rows],
+            grains=self.grains[first],
+            velocity=self.velocity[np.ix_(rows, loudest)],
+            displacement=self.displacement[np.ix_(rows, first)],
+            rest=np.diff(height[first]),
+            linear=None if self.linear is None else self.linear[np.ix_(rows, loudest)],
+            kinetic=_pick(self.kinetic, rows),
+            total=_pick(self.total, rows),
+            front=_pick(self.front, first),
+            law=_pick(self.law, first),
+        )
+
+
+def _pick(values: Array | None, indices: np.ndarray) -> Array | None:
+    return None if values is None else values[indices]
 
 
 def crop(trajectory: Trajectory) -> Trajectory:
@@ -65,34 +143,176 @@ def extent(trajectory: Trajectory) -> tuple[int, int]:
     return max(int(moving.min()) - VIEW.margin, first), min(int(moving.max()) + VIEW.margin, last)
 
 
-def numbers(trajectory: Trajectory) -> dict[str, Any]:
-    """Return the numbers for the script of the page."""
-    trajectory = crop(trajectory)
-    first, last = extent(trajectory)
-    order = np.argsort(trajectory.grains)
-    grains = trajectory.grains[order]
-    columns = order[(grains >= first) & (grains <= last)]
-    rows = np.unique(np.linspace(0, trajectory.time.size - 1, VIEW.times).round().astype(int))
+def view(
+    trajectory: Trajectory,
+    between: tuple[int, int],
+    *,
+    linear: Trajectory | None = None,
+    front: Front | None = None,
+    facts: Mapping[str, str] | None = None,
+) -> View:
+    """Return what the live figure shows of a run between two grains.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    between : pair of int
+        The first and the last grain.
+    linear : Trajectory, optional
+        The same scene by linear theory, with these grains at least.
+    front : Front, optional
+    facts : mapping, optional
+        Text beside the figure, by name.
+
+    Returns
+    -------
+    View
+    """
+    columns = _columns(trajectory, between)
+    grains = trajectory.grains[columns]
     # NaN has no place among integers
-    velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[rows][:, columns])
-    grains, drawn = thin_rows(trajectory.grains[columns], velocity.T, VIEW.grains)
-    largest = float(np.abs(drawn).max(initial=0.0)) or 1.0
-    # 16 bits have more levels than a screen
-    data = np.round(drawn.T / largest * np.iinfo(np.int16).max).astype("<i2")
-    return {
-        "time": trajectory.time[rows].tolist(),
-        "grains": grains.tolist(),
-        "largest": largest,
-        "limit": scale(velocity),
-        "data": base64.b64encode(data.tobytes()).decode("ascii"),
-        "law": _law(trajectory, grains),
-    }
+    velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[:, columns])
+    overlap = np.concatenate(([0.0], np.cumsum(trajectory.scene.chain.equilibrium_overlap)))
+    kinetic, total = _energies(trajectory)
+    return View(
+        time=trajectory.time,
+        grains=grains,
+        velocity=velocity,
+        displacement=np.nan_to_num(np.asarray(trajectory.displacement)[:, columns]),
+        rest=np.diff(overlap[grains - 1]),
+        limit=scale(velocity),
+        linear=None if linear is None else linear.velocity[:, _columns(linear, between)],
+        kinetic=kinetic,
+        total=total,
+        front=None if front is None else _arrivals(front, grains),
+        law=_law(trajectory, grains),
+        facts=facts or {},
+    )
 
 
-def _law(trajectory: Trajectory, grains: np.ndarray) -> list[float]:
-    """Return the arrival times of a long weak wave at grains, s; nothing without such a wave."""
+def _columns(trajectory: Trajectory, between: tuple[int, int]) -> np.ndarray:
+    """Return the columns of the grains between two, from the top."""
+    order = np.argsort(trajectory.grains)
+    numbers = trajectory.grains[order]
+    return order[(numbers >= between[0]) & (numbers <= between[1])]
+
+
+def _energies(trajectory: Trajectory) -> tuple[Array | None, Array | None]:
+    """Return kinetic and total energy above rest, (T,) J, where all grains were recorded."""
+    try:
+        ledger = energy.ledger(trajectory)
+    except InputError:
+        return None, None
+    return ledger.kinetic, ledger.total
+
+
+def _arrivals(front: Front, grains: np.ndarray) -> Array:
+    times = dict(zip(front.grain.tolist(), front.time.tolist(), strict=True))
+    return np.array([times.get(grain, np.nan) for grain in grains.tolist()])
+
+
+def _law(trajectory: Trajectory, grains: np.ndarray) -> Array | None:
+    """Return the arrival times of a long weak wave at grains, s; None without such a wave."""
     chain = trajectory.scene.chain
     source = getattr(trajectory.scene.excitation, "grain", None)
     if not chain.linearisable or source is None:
-        return []
-    return travel_time(chain, max(1, source))[grains - 1].tolist()
+        return None
+    return travel_time(chain, max(1, source))[grains - 1]
+
+
+class Axis(NamedTuple):
+    """A slider: the key that it changes, its unit, its values, and whether they are log-spaced."""
+
+    key: str
+    unit: str
+    values: list[float]
+    log: bool
+
+
+def numbers(
+    views: Sequence[View | str], axes: Sequence[Axis] = (), levels: int = VIEW.levels
+) -> dict[str, Any]:
+    """Return the numbers for the script of the figure.
+
+    Parameters
+    ----------
+    views : sequence of View or str
+        One for each place on the grid of the axes, the last axis fastest; a text says why there is
+        none.
+    axes : sequence of Axis
+    levels : int
+        Steps from 0 to the largest value of an array.
+
+    Returns
+    -------
+    dict
+        For JSON. Arrays are integers times a unit, in `data`, where equal ones stand once.
+    """
+    store = _Store(levels)
+    runs = [{"reason": v} if isinstance(v, str) else store.record(v) for v in views]
+    return {
+        "axes": [axis._asdict() for axis in axes],
+        "lists": store.lists,
+        "runs": runs,
+        "data": store.packed(),
+    }
+
+
+class _Store:
+    """Arrays of many views, each as differences from row to row in 16 bits, and lists."""
+
+    def __init__(self, levels: int):
+        self.levels = levels
+        self.lists: list[list[float]] = []
+        self._length = 0
+        self._arrays: list[np.ndarray] = []
+        self._places: dict[bytes, int] = {}
+        self._numbers: dict[str, int] = {}
+
+    def record(self, view: View) -> dict[str, Any]:
+        """Add the arrays of a view; return where they are."""
+        duration = float(view.time[-1])
+        return {
+            "time": self._add_list([float(f"{t:.9g}") for t in view.time]),
+            "grains": self._add_list(view.grains.tolist()),
+            "limit": float(f"{view.limit:.6g}"),
+            "velocity": self._add(view.velocity),
+            "displacement": self._add(view.displacement),
+            "rest": self._add(view.rest[None]),
+            "linear": self._add(view.linear),
+            "kinetic": self._add(None if view.kinetic is None else view.kinetic[:, None]),
+            "total": self._add(None if view.total is None else view.total[:, None]),
+            "front": self._add(None if view.front is None else view.front[None], duration),
+            "law": self._add(None if view.law is None else view.law[None]),
+            "facts": list(view.facts.items()),
+        }
+
+    def _add_list(self, values: list[float]) -> int:
+        text = json.dumps(values)
+        if text not in self._numbers:
+            self._numbers[text] = len(self.lists)
+            self.lists.append(values)
+        return self._numbers[text]
+
+    def _add(self, values: Array | None, largest: float = 0.0) -> list[float] | None:
+        """Return where an array begins, and the unit of its integers; None for no array."""
+        if values is None:
+            return None
+        largest = largest or float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
+        unit = largest / self.levels
+        steps = np.where(np.isnan(values), NOTHING, np.round(np.nan_to_num(values) / unit))
+        # differences of neighbouring times are small, and pack well; they wrap round, as int16 does
+        whole = steps.astype(np.int64)
+        changes = np.diff(whole, axis=0, prepend=0).astype("<i8").astype("<u2").ravel()
+        digest = hashlib.sha256(changes.tobytes()).digest()
+        if digest not in self._places:
+            self._places[digest] = self._length
+            self._arrays.append(changes)
+            self._length += changes.size
+        return [self._places[digest], unit]
+
+    def packed(self) -> str:
+        """Return all arrays, low bytes first, then high ones, deflated, in letters."""
+        joined = np.concatenate(self._arrays) if self._arrays else np.zeros(0, "<u2")
+        planes = joined.astype("<u2").view(np.uint8).reshape(-1, 2).T
+        return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode("ascii")

@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError
-from ..measure import contact, energy, front, spectrum
+from ..measure import contact, energy, spectrum
 from ..measure.fit.column_front import is_uniform
-from ..simulation.api import simulate
 from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
 from ..util.plotting import COLOURS, axes_in_units, figure, legend, si
-from ..util.remarks import warnings_aside
 from .live import crop, extent
+from .verdicts import departure, front_below, linear_theory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,15 +32,9 @@ class PictureLimits(NamedTuple):
     ----------
     markers : int
         Most grains drawn one by one; of more, a picture is smaller as pixels.
-    reflected : int
-        Last grains, whose peak is made together with the wave that comes back from the end.
-    onward : float
-        Least share of the grains that a front passes later than those before them.
     """
 
     markers: int = 2000
-    reflected: int = 3
-    onward: float = 0.9
 
 
 PANEL_LIMITS = PictureLimits()
@@ -92,7 +83,7 @@ def waveforms(run: Trajectory) -> Panel:
     rows = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     # the motion above, its difference from linear theory below
     above, below = (axes_in_units(ax, "", "") for ax in rows)
-    linear = _linear(run)
+    linear = linear_theory(run)
     largest = np.abs(run.velocity).max() or 1.0
     for moment, shade in MOMENTS.items():
         row = round(moment * (run.time.size - 1))
@@ -109,8 +100,9 @@ def waveforms(run: Trajectory) -> Panel:
             rasterized=dense,
         )
         if linear is not None:
-            above.plot(run.grains, linear[row], color=shade, lw=1)
-            below.plot(run.grains, (run.velocity[row] - linear[row]) / largest, color=shade, lw=1)
+            expected = linear.velocity[row]
+            above.plot(run.grains, expected, color=shade, lw=1)
+            below.plot(run.grains, (run.velocity[row] - expected) / largest, color=shade, lw=1)
     first, last = extent(run)
     above.set_xlim(first - 0.5, last + 0.5)
     above.set_ylabel("velocity downward (m/s)")
@@ -124,7 +116,7 @@ def waveforms(run: Trajectory) -> Panel:
         fault = "no linear theory of this scene"
         below.text(0.5, 0.5, fault, transform=below.transAxes, ha="center", va="center")
         return _panel(above, f"{caption}There is {fault}.")
-    error = np.abs(run.velocity - linear).max() / largest
+    error = departure(run, linear)
     return _panel(
         above,
         f"{caption}Points: this run. Lines: linear theory, Eq. (3), at most {error:.2g} of the "
@@ -132,21 +124,11 @@ def waveforms(run: Trajectory) -> Panel:
     )
 
 
-def _linear(run: Trajectory) -> Array | None:
-    """Return the velocity by linear theory, (T, G) m/s, None where it does not apply."""
-    try:
-        with warnings_aside():
-            # the difference is drawn
-            return simulate(run.scene, "chebyshev").velocity
-    except InputError:
-        return None
-
-
 def arrival(run: Trajectory) -> Panel:
     """Draw height and arrival of the front against depth, each with its law where there is one."""
     from matplotlib.ticker import EngFormatter, LogLocator
 
-    track = _front(run)
+    track = front_below(run)
     chain = run.scene.chain
     source = getattr(run.scene.excitation, "grain", 1)
     picture = figure(WIDTH, 4.8)
@@ -180,24 +162,6 @@ def arrival(run: Trajectory) -> Panel:
         height,
         f"The front passes {track.grain.size} grains; its peak goes from {first} to {last}. {law}",
     )
-
-
-def _front(run: Trajectory) -> front.Front:
-    """Return the front below the grain that is struck; raises `InputError` where there is none."""
-    source = getattr(run.scene.excitation, "grain", None)
-    if source is None or getattr(run.scene.excitation, "frequency", None):
-        raise InputError.at(
-            "excitation", "sends no single front: there is one after a strike or a push on a grain"
-        )
-    track = front.track(run).between(source + 1, run.scene.chain.grains - PANEL_LIMITS.reflected)
-    fewest = front.FEWEST
-    # what does not pass one grain after the other is no front, but a mode that swings
-    onward = np.mean(np.diff(track.time) > 0) if track.grain.size >= fewest else 0.0
-    if onward < PANEL_LIMITS.onward:
-        raise InputError.at(
-            "front", f"none travels downward from grain {source} past {fewest} grains or more"
-        )
-    return track
 
 
 def _decay(run: Trajectory) -> tuple[float | None, str]:

@@ -95,13 +95,24 @@ def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Arra
     >>> rows.tolist(), values.tolist()
     ([0.0, 3.0], [[0.0, 9.0], [0.0, -4.0]])
     """
-    stride = -(-len(rows) // most)
-    if stride == 1:
-        return rows, values
-    first = np.arange(0, len(rows), stride)
-    size = np.abs(values - values[:, :1]).max(1)
-    largest = [row + int(size[row : row + stride].argmax()) for row in first]
+    first, largest = loudest_rows(values, most)
     return rows[first], values[largest]
+
+
+def loudest_rows(values: Array, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first of every few rows, and the one that differs most from its first value.
+
+    Examples
+    --------
+    >>> loudest_rows(np.array([[0, 0], [0, 9], [0, 1], [0, 0], [0, 0], [0, -4.0]]), most=2)
+    (array([0, 3]), array([1, 5]))
+    """
+    stride = -(-len(values) // most)
+    first = np.arange(0, len(values), stride)
+    if stride == 1:
+        return first, first
+    size = np.abs(values - values[:, :1]).max(1)
+    return first, np.array([row + int(size[row : row + stride].argmax()) for row in first])
 
 
 def choose_few(count: int, few: int = 4) -> Array:

@@ -333,6 +333,7 @@ WORDS = {
     "export": ["r.nc", "-o", "t.csv"],
     "fit": ["r.nc"],
     "report": ["r.nc"],
+    "explore": ["s.toml", "--over", "chain.gravity=1:9", "-o", "p.html"],
     "workprec": ["s.toml"],
     "stability": ["s.toml"],
     "sweep": ["w.toml", "-o", "out"],

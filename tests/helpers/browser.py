@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -97,6 +98,13 @@ class Browser:
         )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
+
+    def wait_for(self, script: str, patience: float = 60.0) -> None:
+        """Wait until an expression is true in the page."""
+        end = time.monotonic() + patience
+        while not self.run(script):
+            assert time.monotonic() < end, script
+            time.sleep(0.05)
 
     def press(self, key: str, text: str = "") -> None:
         """Press and let go a key."""

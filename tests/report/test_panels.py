@@ -13,6 +13,7 @@ import pytest
 from lmpchain import Chain, Displacement, Force, Impulse, InputError, Scene, Trajectory, simulate
 from lmpchain.measure.contact import LINES
 from lmpchain.report import panels
+from lmpchain.report.verdicts import front_below
 from lmpchain.util.plotting import COLOURS, si
 
 MARGIN = 4  # grains at rest that a picture shows beside those that move
@@ -325,19 +326,18 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
 
     sine = run.scene.replace(excitation=Force(amplitude=1e-3, frequency=1e4))
     with pytest.raises(InputError, match="excitation: sends no single front"):
-        panels._front(replace(run, scene=sine))
+        front_below(replace(run, scene=sine))
     whole = front.track(run)
     below = whole.between(2, 37)
-    assert np.array_equal(panels._front(run).time, below.time)
+    assert np.array_equal(front_below(run).time, below.time)
 
-    def passing(times: np.ndarray, grains: np.ndarray) -> Any:
-        part = SimpleNamespace(time=times, grain=grains)
-        return SimpleNamespace(between=lambda first, last: part)
-
-    def front_of(times: np.ndarray) -> Any:
+    def front_of(times: np.ndarray, error: float = 0.0) -> front.Front:
+        grains = np.arange(2, 2 + times.size)
+        columns = [times, *[np.ones(times.size)] * 2, *[np.full(times.size, error)] * 3]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(front, "track", lambda run: passing(times, np.arange(2, 2 + times.size)))
-            return panels._front(run)
+            passing = front.Front("velocity", grains, 1e-3 * grains, *columns)
+            patch.setattr(front, "track", lambda run: passing)
+            return front_below(run)
 
     onward = np.arange(21.0)
     for back, ok in ((2, True), (3, False)):  # of twenty steps
@@ -345,7 +345,7 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
         times[2 : 2 + 2 * back : 2] -= 1.5
         assert (np.diff(times) < 0).sum() == back
         if ok:
-            assert front_of(times).time is times
+            assert np.array_equal(front_of(times).time, times)
         else:
             with pytest.raises(InputError, match="none travels downward from grain 1 past 6"):
                 front_of(times)
@@ -354,6 +354,9 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
         front_of(np.arange(5.0))
     with pytest.raises(InputError, match="none travels"):
         front_of(np.zeros(8))
+    # what samples do not resolve is left out, and said where it is too much
+    with pytest.raises(InputError, match=r"none travels|record at least"):
+        front_of(np.arange(20.0), error=1e-6)
 
 
 # --- spectra, contacts, energy

@@ -85,7 +85,7 @@ def test_a_page_of_the_package_escapes_and_a_deck_does_not():
         "title": "<i>",
         "cards": [],
         "still": still,
-        "live": {"law": []},
+        "live": {},
         "sections": [],
         "fits": [],
         "notes": [],

@@ -1,0 +1,331 @@
+"""A page with a slider a key, which goes through runs made beforehand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InputError, LmpchainError, shown
+from ..measure.front import Front
+from ..scene.scene import Scene
+from ..simulation.api import simulate
+from ..simulation.many import simulate_many
+from ..sweeps.file import Sweep, read
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import plain
+from ..util.files import write_aside
+from ..util.progress import ProgressBar
+from ..util.provenance import command
+from ..util.remarks import warnings_aside
+from ..util.suggestions import did_you_mean
+from . import live
+from .html import render_live
+from .live import Axis, View
+from .verdicts import facts, front_below, linear_theory, short_power
+
+SOURCE_KEYS = ("scene", "over", "engine", "tolerance")
+# units of keys by their last word; an amplitude is a force only where a force acts
+UNITS_OF_KEYS = {
+    "velocity": "m/s",
+    "displacement": "m",
+    "gravity": "m/s²",
+    "top_load": "N",
+    "diameter": "m",
+    "duration": "s",
+    "frequency": "Hz",
+    "amplitude": "m",
+    "rise": "s",
+    "viscoelastic": "s",
+    "drag": "1/s",
+    "density": "kg/m³",
+    "youngs_modulus": "Pa",
+    "mass": "kg",
+}
+
+
+class PageLimits(NamedTuple):
+    """Limits of a page.
+
+    Attributes
+    ----------
+    size : int
+        Most bytes of the page.
+    runs : int
+        Most runs, of which each is then shown at some forty times and grains.
+    views : tuple of (int, int)
+        Times and grains that are shown of a run, from the most to the least: the first that fits.
+    samples : int
+        Most samples of a run, for the sake of its front.
+    batch : int
+        Most samples x grains that are in memory at a time.
+    """
+
+    size: int = 2_000_000
+    runs: int = 1000
+    views: tuple[tuple[int, int], ...] = (
+        (121, 120),
+        (97, 96),
+        (81, 80),
+        (61, 60),
+        (49, 48),
+        (41, 40),
+    )
+    samples: int = 1201
+    batch: int = 2**21
+
+
+PAGE = PageLimits()
+# steps to the largest value where there are many runs: a screen has fewer, and they pack well
+LEVELS = 2047
+
+
+def explore(
+    source: Mapping[str, Any], path: str | PathLike[str], *, progress: bool = False
+) -> None:
+    """Write one self-contained page in which a slider a key goes through runs of a scene.
+
+    Beside the motion of the chosen run stand its strike number, its estimated error, its front and
+    how far linear theory is off. The page holds those runs and no others: a value between two shows
+    the nearest run. It takes 2 MB at most and fetches nothing.
+
+    Parameters
+    ----------
+    source : mapping
+        `scene`: a `Scene`, its tables, or the path of a scene file. `over`: for each key of a scene
+        file, such as "excitation.velocity" or "chain.damping.viscoelastic", the values of its
+        slider in SI units, ascending. `engine` ("auto": native) and `tolerance` (1e-6) as for
+        `sweep`.
+    path : path
+        HTML file to write, atomically.
+    progress : bool
+        Whether to show a progress bar.
+
+    Raises
+    ------
+    InputError
+        With every fault: unknown keys, values that are no numbers or make no scene, more runs than
+        fit into the page.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> scene = lmpchain.Scene(
+    ...     chain=lmpchain.Chain(grains=20, diameter=1e-3),
+    ...     excitation=lmpchain.Impulse(velocity=1e-4),
+    ...     duration=40e-6,
+    ... )
+    >>> over = {"excitation.velocity": [1e-5, 1e-3, 1e-1]}
+    >>> lmpchain.explore({"scene": scene, "over": over}, "page.html")
+    """
+    plan, axes = _read(source)
+    grid = _make_grid(plan)
+    views: list[View | str] = []
+    with ProgressBar(plan.count, "explore", " runs", shown=progress) as bar:
+        for first in range(0, plan.count, grid.batch):
+            for run in _solve(plan, grid.scenes[first : first + grid.batch]):
+                views.append(run if isinstance(run, str) else _view(run, grid.between, plan))
+                bar.advance()
+    page = _fit(views, axes, plan, grid)
+    with write_aside(path) as aside:
+        aside.write_text(page, encoding="utf-8")
+
+
+def _read(source: Mapping[str, Any]) -> tuple[Sweep, list[Axis]]:
+    """Return the sweep and the sliders of a page; raises `InputError` with every fault."""
+    if not isinstance(source, Mapping):
+        raise InputError.at("source", 'must be a mapping, such as {"scene": scene, "over": {...}}')
+    cure = f"the keys here are {', '.join(SOURCE_KEYS)}"
+    faults = [
+        (str(key), f"unknown key{did_you_mean(str(key), SOURCE_KEYS)}; {cure}")
+        for key in source
+        if key not in SOURCE_KEYS
+    ]
+    values: dict[str, list[float]] = {}
+    try:
+        values = _read_values(source.get("over", {}))
+    except InputError as error:
+        faults += error.faults
+    if faults:
+        raise InputError(faults)
+    # a single run is a grid of one, along a key that it has anyway
+    table = {"scene": source.get("scene"), "grid": values or {"recording.samples": [PAGE.samples]}}
+    options = {key: source[key] for key in ("engine", "tolerance") if key in source}
+    try:
+        plan = read(table | options)
+    except InputError as error:
+        raise InputError(
+            (key.removeprefix("grid."), message) for key, message in error.faults
+        ) from None
+    with warnings_aside():
+        # their remarks are those of runs, which stand on the page
+        list(plan.trials())
+    kind = plan.tables.get("excitation", {}).get("kind", "")
+    return plan, [_axis(key, sweep, kind) for key, sweep in values.items()]
+
+
+def _read_values(over: Any) -> dict[str, list[float]]:
+    """Return the values of each slider; raises `InputError` with every fault."""
+    if not isinstance(over, Mapping):
+        raise InputError.at("over", 'must be a mapping, such as {"excitation.velocity": [...]}')
+    faults = []
+    values = {}
+    for key, sweep in over.items():
+        try:
+            values[str(key)] = _check_values(sweep)
+        except InputError as error:
+            faults += error.under(str(key))
+    runs = math.prod(map(len, values.values()))
+    if runs > PAGE.runs:
+        faults.append(("over", f"these are {runs} runs, and a page of 2 MB holds {PAGE.runs}"))
+    if faults:
+        raise InputError(faults)
+    return values
+
+
+def _check_values(sweep: Any) -> list[float]:
+    """Return the values of a slider; raises `InputError`."""
+    numbers = isinstance(sweep, Sequence | np.ndarray) and not isinstance(sweep, str | bytes)
+    values = [plain(value) for value in sweep] if numbers else []
+    # True is a number of Python, and none of a slider
+    numbers = all(type(x) in (int, float) and math.isfinite(x) for x in values)
+    if not values or not numbers or any(a >= b for a, b in pairwise(values)):
+        raise InputError.at("", f"must be a list of numbers, ascending (got {shown(sweep)})")
+    return values
+
+
+def _axis(key: str, values: list[float], kind: str) -> Axis:
+    """Return the slider of a key; evenly spaced ratios are those of a logarithmic one."""
+    name = key.rpartition(".")[2]
+    unit = "N" if name == "amplitude" and kind == "force" else UNITS_OF_KEYS.get(name, "")
+    log = values[0] > 0 and len(values) > 2
+    if log:
+        ratios = np.diff(np.log(values))
+        log = bool(np.ptp(ratios) < 1e-6 * ratios.max()) or values[-1] > 100 * values[0]
+    return Axis(key, unit, values, log)
+
+
+class _Grid(NamedTuple):
+    """The scenes of a page, the grains that it shows, and how many are solved at a time."""
+
+    scenes: list[Scene]
+    between: tuple[int, int]
+    batch: int
+
+
+def _make_grid(plan: Sweep) -> _Grid:
+    with warnings_aside():
+        scenes = [plan.scene(plan.place(number)) for number in range(plan.count)]
+    turn = max(scene.highest_frequency * scene.duration for scene in scenes)
+    # such that samples show the front, as far as they may
+    samples = min(max(*(s.samples for s in scenes), math.ceil(turn) + 1), PAGE.samples)
+    with warnings_aside():
+        scenes = [scene.ungathered.replace(samples=samples, grains="all") for scene in scenes]
+    size = samples * max(scene.chain.grains for scene in scenes)
+    return _Grid(scenes, _find_extent(plan, scenes), max(1, PAGE.batch // size))
+
+
+def _find_extent(plan: Sweep, scenes: Sequence[Scene]) -> tuple[int, int]:
+    """Return the first and the last grain to show: of all runs the same, so that they compare.
+
+    They are those that move in the runs at the ends of the sliders.
+    """
+    ends = np.array(np.meshgrid(*([0, length - 1] for length in plan.shape))).reshape(
+        len(plan.shape), -1
+    )
+    corners = np.unique(np.ravel_multi_index(tuple(ends), plan.shape))
+    runs = [run for n in corners for run in _solve(plan, [scenes[n]]) if not isinstance(run, str)]
+    reached = [live.extent(run) for run in runs] or [(1, scenes[0].chain.grains)]
+    return min(first for first, _ in reached), max(last for _, last in reached)
+
+
+def _solve(plan: Sweep, scenes: Sequence[Scene]) -> Iterator[Trajectory | str]:
+    """Yield the runs of scenes, or why there is none."""
+    with warnings_aside():
+        # a tolerance that is missed is said beside the run
+        try:
+            yield from simulate_many(scenes, plan.tolerance, plan.engine, on_miss="warn")
+            return
+        except InputError:
+            raise
+        except LmpchainError:
+            # one of them: the others are solved one by one
+            pass
+    for scene in scenes:
+        try:
+            with warnings_aside():
+                yield simulate(scene, plan.engine, plan.tolerance, on_miss="warn")
+        except LmpchainError as error:
+            yield str(error)
+
+
+def _view(run: Trajectory, between: tuple[int, int], plan: Sweep) -> View:
+    """Return what the page shows of a run."""
+    linear = linear_theory(run)
+    front = None
+    try:
+        passed: Front | str = (front := front_below(run))
+    except InputError as error:
+        passed = error.faults[0][1]
+    texts = dict(facts(run, linear, passed, plan.tolerance))
+    full = live.view(run, between, linear=linear, front=front, facts=texts)
+    return full.thinned(*PAGE.views[0])
+
+
+def _fit(views: list[View | str], axes: list[Axis], plan: Sweep, grid: _Grid) -> str:
+    """Return the page with as many times and grains as it has room for."""
+    for times, grains in PAGE.views:
+        thin = [view if isinstance(view, str) else view.thinned(times, grains) for view in views]
+        page = _render(live.numbers(thin, axes, LEVELS), thin, axes, plan, grid)
+        if len(page.encode()) <= PAGE.size:
+            return page
+    least = len(views) * PAGE.size // len(page.encode())
+    raise InputError.at(
+        "over", f"{len(views)} runs do not fit into a page of 2 MB: about {least} would"
+    )
+
+
+def _render(
+    numbers: dict[str, Any],
+    views: Sequence[View | str],
+    axes: Sequence[Axis],
+    plan: Sweep,
+    grid: _Grid,
+) -> str:
+    some = next((view for view in views if isinstance(view, View)), None)
+    if some is None:
+        raise InputError.at("scene", f"no run of it succeeds: {views[0]}")
+    scene = grid.scenes[0]
+    keys = " and ".join(f"{axis.key}" for axis in axes)
+    title = f"{scene.chain.grains} grains, {scene.excitation.kind}"
+    return render_live(
+        "explore.html",
+        numbers,
+        title=f"{title}: {keys}" if keys else title,
+        axes=[{"name": axis.key, "count": len(axis.values), "unit": axis.unit} for axis in axes],
+        caption=_caption(some, len(views), plan),
+        scene=scene.to_text(),
+        command=command(),
+    )
+
+
+def _caption(view: View, runs: int, plan: Sweep) -> str:
+    """Return what the figure shows and what was left out of it."""
+    made = (
+        f"The sliders go through {runs} runs made beforehand; a value between them shows the "
+        "nearest run."
+        if runs > 1
+        else "One run."
+    )
+    return (
+        f"{made} Each was computed by {plan.engine} to a relative tolerance of "
+        f"{short_power(plan.tolerance)} and is shown at {view.time.size} times and "
+        f"{view.grains.size} grains, rounded to 1/{LEVELS} of its largest value. Green and dashed: "
+        "linear theory. On the map, dotted: the front; dashed: arrival of a long weak wave; "
+        "horizontal line: the chosen grain. Beads move as the grains do, enlarged; orange bars: "
+        "open contacts. Arrow keys on the map move through grains and times, the space bar plays."
+    )

@@ -1,0 +1,33 @@
+"""Self-contained pages with a live figure: one script, which the policy of the page names."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from typing import Any
+
+from markupsafe import Markup
+
+from ..util.templates import render
+
+
+def render_live(template: str, numbers: dict[str, Any], **values: Any) -> str:
+    """Fill in a template of a page with a live figure.
+
+    Parameters
+    ----------
+    template : str
+        Name of a template of the package.
+    numbers : dict
+        Of `live.numbers`.
+    **values
+        What else the template takes.
+
+    Returns
+    -------
+    str
+    """
+    script = render("live.js")
+    # the policy of the page names the script by its hash, so that no other runs
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return render(template, live=numbers, script=Markup(script), digest=digest, **values)

@@ -1,0 +1,180 @@
+"""What pages say of a run in a sentence: strike, linear theory, front, contacts, error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InputError
+from ..measure import front
+from ..scene.scene import Scene
+from ..simulation.api import simulate
+from ..trajectory.trajectory import Trajectory
+from ..util.plotting import si
+from ..util.remarks import warnings_aside
+
+
+class FrontLimits(NamedTuple):
+    """Limits of what is called a front.
+
+    Attributes
+    ----------
+    reflected : int
+        Last grains, whose peak is made together with the wave that comes back from the end.
+    onward : float
+        Least share of the grains that a front passes later than those before them.
+    """
+
+    reflected: int = 3
+    onward: float = 0.9
+
+
+FRONT = FrontLimits()
+# engines of linear theory: the second takes damped chains, too
+LINEAR_ENGINES = ("chebyshev", "modes")
+
+
+def linear_theory(run: Trajectory) -> Trajectory | None:
+    """Return the same scene by linear theory, None where it does not apply."""
+    return _linear_run(run.scene)
+
+
+# the parts of a page ask for it one after the other
+@lru_cache(maxsize=1)
+def _linear_run(scene: Scene) -> Trajectory | None:
+    for engine in LINEAR_ENGINES:
+        try:
+            with warnings_aside():
+                # the difference is shown
+                return simulate(scene, engine)
+        except InputError:
+            continue
+    return None
+
+
+def departure(run: Trajectory, linear: Trajectory) -> float:
+    """Return how far linear theory is off at most, over the largest velocity."""
+    largest = np.abs(run.velocity).max(initial=0.0) or 1.0
+    return float(np.abs(run.velocity - linear.velocity).max(initial=0.0) / largest)
+
+
+def front_below(run: Trajectory) -> front.Front:
+    """Return the front below the grain that is struck.
+
+    Grains that samples do not show to be in order are left out.
+
+    Raises
+    ------
+    InputError
+        If there is none, or too few samples to show it.
+    """
+    scene = run.scene
+    source = getattr(scene.excitation, "grain", None)
+    if source is None or getattr(scene.excitation, "frequency", None):
+        raise InputError.at(
+            "excitation", "sends no single front: there is one after a strike or a push on a grain"
+        )
+    track = front.track(run).between(source + 1, scene.chain.grains - FRONT.reflected)
+    fewest = front.FEWEST
+    if track.grain.size < fewest:
+        raise InputError.at(
+            "front", f"none travels downward from grain {source} past {fewest} grains or more"
+        )
+    step = scene.duration / (scene.samples - 1)
+    # times nearer to one another than the samples show tell nothing of their order
+    shown = track.time_error < step
+    resolved = np.diff(track.time[shown])
+    # what does not pass one grain after the other is no front, but a mode that swings
+    if shown.sum() >= fewest and np.mean(resolved > 0) >= FRONT.onward:
+        return track.where(shown)
+    needed = 1 + int(np.ceil(scene.highest_frequency * scene.duration / front.RESOLVED_TURN))
+    if needed > scene.samples:
+        raise InputError.at(
+            "samples",
+            f"{si(step, 's')} apart do not resolve the front: record at least {needed} of them",
+        )
+    raise InputError.at(
+        "front", f"none travels downward from grain {source} past {fewest} grains or more"
+    )
+
+
+def short_power(number: float) -> str:
+    """Return a small number as people write it.
+
+    Examples
+    --------
+    >>> short_power(1e-06), short_power(2.5e-12)
+    ('1e-6', '2.5e-12')
+    """
+    return f"{number:.2g}".replace("e-0", "e-")
+
+
+def strike_verdict(run: Trajectory, linear: Trajectory | None) -> str:
+    """Return the strike number, and what it means for this run."""
+    number = run.scene.strike_number
+    if not np.isfinite(number):
+        return "Sonic vacuum: no contact is compressed at rest, and no linear theory applies."
+    if linear is None:
+        return f"Strike number {number:.3g}; no linear theory of this scene."
+    return f"Strike number {number:.3g}; {linear_verdict(run, linear)}."
+
+
+def linear_verdict(run: Trajectory, linear: Trajectory) -> str:
+    """Return how far linear theory is off, in words."""
+    error = departure(run, linear)
+    if error < 1e-5:
+        return "linear theory holds to better than 0.001 % of the largest velocity"
+    kind = "holds to" if error < 0.05 else "is off by"
+    return f"linear theory {kind} {100 * error:.2g} % of the largest velocity"
+
+
+def facts(
+    run: Trajectory, linear: Trajectory | None, passed: front.Front | str, tolerance: float
+) -> Iterator[tuple[str, str]]:
+    """Yield name and text of what stands beside the live figure of a run.
+
+    Parameters
+    ----------
+    run : Trajectory
+    linear : Trajectory or None
+        The same scene by linear theory.
+    passed : Front or str
+        The front, or why there is none.
+    tolerance : float
+        That was asked for.
+    """
+    number = run.scene.strike_number
+    yield "strike number", f"{number:.3g}" if np.isfinite(number) else "∞ (sonic vacuum)"
+    yield "linear theory", linear_verdict(run, linear)[14:] if linear else "none of this scene"
+    error = run.error_estimate.total
+    miss = "" if error <= tolerance else f", above the tolerance {short_power(tolerance)}"
+    yield "estimated error", f"{short_power(error)} ({run.engine}){miss}"
+    yield "front", passed if isinstance(passed, str) else _front_verdict(passed)
+    yield "largest velocity", si(float(np.abs(run.velocity).max(initial=0.0)), "m/s", 1)
+    yield "contacts", _contacts_verdict(run)
+    if run.scene.chain.damped:
+        yield "damping", run.scene.damping_remark
+
+
+def _front_verdict(passed: front.Front) -> str:
+    """Return how far and how fast a front goes, from its last grains."""
+    last = min(10, passed.grain.size)
+    slope = np.polyfit(passed.depth[-last:], passed.time[-last:], 1)[0]
+    return f"reaches grain {passed.grain[-1]}, at {1 / slope:.3g} m/s"
+
+
+def _contacts_verdict(run: Trajectory) -> str:
+    """Return how many of the contacts between recorded grains are open at some time."""
+    order = np.argsort(run.grains)
+    grains = run.grains[order]
+    neighbours = np.flatnonzero(np.diff(grains) == 1)
+    u = np.asarray(run.displacement)[:, order]
+    overlap = run.scene.chain.equilibrium_overlap[grains[neighbours] - 1]
+    least = (overlap + u[:, neighbours] - u[:, neighbours + 1]).min(0, initial=np.inf)
+    opened = int((least <= 0).sum())
+    if not overlap.any():
+        return "touch at rest"
+    return f"{opened} of {neighbours.size} open" if opened else "none opens"

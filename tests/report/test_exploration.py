@@ -1,0 +1,234 @@
+"""The page with sliders: every run that it holds, what stands beside it, and what it refuses."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.browser import browser, installed
+from helpers.live_figure import arrays, numbers_of
+from scipy.optimize import brentq
+
+import lmpchain
+from lmpchain import Chain, Damping, Impulse, InputError, Scene, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.cli.explore import read_axis
+from lmpchain.report import exploration
+
+SCENE = Scene(
+    chain=Chain(grains=20, diameter=1e-3),
+    excitation=Impulse(velocity=1e-4),
+    duration=40e-6,
+    samples=61,
+)
+SPEEDS = [1e-6, 1e-3, 0.3]
+LOADS = [1.62, 9.81]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("explore") / "page.html"
+    over = {"excitation.velocity": SPEEDS, "chain.gravity": LOADS}
+    lmpchain.explore({"scene": SCENE, "over": over, "tolerance": 1e-8}, path)
+    return path
+
+
+def test_every_run_of_the_page_is_that_of_its_values(page: Path):
+    numbers = numbers_of(page)
+    assert [axis["key"] for axis in numbers["axes"]] == ["excitation.velocity", "chain.gravity"]
+    assert [axis["unit"] for axis in numbers["axes"]] == ["m/s", "m/s²"]
+    assert [axis["values"] for axis in numbers["axes"]] == [SPEEDS, LOADS]
+    assert len(numbers["runs"]) == 6
+    for place, (speed, load) in enumerate((v, g) for v in SPEEDS for g in LOADS):
+        chain = SCENE.chain.replace(gravity=load)
+        shown = arrays(numbers, place)
+        scene = SCENE.replace(chain=chain, excitation=Impulse(velocity=speed))
+        run = simulate(scene.replace(samples=shown["time"].size), "native", 1e-10)
+        assert run.time == pytest.approx(shown["time"], rel=1e-8)
+        for name in ("velocity", "displacement"):
+            values = getattr(run, name)[:, shown["grains"] - 1]
+            largest = np.abs(values).max()
+            assert np.abs(shown[name] - values).max() < (0.51 / 2047 + 1e-6) * largest, name
+        linear = simulate(run.scene, "modes").velocity[:, shown["grains"] - 1]
+        assert shown["linear"] == pytest.approx(linear, abs=0.52 / 2047 * np.abs(linear).max())
+        facts = shown["facts"]
+        assert float(facts["strike number"]) == pytest.approx(scene.strike_number, rel=5e-3)
+        assert facts["largest velocity"].startswith(f"{1e3 * speed:.1f} m" if speed > 1e-4 else "1")
+    # linear theory of one chain stands once for all strikes
+    starts = {run["linear"][0] for run in numbers["runs"]}
+    assert len(starts) == len(LOADS)
+    assert "holds" in numbers["runs"][0]["facts"][1][1]
+    assert "open" in dict(numbers["runs"][-1]["facts"])["contacts"]
+
+
+def test_the_front_beside_a_run_moves_as_fast_as_sound(tmp_path: Path):
+    """Of a weak strike on a loaded chain: near d sqrt(k / m), the speed of long waves."""
+    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=0.1)
+    scene = SCENE.replace(chain=chain, duration=60e-6)
+    lmpchain.explore({"scene": scene, "over": {"excitation.velocity": [1e-7]}}, tmp_path / "a.html")
+    text = arrays(numbers_of(tmp_path / "a.html"))["facts"]["front"]
+    speed = float(text.split(" at ")[1].removesuffix(" m/s"))
+    sound = 1e-3 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
+    assert speed == pytest.approx(sound, rel=0.05)
+
+
+def test_damping_is_a_key_like_any_other(tmp_path: Path):
+    """Drag alone acts from outside: the momentum of a free chain falls as exp(-gamma t)."""
+    chain = Chain(grains=4, diameter=1e-3, gravity=0.0, bottom="free", damping=Damping(drag=1.0))
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-2, samples=41)
+    drags = [1.0, 50.0, 100.0]
+    source = {"scene": scene, "over": {"chain.damping.drag": drags}, "tolerance": 1e-6}
+    lmpchain.explore(source, tmp_path / "drag.html")
+    numbers = numbers_of(tmp_path / "drag.html")
+    for place, drag in enumerate(drags):
+        shown = arrays(numbers, place)
+        assert shown["grains"].tolist() == [1, 2, 3, 4]
+        expected = 1e-3 * np.exp(-drag * shown["time"])
+        assert shown["velocity"].sum(1) == pytest.approx(expected, abs=2e-3 / 2047)
+        assert "leaving it out" in shown["facts"]["damping"]
+
+
+def test_without_compression_there_is_no_linear_theory(tmp_path: Path):
+    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, bottom="free")
+    scene = SCENE.replace(chain=chain, excitation=Impulse(velocity=0.1))
+    lmpchain.explore({"scene": scene}, tmp_path / "one.html")
+    shown = arrays(numbers_of(tmp_path / "one.html"))
+    assert shown["linear"] is None
+    assert shown["facts"]["linear theory"] == "none of this scene"
+    assert shown["facts"]["strike number"] == "∞ (sonic vacuum)"
+    assert not shown["rest"].any()
+
+
+def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """By fewer times and grains of each; what does not fit then is refused."""
+    speeds = np.geomspace(1e-6, 1e-1, 12)
+    source = {"scene": SCENE.replace(samples=121), "over": {"excitation.velocity": speeds}}
+    lmpchain.explore(source, tmp_path / "free.html")
+    size = (tmp_path / "free.html").stat().st_size
+    assert size < 2e6
+    tight = exploration.PAGE._replace(size=size - 5_000)
+    monkeypatch.setattr(exploration, "PAGE", tight)
+    lmpchain.explore(source, tmp_path / "tight.html")
+    assert (tmp_path / "tight.html").stat().st_size <= tight.size
+    few, many = (arrays(numbers_of(tmp_path / f"{name}.html")) for name in ("tight", "free"))
+    assert few["time"].size < many["time"].size
+    monkeypatch.setattr(exploration, "PAGE", tight._replace(size=30_000))
+    with pytest.raises(InputError, match="over: 12 runs do not fit into a page of 2 MB"):
+        lmpchain.explore(source, tmp_path / "none.html")
+    assert not (tmp_path / "none.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ({"over": {"chain.gravty": [1.0, 2.0]}}, "gravity"),
+        ({"over": {"gravity": [1.0, 2.0]}}, "is no key of a scene"),
+        ({"over": {"chain.gravity": ["a", "b"]}}, "chain.gravity: must be a list of numbers"),
+        ({"over": {"chain.gravity": [2.0, 1.0]}}, "ascending"),
+        ({"over": {"chain.gravity": []}}, "ascending"),
+        ({"over": {"chain.gravity": [True, 2.0]}}, "must be a list of numbers"),
+        ({"over": {"chain.gravity": [1.0, np.nan]}}, "must be a list of numbers"),
+        ({"over": {"chain.gravity": 9.81}}, "must be a list of numbers"),
+        ({"over": {"chain.gravity": [-9.81, 9.81]}}, "chain.gravity: must be"),
+        ({"over": {"chain.gravity": np.arange(1, 1100).tolist()}}, "over: these are 1099 runs"),
+        ({"ovr": {}}, "did you mean 'over'"),
+        ({"engine": "natve"}, "did you mean 'native'"),
+        ({"tolerance": 0.0}, "tolerance: "),
+    ],
+)
+def test_what_is_refused(source: dict[str, Any], message: str, tmp_path: Path):
+    with pytest.raises(InputError, match=message):
+        lmpchain.explore({"scene": SCENE} | source, tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene = tmp_path / "scene.toml"
+    SCENE.to_toml(scene)
+    words = ["explore", str(scene), "-o", str(tmp_path / "page.html"), "--over"]
+    assert (
+        main([*words, "excitation.velocity=1e-6:1e-2:5:log", "--over", "chain.gravity=1:9:2"]) == 0
+    )
+    said = capsys.readouterr()
+    assert "(10 runs, " in said.out
+    numbers = numbers_of(tmp_path / "page.html")
+    assert numbers["axes"][0]["values"] == pytest.approx([1e-6, 1e-5, 1e-4, 1e-3, 1e-2])
+    assert numbers["axes"][0]["log"]
+    assert numbers["axes"][1]["values"] == [1, 9]
+    for wrong in (
+        "velocity",
+        "chain.gravity=a:2",
+        "chain.gravity=2:1",
+        "chain.gravity=1:2:1",
+        "chain.gravity=0:2:5:log",
+        "chain.gravity=1:2:3:lin",
+        "chain.gravty=1:2",
+        "chain.gravity=1:2000:1500",
+    ):
+        assert main([*words, wrong]) == 2, wrong
+        fault = capsys.readouterr().err
+        assert fault.startswith("error: "), wrong
+        assert fault.count("\n") == 1, fault
+
+
+def test_numbers_of_grains_stay_whole():
+    assert read_axis("chain.grains=10:40:4") == ("chain.grains", [10, 20, 30, 40])
+    _, values = read_axis("chain.gravity=1.62:9.81")
+    assert len(values) == 15
+    assert values[7] == pytest.approx((1.62 + 9.81) / 2)
+    middle = brentq(lambda x: x / 1e-6 - 1e-2 / x, 1e-6, 1e-2)
+    assert read_axis("excitation.velocity=1e-6:1e-2:3:log")[1][1] == pytest.approx(middle)
+
+
+SAID = "document.getElementById('said').textContent"
+VALUE = "document.getElementById('value-0').textContent"
+FOCUS = "document.activeElement.id"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not installed(), reason="no Chromium is installed here")
+def test_the_page_in_a_browser(page: Path, tmp_path: Path):
+    with browser(tmp_path / "profile") as shown:
+        for width, height, scheme in ((1280, 900, "light"), (390, 844, "dark")):
+            shown.open(page, width, height, scheme)
+            shown.wait_for("document.documentElement.dataset.ready")
+            # nothing is wider than the window, once it is laid out
+            shown.wait_for(f"document.documentElement.scrollWidth === {width}", patience=20)
+            assert shown.run(VALUE) == "1 mm/s (run 2 of 3)"
+            shown.press("Tab")
+            assert shown.run(FOCUS) == "axis-0"
+            shown.press("ArrowRight")
+            assert shown.run(VALUE) == "300 mm/s (run 3 of 3)"
+            facts = "document.getElementById('facts').textContent"
+            assert "open" in shown.run(facts)
+            shown.press("ArrowLeft")
+            shown.press("ArrowLeft")
+            assert shown.run(VALUE) == "1 µm/s (run 1 of 3)"
+            assert "none opens" in shown.run(facts)
+            # a value between two runs shows the nearest of them, in ratio
+            typed = (
+                "(() => { const field = document.getElementById('typed-0'); field.value = '2e-4';"
+                "field.dispatchEvent(new Event('change')); })()"
+            )
+            shown.run(typed)
+            assert shown.run(VALUE) == "1 mm/s (run 2 of 3)"
+            shown.run("document.getElementById('map').focus()")
+            grain = int(shown.run(SAID).split()[1])
+            shown.press("ArrowDown")
+            assert shown.run(SAID).startswith(f"Grain {grain + 1} at 20 µs: ")
+            shown.run("document.getElementById('beads').scrollIntoView()")
+            place = (
+                "(({x, y, width, height}) => [x, y, width, height])"
+                "(document.getElementById('beads').getBoundingClientRect())"
+            )
+            left, top, across, high = shown.run(place)
+            shown.point(left + across / 2, top + high / 2)
+            middle = int(shown.run(SAID).split()[1])
+            shown.point(left + across / 2 + 40, top + high / 2)
+            assert int(shown.run(SAID).split()[1]) > middle, "the bead under the pointer is chosen"
+            small = (
+                "[...document.querySelectorAll('button, input, summary')]"
+                ".some((one) => one.offsetHeight && one.offsetHeight < 44)"
+            )
+            assert not shown.run(small)
+            assert shown.remarks == []
