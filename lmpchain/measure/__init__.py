@@ -3,6 +3,7 @@
 from ..util.lazy import attributes, listed
 
 __all__ = [
+    "collision",
     "contact",
     "dyson",
     "energy",
@@ -10,9 +11,12 @@ __all__ = [
     "flight",
     "front",
     "motion",
+    "power",
     "shock",
+    "solitary",
     "spectrum",
     "traces",
+    "wavenumbers",
 ]
 __getattr__ = attributes(__name__, __all__)
 __dir__ = listed(__name__)

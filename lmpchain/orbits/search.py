@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_banded
 
 from ..chain.chain import Chain
 from ..errors import InputError, RunFailed, shown
 from ..scene.excitation import Drive, Force, Profile
 from ..theory.modes import eigenmodes
+from ..theory.steady import displacements
 from ..util.arrays import Array
 from ..util.linear_algebra import in_one_thread
 from ..util.validation import Checked, check_positive
@@ -205,19 +205,7 @@ def _linear_answer(flow: Flow) -> tuple[Array, Array]:
         message = "a chain that is not compressed has no linear answer to a drive"
         raise InputError.at("guess", f"is missing, and {message}")
     omega = 2 * np.pi * drive.frequency
-    # (K (1 + i omega A) - m omega^2 + i omega gamma m) u = f, of motions Im(u exp(i omega t))
-    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
-    free = np.arange(flow.free.start, flow.free.stop)
-    inertia = chain.masses[free] * (omega**2 - 1j * omega * chain.drag[free])
-    bands = np.zeros((3, free.size), complex)
-    bands[1] = stiffness[free] + stiffness[free + 1] - inertia
-    bands[0, 1:] = -stiffness[free[1:]]
-    bands[2, :-1] = bands[0, 1:]
-    pull = np.zeros(free.size, complex)
-    if isinstance(drive, Force):
-        pull[drive.grain - 1] = drive.amplitude
-    else:
-        pull[0] = stiffness[free[0]] * drive.amplitude
-    answer = np.zeros(chain.grains, complex)
-    answer[free] = solve_banded((1, 1), bands, pull)
+    # motions Im(u exp(i omega t)); that of grain 1, if it is driven, is the drive's
+    answer = displacements(chain, drive)[1:-1]
+    answer[: flow.free.start] = 0.0
     return answer.imag, omega * answer.real

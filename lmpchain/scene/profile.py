@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..chain.chain import Chain
+from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Vector
 from .file_columns import Quantity
@@ -67,6 +68,20 @@ class Profile(Measured):
             for values in (self.displacement, self.velocity)
         )
         return displacement, velocity
+
+    def __add__(self, other: Profile) -> Profile:
+        """Return the sum of two, such as two solitary waves that will meet."""
+        if not isinstance(other, Profile):
+            return NotImplemented
+        given = [*self.fields.values(), *other.fields.values()]
+        if len({len(values) for values in given}) > 1:
+            raise InputError.at("displacement", "profiles that are added must be of one chain")
+        nothing = np.zeros(len(given[0]))
+
+        def add(name: str) -> Array:
+            return self.fields.get(name, nothing) + other.fields.get(name, nothing)
+
+        return Profile(displacement=add("displacement"), velocity=add("velocity"))
 
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return the first and the last grain that it moves; grain 1 if there is none."""

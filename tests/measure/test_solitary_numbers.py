@@ -124,7 +124,7 @@ def test_what_is_steady_enough(struck: Trajectory, front: Front, monkeypatch: py
 
 def test_chains_in_which_no_wave_stays_as_it_is():
     def check(chain: Chain) -> None:
-        solitary._check_chain(chain)
+        solitary.check_chain(chain)
         solitary._uniform_piece(chain, np.arange(1, 9))
 
     for more, key in (

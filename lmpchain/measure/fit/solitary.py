@@ -133,7 +133,7 @@ def fit_soliton(
     '0.06816 m/s, -5e-08, 1.579 grains'
     """
     chain = trajectory.scene.chain
-    _check_chain(chain)
+    check_chain(chain)
     front = track(trajectory, "velocity")
     if first is None and last is None:
         front = front.between(1 + END_GRAINS, chain.grains - END_GRAINS)
@@ -159,7 +159,7 @@ def fit_soliton(
         raise InputError.at(
             "front", f"its height changes by {scatter:.1%} {grains}: no solitary wave"
         )
-    wave, time = _exact(chain, amplitude)
+    wave, time = exact_wave(chain, amplitude)
     speed = float(1 / np.abs(line.slope))
     width = float(front.width[complete].mean() * speed)
     expected = np.array([amplitude, wave.speed / time, wave.width])
@@ -207,7 +207,7 @@ def fit_soliton(
     )
 
 
-def _check_chain(chain: Chain) -> None:
+def check_chain(chain: Chain) -> None:
     """Raise `InputError` unless solitary waves travel unchanged in this chain."""
     if chain.gravity > 0:
         raise InputError.at("gravity", "must be 0: contacts that stiffen with depth change a wave")
@@ -226,7 +226,7 @@ def _uniform_piece(chain: Chain, grains: np.ndarray) -> Chain:
     return piece
 
 
-def _exact(chain: Chain, velocity: float) -> tuple[Soliton, float]:
+def exact_wave(chain: Chain, velocity: float) -> tuple[Soliton, float]:
     """Return the solitary wave whose grains reach this velocity, m/s, and its unit of time, s."""
     if chain.compressed:
         speed = velocity * chain.time_scale / chain.length_scale

@@ -1,0 +1,360 @@
+"""Shifts of two solitary waves that meet: where each is, beside where it would have been."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ..chain.chain import Chain
+from ..errors import InputError
+from ..theory import collision as theory
+from ..theory.soliton import Soliton
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend, set_title
+from ..util.tabular import Tabular
+from . import crests
+from .fit.column_front import is_uniform
+from .fit.solitary import check_chain, exact_wave
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__dir__ = listed(__name__)
+
+APART = 1e-4  # of its height, to which each wave has fallen at the middle between both
+FEWEST = 8  # grains that each wave passes alone, before and after
+NEAREST = 5  # grains from an end, where a wave meets its reflection
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Collision(Shown, Tabular):
+    """Two solitary waves that have met; the first is the one nearer to the top before.
+
+    Attributes
+    ----------
+    head_on : bool
+        Whether they go against each other; else one has overtaken the other.
+    place, time : float
+        Where and when the lines of their motion before cross: grain, and s.
+    way : (2,) array
+        +1 of a wave that goes down, -1 of one that goes up.
+    speed, velocity : (2,) arrays
+        Before: grains/s, and the largest of a grain, m/s.
+    speed_after, velocity_after : (2,) arrays
+        The same afterwards; lower where the collision costs energy.
+    shift : (2,) array
+        By how many grains each is further along its way than without the other, at `time`, by the
+        line of its motion afterwards.
+    shift_error : (2,) array
+        By how much it may be off: by the two lines, and by the change of speed over the way on
+        which it is not known.
+    exact_speed : (2,) array
+        Of the exact solitary waves of these velocities before, grains/s.
+    toda, kdv : (2,) arrays
+        Laws of `lmpchain.theory.collision` for the same speeds under a load; NaN in the sonic
+        vacuum, where there are none, and `kdv` of waves that meet head-on.
+    """
+
+    _units: ClassVar[Mapping[str, str]] = {
+        "way": "",
+        "speed": "grains/s",
+        "velocity": "m/s",
+        "speed_after": "grains/s",
+        "velocity_after": "m/s",
+        "shift": "",
+        "shift_error": "",
+        "exact_speed": "grains/s",
+        "toda": "",
+        "kdv": "",
+    }
+
+    head_on: bool
+    place: float
+    time: float
+    way: Array
+    speed: Array
+    velocity: Array
+    speed_after: Array
+    velocity_after: Array
+    shift: Array
+    shift_error: Array
+    exact_speed: Array
+    toda: Array
+    kdv: Array
+    _before: tuple[_Line, _Line]
+    _after: tuple[_Line, _Line]
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw how far each wave is ahead of where it would be alone; returns the axes."""
+        ax = axes_in_units(ax, "s", "")
+        for k, colour in enumerate(("#0072B2", "#D55E00")):
+            line = self._before[k]
+            for piece in (line, self._after[k]):
+                ahead = self.way[k] * (piece.grain - line.at(piece.time))
+                ax.plot(piece.time, ahead, ".", ms=3, color=colour)
+            label = f"wave {k + 1}: {self.shift[k]:.5g} ± {self.shift_error[k]:.1g} grains"
+            ax.axhline(self.shift[k], color=colour, lw=1, label=label)
+            if np.isfinite(self.toda[k]):
+                law = f"wave {k + 1} in Toda's chain: {self.toda[k]:.5g}"
+                ax.axhline(self.toda[k], color=colour, lw=1, ls="--", label=law)
+        ax.axvline(self.time, color="0.6", lw=1)
+        ax.set(xlabel="time", ylabel="grains ahead of where it would be")
+        set_title(ax, "head-on" if self.head_on else "overtaking")
+        legend(ax)
+        return ax
+
+
+class _Line(NamedTuple):
+    """Crests of a wave while it is alone, and the line through them."""
+
+    grain: Array
+    time: Array
+    height: float
+    speed: float
+    origin: float
+    middle: float
+    off: float
+    speed_off: float
+
+    def at(self, time: Array | float) -> Array | float:
+        """Return where the line is, in grains."""
+        return self.origin + self.speed * (time - self.middle)
+
+
+class _Wave(NamedTuple):
+    """A wave at the beginning: place, counted from 0, way, and the exact one as high."""
+
+    grain: float
+    way: int
+    exact: Soliton
+    unit: float
+
+    @property
+    def speed(self) -> float:
+        """Velocity along the chain, grains/s."""
+        return self.way * self.exact.speed / self.unit
+
+    @property
+    def reach(self) -> float:
+        """Grains from the middle to where it has fallen to nearly nothing."""
+        top = float(self.exact.overlap(0.0))
+        wave = self.exact
+        return brentq(lambda x: float(wave.overlap(x)) / top - APART, 0.0, 2 * wave.reach)
+
+
+def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
+    """Measure the shifts of two solitary waves that meet, head-on or overtaking.
+
+    The waves are the two highest ones at a time before they meet, such as the sum of two exact ones
+    (`theory.soliton`, `Soliton.on`) as a `Profile`. What passes within the tails of the other one,
+    and afterwards the first half of the way, is left out: what a collision radiates leaves a wave
+    slowly under a load, in some 24 / kappa^3 times from grain to grain.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of a uniform chain without damping, until the waves are apart again; all grains recorded.
+    start : float
+        Time at which both are there, s: 0, or when strikes at the ends have made them.
+
+    Returns
+    -------
+    Collision
+
+    Raises
+    ------
+    InputError
+        If the chain is not uniform, has gravity, damping or springs, or grains were not recorded;
+        if there are no two solitary waves, or they have not passed 8 grains alone before or after.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=120, diameter=1e-3, gravity=0.0, top_load=1.0)
+    >>> wave = lmpchain.theory.soliton.solve(speed=1.2)
+    >>> pair = wave.on(chain, 30) + wave.on(chain, 90, downward=False)
+    >>> scene = lmpchain.Scene(
+    ...     chain=chain, excitation=pair, duration=60 * chain.time_scale, samples=1201)
+    >>> met = find(lmpchain.simulate(scene, engine="native"))
+    >>> met.head_on, f"{met.shift[0]:.3f}, in Toda's chain {met.toda[0]:.3f}"
+    (True, "0.303, in Toda's chain 0.455")
+    """
+    chain = trajectory.scene.chain
+    check_chain(chain)
+    if chain.damped:
+        raise InputError.at("damping", "must be none: waves that lose energy change their speeds")
+    if not is_uniform(chain):
+        raise InputError.at("chain", "must be uniform: a wave that meets another grain changes")
+    recorded = trajectory.grains.size
+    if recorded < chain.grains:
+        raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
+    time = trajectory.time
+    velocity = np.asarray(trajectory.velocity)
+    waves = _two_waves(chain, velocity[int(np.searchsorted(time, start))])
+    gap = waves[1].grain - waves[0].grain
+    closing = waves[0].speed - waves[1].speed
+    if not closing * gap > 0:
+        raise InputError.at("excitation", "the two highest waves move apart: they never meet")
+    meeting = start + gap / closing
+    apart = sum(wave.reach for wave in waves) / closing
+    if meeting - apart <= start:
+        raise InputError.at(
+            "excitation", "the waves begin within each other: put them further apart"
+        )
+    heights = [float(wave.exact.velocity(0.0)) for wave in waves]
+    # lines before and after; a wave in a collision may lose height
+    found = {
+        way: crests.find(time, way * velocity, 0.3 * _in_si(chain, waves[k], heights[k]))
+        for k, way in enumerate(wave.way for wave in waves)
+    }
+    if waves[0].way == waves[1].way:
+        weakest = min((0, 1), key=heights.__getitem__)
+        least = 0.3 * _in_si(chain, waves[weakest], heights[weakest])
+        found = {waves[0].way: crests.find(time, waves[0].way * velocity, least)}
+    before = [
+        _line(found[wave.way], wave, chain, start, meeting - apart, (wave.grain, start))
+        for wave in waves
+    ]
+    place = _crossing(*before)
+    after = [
+        _line(found[wave.way], wave, chain, meeting + apart, float(time[-1]), place)
+        for wave in waves
+    ]
+    return _compare(chain, waves, before, after, place)
+
+
+def _two_waves(chain: Chain, velocity: Array) -> tuple[_Wave, _Wave]:
+    """Return the two highest waves of a snapshot, from the top."""
+    size = np.abs(velocity)
+    tops = 1 + np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:]))
+    tops = np.sort(tops[np.argsort(size[tops])[-2:]])
+    if tops.size < 2 or size[tops].min() < 1e-3 * size.max():
+        raise InputError.at("excitation", "must be two solitary waves")
+    waves = []
+    for top in tops:
+        # the crest of a wave is a parabola in the logarithm, next to its middle
+        low, high, next_one = np.log(np.maximum(size[top - 1 : top + 2], 1e-300))
+        bend = low + next_one - 2 * high
+        place = (low - next_one) / (2 * bend)
+        height = float(np.exp(high - (low - next_one) ** 2 / (8 * bend)))
+        exact, unit = exact_wave(chain, height)
+        waves.append(_Wave(top + float(place), int(np.sign(velocity[top])), exact, unit))
+    return waves[0], waves[1]
+
+
+def _in_si(chain: Chain, wave: _Wave, velocity: float) -> float:
+    """Return a velocity of the exact wave in m/s."""
+    return velocity * (chain.length_scale / wave.unit if wave.exact.loaded else 1.0)
+
+
+def _line(
+    found: crests.Crests,
+    wave: _Wave,
+    chain: Chain,
+    begin: float,
+    end: float,
+    through: tuple[float, float],
+) -> _Line:
+    """Return the line of a wave between two times, near that of the exact one through a point.
+
+    Of times behind that point the later half counts.
+    """
+    grain, time = through
+    expected = grain + wave.speed * (found.time - time)
+    height = _in_si(chain, wave, float(wave.exact.velocity(0.0)))
+    # the other wave is further off than the shift
+    near = np.abs(found.grain - expected) < wave.reach
+    near &= np.abs(found.height / height - 1) < crests.NEAR
+    near &= (found.time > begin) & (found.time < end)
+    near &= (found.grain >= NEAREST) & (found.grain < chain.grains - NEAREST)
+    if near.sum() < FEWEST:
+        when = "after" if begin > time else "before"
+        raise InputError.at(
+            "duration",
+            f"each wave must pass {FEWEST} grains alone {when} they meet (got {near.sum()}): "
+            "put them further apart, in a longer chain, and record longer",
+        )
+    x = found.grain[near].astype(float)
+    t = found.time[near]
+    order = np.argsort(t)
+    # what the collision radiates leaves the wave slowly
+    settled = order[order.size // 2 :] if begin > time else order
+    x = x[settled]
+    t = t[settled]
+    half = x.size // 2
+    slope, intercept = np.polyfit(x - x.mean(), t - t.mean(), 1)
+    pieces = [
+        np.polyfit(x[s] - x.mean(), t[s] - t.mean(), 1)[0] for s in (slice(half), slice(half, None))
+    ]
+    speed = 1 / float(slope)
+    noise = float(
+        found.time_error[near].max() + np.abs(t - t.mean() - slope * (x - x.mean())).max()
+    )
+    speed_off = abs(float(pieces[0] - pieces[1])) + 3 * noise / float(np.ptp(x))
+    return _Line(
+        grain=x,
+        time=t,
+        height=float(found.height[near].mean()),
+        speed=speed,
+        origin=float(x.mean() - intercept * speed),
+        middle=float(t.mean()),
+        off=noise * abs(speed),
+        speed_off=speed_off * speed**2,
+    )
+
+
+def _crossing(first: _Line, second: _Line) -> tuple[float, float]:
+    """Return where, counted from 0, and when two lines cross."""
+    gap = float(second.at(first.middle)) - first.origin
+    time = first.middle + gap / (first.speed - second.speed)
+    return float(first.at(time)), time
+
+
+def _compare(
+    chain: Chain,
+    waves: tuple[_Wave, _Wave],
+    before: list[_Line],
+    after: list[_Line],
+    place: tuple[float, float],
+) -> Collision:
+    """Return the shifts, and the laws beside."""
+    time = place[1]
+    way = np.array([wave.way for wave in waves], dtype=float)
+    shift = [
+        s * float(late.at(time) - early.at(time))
+        for s, early, late in zip(way, before, after, strict=True)
+    ]
+    error = [
+        sum(line.off + line.speed_off * abs(time - line.middle) for line in pair)
+        for pair in zip(before, after, strict=True)
+    ]
+    exact = [exact_wave(chain, line.height) for line in before]
+    speeds = [wave.speed for wave, _ in exact]
+    head_on = waves[0].way != waves[1].way
+    none = [np.nan, np.nan]
+    loaded = chain.compressed
+    pairs = list(zip(speeds, speeds[::-1], strict=True))
+    return Collision(
+        head_on=head_on,
+        place=1 + place[0],
+        time=time,
+        way=way,
+        speed=np.abs([line.speed for line in before]),
+        velocity=np.array([line.height for line in before]),
+        speed_after=np.abs([line.speed for line in after]),
+        velocity_after=np.array([line.height for line in after]),
+        shift=np.array(shift),
+        shift_error=np.array(error),
+        exact_speed=np.array([wave.speed / unit for wave, unit in exact]),
+        toda=np.array([theory.toda(*pair, head_on) for pair in pairs] if loaded else none),
+        kdv=np.array([theory.kdv(*pair) for pair in pairs] if loaded and not head_on else none),
+        _before=(before[0], before[1]),
+        _after=(after[0], after[1]),
+    )

@@ -1,0 +1,125 @@
+"""Crests of a wave as it passes grain after grain, between the samples too."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..util.arrays import Array
+from ..util.lazy import listed
+
+__dir__ = listed(__name__)
+
+HALF = 4  # samples on either side of a crest through which a polynomial runs
+NEAR = 0.25  # of the time from grain to grain, and of the height: by how much the next may be off
+
+
+class Crests(NamedTuple):
+    """Maxima over time of the velocity of grains in one direction, grain by grain.
+
+    Attributes
+    ----------
+    grain : (P,) array
+        Columns, in ascending order, each with its maxima in the order of time.
+    time, height : (P,) arrays
+        s and m/s.
+    time_error, height_error : (P,) arrays
+        Shifts when every second sample is used.
+    """
+
+    grain: NDArray[np.intp]
+    time: Array
+    height: Array
+    time_error: Array
+    height_error: Array
+
+    def first(self, grain: int, begin: float, end: float) -> int | None:
+        """Return the number of the highest crest of a grain between two times, None without one."""
+        first, last = np.searchsorted(self.grain, [grain, grain + 1])
+        time = self.time[first:last]
+        inside = first + np.flatnonzero((time >= begin) & (time <= end))
+        return int(inside[self.height[inside].argmax()]) if inside.size else None
+
+    def follow(self, crest: int, pace: float, way: int) -> NDArray[np.intp]:
+        """Return the numbers of the crests of one wave, from one of them on.
+
+        Parameters
+        ----------
+        crest : int
+            Its number.
+        pace : float
+            Time from grain to grain, s, below 0 of a wave towards earlier grains.
+        way : +1 or -1
+            Towards later or earlier grains.
+        """
+        followed = [crest]
+        while True:
+            last = followed[-1]
+            begin, end = np.searchsorted(self.grain, self.grain[last] + np.array([way, way + 1]))
+            late = np.abs(self.time[begin:end] - self.time[last] - way * pace)
+            height = self.height[last]
+            near = (late < NEAR * abs(pace)) & (
+                np.abs(self.height[begin:end] - height) < NEAR * height
+            )
+            if not near.any():
+                return np.array(followed, dtype=np.intp)
+            candidates = np.flatnonzero(near)
+            followed.append(int(begin + candidates[late[candidates].argmin()]))
+
+
+def find(time: Array, velocity: Array, least: float) -> Crests:
+    """Return the crests of the motion of all grains above a height.
+
+    Parameters
+    ----------
+    time : (T,) array
+        s, in equal steps.
+    velocity : (T, G) array
+        m/s, positive in the direction of interest.
+    least : float
+        m/s.
+
+    Returns
+    -------
+    Crests
+    """
+    far = 2 * HALF
+    inner = velocity[far:-far]
+    tops = (inner >= velocity[far - 1 : -far - 1]) & (
+        inner > velocity[far + 1 : len(time) - far + 1]
+    )
+    sample, grain = np.nonzero(tops & (inner > least))
+    order = np.lexsort((sample, grain))
+    sample = sample[order] + far
+    grain = grain[order]
+    step = time[1] - time[0]
+    where, height = _summits(velocity, sample, grain, 1)
+    rough_where, rough_height = _summits(velocity, sample, grain, 2)
+    return Crests(
+        grain,
+        time[sample] + step * where,
+        height,
+        step * np.abs(where - rough_where),
+        np.abs(height - rough_height),
+    )
+
+
+def _summits(
+    velocity: Array, sample: NDArray[np.intp], grain: NDArray[np.intp], stride: int
+) -> tuple[Array, Array]:
+    """Return places, in samples from these, and heights of maxima of polynomials through them."""
+    nodes = np.arange(-HALF, HALF + 1)
+    values = velocity[sample[:, None] + stride * nodes, grain[:, None]]
+    powers = np.arange(nodes.size)
+    terms = values @ np.linalg.inv(np.vander(nodes, increasing=True).astype(float)).T
+    slopes = terms[:, 1:] * powers[1:]
+    bends = slopes[:, 1:] * powers[1:-1]
+    x = np.zeros(sample.size)
+    for _ in range(6):
+        curve = (bends * x[:, None] ** powers[:-2]).sum(1)
+        slope = (slopes * x[:, None] ** powers[:-1]).sum(1)
+        # within the sample next to it; a curve that does not bend down has no maximum
+        x = np.clip(x - np.divide(slope, curve, out=np.zeros_like(x), where=curve < 0), -1, 1)
+    return stride * x, (terms * x[:, None] ** powers).sum(1)

@@ -1,0 +1,244 @@
+"""Power that passes a contact of a chain that is driven at one frequency, beside what goes in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from ..chain.chain import Chain
+from ..errors import InputError
+from ..scene.acting import Drive, Force
+from ..theory.steady import displacements
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array, whole_numbers
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend, set_title
+from ..util.tabular import Tabular
+from .bodies import motion
+from .contact import contacts
+from .motion import motion_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__dir__ = listed(__name__)
+
+FEWEST = 8  # samples a period
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Power(Shown, Tabular):
+    """Power that passes a contact downward, beyond that of the load, averaged over whole periods.
+
+    Attributes
+    ----------
+    contact : int
+    time, power : (T,) arrays
+        s; force above rest times the mean velocity of the two bodies, W.
+    mean, error : float
+        Over the last `periods` periods, W; by how much it may be off: the change from their first
+        to their second half, that of every second sample, and the error of the trajectory.
+    periods : int
+    input, input_error : float
+        Mean power of the drive over the same periods, in the same way, W; NaN if the grains it acts
+        on were not recorded.
+    linear, linear_input : float
+        Both in the linearised chain as it is, sponges and all, in its steady state, W; NaN without
+        a load.
+    """
+
+    _units: ClassVar[Mapping[str, str]] = {"time": "s", "power": "W"}
+
+    contact: int
+    time: Array
+    power: Array
+    mean: float
+    error: float
+    periods: int
+    input: float
+    input_error: float
+    linear: float
+    linear_input: float
+    _begin: float
+
+    @property
+    def share(self) -> float:
+        """Mean power over that of the drive."""
+        return self.mean / self.input
+
+    @property
+    def share_error(self) -> float:
+        """By how much the share may be off."""
+        return (self.error + abs(self.share) * self.input_error) / abs(self.input)
+
+    @property
+    def linear_share(self) -> float:
+        """Share in linear theory."""
+        return self.linear / self.linear_input
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the power over time and its mean, that of linear theory dashed; returns the axes."""
+        ax = axes_in_units(ax, "s", "W")
+        ax.plot(self.time, self.power, color="0.6", lw=0.6)
+        window = [self._begin, self.time[-1]]
+        ax.plot(window, [self.mean] * 2, color="#D55E00", label=f"mean, {self.mean:.4g} W")
+        if np.isfinite(self.linear):
+            ax.axhline(self.linear, color="k", ls="--", lw=1, label=f"linear, {self.linear:.4g} W")
+        ax.set(xlabel="time", ylabel="power")
+        share = f", {self.share:.3%} of that of the drive" if np.isfinite(self.input) else ""
+        set_title(ax, f"Contact {self.contact}: ± {self.error:.1g} W{share}")
+        legend(ax)
+        return ax
+
+
+def through(trajectory: Trajectory, contact: int, periods: int | None = None) -> Power:
+    """Measure the power that passes a contact of a driven chain in its steady state.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of a `Drive` or `Force` of one amplitude and frequency, until all is steady, as it becomes
+        between ends that absorb (`patterns.absorbing`); of the contact and of what is driven, the
+        grains recorded at 8 samples a period or more.
+    contact : int
+        The one below this grain; 0 is that with the top wall.
+    periods : int, optional
+        How many of them, at the end of the run; by default half of it.
+
+    Returns
+    -------
+    Power
+
+    Raises
+    ------
+    InputError
+        If nothing drives the chain at one frequency, there is no such contact, its grains were not
+        recorded, or the run has too few periods or samples.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> from lmpchain import patterns
+    >>> chain = lmpchain.Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+    >>> endless = patterns.absorbing(chain, bottom=40, top=40)
+    >>> push = lmpchain.Force(grain=60, amplitude=1e-4, frequency=0.15 / chain.time_scale)
+    >>> scene = lmpchain.Scene(chain=endless, excitation=push, duration=120 / push.frequency,
+    ...                        samples=1441)
+    >>> passed = through(lmpchain.simulate(scene, engine="native"), 80)
+    >>> f"{passed.share:.4f} of the power, {passed.linear_share:.4f} in linear theory"
+    '0.4998 of the power, 0.4998 in linear theory'
+    """
+    scene = trajectory.scene
+    drive = _check_drive(scene.excitation)
+    period = 1 / drive.frequency
+    number = int(whole_numbers(contact, "contact"))
+    chain = scene.chain
+    if not (0 <= number <= chain.movable and chain.contacts.exists[number]):
+        raise InputError.at("contact", f"there is none of this number (got {contact})")
+    time = trajectory.time
+    most = int(time[-1] / period * (1 + 1e-9))
+    count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
+    if not 2 <= count <= most:
+        raise InputError.at("periods", f"must be 2 to {most}, those of the run (got {count})")
+    if period < FEWEST * (time[1] - time[0]) * (1 - 1e-9):
+        least = 1 + int(np.ceil(FEWEST * time[-1] / period))
+        raise InputError.at("samples", f"must be {least} or more: {FEWEST} a period of the drive")
+    known = motion_of(trajectory)
+    velocity_error = known.known_error("velocity")
+    _, v = motion(trajectory, np.array([number, number + 1]))
+    force = contacts(trajectory, [number]).change[:, 0]
+    speed = v.mean(1)
+    mean, error = _mean(time, force * speed, period, count)
+    # errors of force and velocity are alike, relative to the largest
+    part = velocity_error / max(known.sampled[1], 1e-300)
+    error += 2 * part * float(np.abs(force * speed).max())
+    given, given_error = _input(trajectory, drive, count, part)
+    linear, linear_input = _linear(chain, drive, number)
+    return Power(
+        contact=number,
+        time=time,
+        power=force * speed,
+        mean=mean,
+        error=error,
+        periods=count,
+        input=given,
+        input_error=given_error,
+        linear=linear,
+        linear_input=linear_input,
+        _begin=float(time[-1] - count * period),
+    )
+
+
+def _check_drive(drive: object) -> Drive | Force:
+    """Return a drive or force of one frequency; raise `InputError` if it is anything else."""
+    if isinstance(drive, Drive | Force) and drive.frequency is not None and drive.cycles is None:
+        return drive
+    rule = "must be a drive or a force of one amplitude and frequency, without cycles"
+    raise InputError.at("excitation", f"{rule}: only such a chain becomes steady")
+
+
+def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, float]:
+    """Return the mean over the last periods, and how far it may be off by change and sampling."""
+    end = time[-1]
+    edges = [end - count * period, end - (count // 2) * period, end]
+
+    def means(stride: int) -> Array:
+        # the last sample is one of them
+        near = slice((len(time) - 1) % stride, None, stride)
+        curve: BSpline = make_interp_spline(time[near], power[near], 7)
+        return np.diff(curve.antiderivative()(edges)) / np.diff(edges)
+
+    fine = means(1)
+    weights = np.diff(edges) / (count * period)
+    sampling = abs(float(weights @ (fine - means(2))))
+    return float(weights @ fine), float(abs(fine[1] - fine[0])) + sampling
+
+
+def _input(
+    trajectory: Trajectory, drive: Drive | Force, count: int, part: float
+) -> tuple[float, float]:
+    """Return the mean power of the drive, W, and its error; NaN if its grain was not recorded."""
+    time = trajectory.time
+    try:
+        if isinstance(drive, Force):
+            _, v = motion(trajectory, np.array([drive.grain]))
+            power = drive.waveform.at(time) * v[:, 0]
+        else:
+            power = _power_of_driver(trajectory, drive.grain)
+    except InputError:
+        return np.nan, np.nan
+    mean, error = _mean(time, power, 1 / drive.frequency, count)
+    return mean, error + 2 * part * float(np.abs(power).max())
+
+
+def _power_of_driver(trajectory: Trajectory, grain: int) -> Array:
+    """Return the power of what moves grain 1 or the wall, (T,) W, but for that of its inertia."""
+    _, v = motion(trajectory, np.array([grain]))
+    force = contacts(trajectory, [grain]).change[:, 0]
+    if grain and trajectory.scene.chain.contacts.exists[0]:
+        force = force - contacts(trajectory, [0]).change[:, 0]
+    return force * v[:, 0]
+
+
+def _linear(chain: Chain, drive: Drive | Force, number: int) -> tuple[float, float]:
+    """Return the mean powers through a contact and of the drive in the linearised chain, W."""
+    if not chain.linearisable:
+        return np.nan, np.nan
+    omega = 2 * np.pi * drive.frequency
+    u = displacements(chain, drive)
+    v = 1j * omega * u
+    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
+    force = stiffness * (u[:-1] - u[1:])
+    passed = (force[number] * (v[number] + v[number + 1]).conj()).real / 4
+    if isinstance(drive, Force):
+        given = drive.amplitude * v[drive.grain].real / 2
+    else:
+        grain = drive.grain
+        above = force[grain - 1] if grain else 0.0
+        given = ((force[grain] - above) * v[grain].conj()).real / 2
+    return float(passed), float(given)

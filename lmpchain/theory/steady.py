@@ -1,0 +1,60 @@
+"""The steady answer of a linear chain to a sinusoidal drive, with or without damping."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_banded
+
+from ..chain.chain import Chain
+from ..scene.acting import Drive, Force
+from ..util.lazy import listed
+
+__dir__ = listed(__name__)
+
+
+def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
+    """Return u of the motion ``Im(u exp(i w t))`` in which the linearised chain follows a drive.
+
+    It solves ``(K (1 + i w A) - m w^2 + i w gamma m) u = f``, with the times A and the rates gamma
+    of `Damping`.
+
+    Parameters
+    ----------
+    chain : Chain
+        Compressed.
+    drive : Drive or Force
+        With amplitude and frequency.
+
+    Returns
+    -------
+    (N+2,) complex array
+        m; of the top wall, the grains and the bottom wall.
+
+    Examples
+    --------
+    >>> chain = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)
+    >>> answer = displacements(chain, Drive(amplitude=1e-9, frequency=1e3))
+    >>> abs(answer).round(12).tolist()
+    [0.0, 1e-09, 5e-10, 0.0, 0.0]
+    """
+    omega = 2 * np.pi * drive.frequency
+    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
+    answer = np.zeros(chain.grains + 2, complex)
+    if isinstance(drive, Drive):
+        answer[drive.grain] = drive.amplitude
+    free = np.arange(drive.driven, chain.movable)
+    if not free.size:
+        return answer
+    inertia = chain.masses[free] * (omega**2 - 1j * omega * chain.drag[free])
+    bands = np.zeros((3, free.size), complex)
+    bands[1] = stiffness[free] + stiffness[free + 1] - inertia
+    bands[0, 1:] = -stiffness[free[1:]]
+    bands[2, :-1] = bands[0, 1:]
+    pull = np.zeros(free.size, complex)
+    if isinstance(drive, Force):
+        pull[drive.grain - 1] = drive.amplitude
+    else:
+        pull[0] = stiffness[free[0]] * drive.amplitude
+    answer[free + 1] = solve_banded((1, 1), bands, pull)
+    return answer

@@ -1,0 +1,179 @@
+"""Shifts of solitary waves that meet are those of integrable chains as amplitudes fall."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain.measure import collision
+from lmpchain.theory import collision as theory
+from lmpchain.theory import soliton
+
+# kappa, way and place
+Wave = tuple[float, int, float]
+HOST = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
+
+
+@cache
+def head_on(speed: float, grains: int) -> Trajectory:
+    """Let two equal waves under a load meet in the middle."""
+    wave = soliton.solve(speed=speed)
+    chain = Chain(grains=grains, **HOST)
+    pair = wave.on(chain, grains // 4) + wave.on(chain, 3 * grains // 4, downward=False)
+    duration = grains / 2 / speed * chain.time_scale
+    scene = Scene(chain=chain, excitation=pair, duration=duration, samples=8 * grains)
+    return simulate(scene, engine="native", tolerance=1e-8)
+
+
+def overtaking(fast: float, slow: float, grains: int, gap: int) -> Trajectory:
+    """Let one wave under a load overtake another."""
+    waves = [soliton.solve(speed=speed) for speed in (fast, slow)]
+    chain = Chain(grains=grains, **HOST)
+    pair = waves[0].on(chain, 40) + waves[1].on(chain, 40 + gap)
+    duration = (grains - 80) / fast * chain.time_scale
+    scene = Scene(chain=chain, excitation=pair, duration=duration, samples=8 * grains)
+    return simulate(scene, engine="native", tolerance=1e-8)
+
+
+def toda_chain(first: Wave, second: Wave, until: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return velocities (T, N) of two solitons in Toda's chain, by SciPy's DOP853, and times.
+
+    Each is (kappa, way, place); forces are exp(overlap) - 1.
+    """
+    n = np.arange(300)
+    velocity = np.zeros(n.size)
+    displacement = np.zeros(n.size)
+
+    def wave(kappa: float, way: int, x: np.ndarray) -> np.ndarray:
+        z = way * kappa * x
+        return np.logaddexp(0, kappa / 2 - z) - np.logaddexp(0, -kappa / 2 - z)
+
+    for kappa, way, place in (first, second):
+        shift = 1e-6
+        speed = way * 2 * np.sinh(kappa / 2) / kappa
+        u = wave(kappa, way, n - place)
+        rate = (wave(kappa, way, n - place - shift) - wave(kappa, way, n - place + shift)) / 2
+        displacement += way * u
+        velocity += way * rate / shift * speed
+    time = np.linspace(0, until, round(40 * until) + 1)
+
+    def slope(_: float, state: np.ndarray) -> np.ndarray:
+        u, v = np.split(state, 2)
+        force = np.expm1(u[:-1] - u[1:])
+        return np.concatenate((v, np.append(0, force) - np.append(force, 0)))
+
+    start = np.concatenate((displacement, velocity))
+    answer = solve_ivp(slope, (0, until), start, "DOP853", time, rtol=1e-11, atol=1e-12)
+    return answer.y[n.size :].T, time
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "late"),
+    [((1.6, 1, 40), (1.2, -1, 110), 50.0), ((2.4, 1, 20), (0.9, 1, 45), 170.0)],
+)
+def test_laws_of_toda_are_those_of_his_chain(first: Wave, second: Wave, late: float) -> None:
+    """Shifts in a chain of exponential forces, integrated by SciPy, to 1e-4."""
+    velocity, time = toda_chain(first, second, late + 10)
+    for (kappa, way, place), (other, way_of_other, _) in ((first, second), (second, first)):
+        speed, speed_of_other = (2 * np.sinh(q / 2) / q for q in (kappa, other))
+        law = theory.toda(speed, speed_of_other, way != way_of_other)
+        # the passage at the grain where it should be at a late time
+        grain = round(place + way * (speed * late + law))
+        signal = np.asarray(way * velocity[:, grain])
+        near = np.abs(time - late) < 4
+        top = np.flatnonzero(near)[signal[near].argmax()]
+        fit = np.polyfit(time[top - 3 : top + 4] - time[top], signal[top - 3 : top + 4], 6)
+        turns = np.roots(np.polyder(fit))
+        when = time[top] + min(turns[np.isreal(turns)].real, key=abs)
+        assert way * (grain - place) - speed * when == pytest.approx(law, abs=1e-4)
+
+
+def test_head_on_shifts_tend_to_todas_as_amplitudes_fall() -> None:
+    """The ratio differs from 1 in proportion to c - 1: half as much, half the difference."""
+    apart = []
+    for speed, grains in ((1.05, 500), (1.025, 900)):
+        met = collision.find(head_on(speed, grains))
+        assert met.head_on
+        assert met.shift[0] == pytest.approx(met.shift[1], abs=1e-9)
+        assert met.speed == pytest.approx(met.exact_speed, rel=1e-9)
+        assert met.place == pytest.approx(grains / 2, abs=0.6)
+        apart.append(1 - met.shift[0] / met.toda[0])
+    assert apart[0] / apart[1] == pytest.approx(1.7, abs=0.3)
+
+
+def test_errors_cover_what_longer_runs_give() -> None:
+    """A run of twice the length moves the shift by no more than the errors of both."""
+    short = collision.find(head_on(1.05, 500))
+    long = collision.find(head_on(1.05, 1000))
+    error = short.shift_error[0] + long.shift_error[0]
+    assert abs(short.shift[0] - long.shift[0]) < error < 0.005
+
+
+def test_overtaking_waves_shift_by_the_laws_as_amplitudes_fall() -> None:
+    """The faster one is pushed on and the slower one back; both tend to the laws."""
+    strong = collision.find(overtaking(1.4, 1.1, 400, 17))
+    weak = collision.find(overtaking(1.2, 1.05, 850, 23))
+    for met in (strong, weak):
+        assert not met.head_on
+        assert met.shift[0] > 0 > met.shift[1]
+        assert (met.shift_error < 0.01).all()
+    for law in ("toda", "kdv"):
+        apart = [np.abs(met.shift / getattr(met, law) - 1) for met in (strong, weak)]
+        assert apart[1][0] < 0.6 * apart[0][0]
+    # the slower one, by the law that is exact for Toda's chain
+    assert weak.shift[1] == pytest.approx(weak.toda[1], rel=0.08)
+
+
+@pytest.mark.slow
+def test_weak_waves_overtake_as_korteweg_and_de_vries_say() -> None:
+    """At c - 1 = 0.1 and 0.025 to 2 %, in 2000 grains."""
+    met = collision.find(overtaking(1.1, 1.025, 2100, 33))
+    assert met.shift == pytest.approx(met.kdv, rel=0.04)
+    assert met.shift[0] == pytest.approx(met.kdv[0], rel=0.02)
+
+
+def test_equal_waves_in_a_vacuum_lose_more_where_a_contact_is_in_the_middle() -> None:
+    """As experiments and runs of Santibanez et al., Phys. Rev. E 84, 026604 (2011), have it."""
+    wave = soliton.solve(velocity=0.1)
+    lost = []
+    for grains in (160, 161):
+        chain = Chain(grains=grains, diameter=1e-3, gravity=0.0)
+        pair = wave.on(chain, 40.0) + wave.on(chain, grains - 39.0, downward=False)
+        unit = float(chain.masses[0] / chain.contact_constants[0]) ** 0.4
+        duration = (grains - 60) * unit / wave.speed
+        scene = Scene(chain=chain, excitation=pair, duration=duration, samples=16 * grains)
+        met = collision.find(simulate(scene, "native", 1e-8))
+        assert np.isnan(met.toda).all()
+        assert met.shift_error.max() < 1e-6
+        assert 0.35 < met.shift[0] < 0.37
+        lost.append(1 - float(met.velocity_after[0] / met.velocity[0]))
+    assert lost[0] > 2 * lost[1] > 1e-3
+
+
+def test_plot_has_the_shifts_and_the_laws() -> None:
+    """Each wave with its shift, and that of Toda's chain."""
+    labels = collision.find(head_on(1.05, 500)).plot().get_legend_handles_labels()[1]
+    assert sum("Toda" in label for label in labels) == 2
+
+
+def test_what_does_not_meet_is_refused() -> None:
+    """One wave alone, waves that part, and a run that ends too early."""
+    chain = Chain(grains=120, **HOST)
+    wave = soliton.solve(speed=1.2)
+    parting = wave.on(chain, 40, downward=False) + wave.on(chain, 80)
+    meeting = wave.on(chain, 30) + wave.on(chain, 90, downward=False)
+    for excitation, steps, words in (
+        (Impulse(velocity=1e-3), 20, "excitation|velocity|duration"),
+        (parting, 20, "never meet"),
+        (meeting, 30, "record longer"),
+    ):
+        duration = steps * chain.time_scale
+        scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=401)
+        with pytest.raises(InputError, match=words):
+            collision.find(simulate(scene, "native", 1e-6))
+    with pytest.raises(InputError, match="of one chain"):
+        meeting + Profile(velocity=np.zeros(3))
+    with pytest.raises(InputError, match="other: must differ"):
+        theory.toda(1.2, 1.2, False)

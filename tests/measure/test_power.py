@@ -1,0 +1,112 @@
+"""Power through contacts is what scattering lets pass, and what is put in and taken out."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, patterns, simulate
+from lmpchain.measure import energy, power
+from lmpchain.theory import scattering
+from lmpchain.theory.steady import displacements
+
+CHAIN = Chain(
+    grains=60,
+    diameter=1e-3,
+    gravity=0.0,
+    top_load=1.0,
+    bottom="wall",
+    impurity=[{"grain": 30, "diameter": 1.6e-3}],
+)
+FREQUENCY = 0.15 / CHAIN.time_scale
+
+
+@cache
+def run(amplitude: float) -> Trajectory:
+    """Push a grain of the upper lead between sponges for 150 periods."""
+    chain = patterns.absorbing(CHAIN, bottom=60, top=60)
+    push = Force(grain=80, amplitude=amplitude, frequency=FREQUENCY)
+    scene = Scene(chain=chain, excitation=push, duration=150 / FREQUENCY, samples=3001)
+    return simulate(scene, engine="native", tolerance=1e-6)
+
+
+def test_weak_waves_pass_as_the_theory_of_scattering_says() -> None:
+    """Power behind an impurity, over what a force sends down an endless chain, to 3e-4."""
+    omega = 2 * np.pi * FREQUENCY
+    stiffness = float(CHAIN.linear_stiffness[0])
+    q = 2 * np.arcsin(omega / 2 * np.sqrt(float(CHAIN.masses[0]) / stiffness))
+    # half of omega k sin(q) |u|^2 of the wave u = F / (2 k sin q)
+    incoming = 1e-4**2 * omega / (8 * stiffness * np.sin(q))
+    passed = power.through(run(1e-4), 100)
+    theory = float(scattering.transmission(CHAIN, omega).transmitted)
+    assert passed.mean / incoming == pytest.approx(theory, rel=3e-4)
+    # the chain as it is, sponges and all
+    assert passed.mean == pytest.approx(passed.linear, abs=passed.error)
+    assert passed.error < 3e-4 * passed.mean
+    assert passed.share == pytest.approx(passed.linear_share, abs=passed.share_error)
+
+
+def test_power_into_a_piece_is_what_comes_out_of_it() -> None:
+    """In an undamped piece every contact passes the same power, on average."""
+    means = [power.through(run(1e-2), contact).mean for contact in (82, 89, 95, 110)]
+    assert means == pytest.approx([means[0]] * 4, rel=3e-4)
+
+
+def test_input_is_the_work_in_the_ledger() -> None:
+    """The mean power of a force and of both kinds of drives is what the ledger has."""
+    chain = patterns.absorbing(CHAIN.replace(top="wall", impurity=[]), bottom=60)
+    for drive in (
+        Force(grain=3, amplitude=1e-4, frequency=FREQUENCY),
+        Drive(grain=0, amplitude=1e-10, frequency=FREQUENCY),
+        Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY),
+    ):
+        scene = Scene(chain=chain, excitation=drive, duration=80 / FREQUENCY, samples=1601)
+        t = simulate(scene, "native", 1e-7)
+        work = energy.ledger(t).drive
+        mean = (work[-1] - work[800]) / (t.time[-1] - t.time[800])
+        passed = power.through(t, 20)
+        assert passed.periods == 40
+        assert passed.input == pytest.approx(mean, rel=1e-4)
+        assert passed.linear_input == pytest.approx(mean, rel=1e-3)
+        # all of it goes down
+        assert passed.linear_share == pytest.approx(1, abs=1e-9)
+        assert passed.share == pytest.approx(1, abs=1e-3)
+
+
+def test_share_falls_with_amplitude_by_more_than_the_errors() -> None:
+    """Harmonics and a slower wave take from what a strong force puts in."""
+    weak = power.through(run(1e-4), 100)
+    strong = power.through(run(0.3), 100)
+    assert weak.share - strong.share > 3 * (weak.share_error + strong.share_error)
+
+
+def test_steady_answer_is_that_of_a_dense_matrix() -> None:
+    """Displacements solve the complex equations, which numpy solves otherwise."""
+    chain = CHAIN.replace(damping={"viscoelastic": 1e-8, "drag": 100.0})
+    push = Force(grain=7, amplitude=1.0, frequency=FREQUENCY)
+    omega = 2 * np.pi * FREQUENCY
+    k = chain.contacts.stiffness * (1 + 1e-8j * omega)
+    matrix = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+    matrix -= np.diag(chain.masses * (omega**2 - 100j * omega))
+    expected = np.linalg.solve(matrix, np.eye(60)[6])
+    assert displacements(chain, push)[1:-1] == pytest.approx(expected, rel=1e-10)
+
+
+def test_plot_says_what_passes() -> None:
+    """Mean, linear theory and share."""
+    ax = power.through(run(1e-4), 100).plot()
+    assert any("linear" in label for label in ax.get_legend_handles_labels()[1])
+
+
+def test_what_is_not_steady_is_refused() -> None:
+    """Each mistake in a line with its key."""
+    t = run(1e-4)
+    for arguments, key in (((500,), "contact"), ((100, 1), "periods"), ((100, 400), "periods")):
+        with pytest.raises(InputError, match=f"^{key}"):
+            power.through(t, *arguments)
+    short = t.scene.replace(samples=201)
+    with pytest.raises(InputError, match="samples: must be 1201"):
+        power.through(simulate(short, "native", 1e-3), 100)
+    struck = short.replace(excitation=Impulse(velocity=1e-6))
+    with pytest.raises(InputError, match="excitation: must be a drive"):
+        power.through(simulate(struck, "native", 1e-3), 100)

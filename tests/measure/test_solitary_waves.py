@@ -1,0 +1,137 @@
+"""Solitary waves behind a strike are the exact ones, and have the shares that are known."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain.measure import solitary
+from lmpchain.theory import soliton
+
+
+def chain(grains: int = 90, delta: float = 1.5, **others: object) -> Chain:
+    """Return grains of 1 mg with contacts of 1 GN/m^delta."""
+    masses = np.full(grains, 1e-6)
+    masses[0] *= float(others.pop("striker", 1.0))  # type: ignore[arg-type]
+    constants = np.full(grains - 1, 1e9)
+    free = {"gravity": 0.0, "bottom": "free", "diameter": 1e-3, "exponent": delta}
+    return Chain(grains=grains, masses=masses, contact_constants=constants, **free | others)
+
+
+@cache
+def strike(
+    delta: float = 1.5, striker: float = 1.0, grains: int = 90, up: bool = False
+) -> Trajectory:
+    """Strike the first or the last grain with 0.1 m/s, until the first wave is near the end."""
+    struck = chain(grains, delta, striker=striker)
+    height = 0.1 * (0.7 if striker == 1 else 1.5)
+    length = (1e-6 / 1e9) ** (1 / (1 + delta))
+    speed = soliton.nesterenko_speed(height, delta) / length
+    velocity = -0.1 if up else 0.1
+    impulse = Impulse(velocity=velocity, grain=grains if up else 1)
+    duration = 0.9 * grains / float(speed)
+    scene = Scene(chain=struck, excitation=impulse, duration=duration, samples=16 * grains)
+    return simulate(scene, engine="native", tolerance=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("delta", "share", "velocity"), [(1.5, 0.99366104, 0.68163155), (2.0, 0.99845214, None)]
+)
+def test_share_of_a_strike_is_that_of_independent_runs(
+    delta: float, share: float, velocity: float | None
+) -> None:
+    """Shares and heights that SciPy's DOP853 gave, at any velocity, to 1e-7."""
+    train = solitary.find(strike(delta))
+    assert train.share[0] == pytest.approx(share, abs=1e-7)
+    assert train.share_error[0] < 1e-5
+    if velocity:
+        assert train.velocity[0] == pytest.approx(0.1 * velocity, rel=1e-7)
+        assert train.velocity_error[0] < 1e-7
+
+
+def test_wave_that_goes_up_is_the_mirror_image() -> None:
+    """A strike on the last grain sends the same wave."""
+    down = solitary.find(strike())
+    up = solitary.find(strike(up=True), "up")
+    assert up.grain == pytest.approx(91 - down.grain, abs=1e-6)
+    for name in ("speed", "velocity", "energy"):
+        assert getattr(up, name) == pytest.approx(getattr(down, name), rel=1e-7)
+
+
+def test_heavy_striker_sends_a_train_of_exact_solitary_waves() -> None:
+    """Speeds and energies of eight waves are those of exact ones as high, within the errors."""
+    train = solitary.find(strike(striker=6.0, grains=200))
+    assert train.grain.size >= 6
+    assert (np.diff(train.velocity) < 0).all()
+    assert (np.abs(train.speed - train.exact_speed) <= train.speed_error + 1e-9 * train.speed)[
+        :5
+    ].all()
+    assert train.energy[:5] == pytest.approx(train.exact_energy[:5], rel=1e-6)
+    share, error = train.all_share
+    assert 0.99 < share < 1 + error
+
+
+def test_errors_cover_a_coarser_run() -> None:
+    """Half as many samples move no number by more than its error."""
+    fine = solitary.find(strike())
+    run = strike()
+    coarse = solitary.find(simulate(run.scene.replace(samples=721), "native", 1e-7))
+    for name in ("speed", "velocity", "energy"):
+        shift = np.abs(getattr(coarse, name) - getattr(fine, name))
+        assert (shift <= getattr(coarse, f"{name}_error")).all()
+
+
+def test_hard_strike_under_a_load_sends_one_wave() -> None:
+    """It outruns sound; its energy is that of the exact wave, as far as heights are known."""
+    loaded = chain(200, top_load=0.01, bottom="wall")
+    unit = loaded.length_scale / loaded.time_scale
+    scene = Scene(
+        chain=loaded,
+        excitation=Impulse(velocity=5 * unit),
+        duration=90 * loaded.time_scale,
+        samples=3001,
+    )
+    train = solitary.find(simulate(scene, "native", 1e-7))
+    assert train.speed[0] * loaded.time_scale > 1
+    assert train.exact_energy[0] == pytest.approx(train.energy[0], rel=1e-2)
+    assert 0.8 < train.share[0] < 1
+
+
+def test_plot_draws_the_waves() -> None:
+    """Title and labels say what is drawn."""
+    ax = solitary.find(strike()).plot()
+    assert "1 solitary wave " in ax.get_title(loc="left") + ax.get_title()
+
+
+@pytest.mark.parametrize(
+    ("others", "key"),
+    [
+        ({"top_load": 10.0, "bottom": "wall"}, "duration"),
+        ({"damping": {"drag": 1.0}}, "damping"),
+        ({"exponent": 1.0, "top_load": 1.0, "bottom": "wall"}, "exponent"),
+        ({"gravity": 9.81, "bottom": "wall"}, "gravity"),
+    ],
+)
+def test_what_has_no_solitary_waves_is_refused(others: dict[str, object], key: str) -> None:
+    """A weak strike under a load, damping, springs and gravity, each in a line."""
+    scene = Scene(
+        chain=chain(60).replace(**others),
+        excitation=Impulse(velocity=1e-4),
+        duration=1e-4,
+        samples=301,
+    )
+    with pytest.raises(InputError, match=key):
+        solitary.find(simulate(scene, "native", 1e-3))
+
+
+def test_grains_that_were_not_recorded_and_other_directions_are_refused() -> None:
+    """Each names its key."""
+    run = strike()
+    some = simulate(run.scene.replace(grains=[1, 2, 3]), "native", 1e-3)
+    with pytest.raises(InputError, match="grains: 3 of 90"):
+        solitary.find(some)
+    with pytest.raises(InputError, match="direction"):
+        solitary.find(run, "left")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="duration"):
+        solitary.find(run, "up")

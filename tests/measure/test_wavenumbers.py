@@ -1,0 +1,87 @@
+"""Energy in bands of wavenumber: none is lost, and each packet has its place, band and way."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, InputError, Packet, Scene, Trajectory, simulate
+from lmpchain.measure import energy, wavenumbers
+
+HOST = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "bottom": "wall"}
+
+
+@cache
+def packet(grains: int = 400, wavenumber: float = 1.0) -> Trajectory:
+    """Send a packet of one wavenumber down a uniform chain."""
+    chain = Chain(grains=grains, top="wall", **HOST)
+    frequency = np.sin(wavenumber / 2) / np.pi / chain.time_scale
+    wave = Packet(frequency=frequency, width=14, grain=120, amplitude=1e-12)
+    scene = Scene(chain=chain, excitation=wave, duration=150 * chain.time_scale, samples=31)
+    return simulate(scene, engine="native", tolerance=1e-7)
+
+
+@pytest.mark.parametrize("load", [0.0, 1.0])
+@pytest.mark.parametrize("width", [8, 31, 48, 90])
+def test_bands_add_up_to_the_energy_of_the_chain(load: float, width: int) -> None:
+    """Of strong waves in random chains, too, with walls, to 1e-12 at all times."""
+    diameter = np.random.default_rng(4).normal(1e-3, 1e-4, 90)
+    walls = {"top": "wall", "bottom": "wall", "gravity": 0.0}
+    chain = Chain(grains=90, diameter=diameter, top_load=load, **walls)
+    strike = Impulse(velocity=0.1, grain=20)
+    scene = Scene(chain=chain, excitation=strike, duration=2e-4, samples=21)
+    t = simulate(scene, engine="native", tolerance=1e-6)
+    split = wavenumbers.bands(t, np.pi * np.array([0, 0.1, 0.25, 0.7, 1]), width)
+    assert split.energy.min() >= 0
+    assert split.total == pytest.approx(energy.ledger(t).total, rel=1e-12)
+    near = energy.shares(t)
+    of_all = near.kinetic.sum(1) + near.elastic.sum(1)
+    assert split.total == pytest.approx(of_all, rel=1e-12)
+    assert (split.downward <= split.energy * (1 + 1e-12)).all()
+
+
+def test_a_packet_is_in_its_band_and_moves_at_the_group_velocity() -> None:
+    """Place, way and band of a packet of one radian a grain are those of linear theory."""
+    t = packet()
+    split = wavenumbers.bands(t, [0, 0.6, 1.4, np.pi], 60)
+    inside = split.energy[..., 1].sum(1) / split.total
+    assert (inside > 1 - 1e-3).all()
+    down = split.downward.sum((1, 2)) / split.total
+    # but for the energy of waves whose window cuts them off
+    assert (down > 1 - 1e-3).all()
+    centre = (split.energy.sum(2) @ split.place) / split.total
+    speed = np.polyfit(split.time, centre, 1)[0] * t.scene.chain.time_scale
+    # a packet whose wavenumbers spread by 1/20 around 1: the mean group velocity, to 2e-3
+    assert speed == pytest.approx(np.cos(0.5), rel=2e-3)
+
+
+def test_errors_cover_a_coarser_run() -> None:
+    """A run of a looser tolerance moves no energy by more than the errors of both."""
+    fine = wavenumbers.bands(packet(), width=40)
+    coarse = wavenumbers.bands(simulate(packet().scene, "native", 1e-4), width=40)
+    assert (np.abs(fine.energy - coarse.energy) <= fine.error + coarse.error).all()
+    assert coarse.error.max() < 0.1 * coarse.total.max()
+
+
+def test_table_and_picture_have_the_bands() -> None:
+    """A row a time and a place, a colour a band."""
+    split = wavenumbers.bands(packet(), [0, 1.5, np.pi], 80)
+    table = split.to_dataframe()
+    assert len(table) == split.time.size * split.place.size
+    assert table["energy_0_to_1.5 [J]"].sum() == pytest.approx(split.energy[..., 0].sum())
+    assert len(split.plot().get_legend_handles_labels()[1]) == 2
+
+
+def test_what_cannot_be_split_is_refused() -> None:
+    """Each mistake in a line with its key."""
+    t = packet()
+    for arguments, key in (
+        (([0, 1],), "edges"),
+        (([0, 2, 1, np.pi],), "edges"),
+        ((None, 4), "width"),
+    ):
+        with pytest.raises(InputError, match=f"^{key}"):
+            wavenumbers.bands(t, *arguments)
+    some = simulate(t.scene.replace(grains=[1, 2, 3]), "native", 1e-3)
+    with pytest.raises(InputError, match="grains: 3 of 400"):
+        wavenumbers.bands(some)
