@@ -21,7 +21,7 @@ from ..util.plotting import axes_in_units, legend, set_title
 from ..util.tabular import Tabular
 from . import crests
 from .fit.column_front import is_uniform
-from .fit.solitary import check_chain, exact_wave
+from .fit.solitary import END_GRAINS, check_chain, exact_wave
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 APART = 1e-4  # of its height, to which each wave has fallen at the middle between both
-FEWEST = 8  # grains that each wave passes alone, before and after
-NEAREST = 5  # grains from an end, where a wave meets its reflection
+ALONE = 8  # grains that each wave passes alone, before and after
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -273,12 +272,12 @@ def _line(
     near = np.abs(found.grain - expected) < wave.reach
     near &= np.abs(found.height / height - 1) < crests.NEAR
     near &= (found.time > begin) & (found.time < end)
-    near &= (found.grain >= NEAREST) & (found.grain < chain.grains - NEAREST)
-    if near.sum() < FEWEST:
+    near &= (found.grain >= END_GRAINS) & (found.grain < chain.grains - END_GRAINS)
+    if near.sum() < ALONE:
         when = "after" if begin > time else "before"
         raise InputError.at(
             "duration",
-            f"each wave must pass {FEWEST} grains alone {when} they meet (got {near.sum()}): "
+            f"each wave must pass {ALONE} grains alone {when} they meet (got {near.sum()}): "
             "put them further apart, in a longer chain, and record longer",
         )
     x = found.grain[near].astype(float)
@@ -338,9 +337,7 @@ def _compare(
     exact = [exact_wave(chain, line.height) for line in before]
     speeds = [wave.speed for wave, _ in exact]
     head_on = waves[0].way != waves[1].way
-    none = [np.nan, np.nan]
-    loaded = chain.compressed
-    pairs = list(zip(speeds, speeds[::-1], strict=True))
+    toda, kdv = _laws(speeds, head_on) if chain.compressed else np.full((2, 2), np.nan)
     return Collision(
         head_on=head_on,
         place=1 + place[0],
@@ -353,8 +350,16 @@ def _compare(
         shift=np.array(shift),
         shift_error=np.array(error),
         exact_speed=np.array([wave.speed / unit for wave, unit in exact]),
-        toda=np.array([theory.toda(*pair, head_on) for pair in pairs] if loaded else none),
-        kdv=np.array([theory.kdv(*pair) for pair in pairs] if loaded and not head_on else none),
+        toda=toda,
+        kdv=kdv,
         _before=(before[0], before[1]),
         _after=(after[0], after[1]),
     )
+
+
+def _laws(speeds: list[float], head_on: bool) -> Array:
+    """Return the shifts of two waves by Toda and by KdV, (2, 2); speeds are over that of sound."""
+    first, second = speeds
+    pairs = [(first, second), (second, first)]
+    toda = [theory.toda(*pair, head_on) for pair in pairs]
+    return np.array([toda, [np.nan, np.nan] if head_on else [theory.kdv(*pair) for pair in pairs]])

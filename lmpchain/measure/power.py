@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-FEWEST = 8  # samples a period
+SAMPLES = 8  # in a period, at least
+POINTS = 32  # in a period, at which the power is averaged
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,11 +144,11 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     time = trajectory.time
     most = int(time[-1] / period * (1 + 1e-9))
     count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
-    if not 2 <= count <= most:
-        raise InputError.at("periods", f"must be 2 to {most}, those of the run (got {count})")
-    if period < FEWEST * (time[1] - time[0]) * (1 - 1e-9):
-        least = 1 + int(np.ceil(FEWEST * time[-1] / period))
-        raise InputError.at("samples", f"must be {least} or more: {FEWEST} a period of the drive")
+    if not 6 <= count <= most:
+        raise InputError.at("periods", f"must be 6 to {most}, those of the run (got {count})")
+    if period < SAMPLES * (time[1] - time[0]) * (1 - 1e-9):
+        least = 1 + int(np.ceil(SAMPLES * time[-1] / period))
+        raise InputError.at("samples", f"must be {least} or more: {SAMPLES} a period of the drive")
     known = motion_of(trajectory)
     velocity_error = known.known_error("velocity")
     _, v = motion(trajectory, np.array([number, number + 1]))
@@ -183,20 +184,24 @@ def _check_drive(drive: object) -> Drive | Force:
 
 
 def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, float]:
-    """Return the mean over the last periods, and how far it may be off by change and sampling."""
-    end = time[-1]
-    edges = [end - count * period, end - (count // 2) * period, end]
+    """Return the mean over the last periods, and how far it may be off by change and sampling.
 
-    def means(stride: int) -> Array:
+    Hann's window, over whole periods, leaves out harmonics and what dies out at other frequencies.
+    """
+    end = time[-1]
+
+    def mean(stride: int, begin: float, periods: int) -> float:
         # the last sample is one of them
         near = slice((len(time) - 1) % stride, None, stride)
         curve: BSpline = make_interp_spline(time[near], power[near], 7)
-        return np.diff(curve.antiderivative()(edges)) / np.diff(edges)
+        turn = np.arange(POINTS * periods) / (POINTS * periods)
+        window = 1 - np.cos(2 * np.pi * turn)
+        return float(window @ curve(begin + periods * period * turn)) / turn.size
 
-    fine = means(1)
-    weights = np.diff(edges) / (count * period)
-    sampling = abs(float(weights @ (fine - means(2))))
-    return float(weights @ fine), float(abs(fine[1] - fine[0])) + sampling
+    half = count // 2
+    value = mean(1, end - count * period, count)
+    change = mean(1, end - half * period, half) - mean(1, end - 2 * half * period, half)
+    return value, abs(change) + abs(value - mean(2, end - count * period, count))
 
 
 def _input(

@@ -21,15 +21,14 @@ from ..util.tabular import Tabular
 from . import crests
 from .energy import shares
 from .fit.column_front import is_uniform
-from .fit.solitary import SOLITARY, check_chain, exact_wave
+from .fit.solitary import END_GRAINS, SOLITARY, check_chain, exact_wave
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
-FEWEST = 12  # grains that a wave must have passed unchanged
-END_GRAINS = 5  # at an end a wave meets its reflection
+UNCHANGED = 12  # grains that a wave must have passed unchanged
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,7 +195,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> T
         if chain.compressed:
             reason += ", which must outrun sound under a load"
             cure += ", or strike harder"
-        raise InputError.at("duration", f"{reason} past {FEWEST} grains: {cure}")
+        raise InputError.at("duration", f"{reason} past {UNCHANGED} grains: {cure}")
     energies = [_energy(time, velocity, density, unsure, wave) for wave in waves]
     final = density[-1]
     place = np.arange(1, chain.grains + 1)
@@ -229,7 +228,7 @@ def _check(trajectory: Trajectory, direction: str) -> None:
     recorded = trajectory.grains.size
     if recorded < chain.grains:
         raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
-    least = FEWEST + 2 * END_GRAINS
+    least = UNCHANGED + 2 * END_GRAINS
     if chain.grains < least or len(trajectory.time) < 4 * crests.HALF + 3:
         raise InputError.at("chain", f"must have {least} grains or more, and enough samples")
 
@@ -276,9 +275,9 @@ def _wave(
     if begin is None:
         return None
     chosen = found.follow(begin, pace, -1)
-    if chosen.size < FEWEST:
+    if chosen.size < UNCHANGED:
         return None
-    later = chosen[: max(FEWEST, chosen.size // 2)]
+    later = chosen[: max(UNCHANGED, chosen.size // 2)]
     grains = found.grain[later]
     ends = _number(chain, int(grains.min()), upward), _number(chain, int(grains.max()), upward)
     if not is_uniform(chain.part(*sorted(ends))):
