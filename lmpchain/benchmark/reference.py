@@ -180,7 +180,7 @@ class _Motion:
         self.walled = excitation.wall is not None
         self.pushed = None
         if self.wave is not None and not scene.drive:
-            self.pushed = excitation.reach(chain)[0] - 1
+            self.pushed = excitation.acts_on - 1
         self.sines = _exact_sines(excitation)
         mass = chain.masses.astype(Long)
         constant = chain.contacts.constant.astype(Long)

@@ -179,11 +179,8 @@ class ChainBatch:
         for real, (scene, wave, spline) in enumerate(zip(self.scenes, waves, splines, strict=True)):
             if wave is None:
                 continue
-            first, _ = scene.excitation.reach(scene.chain)
-            body = PAD + first - 1
-            if scene.excitation.wall:
-                body = PAD - 1
-            elif not scene.excitation.driven:
+            body = PAD - 1 + scene.excitation.acts_on
+            if not scene.excitation.wall and not scene.excitation.driven:
                 # below 0: the body is pushed, see `layout.WAVE`
                 body = -body
             count = 0 if spline is None else len(spline.x)

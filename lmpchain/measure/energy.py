@@ -509,7 +509,7 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
         above = contacts.of(0).force_change(-wave.at(x))
         force = contacts.of(1).force_change(wave.at(x) - below) - above
         return _Pieces(integrate(force * wave.at(x, 1)), integrate(force), integrate(above))
-    mass = scene.chain.masses[scene.excitation.reach(scene.chain)[0] - 1]
+    mass = scene.chain.masses[scene.excitation.acts_on - 1]
     impulse = wave.integral(time)
     speed = push.speed - impulse / mass
     slope = push.acceleration - push.force / mass

@@ -225,7 +225,7 @@ class Orbit(Shown, Tabular):
         u, v = self.flow.deviation(self.state, vector.real.reshape(2, -1))
         return u / np.abs(u).max(), v / np.abs(u).max()
 
-    def perturbed(self, size: float, number: int = 1) -> Profile | Drive:
+    def perturbed(self, size: float, number: int = 1) -> Profile | Drive | Force:
         """Return the orbit with an unstable direction added, as initial data to run.
 
         Parameters
@@ -239,24 +239,15 @@ class Orbit(Shown, Tabular):
         scale = size * self.amplitude
         return self._excitation(self.displacement + scale * u, self.velocity + scale * v)
 
-    def _excitation(self, u: Array, v: Array) -> Profile | Drive:
+    def _excitation(self, u: Array, v: Array) -> Profile | Drive | Force:
         """Return the excitation that begins with a state, (N,) m and m/s, and drives if driven."""
         if self.drive is None:
             return Profile(displacement=u, velocity=v)
-        if isinstance(self.drive, Force):
-            cure = "run Scene(excitation=orbit.drive) until the chain follows it"
-            raise InputError.at("drive", f"a force begins with the chain at rest: {cure}")
         free = np.arange(u.size) >= self.flow.held
         return self.drive.replace(start=Profile(displacement=u * free, velocity=v * free))
 
     def scene(self, periods: float = 1, samples: int = 101) -> Scene:
-        """Return the scene that runs the orbit for a number of periods, in any engine.
-
-        Raises
-        ------
-        InputError
-            Of an orbit that a `Force` drives: its scenes begin at rest.
-        """
+        """Return the scene that runs the orbit for a number of periods, in any engine."""
         excitation = self._excitation(self.displacement, self.velocity)
         return Scene(
             chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples

@@ -112,7 +112,7 @@ def find(
 
 def _take_start(guess: Guess, drive: Drive | Force) -> tuple[Guess, Drive | Force]:
     """Return a guess, by default the start of a drive, and the drive without it."""
-    if isinstance(drive, Drive) and drive.start is not None:
+    if drive.start is not None:
         return drive.start if guess is None else guess, drive.replace(start=None)
     return guess, drive
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -14,7 +15,7 @@ from ..chain.chain import Chain
 from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
-from .base import Number, OneGrain, Push
+from .base import Excitation, Number, OneGrain, Push
 from .file_columns import Quantity
 from .measured import Measured
 from .profile import Profile
@@ -55,10 +56,12 @@ class _Acting(Measured):
     file_kind: ClassVar[type[TraceFile]] = TraceFile
     unit: ClassVar[str]
     if TYPE_CHECKING:
+        grain: Whole
         amplitude: Real
         frequency: Positive
         cycles: Positive
         times: Vector
+        start: Profile
         interpolation: Interpolation
     holds: ClassVar[bool]
 
@@ -74,6 +77,11 @@ class _Acting(Measured):
             raise InputError.at("trigger", f"{begins}: {cure}")
         return reading, {"times": reading.time, name: reading.values[:, 0]}
 
+    @property
+    def acts_on(self) -> int:
+        """Number of the grain that it moves or pushes; 0 for the top wall."""
+        return self.grain
+
     @cached_property
     def waveform(self) -> Waveform:
         """Course of the motion, m, or of the force, N, over time."""
@@ -88,6 +96,32 @@ class _Acting(Measured):
         if self.times is not None:
             return np.asarray(getattr(self, self.strength[1]))
         return np.array([self.amplitude, self.frequency or 0.0])
+
+    def _begin(self, chain: Chain) -> tuple[Array, Array]:
+        """Return displacement and velocity (N,) at t = 0, as the start has them."""
+        if self.start is None:
+            return np.zeros(chain.grains), np.zeros(chain.grains)
+        return self.start.initial(chain)
+
+    def _start_faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield the faults of the displacement and velocity that it begins with."""
+        if self.start is not None:
+            for key, message in self.start.faults(chain, duration):
+                yield f"start.{key}", message
+
+    def scaled(self, factor: float) -> Self:
+        """Return the course, so many times as strong, with its start."""
+        scaled = super().scaled(factor)
+        return scaled if self.start is None else scaled.replace(start=self.start.scaled(factor))
+
+    def energy_norm(self, chain: Chain, duration: float) -> float:
+        """Bound sqrt(2 E) by that at t = 0 and what is added later."""
+        initial = 0.0 if self.start is None else self.start.energy_norm(chain, duration)
+        return initial + self._added_norm(chain, duration)
+
+    @abstractmethod
+    def _added_norm(self, chain: Chain, duration: float) -> float:
+        """Bound the sqrt(2 E) that it adds to a linearised chain, J^(1/2)."""
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         values = self.strength[1]
@@ -243,16 +277,14 @@ class Drive(_Acting):
             yield "grain", f"0 moves the top wall, and there is none: {cure}"
         if self.grain == 1 and chain.movable < 2:
             yield "kind", "with grain 1 driven nothing is left to move: use more grains"
-        if self.start is not None:
-            yield from self._start_faults(chain, duration)
+        yield from self._start_faults(chain, duration)
 
     def _start_faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults of the displacement and velocity that it begins with."""
-        faults = list(self.start.faults(chain, duration))
-        yield from ((f"start.{key}", message) for key, message in faults)
+        faults = list(super()._start_faults(chain, duration))
+        yield from faults
         # a profile of the wrong length may have no first entry
-        for key, values in self.start.fields.items():
-            if not faults and self.grain and values[0]:
+        for key, values in self.start.fields.items() if self.start and not faults else ():
+            if self.grain and values[0]:
                 yield f"start.{key}", "must be 0 for grain 1, which moves as the drive says"
 
     @property
@@ -267,7 +299,7 @@ class Drive(_Acting):
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""
-        u, v = self._others(chain)
+        u, v = self._begin(chain)
         if self.grain:
             v[0] = self.motion(0.0)[1]
         return u, v
@@ -277,16 +309,10 @@ class Drive(_Acting):
 
         Grain 1 has those of what is driven, itself or the wall that pushes it.
         """
-        fields = self._others(chain)
+        fields = self._begin(chain)
         for order, values in enumerate(fields):
             values[0] = max(abs(values[0]), self.waveform.largest(order))
         return fields
-
-    def _others(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity (N,) at t = 0 of the grains that it does not move."""
-        if self.start is None:
-            return np.zeros(chain.grains), np.zeros(chain.grains)
-        return self.start.initial(chain)
 
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return grain 1, as the first, and the last that moves at t = 0."""
@@ -296,11 +322,6 @@ class Drive(_Acting):
         """Return the drive of these grains: it moves grain 1, which must be among them."""
         return self if self.start is None else self.replace(start=self.start.part(first, last))
 
-    def scaled(self, factor: float) -> Drive:
-        """Return the motion, so many times as strong, with its start."""
-        scaled = super().scaled(factor)
-        return scaled if self.start is None else scaled.replace(start=self.start.scaled(factor))
-
     def motion(self, t: float | Array) -> tuple[Array, Array]:
         """Return displacement, m, and velocity, m/s, of the driven body at these times, s."""
         return self.waveform.at(t), self.waveform.at(t, 1)
@@ -309,11 +330,10 @@ class Drive(_Acting):
         """Return the acceleration of the driven body at these times, m/s2."""
         return self.waveform.at(t, 2)
 
-    def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E) by that at t = 0 and the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
-        initial = 0.0 if self.start is None else self.start.energy_norm(chain, duration)
+    def _added_norm(self, chain: Chain, duration: float) -> float:
+        """Bound it by the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
         stiffness = chain.contacts.stiffness[self.grain]
-        return float(initial + np.sqrt(stiffness) * self.waveform.path(duration))
+        return float(np.sqrt(stiffness) * self.waveform.path(duration))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
         """Return the push that keeps it on its path: forces of its contacts, inertia of a grain."""
@@ -348,6 +368,8 @@ class Force(OneGrain, _Acting):
         time_scale, scale (N/V), offset or baseline, trigger, see `TraceFile`.
     interpolation : "pchip", "linear" or "spline"
         See `Drive`.
+    start : Profile, optional
+        Displacement and velocity of every grain at t = 0; at rest unless given.
 
     Examples
     --------
@@ -369,6 +391,7 @@ class Force(OneGrain, _Acting):
     duration: Positive = NOT_GIVEN
     times: Vector = NOT_GIVEN
     force: Vector = NOT_GIVEN
+    start: Profile = NOT_GIVEN
     interpolation: Interpolation = "pchip"
     source: str = NOT_GIVEN
 
@@ -385,20 +408,42 @@ class Force(OneGrain, _Acting):
             return Waveform.half_sine(self.amplitude, self.duration)
         return super().waveform
 
+    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield the faults that it has on this chain for so long, s."""
+        yield from super().faults(chain, duration)
+        yield from self._start_faults(chain, duration)
+
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0: all of them rest."""
-        return np.zeros(chain.grains), np.zeros(chain.grains)
+        """Return displacement and velocity of every grain at t = 0."""
+        return self._begin(chain)
+
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the first and the last grain that moves at t = 0 or is pushed."""
+        first, last = (self.grain, self.grain) if self.start is None else self.start.reach(chain)
+        return min(first, self.grain), max(last, self.grain)
+
+    def part(self, first: int, last: int) -> Excitation:
+        """Return the force on these grains, among which all are that move at t = 0."""
+        cut = super().part(first, last)
+        return cut if self.start is None else cut.replace(start=self.start.part(first, last))
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
         """Estimate displacement and velocity of its grain, as its contacts and inertia allow.
 
-        Nothing is known of what the chain does later.
+        Those of all grains are at least what the start says; of what the chain does later nothing
+        is known.
         """
+        displacement, velocity = (np.abs(x) for x in self._begin(chain))
+        pushed = self._pushed(chain)
+        return np.maximum(displacement, pushed[0]), np.maximum(velocity, pushed[1])
+
+    def _pushed(self, chain: Chain) -> tuple[Array, Array]:
+        """Estimate the motion of its grain from rest, and 0 for the others, (N,) m and m/s."""
         size = self.waveform.largest()
         mass = chain.masses[self.grain - 1]
         # no force, no scale of its motion
         if not size:
-            return self.initial(chain)
+            return np.zeros(chain.grains), np.zeros(chain.grains)
         contacts = chain.contacts.of(slice(self.grain - 1, self.grain + 1))
         distance = max(contacts.of(n).squeezed_by(size) for n in np.flatnonzero(contacts.exists))
         # the speed that its impulse gives a free grain, or its work over that distance
@@ -406,8 +451,8 @@ class Force(OneGrain, _Acting):
         displacement = self.at_grain(chain, speed * np.sqrt(mass * distance / size))
         return displacement, self.at_grain(chain, speed)
 
-    def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E) by its impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
+    def _added_norm(self, chain: Chain, duration: float) -> float:
+        """Bound it by its impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
         return float(self.waveform.area(duration) / np.sqrt(chain.masses[self.grain - 1]))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:

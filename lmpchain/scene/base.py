@@ -71,6 +71,11 @@ class Excitation(Checked):
         return 0
 
     @property
+    def acts_on(self) -> int:
+        """Number of the grain that it moves or pushes after t = 0; 0 for the top wall, or none."""
+        return 0
+
+    @property
     def waveform(self) -> Waveform | None:
         """Course after t = 0 of the motion of grain 1 or of the top wall, m, or of a force, N."""
         return None

@@ -389,11 +389,8 @@ def _excess(ratio: float, doubt: float) -> float:
 
 def _lawful(scene: Scene) -> np.ndarray:
     """Return the indices of the grains that nothing but the chain moves."""
-    excitation = scene.excitation
     moving = np.arange(scene.chain.movable)
-    if not excitation.does_work or excitation.wall:
-        return moving
-    return moving[moving != excitation.reach(scene.chain)[0] - 1]
+    return moving[moving != scene.excitation.acts_on - 1]
 
 
 def _accelerations(scene: Scene, motion: Motion) -> Array:

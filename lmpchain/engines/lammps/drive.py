@@ -33,7 +33,7 @@ def placeholders(excitation: Excitation, duration: float) -> dict[str, Any]:
         "frequency": wave.omega / (2 * math.pi) if wave else 0.0,
         "cycles": wave.omega / (2 * wave.envelope) if wave and wave.envelope else 0.0,
         "driven": excitation.driven,
-        "pushed": getattr(excitation, "grain", 0) if wave and force else 0,
+        "pushed": excitation.acts_on if force else 0,
         "value": value(wave) if wave else "",
         "slope": slope(wave) if wave else "",
         "pieces": pieces(excitation, duration),

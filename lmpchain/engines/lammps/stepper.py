@@ -66,7 +66,7 @@ class LammpsStepper:
             rest=column.heights[0],
             wave=scene.excitation.waveform,
             driven=bool(scene.excitation.driven),
-            pushed=scene.excitation.reach(scene.chain)[0] - 1 if kicks else None,
+            pushed=scene.excitation.acts_on - 1 if kicks else None,
         )
         try:
             with deck.data_file(column, keep) as data:

@@ -118,7 +118,7 @@ class PhaseError:
         self._links = Links(contacts.stiffness, 1 / overlap, inverse_mass)
         self._excess = excess(scene)
         self._excitation = scene.excitation
-        self._grain = scene.excitation.reach(chain)[0] - 1
+        self._grain = first_moved(scene) - 1
         self._fastest = fastest(scene)
         # a little more than half of the time from one close evaluation to the next
         near = 0.6 / LOOKS.resolved / self._fastest
@@ -320,6 +320,11 @@ def passage(scene: Scene) -> Array:
     return np.asarray(np.sqrt(chain.masses[:-1] / chain.linear_stiffness))
 
 
+def first_moved(scene: Scene) -> int:
+    """Return the number of the grain that is acted on, or of the first that moves at t = 0."""
+    return scene.excitation.acts_on or scene.excitation.reach(scene.chain)[0]
+
+
 def travel(scene: Scene) -> float:
     """Return how long a wave train travels at its largest strain, s.
 
@@ -330,7 +335,7 @@ def travel(scene: Scene) -> float:
     if isinstance(scene.excitation, Packet):
         return float(times.sum())
     chain = scene.chain
-    start_at = max(0, scene.excitation.reach(chain)[0] - 1)
+    start_at = first_moved(scene) - 1
     strain = np.sqrt(times / chain.linear_stiffness) / chain.equilibrium_overlap
     longest = 0.0
     for path in (slice(start_at, None), slice(start_at - 1, None, -1) if start_at else slice(0)):

@@ -77,7 +77,7 @@ class ModalSolution:
             self._viscosity = float(chain.contact_viscosity[first])
         else:
             self._viscosity = 0.0
-            self._pull = self._modes.shape[excitation.reach(chain)[0] - 1]
+            self._pull = self._modes.shape[excitation.acts_on - 1]
         self._held = chain.grains - last
 
     @property

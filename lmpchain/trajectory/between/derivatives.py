@@ -181,7 +181,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
         wall[:] = [wave.at(time, order) for order in range(4)]
         jumps = wall[2:]
     else:
-        grain = int(excitation.reach(scene.chain)[0])
+        grain = excitation.acts_on
         driven = bool(excitation.driven)
         # a driven grain has a displacement, of which this is the second derivative; a pushed one
         # has a force
