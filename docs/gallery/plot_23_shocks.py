@@ -34,6 +34,7 @@ for name, edges in train.predictions.items():
     print(f"{name}: {edges.leading:.0f} and {edges.trailing:.0f} grains/s")
 print(f"measured: {train.leading.speed:.0f} and {train.trailing.speed:.0f} grains/s")
 print(f"a solitary wave as high as the leading one: {train.solitary:.0f} grains/s")
+space_time = train.plot_map()
 
 # %%
 # With viscous contacts, a shock of one width; without a load, solitary waves that drift apart.

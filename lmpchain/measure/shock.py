@@ -20,7 +20,8 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import axes_in_units, choose_few, colour_bar, legend, set_title, si
+from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
 from .flight import summit
 
@@ -34,6 +35,8 @@ END_CONTACTS = 5  # at an end a wave meets its reflection
 FEWEST = 24  # contacts that the leading edge passes
 OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor solitary waves
 FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
+MOMENTS = 400  # that are kept for a picture
+COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
 STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
 
 
@@ -98,6 +101,8 @@ class Shock(Shown, Tabular):
         The last that was used, s.
     contact, overlap : (C,) arrays
         Their numbers, and their overlaps then, m.
+    moment, overlap_then : (H,) and (H, C) arrays
+        Some 400 times up to that, s, and the overlaps at each, m.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"contact": "", "overlap": "m"}
@@ -118,6 +123,8 @@ class Shock(Shown, Tabular):
     time: float
     contact: np.ndarray
     overlap: Array
+    moment: Array
+    overlap_then: Array
     _source: float
     _start: float
     _downward: bool
@@ -128,24 +135,63 @@ class Shock(Shown, Tabular):
         ax.plot(self.contact, self.overlap, lw=1, color="0.3", label="overlap")
         for name, state, style in (("ahead", self.ahead, ":"), ("behind", self.behind, "-.")):
             ax.axhline(state.overlap, color="#009E73", lw=1, ls=style, label=f"plateau {name}")
-        for name, edge, colour in (
-            ("leading", self.leading, "#D55E00"),
-            ("trailing", self.trailing, "#0072B2"),
-        ):
+        for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
+            colour = COLOURS[name]
             if np.isfinite(edge.speed):
                 label = f"{name} edge, {edge.speed:.5g} ± {edge.error:.1g} grains/s"
                 ax.axvline(self._place(edge.speed), color=colour, lw=1.2, label=label)
-            for theory, edges in self.predictions.items():
-                speed = getattr(edges, name)
-                # one dashed line is enough: that of the best theory, which comes first
-                if np.isfinite(speed):
-                    label = f"{name} edge, {theory}: {speed:.5g} grains/s"
-                    ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
-                    break
+            for theory, speed in self._predicted(name):
+                label = f"{name} edge, {theory}: {speed:.5g} grains/s"
+                ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         ax.set(xlabel="contact, from the top", ylabel="overlap")
         set_title(ax, f"{self.kind} after {self.time:.3g} s")
         legend(ax)
         return ax
+
+    def plot_map(self, ax: Axes | None = None) -> Axes:
+        """Draw overlaps over place and time with edges, predicted ones dashed, and plateaus."""
+        ax = axes_in_units(ax, "", "s")
+        order = np.argsort(self.contact)
+        cells = cell_edges(self.contact[order].astype(float)), cell_edges(self.moment)
+        shown = ax.pcolormesh(*cells, self.overlap_then[:, order], cmap="cividis", rasterized=True)
+        colour_bar(ax, shown, "overlap (m)")
+        for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
+            lines = [(f"{name} edge", edge.speed)]
+            lines += [(f"{name} edge, {theory}", speed) for theory, speed in self._predicted(name)]
+            for number, (label, speed) in enumerate(lines):
+                if np.isfinite(speed):
+                    way = self._source, self._place(speed)
+                    text = f"{label}: {speed:.5g} grains/s"
+                    colour = "w" if number else COLOURS[name]
+                    style = "--" if number else "-"
+                    width = 1.2 if number else 3.0
+                    ax.plot(way, (self._start, self.time), style, c=colour, lw=width, label=text)
+        corners = (("behind", self.behind, 0.02, 0.95), ("ahead", self.ahead, 0.98, 0.05))
+        for name, state, x, y in corners:
+            share = x if self._downward else 1 - x
+            ax.text(
+                share,
+                y,
+                f"{name}: {state.velocity:.3g} m/s, {si(state.overlap, 'm')}",
+                transform=ax.transAxes,
+                ha="left" if share < 0.5 else "right",
+                va="center",
+                fontsize="small",
+                bbox={"facecolor": "w", "alpha": 0.7, "lw": 0},
+            )
+        ax.set(xlabel="contact, from the top", ylabel="time", ylim=(0.0, self.time))
+        ax.set_xlim(cells[0][0], cells[0][-1])
+        set_title(ax, f"{self.kind}: overlaps over place and time")
+        shade = {"facecolor": "0.35", "labelcolor": "w", "fontsize": "small"}
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), **shade)
+        return ax
+
+    def _predicted(self, name: str) -> list[tuple[str, float]]:
+        """Return theory and speed of an edge, of the best theory, which comes first, if any."""
+        for theory, edges in self.predictions.items():
+            if np.isfinite(speed := getattr(edges, name)):
+                return [(theory, float(speed))]
+        return []
 
     def _place(self, speed: float) -> float:
         """Return the contact that an edge of this speed has reached at the end."""
@@ -240,6 +286,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     dispersive = answer.kind == "dispersive shock"
     jump = behind.velocity - ahead.velocity
     rise = gas.force(behind.overlap) - gas.force(ahead.overlap)
+    rows = choose_few(wave.time.size, MOMENTS)
     contact = np.arange(1, wave.overlap.shape[1] + 1)[:: 1 if direction == "down" else -1]
     return Shock(
         kind=answer.kind,
@@ -258,6 +305,8 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
         time=float(wave.time[-1]),
         contact=contact,
         overlap=wave.overlap[-1],
+        moment=wave.time[rows],
+        overlap_then=wave.overlap[rows],
         _source=float(contact[wave.source]),
         _start=wave.start,
         _downward=direction == "down",
@@ -385,7 +434,8 @@ def _trailing_edge(wave: _Wave, ahead: State, behind: State) -> Edge:
     jump = behind.overlap - ahead.overlap
     ends = []
     total = wave.reached - wave.source
-    contacts = np.unique(np.linspace(0.5 * total, 0.85 * total, 24).astype(int) + wave.source)
+    # far ones show the weak oscillations of a slow edge not yet
+    contacts = np.unique(np.linspace(0.2 * total, 0.85 * total, 40).astype(int) + wave.source)
     # without a load the train reaches back to where it began
     for n in contacts if ahead.overlap > 0 else ():
         curve = CubicSpline(wave.time, wave.overlap[:, n])
@@ -396,7 +446,7 @@ def _trailing_edge(wave: _Wave, ahead: State, behind: State) -> Edge:
         first = int(share.argmax()) if share.size else 0
         used = np.flatnonzero((share > OSCILLATIONS[0]) & (share < OSCILLATIONS[1]))
         used = used[used >= first]
-        if used.size >= FEWEST_OSCILLATIONS:
+        if used.size >= FEWEST_OSCILLATIONS and np.ptp(share[used]) > np.ptp(OSCILLATIONS) / 2:
             speeds = (n - wave.source) / (middle[used] - wave.start)
             ends.append([np.polyfit(share[used], speeds, degree)[-1] for degree in (1, 2)])
     if len(ends) < 4:

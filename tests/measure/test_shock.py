@@ -143,6 +143,24 @@ def test_picture_names_edges_and_plateaus() -> None:
     assert ax.get_xlabel() == "contact, from the top"
 
 
+@pytest.mark.parametrize("direction", ["down", "up"])
+def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
+    """Lines run from where the wave began to where an edge is at the end."""
+    step = Riemann(
+        velocity=(0, 0), strain=(2e-5, 0) if direction == "down" else (0, 2e-5), grain=150
+    )
+    chain = CHAIN.replace(top="free")
+    scene = Scene(chain=chain, excitation=step, duration=110 / SOUND, samples=441)
+    found = shock.find(simulate(scene, "native", 1e-5), direction)
+    ax = found.plot_map()
+    line = ax.get_lines()[0]
+    assert line.get_label() == f"leading edge: {found.leading.speed:.5g} grains/s"
+    slope = np.diff(line.get_xdata()) / np.diff(line.get_ydata())
+    assert slope == pytest.approx((1 if direction == "down" else -1) * found.leading.speed)
+    words = [text.get_text() for text in ax.texts]
+    assert [word.split(":")[0] for word in words] == ["behind", "ahead"]
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

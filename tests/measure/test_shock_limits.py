@@ -1,0 +1,108 @@
+"""Measured edges in the integrable limits: Toda's chain, and KdV's equation of weak waves."""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, Scene, simulate
+from lmpchain.measure import shock
+from lmpchain.theory.shock import Medium, State
+from tests.helpers import toda_chain
+
+LEVEL = {"material": "steel", "diameter": 9.5e-3, "gravity": 0.0, "top_load": 10.0}
+CHAIN = Chain(grains=30, top="wall", bottom="wall", **LEVEL)
+OVERLAP = float(CHAIN.contacts.overlap[1])
+SOUND = float(np.sqrt(CHAIN.contacts.stiffness[1] / CHAIN.masses[1]))
+LENGTH = OVERLAP / (CHAIN.exponent - 1)  # F' / F'', the unit of the Toda chain of the same bend
+
+
+@cache
+def toda(piston: float, grains: int) -> shock.Shock:
+    """Measure the shock of a Toda chain, as if the run of a granular chain had given it."""
+    duration = 0.97 * grains / toda_chain.exact(piston).leading
+    time, x, v = toda_chain.run(piston, grains, duration, int(5 * duration))
+    drive = Drive(shape="piston", velocity=piston * LENGTH * SOUND, rise=1e-9 / SOUND, grain=0)
+    trajectory = SimpleNamespace(
+        scene=SimpleNamespace(chain=CHAIN.replace(grains=grains), excitation=drive),
+        time=time / SOUND,
+        displacement=LENGTH * x,
+        velocity=LENGTH * SOUND * v,
+        grains=np.arange(1, grains + 1),
+    )
+    return shock.find(trajectory)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("piston", [0.6, 1.2])
+def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston: float):
+    """The leading soliton lags by 3 / (4 kappa) log t: its speed and height by 1 / t."""
+    exact = toda_chain.exact(piston)
+    sizes = np.array([150, 300])
+    waves = [toda(piston, grains) for grains in sizes]
+    speed = np.array([wave.leading.speed / SOUND for wave in waves])
+    height = np.array([wave.leading.height / LENGTH for wave in waves])
+    for measured, limit in ((speed, exact.leading), (height, exact.height)):
+        assert (measured < limit).all()
+        slope = np.diff(np.log(limit - measured)) / np.diff(np.log(sizes))
+        assert slope == pytest.approx(-1, abs=0.05)
+    # passages of the last third of the way, 2/3 to 1, whose best line has 9/5 of log 3/2 over 1/3
+    lag = 0.75 / exact.width * exact.leading * 1.2
+    assert (exact.leading - speed[1]) * sizes[1] == pytest.approx(lag, rel=0.1)
+    for wave in waves:
+        assert abs(wave.leading.speed / SOUND - exact.leading) < 3 * wave.leading.error / SOUND
+        assert abs(wave.trailing.speed / SOUND - exact.trailing) < wave.trailing.error / SOUND
+        assert wave.behind.overlap - OVERLAP == pytest.approx(LENGTH * exact.plateau, rel=1e-4)
+    assert waves[1].trailing.error < 0.11 * SOUND
+    # what theory says of a granular chain of the same first two terms is this, too
+    theory = waves[0].predictions["toda"]
+    assert theory.leading == pytest.approx(SOUND * exact.leading, rel=1e-4)
+    assert theory.trailing == pytest.approx(SOUND * exact.trailing, rel=1e-4)
+    assert theory.height == pytest.approx(LENGTH * exact.height, rel=1e-4)
+
+
+class Excess(NamedTuple):
+    """Speed of a leading edge over that of sound, less 1: measured for long, and two theories."""
+
+    run: float
+    kdv: float
+    whitham: float
+
+
+def weak(size: float) -> Excess:
+    """Return the excess of a piston that makes a jump of four times this size of the overlap.
+
+    Run to 90 and 180 of KdV's times, between which what is left of 1 / t is known.
+    """
+    gas = Medium(1.5, float(CHAIN.contacts.constant[1]), float(CHAIN.masses[1]))
+    velocity = gas.invariant((1 + 4 * size) * OVERLAP) - gas.invariant(OVERLAP)
+    drive = Drive(shape="piston", velocity=velocity, rise=1 / SOUND, grain=0)
+    speeds = []
+    for age in (90, 180):
+        time = age / (2 * np.sqrt(size)) ** 3
+        chain = CHAIN.replace(grains=int(time * (1 + 2 * size / 3)) + 10)
+        samples = int(1.6 * time)
+        scene = Scene(chain=chain, excitation=drive, duration=time / SOUND, samples=samples)
+        speeds.append(shock.find(simulate(scene, "native", 1e-6)).leading.speed / SOUND)
+    behind = (1 + 4 * size) * OVERLAP
+    theories = (law(State(0.0, OVERLAP), behind).leading for law in (gas.kdv, gas.dispersive))
+    kdv, whitham = (speed / SOUND - 1 for speed in theories)
+    return Excess(2 * speeds[1] - speeds[0] - 1, kdv, whitham)
+
+
+@pytest.mark.slow
+def test_kdv_is_wrong_by_the_square_of_the_amplitude():
+    """By runs: (KdV - leading edge) / e^2 tends to 49/45 as e falls, as Whitham's theory has it.
+
+    c_b / c_a = (1 + 4 e)^(1/4) = 1 + e - 3/2 e^2, and sinh(q/2) / (q/2) of cosh(q/2) = 2 c_b / c_a
+    - 1 is 1 + 2/3 (c_b / c_a - 1) - 4/45 (c_b / c_a - 1)^2.
+    """
+    sizes = np.array([0.04, 0.08, 0.16])
+    waves = [weak(size) for size in sizes]
+    off = np.array([wave.kdv - wave.run for wave in waves])
+    theory = np.array([wave.kdv - wave.whitham for wave in waves])
+    slopes, expected = (np.diff(np.log(x)) / np.diff(np.log(sizes)) for x in (off, theory))
+    np.testing.assert_allclose(slopes, expected, atol=0.05)
+    limit = np.polyfit(sizes, off / sizes**2, 2)[-1]
+    assert limit == pytest.approx(49 / 45, rel=0.05)
