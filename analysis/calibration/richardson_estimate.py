@@ -192,6 +192,7 @@ def main(quick: bool = False) -> list[Row]:
         field(OPENINGS, "order", (1, 2, 4, 8), open_ones, "adaptive runs"),
         field(OPENINGS, "coarse_order", (1, 2, 6, 8), coarse, "runs with coarse openings"),
         field(OPENINGS, "equal_order", (1, 1.5, 2.5, 3, 4), equal, "equal steps through openings"),
+        field(OPENINGS, "scattered_order", (0.8, 1.25, 1.5, 2, 3), equal, "the same"),
         field(OPENINGS, "kinked_below", (1.0, 1.05, 1.15, 1.4, 1.6), [*sprung, *open_ones], "all"),
         field(OPENINGS, "kinked_order", (1, 2, 4, 6), sprung, "adaptive runs of springs"),
         *_returning(count, quick),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ TIMES = ("time", "t", "x", "x-axis", "x_value")
 COUNTERS = ("sequence", "sample", "index", "nr", "no", "point")
 # how files call the interval of samples that have no times
 INTERVALS = ("increment", "sample interval", "delta_x", "sampling interval", "tinc", "hresolution")
+# names that the tables of this package alone give: of forces above rest, and in contacts
+OWN_NAMES = re.compile(r"(change_(force|contact)|force_contact)_\d+")
 
 
 class Quantity(NamedTuple):
@@ -22,6 +25,17 @@ class Quantity(NamedTuple):
     name: str
     unit: str
     others: tuple[str, ...] = ()
+
+    def check_not_another(self, column: str) -> None:
+        """Raise `InputError` if the name of a column says that it holds another force."""
+        if not self.others or column in (self.name, *self.others) or not OWN_NAMES.match(column):
+            return
+        of = "a contact" if "contact" in column else "a grain, the mean of its two contacts"
+        rest = "above that at rest" if column.startswith("change_") else "with that at rest"
+        fault = f"{column} is the force of {of}, {rest}, not {self.others[0]}"
+        raise InputError.at(
+            "columns", f"{fault}: name that column, or the field and the place of this"
+        )
 
 
 INSTANT = Quantity("time", "s")

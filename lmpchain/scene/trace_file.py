@@ -161,6 +161,7 @@ class TableFile(Checked):
         offsets = _spread(self.offset, len(present), "offset")
         words = []
         for k, (quantity, place) in enumerate(present):
+            quantity.check_not_another(table.columns[place].name.lower())
             calibration = _calibrate(table, place, quantity, scales[k])
             values[:, k] *= calibration.unit
             less = offsets[k]

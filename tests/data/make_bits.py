@@ -203,19 +203,17 @@ def alike(one: Row, other: Row) -> bool:
     """Say whether two rows differ in bits only: engine and failure are the same, numbers agree to
     1e-3.
 
-    Steps agree to 2 %: last digits decide which steps of an adaptive method are refused (up to
-    1.7 % of them on two
-    processors).
+    Estimates of LAMMPS agree to a tenth: a part of them is its round-off as measured, which is
+    chance. Steps agree to 2 %: last digits decide which steps of an adaptive method are refused,
+    up to 1.7 % of them on two processors.
     """
 
     def close(a: Any, b: Any) -> bool:
         if HASH.fullmatch(str(a)) and HASH.fullmatch(str(b)):
             return True
+        within = 0.02 if isinstance(a, int) else 0.1 if "lammps" in one else 1e-3
         try:
-            steps = isinstance(a, int)
-            return math.isclose(
-                float(a), float(b), rel_tol=0.02 if steps else 1e-3, abs_tol=ROUND_OFF
-            )
+            return math.isclose(float(a), float(b), rel_tol=within, abs_tol=ROUND_OFF)
         except ValueError:
             return bool(a == b)
 

@@ -16,6 +16,7 @@ from lmpchain import (
     Displacement,
     Drive,
     Impulse,
+    Impurity,
     InputError,
     Scene,
     engines,
@@ -97,6 +98,16 @@ def test_the_rate_that_three_runs_show_is_trusted_within_limits():
             2e-3 / (1.5 ** np.log2(3) - 1), rel=1e-9
         )
     assert estimate(4, 1.6e-3, 1e-3) == pytest.approx(2e-3 / 0.6, rel=1e-9)
+
+
+@pytest.mark.parametrize(("fast", "slow"), [(1e-7, 0.0), (1e-8, 3e-8), (1e-9, 1e-5)])
+def test_an_error_of_two_orders_is_told_by_the_rate_between_them(fast: float, slow: float):
+    """An observed rate alone makes it too small: a part of h^6 hides one of h^2."""
+    coarse, fine = np.add(
+        differences(6, fast, (2.0, 4.0)), differences(2, slow, (2.0, 4.0))
+    ).tolist()
+    told = estimate_truncation([fine, coarse], [2.0, 4.0], 6, slow_order=2)
+    assert told == pytest.approx(2 * (fast + slow), rel=1e-9)
 
 
 def test_one_more_run_nearby_confirms_a_rate_or_bounds_the_error():
@@ -451,8 +462,48 @@ def test_runs_with_the_steps_of_an_answer_show_what_the_scene_makes_of_its_round
     """Walk times growth is up to hundreds of times as much, and refused what can be had."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=duration, samples=21)
-    tolerance = 1e-11 if duration == 2e-4 else 5e-11
+    # which last digits are lost is chance, and another in each version of NumPy
+    tolerance = 1e-11 if duration == 2e-4 else 1e-10
     answer = simulate(scene, "native", tolerance)
     error = reference(scene, 1e-20)[0].error(answer.displacement, answer.velocity)
     assert error <= answer.error_estimate.solver <= tolerance
     assert amplify_rounding(scene, answer.cost.force_evaluations).max() > tolerance
+
+
+@pytest.mark.parametrize(
+    ("exponent", "integrator", "place", "steps"),
+    [(1.5, "rkn6", 0, 1), (1.5, "rkn6", 5, 2), (1.5, "kahan-li6", 10, 1), (1.0, "rkn6", 7, 1)],
+)
+def test_where_in_a_step_a_striker_leaves_is_in_the_estimate_of_equal_steps(
+    exponent: float, integrator: str, place: int, steps: int
+):
+    """Errors scatter with it from the first opening on: estimates were 0.34 to 0.68 of the truth,
+    of such steps as LAMMPS makes.
+    """
+    chain = Chain(
+        grains=6, material="steel", diameter=4.76e-3, gravity=0, top_load=2.38, load_grain=2,
+        bottom="wall", exponent=exponent, impurity=[Impurity(grain=1, material="ptfe")],
+    )  # fmt: skip
+    duration = (1e-4 if exponent == 1.5 else 4e-5) * (1 + 0.03 * place)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.44), duration=duration, samples=201)
+    step = duration / 200 / steps * (1 + 1e-9)
+    answer = simulate(scene, Native(integrator, step, adaptive=False))
+    true = reference(scene, 1e-13)[0]
+    assert true.events >= 2
+    error = true.error(answer.displacement, answer.velocity)
+    assert error < answer.error_estimate.solver < 100 * error
+
+
+@pytest.mark.parametrize("steps", [5, 8])
+def test_contacts_that_begin_as_good_as_open_are_in_the_estimate_of_equal_steps(steps: int):
+    """None opens, and yet the force is as rough as where one closes: 0.4 of the truth it was."""
+    chain = Chain(
+        grains=3, material="steel", diameter=5e-3, gravity=0, top_load=2e-3, bottom="wall"
+    )
+    struck = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=1e-5, samples=3)
+    scene = struck.replace(duration=7.5 / struck.highest_frequency)
+    assert scene.largest_strain > 10
+    step = scene.duration / 2 / steps * (1 + 1e-9)
+    answer = simulate(scene, Native("rkn6", step, adaptive=False))
+    error = reference(scene, 1e-13)[0].error(answer.displacement, answer.velocity)
+    assert error < answer.error_estimate.solver < 100 * error

@@ -2,6 +2,7 @@
 
 import base64
 import importlib.util
+import inspect
 import pickle
 import struct
 import sys
@@ -148,9 +149,7 @@ def test_a_table_has_names_values_and_meanings():
     assert rows[1] == ("name", repr("n" * 88), "Of it.")
     assert rows[2] == ("longer", "'" + "n" * 85 + " ...", "")
     assert rows[3] == ("more0", "0", "")
-    assert (
-        parse_meanings(Few.__doc__.replace("\n    ", "\n"))["width"] == "In metres, on two lines."
-    )
+    assert parse_meanings(inspect.getdoc(Few))["width"] == "In metres, on two lines."
     html = Few(0)._repr_html_()
     assert html.startswith("<div><b>Few</b><table><tr><td style=")
     assert html.endswith("</table></div>")

@@ -41,6 +41,11 @@ class Openings:
         The same where these steps are coarse.
     equal_order : float
         The same after equal steps, which fall on openings as they come.
+    scattered_order : float
+        By which differences of these are divided: errors scatter with where in a step a contact
+        opens, from the first one on, and two runs may agree by chance.
+    far : float
+        Strain from which a contact that is pressed by equal steps began as good as open.
     kinked_below : float
         Exponent below which the force has a kink at an opening.
     kinked_order : float
@@ -57,6 +62,8 @@ class Openings:
     order: float = 6.0
     coarse_order: float = 4.0
     equal_order: float = 2.0
+    scattered_order: float = 1.0
+    far: float = 10.0
     kinked_below: float = 1.25
     kinked_order: float = 3.0
     returning: float = 10.0
@@ -121,6 +128,7 @@ class Companions:
         self._order_at_openings = min(method.order, OPENINGS.trusted_order(exponent, candidate))
         longer = longer_steps(method, scenes[0], candidate)
         self.recurrent = [recurs(scene) for scene in scenes]
+        self._far = [scene.largest_strain > OPENINGS.far for scene in scenes]
         self._nearby = len(longer) == 2 and candidate.adaptive and any(self.recurrent)
         if self._nearby:
             kinks = OPENINGS.kinks(exponent)
@@ -154,7 +162,8 @@ class Companions:
         """
         proper = len(self.schedules) - self._nearby
         scatters = opens and self.recurrent[real]
-        settled = order == self._method.order and not self._candidate.adaptive
+        order, slow_order = self._orders(real, order, opens)
+        settled = not self._candidate.adaptive and slow_order == self._method.order
         return max(
             estimate_truncation(
                 field[:proper],
@@ -162,9 +171,21 @@ class Companions:
                 order,
                 nearby=sum(field[proper:]) if scatters else 0.0,
                 settled=settled,
+                slow_order=slow_order,
             )
             for field in distances.T.tolist()
         )
+
+    def _orders(self, real: int, order: float, opens: bool) -> tuple[float, float]:
+        """Return by which orders differences are divided: of the error, and of its slowest part.
+
+        The error of a method of order 2 is its own: that of openings is smaller.
+        """
+        if self._candidate.adaptive or self._method.order <= OPENINGS.equal_order:
+            return order, order
+        if opens:
+            return OPENINGS.scattered_order, OPENINGS.scattered_order
+        return order, min(order, OPENINGS.equal_order) if self._far[real] else order
 
 
 class Arrangement(NamedTuple):

@@ -7,7 +7,9 @@ The estimate of the largest relative error of an answer at steps h is
 
 with b = 0.7 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
 at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
-nothing opens and steps are equal.
+nothing opens and steps are equal. Where equal steps press contacts to far beyond their overlap at
+rest, these began as good as open: a part of the error falls with h^2 alone, and with the share s of
+d12 that follows from the gain, e is at least 2 d12 ((1 - s) / (r1^p - 1) + s / (r1^2 - 1)).
 
 ========  ==========  =========================================================================
 symbol    variable    meaning
@@ -17,10 +19,11 @@ d12       fine        distance of the answer from a companion at steps r1 h = 2 
 d24       coarse      distance of that companion from one at steps r2 h = 4 h
 dn        nearby      distance of the answer from one at 1.5 h, which runs where errors scatter
 r1, r2    ratios      steps of the companions over h
-p         order       order that is trusted, see `Companions.order`
+p         order       order that is trusted, see `Companions.truncation`
 g         gain        error at steps r1 h over that at h, as observed:
                       (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
                       of twice the length
+s         share       (r1^p - g) / (r1^p - r1^2), the part of d12 that falls with h^2, at most 1
 eps       EPSILON     unit of the last place of 1
 n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n), or
                       max(sqrt(n k), n / (8 k)) where contacts open, see `round_off`
@@ -76,6 +79,7 @@ def estimate_truncation(
     order: float,
     nearby: float = 0.0,
     settled: bool = False,
+    slow_order: float = math.inf,
 ) -> float:
     """Return the truncation error of an answer by Richardson's extrapolation at the observed rate.
 
@@ -91,6 +95,8 @@ def estimate_truncation(
         Relative distance dn from the companion at 1.5 h; 0 where there is none.
     settled : bool
         Whether the force is a smooth function of time, so that the order is sure.
+    slow_order : float
+        Lowest order that a part of the error may have.
     """
     fine = distances[0]
     if not math.isfinite(fine):
@@ -105,6 +111,12 @@ def estimate_truncation(
     first, second = ratios
     gain = observe_gain(fine, coarse, first, second, order)
     extrapolated = TRUST.safety * fine / (gain - 1)
+    if slow_order < order and first > 1:
+        steep = first**order
+        flat = first**slow_order
+        share = min((steep - gain) / (steep - flat), 1.0)
+        mean = (1 - share) / (steep - 1) + share / (flat - 1)
+        extrapolated = max(extrapolated, TRUST.safety * fine * mean)
     # one more companion confirms the rate; without it, the coarse difference alone is a bound, too
     bound = TRUST.nearby * nearby if nearby > 0 else coarse / (second**order - first**order)
     return max(extrapolated, bound)
