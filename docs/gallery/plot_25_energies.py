@@ -60,10 +60,10 @@ masses = np.exp(np.random.default_rng(1).normal(0, 0.5, 400)) * 1e-6
 rough = lmpchain.Chain(grains=400, masses=masses, contact_constants=[1e9] * 399, **level)
 time = np.sqrt(masses.mean() / np.median(rough.linear_stiffness))
 scene = lmpchain.Scene(
-    chain=rough, excitation=lmpchain.Impulse(velocity=1e-8), duration=250 * time, samples=3
+    chain=rough, excitation=lmpchain.Impulse(velocity=1e-4), duration=250 * time, samples=3
 )
 split = wavenumbers.bands(
-    lmpchain.simulate(scene, "modes"), np.pi * np.array([0, 0.1, 0.2, 0.4, 1])
+    lmpchain.simulate(scene, "native"), np.pi * np.array([0, 0.1, 0.2, 0.4, 1])
 )
 picture_of_bands = figure(7.5, 4)
 axes = split.plot(picture_of_bands.subplots())

@@ -107,21 +107,16 @@ class Train(Shown, Tabular):
             label = "solitary waves" if number == 0 else None
             height = float(np.interp(grain, self.place, self.density))
             ax.plot(grain, height, "v", color="#D55E00", ms=5, label=label)
-            if number < 5:
-                ax.annotate(
-                    f"{share:.3%}",
-                    (grain, height),
-                    (0, 6),
-                    textcoords="offset points",
-                    ha="center",
-                    fontsize="small",
-                )
+            if number < 6:
+                ax.text(grain, 2 * height, f"{share:.3%}", rotation=90, ha="center", va="bottom")
+        # room for these words
+        ax.set_ylim(top=1e4 * self.density.max())
         ax.set(xlabel="grain, from the top", ylabel="energy of a grain")
         whole, error = self.all_share
         count = self.grain.size
         waves = "1 solitary wave has" if count == 1 else f"{count} solitary waves have"
         set_title(ax, f"{waves} {whole:.4%} ± {error:.0e} of the energy")
-        legend(ax)
+        legend(ax, loc="upper left")
         return ax
 
 
