@@ -109,8 +109,15 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
         if resemblance > BATCHING.resemblance:
             continue
         batches = means.reshape(copies, count, -1).mean(-1)
-        # c / b, for stretches of this correlation are about c / (2 resemblance) long
-        widened = 1 + max(0.0, *(2 * each / finer for finer, each in resemblances.items()))
+        # c / b, for stretches of this correlation are about c / (2 resemblance) long; of so many
+        # stretches it is off by that much by chance, without which intervals are too narrow
+        widened = 1 + max(
+            0.0,
+            *(
+                2 * (each + 1 / math.sqrt(copies * count * finer)) / finer
+                for finer, each in resemblances.items()
+            ),
+        )
         error = math.sqrt(widened * batches.var(ddof=lost) / batches.size)
         student = float(t.ppf((1 + LEVEL) / 2, batches.size - lost))
         return Estimate(mean, error, student * error, batches.size, resemblance)
