@@ -109,19 +109,24 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
         if resemblance > BATCHING.resemblance:
             continue
         batches = means.reshape(copies, count, -1).mean(-1)
-        # c / b, for stretches of this correlation are about c / (2 resemblance) long; of so many
-        # stretches it is off by that much by chance, without which intervals are too narrow
-        widened = 1 + max(
-            0.0,
-            *(
-                2 * (each + 1 / math.sqrt(copies * count * finer)) / finer
-                for finer, each in resemblances.items()
-            ),
-        )
-        error = math.sqrt(widened * batches.var(ddof=lost) / batches.size)
+        error = math.sqrt(_widening(resemblances) * batches.var(ddof=lost) / batches.size)
+        # correlations of so many stretches are off by chance: without that, too narrow
+        doubted = {
+            finer: each + 1 / math.sqrt(copies * count * finer)
+            for finer, each in resemblances.items()
+        }
+        wider = math.sqrt(_widening(doubted) / _widening(resemblances))
         student = float(t.ppf((1 + LEVEL) / 2, batches.size - lost))
-        return Estimate(mean, error, student * error, batches.size, resemblance)
+        return Estimate(mean, error, wider * student * error, batches.size, resemblance)
     return Estimate(mean, math.inf, math.inf, 0, resemblance)
+
+
+def _widening(resemblances: dict[int, float]) -> float:
+    """Return by what factor the variance of batches is too small, from correlations of stretches.
+
+    It is 1 + c / b, where stretches of this correlation are about c / (2 resemblance) long.
+    """
+    return 1 + max(0.0, *(2 * each / finer for finer, each in resemblances.items()))
 
 
 def correlation_of_neighbours(means: Array) -> float:

@@ -421,7 +421,7 @@ def averages(
     -----
     UserWarning
         If a quantity remembers for so long that the time is too short for its interval, which is
-        then infinite.
+        then infinite, or that the interval is that of the fewest batches.
 
     Notes
     -----
@@ -679,6 +679,11 @@ def _conclude(
         short = f"a time of {time:.3g} s is too short for an interval of {', '.join(unknown)}"
         cure = f"try time={4 * time:.2g}, or copies"
         warn(f"{short}: memories are as long as batches; {cure}", stacklevel=3)
+    fewest = copies * BATCHING.counts[-1]
+    if few := [name for name, batches in results["batches"].items() if batches == fewest]:
+        says = f"the interval of {', '.join(few)} is that of {fewest} batches, the fewest"
+        cure = f"it covers less surely than others: try time={4 * time:.2g}, or copies"
+        warn(f"{says} that a time of {time:.3g} s allows; {cure}", stacklevel=3)
     return Averages(
         scene=scene,
         time=time,

@@ -49,6 +49,16 @@ def test_intervals_of_long_memories_are_not_too_narrow(memory: float):
     assert coverage(memory, 1, 8, 400, 3) > 0.92
 
 
+@pytest.mark.slow
+def test_intervals_that_memories_of_two_stretches_leave_cover():
+    """Two in three are infinite; correlations that are small by chance must not narrow the rest."""
+    rng = np.random.default_rng(7)
+    averages = [estimate(sequences(np.exp(-1 / 16), 1, 8, rng).mean(-1)) for _ in range(8000)]
+    known = [average for average in averages if average.batches]
+    assert 0.25 < len(known) / len(averages) < 0.4
+    assert np.mean([abs(average.mean) <= average.half_width for average in known]) > 0.935
+
+
 def test_a_walk_has_no_interval():
     steps = np.random.default_rng(4).normal(size=BATCHING.stretches)
     average = estimate(np.cumsum(steps)[None])

@@ -162,6 +162,15 @@ def test_a_time_too_short_has_no_interval_and_names_the_cure():
     assert "unknown" in found.table()
 
 
+def test_an_interval_of_the_fewest_batches_says_so():
+    scene = struck(vacuum(10), 1)
+    with pytest.warns(UserWarning, match=r"is that of 8 batches, the fewest .*: try time="):
+        averages(scene, ["kinetic_energy:3"], time=2e-3, tolerance=6e-4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        averages(scene, ["kinetic_energy:3"], time=2e-2, tolerance=6e-4)
+
+
 def test_the_step_follows_from_the_tolerance():
     scene = struck(vacuum(8))
     loose, tight = (
