@@ -207,7 +207,10 @@ class ChainBatch:
             drag[:, PAD : PAD + self.grains] = [c.drag for c in chains]
             # what is held or driven moves as it is told
             drag[self.inverse_mass == 0.0] = 0.0
-        return Dissipation(acts, viscosity, drag)
+        of_contacts = viscosity[:, PAD - 1 : PAD + self.grains]
+        pushed = self.imposed.acts and bool((self.imposed.wave["body"] < 0).any())
+        one_each = bool((of_contacts == of_contacts[:, :1]).all()) and not drag.any()
+        return Dissipation(acts, viscosity, drag, acts and one_each and not pushed)
 
 
 def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array]:

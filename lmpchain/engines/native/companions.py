@@ -86,8 +86,9 @@ class Openings:
 OPENINGS = Openings()
 STRIKES = ("impulse", "displacement")  # of one grain
 LONGER = (2.0, 4.0)  # steps of companions over those of the answer
+DIVIDING = (2.0, 3.0, 4.0)  # the same where each is to land on every sample
 # exponent of the decay between two samples from which on companions land on each
-DIES = 0.05
+DIES = 0.25
 FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
 
 
@@ -217,17 +218,23 @@ def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[flo
     """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
 
     None where these are unstable or too few. Where damping ends a motion within a few samples its
-    error is there in the first of them alone, and companions must land on each.
+    error is there in the first of them alone, and companions must land on each: then 3 serves, too.
     """
     if candidate.steps(scene.samples) < FEWEST_STEPS:
         return []
     reach = candidate.step * scene.chain.fastest_rate
-    ratios = [ratio for ratio in LONGER if ratio * reach <= method.stability_limit]
+    steps = candidate.steps_per_landing
+    if steps < MANY_STEPS and dies(scene):
+        ratios = [ratio for ratio in DIVIDING if steps % ratio == 0][:2]
+    else:
+        ratios = list(LONGER)
+    return [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
+
+
+def dies(scene: Scene) -> bool:
+    """Say whether damping ends the fastest motion within a few samples."""
     interval = scene.duration / (scene.samples - 1)
-    dies = scene.chain.damping.decay(scene.highest_frequency, interval) > DIES
-    if dies and candidate.steps_per_landing < MANY_STEPS:
-        return [ratio for ratio in ratios if candidate.steps_per_landing % ratio == 0]
-    return ratios
+    return scene.chain.damping.decay(scene.highest_frequency, interval) > DIES
 
 
 def recurs(scene: Scene) -> bool:

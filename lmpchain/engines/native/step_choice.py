@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 from ...errors import InputError
 from ...integrators.method import Method
+from ...integrators.step_schedule import MANY_STEPS
 from ...scene.scene import Scene
 from ..base import ErrorBudget
-from .companions import LONGER, OPENINGS
+from .companions import LONGER, OPENINGS, dies
 from .estimate import TRUST
 from .round_off import interpolation_loss
 
@@ -49,6 +50,9 @@ class FirstStep:
         the root of the strain.
     largest_opening_error : float
         The most that it is.
+    damped_opening_error, largest_damped_opening_error : float
+        The same two in a chain that loses energy, whose method has next to no error where nothing
+        opens; it grows with the strain itself. analysis/damping_cost.py.
     equal_error : float
         Factor where contacts open and steps are equal.
     coarse_error : float
@@ -63,16 +67,21 @@ class FirstStep:
     safe_strain: float = 0.3
     opening_error: float = 4.0
     largest_opening_error: float = 23.0
+    damped_opening_error: float = 60.0
+    largest_damped_opening_error: float = 1400.0
     equal_error: float = 30.0
     coarse_error: float = 16.0
 
-    def opening_factor(self, strain: float, adaptive: bool) -> float:
+    def opening_factor(self, strain: float, adaptive: bool, damped: bool = False) -> float:
         """Return the factor on the error of a scene whose strains are at most this."""
         if strain <= self.safe_strain:
             return 1.0
         if not adaptive:
             return self.equal_error
-        grown = self.opening_error * math.sqrt(max(strain / 3, 1.0))
+        beyond = max(strain / 3, 1.0)
+        if damped:
+            return min(self.damped_opening_error * beyond, self.largest_damped_opening_error)
+        grown = self.opening_error * math.sqrt(beyond)
         return min(grown, self.largest_opening_error)
 
 
@@ -213,6 +222,9 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     reach = expected_reach(scene, method, tolerance, shortens)
     phase = scene.highest_frequency * scene.duration / (scene.samples - 1)  # of an interval
     steps = math.ceil(phase / reach)
+    # companions land on every sample, by a half or a third of its steps
+    if 1 < steps < MANY_STEPS and math.gcd(steps, 6) == 1 and dies(scene):
+        steps += 1
     coarse = False
     if shortens and not OPENINGS.kinks(scene.chain.exponent):
         # where samples hold steps short, shorter ones near openings would only cost
@@ -237,7 +249,7 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     # an order of 1 loses nothing where contacts open, and the motion dies away as its error grows
     if method.order > 1:
         error *= max(1.0, radians / FIRST_STEP.radians)
-        error *= FIRST_STEP.opening_factor(strain, adaptive)
+        error *= FIRST_STEP.opening_factor(strain, adaptive, scene.chain.damped)
     reach = (tolerance / TRUST.safety / error) ** (1 / method.order)
     # some methods are stable for longer steps than half a period of the fastest motion, and no good
     # there

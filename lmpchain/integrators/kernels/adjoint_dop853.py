@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from .adjoint import Path
-from .adjoint_rows import Way, apart, hertz_power, power, touch
+from .adjoint_rows import Way, hertz_power, power, touch
+from .contact_forces import apart
 from .course import compiled_gradient, loop
 from .layout import PAD
 from .sample_loop import chain_of

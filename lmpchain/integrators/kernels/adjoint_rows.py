@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from numba import types
 
 from ...util.arrays import Array
-from .contact_forces import by_form, exponential, llvm, logarithm
+from .contact_forces import apart, by_form, exponential, llvm, logarithm
 from .course import loop
 
 
@@ -136,19 +136,6 @@ class Span(NamedTuple):
     sooner: int
     shorter: int
     top: bool
-
-
-@llvm
-def apart(typing: Any) -> Any:
-    """Tell the compiler that no two arrays that a function takes overlap."""
-
-    def mark(context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
-        for arg in builder.function.args[2:]:
-            if arg.type.is_pointer:
-                arg.add_attribute("noalias")
-        return context.get_dummy_value()
-
-    return types.void(), mark
 
 
 @llvm

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from ...util.arrays import Array
 from .adjoint import BURST
-from .adjoint_rows import Bodies, apart, hertz_power, power, touch
+from .adjoint_rows import Bodies, hertz_power, power, touch
+from .contact_forces import apart
 from .course import compiled_gradient, count_rows, fill_rows, loop
 from .layout import PAD
 

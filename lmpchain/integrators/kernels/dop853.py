@@ -6,9 +6,13 @@ in which no force depends on a velocity: x' = w + d, w' = a, with the creep d = 
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
-from .contact_forces import compiled_march, inlined
+import numpy as np
+from numpy.typing import NDArray
+
+from ...util.arrays import Array
+from .contact_forces import apart, compiled, compiled_march, inlined
 from .layout import PAD, RESOLUTION, Goal
 from .openings import bound_nearness, shorten
 from .right_hand_side import accelerate, ahead, impose, impose_velocity
@@ -26,18 +30,73 @@ def put(values, others):
         values[n] = others[n]
 
 
+class Weighted(NamedTuple):
+    """Weights and numbers of rows, (R,), the first of which are summed."""
+
+    weights: Array
+    rows: NDArray[np.int64]
+
+
 @inlined
-def add(sums, weight, values):
-    """Add `weight` times the values to the sums."""
+def _note(weighted, count, weight, row):
+    """Note a weighted row behind the `count` before it, unless it adds nothing; return how many."""
+    weighted.weights[count] = weight
+    weighted.rows[count] = row
+    # many weights are 0
+    return count + 1 if weight != 0.0 else count
+
+
+@compiled
+def _drift(out, x, reach, speeds):
+    """Fill out with x moved on by speeds for a time `reach`."""
+    apart()
+    for n in range(out.size):
+        out[n] = x[n] + reach * speeds[n]
+
+
+@compiled
+def _add_four(sums, weights, a, b, c, d):
+    """Add four weighted arrays to the sums, one by one as if in as many passes through memory."""
+    apart()
+    for n in range(sums.size):
+        total = sums[n] + weights[0] * a[n]
+        total += weights[1] * b[n]
+        total += weights[2] * c[n]
+        sums[n] = total + weights[3] * d[n]
+
+
+@compiled
+def _add_one(sums, weight, values):
+    """Add weighted values to the sums."""
+    apart()
     for n in range(sums.size):
         sums[n] += weight * values[n]
 
 
 @inlined
-def add_both(sums, weight, values, other_weight, others):
-    """Add weighted values and others to the sums, in one pass through memory."""
-    for n in range(sums.size):
-        sums[n] += weight * values[n] + other_weight * others[n]
+def _add(sums, weighted, count, rows, window):
+    """Add the first `count` weighted rows, in a window of them, to the sums."""
+    weights, numbers = weighted
+    for n in range(0, count - 3, 4):
+        _add_four(
+            sums,
+            (weights[n], weights[n + 1], weights[n + 2], weights[n + 3]),
+            rows[numbers[n], window],
+            rows[numbers[n + 1], window],
+            rows[numbers[n + 2], window],
+            rows[numbers[n + 3], window],
+        )
+    for n in range(count // 4 * 4, count):
+        _add_one(sums, weights[n], rows[numbers[n], window])
+
+
+@compiled
+def _fill_creep(creep, inverse_mass, force, viscosity, drag, x):
+    """Fill creep (B,) of bodies x between contacts with these forces and viscosities (B+1,)."""
+    apart()
+    for n in range(creep.size):
+        pressed = viscosity[n] * force[n] - viscosity[n + 1] * force[n + 1]
+        creep[n] = inverse_mass[n] * pressed - drag[n] * x[n]
 
 
 @inlined
@@ -52,15 +111,15 @@ def fill_creep(chain, dissipation, y, force, creep):
     """
     first = chain.state.first
     last = chain.state.last
-    f = force[: last - first + 1]
-    viscosity = dissipation.viscosity[chain.number, first - 1 : last]
-    drag = dissipation.drag[chain.number, first:last]
-    inverse_mass = chain.inverse_mass[first:last]
-    grains = y[first:last]
-    d = creep[first:last]
-    for n in range(d.size):
-        pressed = viscosity[n] * f[n] - viscosity[n + 1] * f[n + 1]
-        d[n] = inverse_mass[n] * pressed - drag[n] * grains[n]
+    bodies = slice(first, last)
+    _fill_creep(
+        creep[bodies],
+        chain.inverse_mass[bodies],
+        force[: last - first + 1],
+        dissipation.viscosity[chain.number, first - 1 : last],
+        dissipation.drag[chain.number, bodies],
+        y[bodies],
+    )
 
 
 @inlined
@@ -84,8 +143,11 @@ def _complete(chain, dissipation, clock, now, force, creep, reduced):
 def _advance(chain, method, work, clock, span, out):
     """Take one step of the Runge-Kutta-Nystrom form."""
     (nodes, inner, weights, rates), openings, adaptive, dissipation = method
-    force, z, slopes, reduced, creeps, nearest = work
+    force, z, slopes, reduced, nearest, weigh = work
     damped = dissipation.acts
+    # creep that is nothing but a time by the slopes needs no rows of its own
+    creeps = damped and not dissipation.alike
+    lag = dissipation.viscosity[chain.number, PAD] if damped and dissipation.alike else 0.0
     y = chain.x
     w = chain.v
     state = chain.state
@@ -108,7 +170,7 @@ def _advance(chain, method, work, clock, span, out):
     impose_velocity(chain, w, PAD, now)
     accelerate(chain, z, first, last, force, slopes[0])
     if damped:
-        _complete(chain, dissipation, clock, now, force, creeps[0], reduced)
+        _complete(chain, dissipation, clock, now, force, slopes[stages], reduced)
     h = span.step
     if adaptive:
         h = clock.step * shorten(chain, z, w, slopes[0], openings, nearest)
@@ -118,32 +180,30 @@ def _advance(chain, method, work, clock, span, out):
     speeds = reduced[window] if damped else w[window]
     stage_grains = z[window]
     for stage in range(1, stages):
-        for n in range(grains.size):
-            stage_grains[n] = grains[n] + nodes[stage] * h * speeds[n]
+        _drift(stage_grains, grains, nodes[stage] * h, speeds)
+        count = 0
         for earlier in range(stage):
-            weight = inner[stage, earlier] * h * h
-            if damped:
-                along = rates[stage, earlier] * h
-                add_both(
-                    stage_grains, weight, slopes[earlier, window], along, creeps[earlier, window]
-                )
-            # many are 0
-            elif weight != 0.0:
-                add(stage_grains, weight, slopes[earlier, window])
+            along = rates[stage, earlier] * h
+            count = _note(weigh, count, inner[stage, earlier] * h * h + lag * along, earlier)
+            if creeps:
+                count = _note(weigh, count, along, stages + earlier)
+        _add(stage_grains, weigh, count, slopes, window)
         impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
-        if damped:
-            fill_creep(chain, dissipation, z, force, creeps[stage])
-    add(grains, h, speeds)
+        if creeps:
+            fill_creep(chain, dissipation, z, force, slopes[stages + stage])
+    _add_one(grains, h, speeds)
+    count = 0
     for stage in range(stages):
-        weight_x = weights[0, stage] * h * h
-        weight_v = weights[1, stage] * h
-        slope = slopes[stage, window]
-        for n in range(grains.size):
-            grains[n] += weight_x * slope[n]
-            speeds[n] += weight_v * slope[n]
-        if damped:
-            add(grains, weight_v, creeps[stage, window])
+        along = weights[1, stage] * h
+        count = _note(weigh, count, weights[0, stage] * h * h + lag * along, stage)
+        if creeps:
+            count = _note(weigh, count, along, stages + stage)
+    _add(grains, weigh, count, slopes, window)
+    count = 0
+    for stage in range(stages):
+        count = _note(weigh, count, weights[1, stage] * h, stage)
+    _add(speeds, weigh, count, slopes, window)
     state.done = done
     impose(chain, y, span.begin + state.done, span.begin + state.done)
     watch(chain)
@@ -159,12 +219,13 @@ def _advance(chain, method, work, clock, span, out):
 @inlined
 def _land(chain, method, work, clock, span, out):
     """Make the velocities of a damped chain of the reduced ones."""
-    force, _, slopes, reduced, creeps, _ = work
+    force, _, slopes, reduced, _, _ = work
     dissipation = method[3]
+    stages = method[0][0].size
     if dissipation.acts:
         # a sample needs the forces where the step has ended
         accelerate(chain, chain.x, chain.state.first, chain.state.last, force, slopes[0])
-        _complete(chain, dissipation, clock, span.end, force, creeps[0], reduced)
+        _complete(chain, dissipation, clock, span.end, force, slopes[stages], reduced)
         chain.state.pending = 0.0
 
 
@@ -181,10 +242,11 @@ def march(chains, method, clocks, fields, goal):
     """
     width = chains.x.shape[1]
     stages = method[0][0].size
-    slopes = np.zeros((stages, width))
-    creeps = np.zeros((stages, width if method[3].acts else 0))
+    # accelerations of all stages, and creeps behind them
+    slopes = np.zeros((2 * stages if method[3].acts else stages, width))
     nearest = bound_nearness(chains, clocks, method[1])
-    work = np.zeros(width), np.zeros(width), slopes, np.zeros(width), creeps, nearest
+    weigh = Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64))
+    work = np.zeros(width), np.zeros(width), slopes, np.zeros(width), nearest, weigh
     return _march(chains, method, work, clocks, fields, goal)
 
 

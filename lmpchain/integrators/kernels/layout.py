@@ -265,11 +265,15 @@ class Dissipation(NamedTuple):
     viscosity, drag : (R, W) arrays
         A of the contact below each body, s, and gamma of each that moves freely, 1/s; (R, 0) if
         nothing takes energy.
+    alike : bool
+        Whether it is contacts of one A a chain alone, and nothing pushes grains: then their creep
+        is A times their acceleration.
     """
 
     acts: bool
     viscosity: Array
     drag: Array
+    alike: bool
 
 
 class Goal(NamedTuple):

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from .contact_forces import compiled, contact_forces, inlined, kick_and_drift, touching
+from .contact_forces import apart, compiled, contact_forces, inlined, kick_and_drift, touching
 from .layout import PAD, RESOLUTION, Links, Rows
 from .team import meet, share
 
@@ -150,20 +150,25 @@ def slice_rows(rows, numbers):
     )
 
 
+@compiled
+def _fill_pull(pull, inverse_mass, force):
+    """Fill pull (B,) with the accelerations of bodies between contacts with these forces (B+1,)."""
+    apart()
+    for n in range(pull.size):
+        pull[n] = inverse_mass[n] * (force[n] - force[n + 1])
+
+
 @inlined
 def accelerate(chain, y, first, last, force, pull):
     """Fill pull (W,) with accelerations of bodies first ... last-1 of y (W,), and force (W,)."""
     near = slice(first - 1, last)
     # slices, whose bounds the compiler knows: then it makes vectors of the loop
     f = force[: last - first + 1]
-    im = chain.inverse_mass[first:last]
-    a = pull[first:last]
     links = chain.links
     contact_forces(links.form, f, y[first - 1 : last + 1], slice_links(links, near, 0.0))
     if first == PAD and links.uncompressed > 0.0:
         f[0] += touching(y[PAD - 1] - y[PAD], links.uncompressed, links.coefficients)
-    for n in range(a.size):
-        a[n] = im[n] * (f[n] - f[n + 1])
+    _fill_pull(pull[first:last], chain.inverse_mass[first:last], f)
     pushed = forced(chain)
     if first <= pushed < last:
         pull[pushed] += chain.inverse_mass[pushed] * y[0]
