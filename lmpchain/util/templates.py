@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -49,8 +50,13 @@ def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
     Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed`
     nothing is read.
     """
+    return "".join(render_pieces(name, closed, **values))
+
+
+def render_pieces(name: str, closed: tuple[type, ...] = (), **values: Any) -> Iterator[str]:
+    """Fill in a template of the package piece by piece, for text that is long; see `render`."""
     environment = _Closed(closed, autoescape=name.endswith(".html"))
-    return environment.get_template(name).render(version=version("lmpchain"), **values)
+    return environment.get_template(name).generate(version=version("lmpchain"), **values)
 
 
 def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: Any) -> str:

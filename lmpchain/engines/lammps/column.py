@@ -163,7 +163,7 @@ class Column:
         ends = self._contacts(
             self.chain.wall_constants, radius, self.chain.masses[[0, -1]], [0, -1]
         )
-        top, bottom = ends
+        top, bottom = (Contact(*row) for row in np.column_stack(ends).tolist())
         walls = (
             Wall("top", 1, top.stiffness, "NULL", repr(above), self._arguments(top)),
             Wall(
@@ -179,8 +179,8 @@ class Column:
 
     def _contacts(
         self, constants: Array, radius: Array, mass: Array, numbers: Sequence[int] | slice
-    ) -> list[Contact]:
-        """Return contacts in LAMMPS's terms.
+    ) -> tuple[Array, Array]:
+        """Return stiffness and damping of contacts in LAMMPS's terms, see `Contact`, (C,) each.
 
         Parameters
         ----------
@@ -191,11 +191,9 @@ class Column:
         """
         viscosity = self.chain.contact_viscosity[numbers]
         if self.model == "hooke":
-            rows = constants, viscosity * constants
-        else:
-            stiffness = constants / np.sqrt(radius)
-            rows = stiffness, 1.5 * viscosity * stiffness / mass
-        return list(map(Contact, *(row.tolist() for row in rows)))
+            return constants, viscosity * constants
+        stiffness = constants / np.sqrt(radius)
+        return stiffness, 1.5 * viscosity * stiffness / mass
 
     def _arguments(self, contact: Contact) -> str:
         """Return the arguments of the contact model of `pair_coeff` and `fix wall/gran`."""
@@ -224,6 +222,16 @@ class Column:
     def types(self) -> list[int]:
         """Type of every grain, from 1."""
         return self._types_and_contacts[0]
+
+    @property
+    def type_count(self) -> int:
+        """Number of grain types."""
+        return max(self.types)
+
+    @property
+    def bare(self) -> bool:
+        """Whether the commands are those of the package alone."""
+        return not (self.template or self.include)
 
     @cached_property
     def coefficients(self) -> list[str]:
@@ -261,34 +269,46 @@ class Column:
         # of spheres, d1 d2 / (2 (d1 + d2))
         radius = d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2
         mass = pair_value(chain.masses)
-        contacts = self._contacts(chain.contact_constants, radius, mass, slice(1, -1))
-        limit = MOST_TYPES if self.pair_style == "granular" else 1
+        stiffness, damping = self._contacts(chain.contact_constants, radius, mass, slice(1, -1))
+        # of a long chain, each kind of contact below each type is looked for once
+        distinct, kinds = np.unique(stiffness + 1j * damping, return_inverse=True)
+        contacts = [Contact(value.real, value.imag) for value in distinct.tolist()]
+        known: dict[tuple[int, int], int] = {}
         pairs: dict[tuple[int, int], Contact] = {}
         # of each type: the types it touches, and the contacts
         partners: dict[int, dict[int, Contact]] = {1: {}}
         types = [1]
-        for contact in contacts:
+        for kind in kinds.tolist():
             above = types[-1]
-            equal = [
-                grain_type for grain_type, value in partners[above].items() if value.same(contact)
-            ]
-            if equal:
-                below = equal[0]
-            else:
-                free = (key for key in partners if key not in partners[above])
-                below = min(free, key=lambda key: len(partners[key]), default=len(partners) + 1)
-            if below > limit:
-                cure = (
-                    "the engine native" if limit > 1 else "pair_style granular or the engine native"
-                )
-                raise InputError.at(
-                    "contact_constants",
-                    f"contact {len(types)} differs from those above it, and {limit} grain type(s) "
-                    f"cannot express that in pair_style {self.pair_style}; use {cure}",
-                )
-            partners.setdefault(below, {})
-            partners[above].setdefault(below, contact)
-            partners[below].setdefault(above, contact)
-            pairs.setdefault((min(above, below), max(above, below)), contact)
+            below = known.get((above, kind))
+            if below is None:
+                contact = contacts[kind]
+                below = known[above, kind] = _type_below(partners, above, contact)
+                self._check_type(below, len(types))
+                partners.setdefault(below, {})
+                partners[above].setdefault(below, contact)
+                partners[below].setdefault(above, contact)
+                pairs.setdefault((min(above, below), max(above, below)), contact)
             types.append(below)
         return types, pairs
+
+    def _check_type(self, grain_type: int, number: int) -> None:
+        """Raise `InputError` if contact `number` needs more types than LAMMPS knows."""
+        granular = self.pair_style == "granular"
+        limit = MOST_TYPES if granular else 1
+        if grain_type > limit:
+            cure = "the engine native" if granular else "pair_style granular or the engine native"
+            raise InputError.at(
+                "contact_constants",
+                f"contact {number} differs from those above it, and {limit} grain type(s) "
+                f"cannot express that in pair_style {self.pair_style}; use {cure}",
+            )
+
+
+def _type_below(partners: dict[int, dict[int, Contact]], above: int, contact: Contact) -> int:
+    """Return the type of a grain that has this contact with one above it of the type `above`."""
+    for grain_type, value in partners[above].items():
+        if value.same(contact):
+            return grain_type
+    free = (key for key in partners if key not in partners[above])
+    return min(free, key=lambda key: len(partners[key]), default=len(partners) + 1)

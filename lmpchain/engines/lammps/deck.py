@@ -9,14 +9,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+
+import numpy as np
 
 from ...chain.materials import Material
 from ...errors import InputError
 from ...integrators.splittings import Splitting
 from ...scene.scene import Scene
+from ...util.arrays import Array
 from ...util.files import expanded, write_aside
-from ...util.templates import render, render_text
+from ...util.templates import render, render_pieces, render_text
 from . import drive
 from .column import Column
 from .worker import deck_steps
@@ -26,6 +29,7 @@ RUN_COMMAND = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\
 # decks
 CLOSED = (Material,)
 MOST_STEPS = 2**31 - 1  # that a run of LAMMPS takes
+LINES = 2**14  # of a data file that are made at a time
 
 
 def read_user_text(key: str, path: str | PathLike[str]) -> str:
@@ -127,8 +131,8 @@ def check_carried(splitting: Splitting, key: str) -> None:
 
 def write_data(column: Column, path: str | PathLike[str]) -> None:
     """Write the data file of a column."""
-    with write_aside(path) as aside:
-        aside.write_bytes(_data(column))
+    with write_aside(path) as aside, open(aside, "wb") as file:
+        _write_data(column, file, whole=True)
 
 
 @contextmanager
@@ -139,27 +143,60 @@ def data_file(column: Column, folder: Path | None) -> Iterator[Path]:
         yield path
         return
     with open(os.memfd_create("column.data"), "wb") as memory:
-        memory.write(_data(column))
+        _write_data(column, memory, whole=holds_motion(column, folder))
         memory.flush()
         yield Path(f"/proc/{os.getpid()}/fd/{memory.fileno()}")
 
 
-def _data(column: Column) -> bytes:
+def holds_motion(column: Column, folder: Path | None) -> bool:
+    """Return whether the data file has velocities and heights at rest: somebody may read them.
+
+    Else LAMMPS gets the velocities in memory, in a fraction of the time.
+    """
+    return folder is not None or not column.bare
+
+
+def _write_data(column: Column, file: BinaryIO, whole: bool) -> None:
+    """Write the data file, without velocities and heights at rest unless it is `whole`."""
     z, speeds = column.start
     if column.strike:
         # the deck strikes, so that the speed can be set on the command line
         speeds = 0.0 * speeds
-    rows = zip(
-        column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True
-    )
-    return render(
+    types = np.array(column.types)
+    atoms = "%d %d %s %s 0 0 %r\n"
+    pieces = render_pieces(
         "column.data",
         CLOSED,
         column=column,
-        rows=rows,
-        speeds=speeds.tolist(),
-        heights=column.heights.tolist(),
-    ).encode("ascii")
+        whole=whole,
+        atoms=_lines(atoms, types, column.diameters, column.densities, z),
+        speeds=_lines("%d 0 0 %r 0 0 0\n", speeds),
+        heights=_lines("%d %r\n", column.heights),
+    )
+    file.writelines(piece.encode("ascii") for piece in pieces)
+
+
+def _lines(line: str, *columns: Array) -> Iterator[str]:
+    """Yield lines of a data file, of many grains at a time: its number, and these values.
+
+    Values with %s are equal for many grains, and those are converted once.
+    """
+    shared = [field == "s" for field in re.findall("%(.)", line)[1:]]
+    for begin in range(0, columns[0].size, LINES):
+        grains = slice(begin, begin + LINES)
+        values = [
+            _as_text(column[grains]) if alike else column[grains].tolist()
+            for column, alike in zip(columns, shared, strict=True)
+        ]
+        rows = zip(range(begin + 1, begin + 1 + LINES), *values, strict=False)
+        yield "".join(line % row for row in rows)
+
+
+def _as_text(values: Array) -> list[str]:
+    """Return numbers with all their digits."""
+    distinct, places = np.unique(values, return_inverse=True)
+    texts: list[str] = np.array(list(map(repr, distinct.tolist())), object)[places].tolist()
+    return texts
 
 
 def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **values: Any) -> str:

@@ -15,6 +15,8 @@ from .column import Column
 from .launch import Communicator
 from .worker import LocalState, StepPlan
 
+UNSEEN = 32  # most steps after which a run that has broken down is seen
+
 
 class LammpsStepper:
     """One chain in LAMMPS, which stops at every sample.
@@ -76,8 +78,12 @@ class LammpsStepper:
                 deck.write_deck(column, keep / "in.column", step, splitting)
                 dump = word(keep / "column.lammpstrj")
                 communicator.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
-            start = (state["z"], state["vz"], state["fz"]) if state else None
-            self._take(communicator.ask("begin", plan, start))
+            if state:
+                start: tuple[Array, ...] = state["z"], state["vz"], state["fz"]
+            else:
+                start = () if deck.holds_motion(column, keep) else column.start
+            communicator.ask("begin", plan, start)
+            self._take()
             self._check()
         except BaseException:
             communicator.close()
@@ -92,10 +98,14 @@ class LammpsStepper:
         while total < max_steps and self.sample < until:
             # never beyond the next sample, whatever the pauses between
             steps = min(max_steps - total, self._every - self._done % self._every)
-            self._take(self._communicator.ask("advance", steps))
+            self._communicator.ask("advance", steps)
             self._done += steps
             total += steps
-            if self._done % self._every == 0:
+            sampled = self._done % self._every == 0
+            # the state of many grains takes a part of a step to look at
+            if sampled or self._done - self._seen >= UNSEEN:
+                self._take()
+            if sampled:
                 self._check()
                 u[0, self.sample - offset] = self._column.heights - self._z
                 v[0, self.sample - offset] = -self._vz
@@ -111,8 +121,10 @@ class LammpsStepper:
         """Steps made, (1,)."""
         return np.array([self._done])
 
-    def _take(self, shares: list[LocalState]) -> None:
+    def _take(self) -> None:
         """Take the motion from all ranks; raises `RunFailed` if they are no numbers."""
+        shares: list[LocalState] = self._communicator.ask("share")
+        self._seen = self._done
         self._z, self._vz, self._fz = _join(shares)
         if np.isnan(self._z).any():
             raise RunFailed("LAMMPS: heights are no longer numbers; use a shorter step")
@@ -131,6 +143,8 @@ class LammpsStepper:
 
     def state(self) -> dict[str, Array]:
         """Return heights as LAMMPS holds them, velocities, forces and steps, to go on from."""
+        if self._seen < self._done:
+            self._take()
         fields = {"z": self._z, "vz": self._vz, "fz": self._fz}
         return {key: field.copy() for key, field in fields.items()} | {"done": np.array(self._done)}
 

@@ -101,11 +101,11 @@ class Worker:
         """Execute commands."""
         self._lammps.commands_string(text)
 
-    def begin(self, plan: StepPlan, state: tuple[Array, Array, Array] | None) -> LocalState:
+    def begin(self, plan: StepPlan, state: tuple[Array, ...]) -> None:
         """Set heights and velocities, compute the first forces, and keep views of the arrays.
 
-        The forces of a state take the place of those: with damping, these know the velocities of
-        half a step before.
+        The state is empty where LAMMPS has read it. The forces of one that was kept take the place
+        of the first: with damping, these know the velocities of half a step before.
         """
         self._plan = plan
         self._done = plan.done
@@ -126,9 +126,8 @@ class Worker:
             self._use_piece(next(later, len(ends) - 1))
         self._lammps.command("run 0 post no")
         self._view_arrays(count)
-        if state and count:
-            self._f[:, 2] = state[2][grains]
-        return self._share()
+        for forces in state[2:]:
+            self._f[:, 2] = forces[self._start : self._start + count]
 
     def _view_arrays(self, count: int) -> None:
         """Keep views of the arrays of LAMMPS; a rank without grains has none."""
@@ -160,7 +159,7 @@ class Worker:
             raise EngineUnavailable("LAMMPS does not keep the grains in order: use another version")
         return int(ids[0]) - 1
 
-    def advance(self, steps: int) -> LocalState:
+    def advance(self, steps: int) -> None:
         """Move forward by `steps` steps."""
         splitting = self._plan.splitting
         if splitting.order == 2:
@@ -170,7 +169,6 @@ class Worker:
             outside = not splitting.substeps or self._plan.pushed is not None
             self._split(splitting.kicks if outside else (), steps)
         self._done += steps
-        return self._share()
 
     def _run(self, steps: int) -> None:
         """Run velocity Verlet, stopped only where a drive goes on with its next cubic piece."""
@@ -228,7 +226,8 @@ class Worker:
             self.commands("\n".join(self._plan.pieces[index][1]))
             self._piece = index
 
-    def _share(self) -> LocalState:
+    def share(self) -> LocalState:
+        """Return the motion of the grains of this rank."""
         # a column that buckles leaves its axis, and x or y is no longer exactly 0
         straight = not self._x[:, :2].any()
         return LocalState(self._start, self._x[:, 2], self._v[:, 2], self._f[:, 2], straight)
