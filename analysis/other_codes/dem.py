@@ -14,6 +14,7 @@ from lmpchain import RunFailed, Scene
 from lmpchain.util.arrays import Array
 
 LOOP_TIME = re.compile(r"^Loop time of (\S+)", re.MULTILINE)
+CPU_USE = re.compile(r"^(\S+)% CPU use", re.MULTILINE)
 
 
 def heights(scene: Scene) -> Array:
@@ -53,7 +54,8 @@ def run(command: list[str], deck: str, scene: Scene) -> tuple[Array, Array, floa
 
     Returns
     -------
-    heights (N,) m, upward velocities (N,) m/s, loop time of its own log, s
+    heights (N,) m, upward velocities (N,) m/s, loop time of its own log, s, of the processor
+    where it tells that
     """
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -69,7 +71,9 @@ def run(command: list[str], deck: str, scene: Scene) -> tuple[Array, Array, floa
         if done.returncode or "ERROR" in log:
             raise RunFailed(f"{command[0]} failed: {(log + done.stdout + done.stderr)[-2000:]}")
         _, z, v = np.loadtxt(folder / "end", skiprows=9).T
-        return z, v, float(LOOP_TIME.findall(log)[-1])
+        (seconds,) = LOOP_TIME.findall(log)
+        used = CPU_USE.findall(log)
+        return z, v, float(seconds) * float(used[0] if used else 100.0) / 100.0
 
 
 def solve(command: list[str], deck: str, problem: Problem, step: float) -> Answer:

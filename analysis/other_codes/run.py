@@ -33,7 +33,7 @@ from lmpchain.benchmark.reference import Reference, reference
 from lmpchain.util.files import write_aside
 
 HERE = Path(__file__).parent
-OTHERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts"
+OTHERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts", "yade"
 CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
 LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
@@ -43,6 +43,9 @@ LAST_S = 8.0
 # shortest chain to cut; displacement over the largest beyond the cut
 LONG_CHAIN = 1000
 UNTOUCHED = 1e-15
+# what is added later is timed by turns with LAMMPS, in runs of the first step up to this time, s
+TURNS = 12
+YARDSTICK_S = 0.2
 
 
 def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
@@ -124,6 +127,38 @@ def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
     }
 
 
+def add(scene: lmpchain.Scene, others: list[str], kept: dict[str, Any]) -> dict[str, Any]:
+    """Run discrete element codes for a file that is there, beside the codes in it.
+
+    LAMMPS takes turns with each, in processor time, so that a busy machine serves: the ratio, times
+    what a step took in LAMMPS then, is the time of a step.
+    """
+    problem = Problem(scene)
+    solution = reference(problem.scene)
+    (yardstick,) = import_module("with_lammps").codes(problem)
+    known = [row for row in kept["rows"] if row["code"] == yardstick.name]
+    then = next((row for row in known if row["seconds"] > YARDSTICK_S), known[-1])
+    for other in others:
+        for code in import_module(f"with_{other}").codes(problem):
+            pairs = [
+                [one.solve(problem, then["parameter"]).seconds for one in (yardstick, code)]
+                for _ in range(TURNS)
+            ]
+            now, its = np.min(pairs, axis=0).tolist()
+            rows = scan(code, problem, solution)
+            step_s = its / now * then["seconds"] / then["force_evaluations"]
+            for row in rows:
+                row["seconds"] = step_s * row["force_evaluations"]
+            kept["rows"] = [row for row in kept["rows"] if row["code"] != code.name] + rows
+            kept["versions"][other] = code.version
+            kept.setdefault("added", {})[code.name] = {
+                "machine": f"{machine()}, load {os.getloadavg()[0]:.1f}",
+                "over_lammps": its / now,
+                "lammps_now_over_then": now / then["seconds"],
+            }
+    return kept
+
+
 def table(result: dict[str, Any]) -> str:
     """Return the time to each error, and the fastest other code over the native engine."""
     points = _by_code(result["rows"])
@@ -177,17 +212,25 @@ def main() -> None:
         "scene", type=Path, help="a scene file; only the state at its end is asked for"
     )
     parser.add_argument("--codes", default=",".join(OTHERS), help="some of " + ",".join(OTHERS))
+    parser.add_argument(
+        "--add", action="store_true", help="add codes of discrete elements to those in the file"
+    )
     given = parser.parse_args()
     others = [name for name in given.codes.split(",") if name]
     if unknown := set(others) - set(OTHERS):
         parser.error(
             f"--codes: there is no {', '.join(sorted(unknown))}; take some of {', '.join(OTHERS)}"
         )
+    path = HERE / f"{given.scene.stem}.json"
     try:
-        result = measure(lmpchain.Scene.from_toml(given.scene), others)
+        scene = lmpchain.Scene.from_toml(given.scene)
+        if given.add:
+            result = add(scene, others, json.loads(path.read_text(encoding="utf-8")))
+        else:
+            result = measure(scene, others)
     except lmpchain.InputError as faults:
         parser.error(str(faults))
-    with write_aside(HERE / f"{given.scene.stem}.json") as aside:
+    with write_aside(path) as aside:
         aside.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(f"\n{given.scene.stem}: {result['machine']}; {result['versions']}")
     print(f"The reference is known to {result['reference_error']:.0e}.\n\n{table(result)}")

@@ -217,6 +217,25 @@ def test_scenes_of_a_batch_are_of_one_kind():
         assert alike(SCENE, candidate._replace(**changed)) != alike(SCENE, candidate)
 
 
+def test_progress_in_lammps_is_that_of_the_time(monkeypatch):
+    """Between samples, too, and the native twin behind it counts for the time that it takes."""
+    engine = Lammps("verlet", step=1e-8)
+    scene = SCENE.replace(samples=2)
+    run = engine.start([scene], engine.candidate(scene, 1e-6))
+    answer, twin = run._movers
+    assert run.candidate.steps(2) == 4000
+    assert run.progress == 0
+    fields = np.zeros((2, 1, 1, 10))
+    run._answer.fill(*fields, offset=1, until=1, max_steps=1000)
+    answer.seconds = 10.0
+    assert run.progress == pytest.approx(0.25, rel=1e-12)
+    twin.seconds = 0.5
+    monkeypatch.setattr(type(run.native), "progress", 0.125)
+    # 40 s and 4 s in all, of which 10 s and 0.5 s are over
+    assert run.progress == pytest.approx(10.5 / 44, rel=1e-12)
+    run.close()
+
+
 def test_a_batch_has_the_answers_and_errors_of_its_scenes(small_blocks):
     """Weak and strong ones at the steps of the strong; one of them is at rest."""
     velocities = (1e-3, 1e-5, 8e-4)

@@ -2,6 +2,7 @@
 what was measured.
 """
 
+import shutil
 import sys
 from dataclasses import replace
 from importlib import import_module
@@ -66,6 +67,52 @@ def test_lammps_as_users_write_it_finds_the_truth(peer):
     assert answers[1].force_evaluations == 500
     assert coarse / fine == pytest.approx(4, rel=0.02)
     assert fine < 1e-4
+
+
+def test_yade_finds_the_truth_by_the_same_rule_as_lammps(peer):
+    """Leapfrog is velocity Verlet: both have the same errors, of second order."""
+    if not shutil.which("yade"):
+        pytest.skip("there is no program yade here")
+    problem = peer("problem").Problem(short(8.57e-4))
+    (lammps,) = peer("with_lammps").codes(problem)
+    (yade,) = peer("with_yade").codes(problem)
+    known = truth(problem.scene)
+    steps = [problem.scene.duration / count for count in (250, 500)]
+    coarse, fine = (peer("problem").error(yade.solve(problem, step), known) for step in steps)
+    assert coarse / fine == pytest.approx(4, rel=0.02)
+    assert fine == pytest.approx(
+        peer("problem").error(lammps.solve(problem, steps[1]), known), rel=1e-3
+    )
+    displaced = problem.scene.replace(excitation=lmpchain.Displacement(displacement=1e-9))
+    with pytest.raises(lmpchain.RunFailed, match="strike grains at rest"):
+        peer("with_yade").codes(peer("problem").Problem(displaced))
+
+
+def test_a_code_is_added_beside_lammps_by_turns(peer, monkeypatch):
+    """Its time of a step is the ratio of the least times, times that of LAMMPS in the file."""
+    run = peer("run")
+    scene = short(8.57e-4)
+    code = peer("with_scipy").codes(peer("problem").Problem(scene))[1]
+
+    def within(seconds: float):
+        def solve(problem, _):
+            return replace(code.solve(problem, 1e-6), seconds=seconds, force_evaluations=100)
+
+        return solve
+
+    step = scene.duration / 100
+    module = type(run)("with_other")
+    module.codes = lambda _: [replace(code, name="other", parameters=[step], solve=within(6e-3))]
+    yardstick = type(run)("with_lammps")
+    yardstick.codes = lambda _: [replace(code, name="LAMMPS granular", solve=within(2e-3))]
+    monkeypatch.setitem(sys.modules, "with_other", module)
+    monkeypatch.setitem(sys.modules, "with_lammps", yardstick)
+    row = {"code": "LAMMPS granular", "parameter": step, "seconds": 1e-3, "force_evaluations": 100}
+    kept = run.add(scene, ["other"], {"rows": [row], "versions": {}})
+    assert [row["code"] for row in kept["rows"]] == ["LAMMPS granular", "other"]
+    assert kept["rows"][1]["seconds"] == pytest.approx(3e-3, rel=1e-12)
+    assert kept["added"]["other"]["over_lammps"] == pytest.approx(3, rel=1e-12)
+    assert kept["added"]["other"]["lammps_now_over_then"] == pytest.approx(2, rel=1e-12)
 
 
 def test_a_chain_cut_by_hand_answers_like_the_whole(peer):

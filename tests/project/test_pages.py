@@ -361,6 +361,30 @@ def test_times_of_native_on_the_page_on_speed(number: int, scene: str):
         assert line.split(" | ") == ["never" if x is None else f"{x:.3g}" for x in best], label
 
 
+@pytest.mark.parametrize("scene", ["fig5_1g", "fig1"])
+def test_times_of_discrete_element_codes_on_the_page_on_speed(scene: str):
+    kept = json.loads((ROOT / "analysis" / "other_codes" / f"{scene}.json").read_text())["rows"]
+    page = (DOCS / "speed.md").read_text(encoding="utf-8").replace(",", "")
+    for code in ("LAMMPS", "LIGGGHTS", "Yade"):
+        rows = [row for row in kept if row["code"].startswith(code)]
+        best = (
+            min((1e3 * r["seconds"] for r in rows if r["error"] <= target), default=None)
+            for target in TARGETS
+        )
+        cells = " | ".join("never" if x is None else f"{float(f'{x:.3g}'):g}" for x in best)
+        assert re.search(rf"^\| {code}.* \| {cells} \|$", page, re.MULTILINE), (code, cells)
+
+
+def test_long_columns_in_lammps_on_the_page_on_speed(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "analysis")
+    script = importlib.import_module("lammps_overhead")
+    page = (DOCS / "speed.md").read_text(encoding="utf-8")
+    rows = json.loads(script.KEPT.read_text(encoding="utf-8"))["rows"]
+    assert {row["grains"]: row["steps"] for row in rows} == script.STEPS
+    for row in rows:
+        assert script.line(row) in page.splitlines()
+
+
 def test_times_in_the_readme_are_those_of_the_page():
     page = (DOCS / "speed.md").read_text(encoding="utf-8").splitlines()
     rows = re.findall(

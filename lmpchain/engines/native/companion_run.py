@@ -144,6 +144,8 @@ class CompanionRun(Run):
         self._sample = -1
         if state is not None:
             self._restore(state)
+        if twin:
+            self._done_before = self._done
         self._compared_s = 0.0
         self._setup_s = clock() - began
 
@@ -290,10 +292,21 @@ class CompanionRun(Run):
 
     @property
     def progress(self) -> float:
-        """Part of the samples done."""
+        """Part done: of the samples; beside a twin, of the time that all takes at its speed."""
         if not self._twin:
             return self.native.progress
-        return (self._answer.sample / (self.scene.samples - 1) + self.native.progress) / 2
+        done = self._done
+        spent_s = [mover.seconds for mover in self._movers]
+        moved = done - self._done_before
+        # what has not begun counts for nothing: the twin takes a small part of the time
+        lasts_s = np.divide(spent_s, moved, out=np.zeros(2), where=moved > 0)
+        return float(lasts_s @ done / lasts_s.sum()) if lasts_s.any() else float(done.min())
+
+    @property
+    def _done(self) -> Array:
+        """Part of the steps done by an answer that is not native, and by its twin, (2,)."""
+        answer = float(self._answer.steps.max()) / self.candidate.steps(self.scene.samples)
+        return np.array([answer, self.native.progress])
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation; see `estimate` for the formula."""

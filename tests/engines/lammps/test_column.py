@@ -27,7 +27,7 @@ from lmpchain import (
 from lmpchain.engines import Lammps
 from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.lammps import communicators, deck, drive, launch, library
-from lmpchain.engines.lammps.column import Column
+from lmpchain.engines.lammps.column import Column, Contact
 from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.stepper import _join, word
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
@@ -150,6 +150,22 @@ def test_a_uniform_chain_has_one_type():
         chain.contact_constants[0], rel=1e-14
     )
     assert len(Column(paper("weak", 3), 0.0).coefficients) == 1
+
+
+def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
+    """A column of a million grains has a few kinds; to compare each contact took 7 s."""
+    compared = []
+    same = Contact.same
+    monkeypatch.setattr(Contact, "same", lambda *pair: compared.append(pair) or same(*pair))
+    chain = Chain(grains=3000, material=["steel", "ptfe", "ptfe"] * 1000, diameter=1e-3)
+    made = Column(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5), 0.0)
+    stiffness = {pair: found.stiffness for pair, found in made._types_and_contacts[1].items()}
+    pairs = [tuple(sorted(pair)) for pair in zip(made.types, made.types[1:], strict=False)]
+    np.testing.assert_allclose(
+        [stiffness[pair] * math.sqrt(2.5e-4) for pair in pairs], chain.contact_constants, rtol=1e-13
+    )
+    assert made.type_count == max(made.types) <= 3
+    assert len(compared) < 30
 
 
 # --- formulas

@@ -23,7 +23,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Lammps
-from lmpchain.engines.lammps import library
+from lmpchain.engines.lammps import deck, library
 from lmpchain.engines.lammps.column import Column
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.lammps.launch import gather
@@ -271,6 +271,36 @@ def test_faults_that_lammps_does_not_report():
                 column.fill(*np.zeros((2, 1, 1, 25)), offset=1, until=1, max_steps=1)
         finally:
             column.close()
+
+
+def test_a_breakdown_long_before_a_sample_is_seen():
+    """Of many grains, what is read takes a part of a step: not after each pause, but soon."""
+    column = LammpsStepper(
+        Column(small(), gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=10**6
+    )
+    try:
+        column._communicator._rank._x[3, 2] = np.nan
+        room = np.zeros((2, 1, 1, 25))
+        for _ in range(31):
+            column.fill(*room, offset=1, until=1, max_steps=1)
+        with pytest.raises(RunFailed, match="no longer numbers"):
+            column.fill(*room, offset=1, until=1, max_steps=1)
+    finally:
+        column.close()
+
+
+def test_what_nobody_reads_is_not_written(tmp_path):
+    """Velocities reach LAMMPS in memory; commands of a user, and decks, find them in the file."""
+    scene = small()
+    with deck.data_file(Column(scene, 0.0), None) as path:
+        bare = path.read_text()
+    with deck.data_file(Column(scene, 0.0, include="thermo 1"), None) as path:
+        included = path.read_text()
+    deck.write_data(Column(scene, 0.0), tmp_path / "column.data")
+    assert included == (tmp_path / "column.data").read_text()
+    assert included.startswith(bare.rstrip())
+    assert [line for line in included.splitlines() if line.isalpha()] == ["Velocities", "Rest"]
+    assert "Velocities" not in bare
 
 
 def test_grains_lost_while_reading_are_noticed(monkeypatch):
