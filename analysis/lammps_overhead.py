@@ -31,8 +31,8 @@ from lmpchain.util.files import write_aside
 
 KEPT = Path(__file__).with_suffix(".json")
 STEP = 1e-7  # s
-SHORT = 10  # grains of a run that loads libraries
-STEPS = {100_000: 400, 1_000_000: 60}  # of a column of so many grains
+WARM_UP = 10  # grains of a run that loads libraries
+COLUMNS = {100_000: 400, 1_000_000: 60}  # of a column of so many grains
 
 
 class Cost(NamedTuple):
@@ -60,7 +60,7 @@ def inside(grains: int, steps: int) -> Cost:
     """Run in the package; in a process of its own, whose memory it reads."""
     warnings.simplefilter("ignore")
     engine = lmpchain.engines.Lammps("verlet", step=STEP, diameter="physical")
-    lmpchain.simulate(scene(SHORT, 1), engine)
+    lmpchain.simulate(scene(WARM_UP, 1), engine)
     given = scene(grains, steps)
     before = resource.getrusage(resource.RUSAGE_SELF)
     lmpchain.simulate(given, engine)
@@ -130,7 +130,7 @@ def main() -> None:
     given = parser.parse_args()
     rows = []
     print("| grains | set-up | steps | loop | memory a grain |\n" + "|---" * 5 + "|")
-    for grains, steps in STEPS.items():
+    for grains, steps in COLUMNS.items():
         rows.append(measure(grains, steps, given.runs))
         print(line(rows[-1]), flush=True)
     with write_aside(KEPT) as aside:

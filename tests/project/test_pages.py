@@ -380,7 +380,7 @@ def test_long_columns_in_lammps_on_the_page_on_speed(monkeypatch):
     script = importlib.import_module("lammps_overhead")
     page = (DOCS / "speed.md").read_text(encoding="utf-8")
     rows = json.loads(script.KEPT.read_text(encoding="utf-8"))["rows"]
-    assert {row["grains"]: row["steps"] for row in rows} == script.STEPS
+    assert {row["grains"]: row["steps"] for row in rows} == script.COLUMNS
     for row in rows:
         assert script.line(row) in page.splitlines()
 
