@@ -20,7 +20,6 @@ from ..integrators.differentiation import (
     method_for,
 )
 from ..integrators.halving import SAFETY, Attempt, halve
-from ..integrators.held_steps import adaptive_steps
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
 from ..util.suggestions import not_among
@@ -130,8 +129,7 @@ class Task(NamedTuple):
         scene = self.scene
         grains = np.unique(self.objective.grains(scene))
         looks = looks_of(scene, self.objective, finer)
-        steps = adaptive_steps(scene, self.method, step, looks) if self.adaptive else step
-        run = differentiable(scene, self.method, steps, looks, grains)
+        run = differentiable(scene, self.method, step, looks, grains, self.adaptive)
         if not np.isfinite(run.velocity).all():
             message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
             raise RunFailed(message)

@@ -17,12 +17,17 @@ from numpy.typing import NDArray
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .adjoint import Inputs, by_contacts
+from .batch import ChainBatch
 from .dop853 import DormandPrince
+from .held_steps import schedule_of
 from .kernels import adjoint_dop853 as kernels
 from .kernels.adjoint_rows import Law, Way
 from .kernels.course import Looks
-from .kernels.layout import PAD
+from .kernels.dop853 import Weighted
+from .kernels.layout import PAD, Noted
 from .observed_run import ObservedRun
+from .step_schedule import StepSchedule
+from .stepper import NativeStepper, room_for
 
 
 class Checkpoints(NamedTuple):
@@ -31,44 +36,124 @@ class Checkpoints(NamedTuple):
     Attributes
     ----------
     kept_bytes : int
-        For the stages of the steps between two of them, about what stays in the cache.
+        For the stages of the steps between two of them, about what stays in the cache,
+    fewest_steps : int
+        but no fewer than these: what is copied takes time, too.
     total_bytes : int
-        Of all of them.
+        Of all of them, about.
+    noted_bytes : int
+        Of those of a call of the march.
     steps_of_call : int
         In a call of the compiled loops where something is imposed in each.
     """
 
     kept_bytes: int = 2**19
+    fewest_steps: int = 4
     total_bytes: int = 2**29
+    noted_bytes: int = 2**20
     steps_of_call: int = 2**13
 
 
 CHECKPOINTS = Checkpoints()
+# times as many as equal ones that adaptive steps are taken to be
+MORE = 4
+
+
+class Followed(NamedTuple):
+    """A run of the native engine: its steps up to each look, checkpoints, and what is seen.
+
+    Attributes
+    ----------
+    steps : list of arrays
+        s.
+    pieces : kernels.Pieces
+    values : (2, looks+1, G) array
+        Displacements, m, and velocities, m/s.
+    """
+
+    steps: list[Array]
+    pieces: kernels.Pieces
+    values: Array
+
+
+def follow(
+    scene: Scene,
+    method: DormandPrince,
+    schedule: StepSchedule,
+    looks: int,
+    grains: NDArray[np.intp],
+) -> Followed:
+    """Make a run by the march of the native engine, and keep what the way back needs."""
+    batch = ChainBatch([scene.replace(samples=looks + 1)])
+    run = NativeStepper(batch, method, schedule, {})
+    width = batch.inverse_mass.shape[1]
+    expected = looks * schedule.steps * (MORE if schedule.adaptive else 1)
+    # as far apart as the cache allows; further where memory does not hold all
+    every = CHECKPOINTS.kept_bytes // (3 * 8 * method.evaluations * width)
+    every = max(
+        CHECKPOINTS.fewest_steps, every, math.ceil(expected * 16 * width / CHECKPOINTS.total_bytes)
+    )
+    count = max(1, min(CHECKPOINTS.noted_bytes // (16 * width), math.ceil(expected / every)))
+    values = np.empty((2, looks + 1, grains.size))
+    values[:, 0] = np.array(scene.initial())[:, grains - 1]
+    calls: list[Noted] = []
+    while run.sample < looks:
+        look = run.sample
+        ends = np.empty(every * count)
+        noted = Noted(ends, every, np.empty((count, 2, width)), np.empty((count, 2), np.int64))
+        until = min(looks, look + ends.size)
+        u, v = room_for(1, until - look + 1, scene.chain.grains)
+        made = run.fill_by_step(u, v, look, until, noted)
+        seen = slice(1, run.sample - look + 1)
+        values[0, look + 1 : run.sample + 1] = u[0, seen][:, grains - 1]
+        values[1, look + 1 : run.sample + 1] = v[0, seen][:, grains - 1]
+        pieces = math.ceil(made / every)
+        calls.append(Noted(ends[:made], every, noted.states[:pieces], noted.windows[:pieces]))
+    final = run.watched["first"], run.watched["last"]
+    ends = np.concatenate([noted.ends for noted in calls])
+    # a window is widest at the end of a piece
+    windows = np.concatenate([*(noted.windows for noted in calls), np.array(final).T])[1:]
+    sizes = [noted.ends.size for noted in calls]
+    before = np.cumsum(sizes) - sizes
+    starts = [n + np.arange(0, size, every) for n, size in zip(before, sizes, strict=True)]
+    states = np.concatenate([noted.states for noted in calls])
+    pieces = kernels.Pieces(np.append(np.concatenate(starts), ends.size), states, windows)
+    landings = ends == 0.0
+    lengths = np.where(landings, scene.duration / looks, ends) - np.append(0.0, ends[:-1])
+    steps = np.split(lengths, np.flatnonzero(landings)[:-1] + 1)
+    return Followed(steps, pieces, values)
 
 
 class DifferentiableDampedRun(ObservedRun):
-    """A run of a damped chain by given steps of DOP853 with its exact derivatives.
+    """A run of a damped chain by DOP853 with its exact derivatives, in which steps are held.
 
-    Parameters, attributes and methods are those of `adjoint.DifferentiableRun`.
+    Parameters, attributes and methods are those of `adjoint.DifferentiableRun`; if it is
+    `adaptive`, steps are shorter where contacts open or close.
     """
 
     def __init__(
         self,
         scene: Scene,
         method: DormandPrince,
-        step: float | list[Array],
+        step: float,
         looks: int,
         grains: NDArray[np.intp],
+        adaptive: bool = False,
     ):
-        super().__init__(scene, step, looks, grains)
+        schedule = schedule_of(scene, step, looks, adaptive)
+        followed = follow(scene, method, schedule, looks, np.asarray(grains))
+        super().__init__(scene, followed.steps, looks, grains)
         look = np.full(self.steps + 1, -1)
         look[self._before] = np.arange(looks + 1)
         self._steps = kernels.Steps(self._lengths, look)
+        self._pieces = followed.pieces
+        self._longest = int(np.diff(self._pieces.starts).max())
         self._lay_out(method)
-        self._run()
+        self._looks.values[:] = followed.values
+        self._fill_motion_of_driven(self._looks.values)
 
     def _lay_out(self, method: DormandPrince) -> None:
-        """Lay out the chain for the compiled loops, and cut the run into pieces."""
+        """Lay out the chain for the compiled loops."""
         chain = self.scene.chain
         links = self._links
         width = self._x.shape[1]
@@ -92,17 +177,10 @@ class DifferentiableDampedRun(ObservedRun):
         if law.touching > 0:
             damped.stiffness[PAD] = chain.exponent * law.touching
         tableau = kernels.Tableau(*method.tables)
-        self._system = kernels.System(law, damped, tableau)
-        stages = tableau.nodes.size
-        # as far apart as the cache allows; further where memory does not hold all
-        longest = max(1, CHECKPOINTS.kept_bytes // (3 * 8 * stages * width))
-        longest = max(longest, math.ceil(self.steps * 16 * width / CHECKPOINTS.total_bytes))
-        starts = np.append(np.arange(0, self.steps, longest), self.steps)
-        states = np.empty((starts.size, 2, width))
-        states[0] = self._x[0], self._v[0]
-        windows = np.empty((starts.size - 1, 2), np.int64)
-        self._pieces = kernels.Pieces(starts, states, windows)
-        self._longest = min(longest, self.steps)
+        # see `layout.Dissipation`
+        alike = self._batch.dissipation.alike
+        lag = float(chain.contact_viscosity[0]) if alike else 0.0
+        self._system = kernels.System(law, damped, tableau, not alike, lag)
 
     @property
     def _bodies(self) -> slice:
@@ -120,7 +198,8 @@ class DifferentiableDampedRun(ObservedRun):
         width = self._x.shape[1]
         return kernels.Memory(
             kernels.Stages(*np.zeros((3, steps + 1, stages, width))),
-            kernels.Rates(*np.zeros((2, stages, width))),
+            kernels.rates_of(np.zeros((2 * stages, width))),
+            Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64)),
             others,
         )
 
@@ -139,27 +218,6 @@ class DifferentiableDampedRun(ObservedRun):
         nodes = self._system.tableau.nodes
         times = self._begins[steps, None] + nodes * self._steps.lengths[steps, None]
         return np.append(times, self.time[-1]) if end == self.steps else times.ravel()
-
-    def _run(self) -> None:
-        """Move on to the end, with checkpoints at the begin of every piece."""
-        bodies, values = self._looks
-        start = self._pieces.states[0][:, bodies].copy()
-        memory = self._memory(0, kernels.Rates(*np.zeros((2, 1, 1))))
-        for pieces in self._calls():
-            path = self._path(pieces)
-            kernels.forward(
-                self._chains,
-                self._system,
-                self._steps,
-                self._pieces,
-                pieces,
-                path,
-                self._looks,
-                memory,
-            )
-        # rounded where it was made of reduced velocities
-        values[:, 0] = start
-        self._fill_motion_of_driven(values)
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
         """Return the derivatives of an answer by all inputs, from those by what was seen.
@@ -250,7 +308,7 @@ class DifferentiableDampedRun(ObservedRun):
         self._state["first"] = PAD
         self._state["last"] = width - PAD
         stages = self._system.tableau.nodes.size
-        memory = self._memory(0, kernels.Rates(*np.zeros((2, stages + 1, width))))
+        memory = self._memory(0, kernels.rates_of(np.zeros((2 * stages + 2, width))))
         for pieces in self._calls():
             if self.imposed:
                 by_path = self.imposed.push(self._times(pieces), change.drive, 0)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene.scene import Scene
-from ..util.arrays import Array
 from .adjoint import DifferentiableRun
 from .adjoint_dop853 import DifferentiableDampedRun
 from .dop853 import DormandPrince
+from .held_steps import adaptive_steps
 from .splittings import SPLITTINGS, Splitting
 
 AnyMethod = Splitting | DormandPrince
@@ -29,11 +29,16 @@ def method_for(scene: Scene, names: Collection[str], by_default: str) -> AnyMeth
 def differentiable(
     scene: Scene,
     method: AnyMethod,
-    step: float | list[Array],
+    step: float,
     looks: int,
     grains: NDArray[np.intp],
+    adaptive: bool = False,
 ) -> AnyRun:
-    """Return a run by this method with its derivatives; see `adjoint.DifferentiableRun`."""
+    """Return a run by this method with its derivatives; see `adjoint.DifferentiableRun`.
+
+    If it is `adaptive`, steps are shorter where contacts open or close.
+    """
     if isinstance(method, DormandPrince):
-        return DifferentiableDampedRun(scene, method, step, looks, grains)
-    return DifferentiableRun(scene, method, step, looks, grains)
+        return DifferentiableDampedRun(scene, method, step, looks, grains, adaptive)
+    steps = adaptive_steps(scene, method, step, looks) if adaptive else step
+    return DifferentiableRun(scene, method, steps, looks, grains)

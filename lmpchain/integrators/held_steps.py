@@ -13,7 +13,12 @@ from .method import Method
 from .step_schedule import StepSchedule
 from .stepper import NativeStepper
 
-ROOM = 1024  # steps that are noted at a time
+
+def schedule_of(scene: Scene, step: float, looks: int, adaptive: bool) -> StepSchedule:
+    """Return the schedule of steps up to this length, s, that end on so many looks."""
+    interval = scene.duration / looks
+    count = max(1, math.ceil(interval / step * (1 - 1e-12)))
+    return StepSchedule(count, 1, interval / count, adaptive)
 
 
 def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> list[Array]:
@@ -34,20 +39,15 @@ def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> lis
     list of `looks` arrays
         s; those of each part add up to it.
     """
-    scene = scene.replace(samples=looks + 1)
-    interval = scene.duration / looks
-    count = max(1, math.ceil(interval / step * (1 - 1e-12)))
-    run = NativeStepper(
-        ChainBatch([scene]), method, StepSchedule(count, 1, interval / count, True), {}
-    )
+    schedule = schedule_of(scene, step, looks, True)
+    run = NativeStepper(ChainBatch([scene.replace(samples=looks + 1)]), method, schedule, {})
     u, v = np.empty((2, 1, 2, scene.chain.grains))
     steps: list[Array] = []
-    ends = np.empty(ROOM)
     for look in range(looks):
         times = [0.0]
         while run.sample == look:
-            made = run.fill_by_step(u, v, look, look + 1, ends)
-            times += ends[:made].tolist()
-        times[-1] = interval
+            run.fill(u, v, look, look + 1, 1)
+            times.append(float(run.watched["done"][0]))
+        times[-1] = scene.duration / looks
         steps.append(np.diff(times))
     return steps

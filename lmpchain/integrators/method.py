@@ -27,7 +27,7 @@ class March(NamedTuple):
     shared : bool
         Whether threads can share a chain.
     by_step : function, optional
-        The same, noting when each step of a chain has ended; see `kernels.dop853.march_by_step`.
+        The same, noting the steps of a chain; see `kernels.dop853.march_by_step`.
     """
 
     run: Callable[..., int]

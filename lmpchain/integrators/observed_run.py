@@ -83,6 +83,7 @@ class ObservedRun:
         self.imposed = acting(scene)
         self._driven = self.imposed is not None and bool(scene.excitation.driven)
         batch = ChainBatch([scene])
+        self._batch = batch
         u, v = batch.initial
         self._x, self._v, self._state = batch.place(u[None], v[None])
         nothing = np.zeros((1, 0, self._x.shape[1]))

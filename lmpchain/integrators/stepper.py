@@ -22,6 +22,7 @@ from .kernels.layout import (
     Chains,
     Fields,
     Goal,
+    Noted,
     team,
 )
 from .method import Method
@@ -229,20 +230,16 @@ class NativeStepper:
             self._state[name] = np.max([state[name] for state in self._states], axis=0)
         return steps[0]
 
-    def fill_by_step(self, u: Array, v: Array, offset: int, until: int, ends: Array) -> int:
-        """Step one chain on as `fill` does, by as many steps as there are `ends` at most.
+    def fill_by_step(self, u: Array, v: Array, offset: int, until: int, noted: Noted) -> int:
+        """Step one chain on as `fill` does, and note its steps; returns how many.
 
-        These are filled with when each has ended, s since the last sample, 0 on a sample. Returns
-        the steps made.
+        The method must be DOP853.
         """
-        if self._by_step is None:
-            self.fill(u, v, offset, until, 1)
-            ends[0] = self._state["done"][0]
-            return 1
+        assert self._by_step
         chains, method, clocks, begin, end = self._work[0]
         fields = Fields(u, v, NOTHING, NOTHING, offset)
-        goal = Goal(begin, end, until, ends.size)
-        return self._by_step(chains, method, clocks, fields, goal, ends)
+        goal = Goal(begin, end, until, noted.ends.size)
+        return self._by_step(chains, method, clocks, fields, goal, noted)
 
     def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
         """Move the chains of one thread."""

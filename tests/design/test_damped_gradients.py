@@ -24,7 +24,6 @@ from lmpchain.design import (
 from lmpchain.design.changes import changed
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
-from lmpchain.integrators.held_steps import adaptive_steps
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
@@ -265,16 +264,20 @@ def test_steps_that_are_held_are_those_of_the_engine():
     case = SCENES["contacts that open"]
     method = DIFFERENTIABLE["dop853"]
     step = 0.5 / case.highest_frequency
-    held = adaptive_steps(case, method, step, 4)
+    held = differentiable(case, method, step, 4, np.array([1]), adaptive=True)
+    assert held.time.size == 5
     interval = case.duration / 4
     count = int(np.ceil(interval / step))
     schedule = StepSchedule(count, 1, interval / count, True)
     run = NativeStepper(ChainBatch([case.replace(samples=5)]), method, schedule, {})
-    u, v = np.empty((2, 1, 5, GRAINS))
+    u, v = np.zeros((2, 1, 5, GRAINS))
     lengths = []
     while run.sample < 4:
         before = run.watched["done"][0]
         run.fill(u, v, 0, 4, 1)
         lengths.append((run.watched["done"][0] or interval) - before)
-    np.testing.assert_array_equal(np.concatenate(held), lengths)
+    assert held.steps == len(lengths)
+    assert held.step == max(lengths)
+    np.testing.assert_array_equal(held.displacement[:, 0], u[0, :, 0])
+    np.testing.assert_array_equal(held.velocity[1:, 0], v[0, 1:, 0])
     assert len(lengths) > 4 * count

@@ -22,9 +22,10 @@ from .adjoint import Path
 from .adjoint_rows import Way, hertz_power, power, touch
 from .contact_forces import apart
 from .course import compiled_gradient, loop
+from .dop853 import Weighted, add_rows, note
 from .layout import PAD
 from .sample_loop import chain_of
-from .window import rest_ahead, widen
+from .window import rest_ahead
 
 
 class Tableau(NamedTuple):
@@ -70,7 +71,7 @@ class Pieces(NamedTuple):
     starts : (P+1,) array
         Their first steps.
     states : (P+1, 2, W) array
-        Displacements and reduced velocities there, but velocities at first.
+        Displacements and reduced velocities there, but velocities at a look.
     windows : (P, 2) array
         First body of the window and the one behind its last at the end of each piece.
     """
@@ -100,11 +101,23 @@ class Damped(NamedTuple):
 
 
 class System(NamedTuple):
-    """How a damped chain is moved: the law of its contacts, its bodies, and the method."""
+    """How a damped chain is moved.
+
+    Attributes
+    ----------
+    law, damped, tableau : Law, Damped, Tableau
+        Of its contacts, its bodies, and the method.
+    creeps : bool
+        Whether creep is something else than
+    lag : float
+        this time, s, by the acceleration.
+    """
 
     law: Any
     damped: Damped
     tableau: Tableau
+    creeps: bool
+    lag: float
 
 
 class Stages(NamedTuple):
@@ -120,10 +133,20 @@ class Stages(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Accelerations and creep at the stages of a step, or their derivatives, (S, W)."""
+    """Accelerations and creep at the stages of a step, or their derivatives, (S, W).
+
+    `rows` are those of both, (2 S, W), where they are rows of one array.
+    """
 
     slopes: Array
     creeps: Array
+    rows: Array
+
+
+def rates_of(rows: Array) -> Rates:
+    """Return rows (2 S, W) as accelerations and creep."""
+    stages = len(rows) // 2
+    return Rates(rows[:stages], rows[stages:], rows)
 
 
 class Sums(NamedTuple):
@@ -188,13 +211,14 @@ class Change(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Arrays to work in: stages of some steps, the rates of one, and the sums of the way back.
+    """Arrays to work in: stages of some steps, rates of one and weights, and sums of the way back.
 
     On the way of small changes, the rates of these take the place of the sums.
     """
 
     stages: Stages
     rates: Rates
+    weigh: Weighted
     others: Any
 
 
@@ -230,6 +254,41 @@ def _add(sums, weight, values, other_weight, others):
 
 
 @loop
+def _add_four_to_both(sums, other_sums, weights, other_weights, a, b, c, d):
+    """Add four arrays, each weighted in two ways, to two sums, in one pass through memory."""
+    apart()
+    for n in range(sums.size):
+        total = sums[n] + weights[0] * a[n] + weights[1] * b[n]
+        sums[n] = total + weights[2] * c[n] + weights[3] * d[n]
+        total = other_sums[n] + other_weights[0] * a[n] + other_weights[1] * b[n]
+        other_sums[n] = total + other_weights[2] * c[n] + other_weights[3] * d[n]
+
+
+@loop
+def _add_rows_to_both(sums, other_sums, weighted, count, rows, window):
+    """Add the first `count` weighted rows, in a window of them, to two sums.
+
+    Weights of the second behind those of the first; see `dop853.add_rows`.
+    """
+    weights, numbers = weighted
+    half = weights.size // 2
+    for n in range(0, count - 3, 4):
+        m = half + n
+        _add_four_to_both(
+            sums,
+            other_sums,
+            (weights[n], weights[n + 1], weights[n + 2], weights[n + 3]),
+            (weights[m], weights[m + 1], weights[m + 2], weights[m + 3]),
+            rows[numbers[n], window],
+            rows[numbers[n + 1], window],
+            rows[numbers[n + 2], window],
+            rows[numbers[n + 3], window],
+        )
+    for n in range(count // 4 * 4, count):
+        _add_to_both(sums, other_sums, weights[n], weights[half + n], rows[numbers[n], window])
+
+
+@loop
 def _add_to_both(sums, other_sums, weight, other_weight, values):
     """Add the values, weighted in two ways, to two sums."""
     apart()
@@ -261,7 +320,8 @@ def _path_of(path, index, count):
 @loop
 def _fill_stage(chain, system, path, stages, stage, rates):
     """Fill what belongs to a stage, whose displacements are known in the window."""
-    law, damped, _ = system
+    law = system.law
+    damped = system.damped
     first = chain.state.first
     last = chain.state.last
     bodies = slice(first, last)
@@ -312,8 +372,10 @@ def _begin_step(chain, system, path, stages, rates, unreduced):
 
 
 @loop
-def _end_step(chain, system, h, path, stages, rates):
+def _end_step(chain, system, h, path, stages, memory):
     """Fill the other stages of a step, and take it."""
+    rates = memory.rates
+    weigh = memory.weigh
     tableau = system.tableau
     bodies = slice(chain.state.first, chain.state.last)
     x = chain.x[bodies]
@@ -322,65 +384,27 @@ def _end_step(chain, system, h, path, stages, rates):
     for stage in range(1, count):
         z = stages.x[stage, bodies]
         _drift(z, x, tableau.nodes[stage] * h, w)
+        terms = 0
         for earlier in range(stage):
-            _add(
-                z,
-                tableau.inner[stage, earlier] * h * h,
-                rates.slopes[earlier, bodies],
-                tableau.rates[stage, earlier] * h,
-                rates.creeps[earlier, bodies],
-            )
+            along = tableau.rates[stage, earlier] * h
+            weight = tableau.inner[stage, earlier] * h * h + system.lag * along
+            terms = note(weigh, terms, weight, earlier)
+            if system.creeps:
+                terms = note(weigh, terms, along, count + earlier)
+        add_rows(z, weigh, terms, rates.rows, bodies)
         _fill_stage(chain, system, path, stages, stage, rates)
     _drift(x, x, h, w)
+    terms = 0
     for stage in range(count):
-        slope = rates.slopes[stage, bodies]
-        weight = tableau.weights[1, stage] * h
-        weight_x = tableau.weights[0, stage] * h * h
-        _add(x, weight_x, slope, weight, rates.creeps[stage, bodies])
-        _drift(w, w, weight, slope)
-
-
-@loop
-def _see(chain, looks, look, stages, rates):
-    """Note displacements and velocities of the bodies looked at."""
-    for n in range(looks.bodies.size):
-        body = looks.bodies[n]
-        inside = chain.state.first <= body < chain.state.last
-        looks.values[0, look, n] = stages.x[0, body] if inside else chain.x[body]
-        looks.values[1, look, n] = chain.v[body] + (rates.creeps[0, body] if inside else 0.0)
-
-
-@compiled_gradient()
-def forward(chains, system, steps, pieces, numbers, path, looks, memory):
-    """Move the chain of a batch of one through the pieces numbers[0] ... numbers[1]-1 of its run.
-
-    `path` is what is imposed in each stage of these, and in that behind the last step.
-    """
-    chain = chain_of(chains, 0, 0)
-    rates = memory.rates
-    stages = _stages_of(memory.stages, 0)
-    count = system.tableau.nodes.size
-    begin = pieces.starts[numbers[0]]
-    final = steps.lengths.size
-    for piece in range(numbers[0], numbers[1]):
-        start = pieces.starts[piece]
-        stop = pieces.starts[piece + 1]
-        for step in range(start, stop):
-            widen(chain, count + 2)
-            of_step = _path_of(path, (step - begin) * count, count)
-            _begin_step(chain, system, of_step, stages, rates, step == 0)
-            if steps.look[step] >= 0:
-                _see(chain, looks, steps.look[step], stages, rates)
-            _end_step(chain, system, steps.lengths[step], of_step, stages, rates)
-            rest_ahead(chain)
-        _drift(pieces.states[piece + 1, 0], chain.x, 0.0, chain.v)
-        _drift(pieces.states[piece + 1, 1], chain.v, 0.0, chain.x)
-        pieces.windows[piece, 0] = chain.state.first
-        pieces.windows[piece, 1] = chain.state.last
-        if stop == final:
-            of_step = _path_of(path, (stop - begin) * count, count)
-            _begin_step(chain, system, of_step, stages, rates, False)
-            _see(chain, looks, steps.look[stop], stages, rates)
+        along = tableau.weights[1, stage] * h
+        terms = note(weigh, terms, tableau.weights[0, stage] * h * h + system.lag * along, stage)
+        if system.creeps:
+            terms = note(weigh, terms, along, count + stage)
+    add_rows(x, weigh, terms, rates.rows, bodies)
+    terms = 0
+    for stage in range(count):
+        terms = note(weigh, terms, tableau.weights[1, stage] * h, stage)
+    add_rows(w, weigh, terms, rates.rows, bodies)
 
 
 @loop
@@ -422,7 +446,8 @@ def _back_bodies(drag, viscosity, x, f, adjoints, sums):
 @loop
 def _back_stage(window, system, path, stages, stage, sums):
     """Take adjoints back through a stage, from `sums.pull`, not yet over masses, and `creep`."""
-    law, damped, _ = system
+    law = system.law
+    damped = system.damped
     first, last = window
     bodies = slice(first, last)
     contacts = slice(first, last + 1)
@@ -481,8 +506,10 @@ def _weigh(pull, creep, x, w, weight_x, weight_w):
 
 
 @loop
-def _back_step(window, system, h, path, stages, sums):
+def _back_step(window, system, h, path, stages, memory):
     """Take adjoints back through a step."""
+    sums = memory.others
+    weigh = memory.weigh
     tableau = system.tableau
     first, last = window
     bodies = slice(first, last)
@@ -494,16 +521,23 @@ def _back_step(window, system, h, path, stages, sums):
         weight_x = tableau.weights[0, stage] * h * h
         weight_w = tableau.weights[1, stage] * h
         _weigh(pull, creep, sums.x[bodies], sums.w[bodies], weight_x, weight_w)
+        terms = 0
         for later in range(stage + 1, count):
-            of_slope = tableau.inner[later, stage] * h * h
-            of_creep = tableau.rates[later, stage] * h
-            _add_to_both(pull, creep, of_slope, of_creep, sums.stages[later, bodies])
+            weigh.weights[terms] = tableau.inner[later, stage] * h * h
+            weigh.weights[count + terms] = tableau.rates[later, stage] * h
+            weigh.rows[terms] = later
+            # many weights are 0
+            terms += weigh.weights[terms] != 0.0 or weigh.weights[count + terms] != 0.0
+        _add_rows_to_both(pull, creep, weigh, terms, sums.stages, bodies)
         _back_stage(window, system, path, stages, stage, sums)
     x = sums.x[around]
     w = sums.w[around]
     _drift(w, w, h, x)
     for stage in range(count):
-        _add_to_both(x, w, 1.0, tableau.nodes[stage] * h, sums.stages[stage, around])
+        weigh.weights[stage] = 1.0
+        weigh.weights[count + stage] = tableau.nodes[stage] * h
+        weigh.rows[stage] = stage
+    _add_rows_to_both(x, w, weigh, count, sums.stages, around)
 
 
 @loop
@@ -538,8 +572,9 @@ def _back_look(window, system, path, stages, sums, looks, look):
 def backward(chains, system, steps, pieces, numbers, path, looks, memory):
     """Take adjoints back through some pieces of a run, the last one first.
 
-    A piece is made once more from its begin. `looks` has derivatives by what was seen; the rest is
-    as in `forward`.
+    A piece is made once more from its begin. `path` is what is imposed in each stage of the pieces
+    numbers[0] ... numbers[1]-1, and in that behind the last step; `looks` has derivatives by what
+    was seen.
     """
     chain = chain_of(chains, 0, 0)
     rates = memory.rates
@@ -558,8 +593,10 @@ def backward(chains, system, steps, pieces, numbers, path, looks, memory):
         for step in range(start, stop):
             of_step = _path_of(path, (step - begin) * count, count)
             stages = _stages_of(memory.stages, step - start)
-            _begin_step(chain, system, of_step, stages, rates, step == 0)
-            _end_step(chain, system, steps.lengths[step], of_step, stages, rates)
+            # velocities are complete at a look, where the march may have stopped
+            complete = step == start and steps.look[step] >= 0
+            _begin_step(chain, system, of_step, stages, rates, complete)
+            _end_step(chain, system, steps.lengths[step], of_step, stages, memory)
             rest_ahead(chain)
         if stop == final:
             of_step = _path_of(path, (stop - begin) * count, count)
@@ -569,7 +606,7 @@ def backward(chains, system, steps, pieces, numbers, path, looks, memory):
         for step in range(stop - 1, start - 1, -1):
             of_step = _path_of(path, (step - begin) * count, count)
             stages = _stages_of(memory.stages, step - start)
-            _back_step(window, system, steps.lengths[step], of_step, stages, sums)
+            _back_step(window, system, steps.lengths[step], of_step, stages, memory)
             # what is seen at t = 0 is the start itself
             if steps.look[step] > 0:
                 _back_look(window, system, of_step, stages, sums, looks, steps.look[step])
@@ -716,7 +753,7 @@ def tangent(chains, system, steps, span, path, looks, memory, change):
     """Move a chain, and small changes of it, by the steps span[0] ... span[1]-1 of its run.
 
     The window is the whole chain. `looks` takes changes of what is seen; the rest is as in
-    `forward`.
+    `backward`.
     """
     chain = chain_of(chains, 0, 0)
     rates = memory.others
@@ -730,7 +767,7 @@ def tangent(chains, system, steps, span, path, looks, memory, change):
         look = steps.look[step]
         _begin_step(chain, system, of_step, stages, memory.rates, step == 0)
         if step < final:
-            _end_step(chain, system, steps.lengths[step], of_step, stages, memory.rates)
+            _end_step(chain, system, steps.lengths[step], of_step, stages, memory)
         for d in range(change.x.shape[0]):
             w = change.w[d]
             _drift(rates.slopes[-1], change.x[d], 0.0, w)

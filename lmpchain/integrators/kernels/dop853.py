@@ -38,7 +38,7 @@ class Weighted(NamedTuple):
 
 
 @inlined
-def _note(weighted, count, weight, row):
+def note(weighted, count, weight, row):
     """Note a weighted row behind the `count` before it, unless it adds nothing; return how many."""
     weighted.weights[count] = weight
     weighted.rows[count] = row
@@ -74,7 +74,7 @@ def _add_one(sums, weight, values):
 
 
 @inlined
-def _add(sums, weighted, count, rows, window):
+def add_rows(sums, weighted, count, rows, window):
     """Add the first `count` weighted rows, in a window of them, to the sums."""
     weights, numbers = weighted
     for n in range(0, count - 3, 4):
@@ -184,10 +184,10 @@ def _advance(chain, method, work, clock, span, out):
         count = 0
         for earlier in range(stage):
             along = rates[stage, earlier] * h
-            count = _note(weigh, count, inner[stage, earlier] * h * h + lag * along, earlier)
+            count = note(weigh, count, inner[stage, earlier] * h * h + lag * along, earlier)
             if creeps:
-                count = _note(weigh, count, along, stages + earlier)
-        _add(stage_grains, weigh, count, slopes, window)
+                count = note(weigh, count, along, stages + earlier)
+        add_rows(stage_grains, weigh, count, slopes, window)
         impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
         if creeps:
@@ -196,14 +196,14 @@ def _advance(chain, method, work, clock, span, out):
     count = 0
     for stage in range(stages):
         along = weights[1, stage] * h
-        count = _note(weigh, count, weights[0, stage] * h * h + lag * along, stage)
+        count = note(weigh, count, weights[0, stage] * h * h + lag * along, stage)
         if creeps:
-            count = _note(weigh, count, along, stages + stage)
-    _add(grains, weigh, count, slopes, window)
+            count = note(weigh, count, along, stages + stage)
+    add_rows(grains, weigh, count, slopes, window)
     count = 0
     for stage in range(stages):
-        count = _note(weigh, count, weights[1, stage] * h, stage)
-    _add(speeds, weigh, count, slopes, window)
+        count = note(weigh, count, weights[1, stage] * h, stage)
+    add_rows(speeds, weigh, count, slopes, window)
     state.done = done
     impose(chain, y, span.begin + state.done, span.begin + state.done)
     watch(chain)
@@ -232,6 +232,18 @@ def _land(chain, method, work, clock, span, out):
 _march = sample_loop(_advance, False, _land)
 
 
+@inlined
+def _make_work(chains, method, clocks):
+    """Return arrays to work in."""
+    width = chains.x.shape[1]
+    stages = method[0][0].size
+    # accelerations of all stages, and creeps behind them
+    slopes = np.zeros((2 * stages if method[3].acts else stages, width))
+    nearest = bound_nearness(chains, clocks, method[1])
+    weigh = Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64))
+    return np.zeros(width), np.zeros(width), slopes, np.zeros(width), nearest, weigh
+
+
 @compiled_march()
 def march(chains, method, clocks, fields, goal):
     """Advance as `sample_loop` says by DOP853.
@@ -240,27 +252,28 @@ def march(chains, method, clocks, fields, goal):
     and velocity, and inner weights A (12, 12); `layout.Shortening`; whether steps are shorter near
     openings; and `layout.Dissipation`.
     """
-    width = chains.x.shape[1]
-    stages = method[0][0].size
-    # accelerations of all stages, and creeps behind them
-    slopes = np.zeros((2 * stages if method[3].acts else stages, width))
-    nearest = bound_nearness(chains, clocks, method[1])
-    weigh = Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64))
-    work = np.zeros(width), np.zeros(width), slopes, np.zeros(width), nearest, weigh
+    work = _make_work(chains, method, clocks)
     return _march(chains, method, work, clocks, fields, goal)
 
 
 @compiled_march()
-def march_by_step(chains, method, clocks, fields, goal, ends):
-    """Advance the first chain of the goal as `march` does, and note when each step has ended.
+def march_by_step(chains, method, clocks, fields, goal, noted):
+    """Advance the first chain of the goal as `march` does, and fill `layout.Noted` by its steps.
 
-    `ends` (Q,) are filled with seconds since the last landing, 0 at one; returns the steps made, Q
-    at most.
+    Returns the steps made: as many as can be noted at most.
     """
+    work = _make_work(chains, method, clocks)
     state = chains.state[goal.begin]
+    one = Goal(goal.begin, goal.begin + 1, goal.until, 1)
     made = 0
-    while made < ends.size and state.sample < goal.until:
-        march(chains, method, clocks, fields, Goal(goal.begin, goal.begin + 1, goal.until, 1))
-        ends[made] = state.done
+    while made < noted.ends.size and state.sample < goal.until:
+        if made % noted.every == 0:
+            checkpoint = made // noted.every
+            put(noted.states[checkpoint, 0], chains.x[goal.begin])
+            put(noted.states[checkpoint, 1], chains.v[goal.begin])
+            noted.windows[checkpoint, 0] = state.first
+            noted.windows[checkpoint, 1] = state.last
+        _march(chains, method, work, clocks, fields, one)
+        noted.ends[made] = state.done
         made += 1
     return made

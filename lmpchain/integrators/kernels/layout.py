@@ -276,6 +276,27 @@ class Dissipation(NamedTuple):
     alike: bool
 
 
+class Noted(NamedTuple):
+    """What a march by steps notes of Q steps of a chain.
+
+    Attributes
+    ----------
+    ends : (Q,) array
+        When each ends, s since the last sample, 0 on a sample.
+    every : int
+        Steps from one checkpoint to the next; the first step begins with one.
+    states : (Q / every, 2, W) array
+        Displacements and velocities there, reduced ones of a damped chain between samples.
+    windows : (Q / every, 2) array
+        First body of the window there, and the one behind its last.
+    """
+
+    ends: Array
+    every: int
+    states: Array
+    windows: NDArray[np.int64]
+
+
 class Goal(NamedTuple):
     """Chains begin ... end - 1 are moved to the sample `until`, or by some `steps` steps in all."""
 
