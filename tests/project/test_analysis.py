@@ -115,6 +115,14 @@ KNOWN = {
         "Neimark-Sacker, driven at the light sphere": (0.4962, 0.001),
         "events, driven at the other end": (0, 0),
     },
+    "energies": {
+        # by SciPy's DOP853
+        "share at 1.5, 0.1 m/s": (0.99366104, 1e-6),
+        "share at 2, 0.01 m/s": (0.99845214, 1e-6),
+        "weakest force at 143 kHz off linear theory": (0, 1e-3),
+        "overtaken, weakest": (-0.065, 0.003),
+        "bands, sum over the energy less 1": (0, 1e-9),
+    },
     "scattering": {
         "transparent at, diameter × 0.9": (0.8132874794, 0.005),
         "transparent at, diameter × 1.1": (0.6229566659, 0.005),
@@ -260,6 +268,12 @@ CAPTIONS = {
         "Neimark-Sacker, driven at the light sphere": "point at {:.3f} µm",
         "its second frequency": "second frequency is {:.2f} kHz",
         "variance of the force at 1.2 thresholds, driven at the light sphere": "{:.2f} N² at",
+    },
+    "energies": {
+        "share at 1.1, 0.1 m/s": "{:.3f} at 1.1",
+        "share at 3, 0.1 m/s": "to {:.5f} at 3",
+        "head-on, equal, weakest": "and by {:.0%} at 1.0125",
+        "share at 210 kHz, strongest over weakest": "and {:.2f} times at 210",
     },
     "scattering": {
         "transparent at, diameter × 1.1": "{:.4f} and 0.4122 of its band edge",
