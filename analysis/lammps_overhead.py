@@ -32,7 +32,7 @@ from lmpchain.util.files import write_aside
 KEPT = Path(__file__).with_suffix(".json")
 STEP = 1e-7  # s
 WARM_UP = 10  # grains of a run that loads libraries
-COLUMNS = {100_000: 400, 1_000_000: 60}  # of a column of so many grains
+COLUMNS = {100_000: 400, 1_000_000: 60}  # steps of columns of so many grains
 
 
 class Cost(NamedTuple):

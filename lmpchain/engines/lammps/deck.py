@@ -28,7 +28,7 @@ RUN_COMMAND = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\
 # the names of materials are the only free text of a scene: what came with a scene file stays out of
 # decks
 CLOSED = (Material,)
-MOST_STEPS = 2**31 - 1  # that a run of LAMMPS takes
+STEPS_OF_A_RUN = 2**31 - 1  # at most, in LAMMPS
 LINES = 2**14  # of a data file that are made at a time
 
 
@@ -206,8 +206,8 @@ def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **va
     kicks = carries(splitting) and not kicks_by_force(scene, splitting)
     every = round(scene.duration / (scene.samples - 1) / step)
     count = every * (scene.samples - 1) * deck_steps(splitting)
-    if values["alone"] and count > MOST_STEPS:
-        most = f"{count} steps are more than LAMMPS counts in a run, {MOST_STEPS}"
+    if values["alone"] and count > STEPS_OF_A_RUN:
+        most = f"{count} steps are more than LAMMPS counts in a run, {STEPS_OF_A_RUN}"
         raise InputError.at(
             "duration", f"{most}: shorten it, take longer steps, or let lmpchain run the scene"
         )
