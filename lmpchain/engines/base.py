@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from inspect import signature
 from pathlib import Path
@@ -157,7 +157,15 @@ class ErrorBudget(NamedTuple):
 
 
 class Run(ABC):
-    """An answer in the making. Close it, also after an error."""
+    """An answer in the making. Close it, also after an error.
+
+    Attributes
+    ----------
+    judge : callable
+        Called with the run where its estimate is looked at on the way; raises to end the attempt.
+    """
+
+    judge: Callable[[Run], None] = staticmethod(lambda _: None)
 
     @abstractmethod
     def blocks(self) -> Iterator[Block]:
@@ -171,6 +179,10 @@ class Run(ABC):
     @abstractmethod
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation, once all blocks are out."""
+
+    def outlook(self) -> list[ErrorBudget]:
+        """Return the estimate for every realisation that is expected at the end."""
+        return self.errors()
 
     @abstractmethod
     def cost(self) -> Cost:

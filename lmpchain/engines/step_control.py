@@ -34,12 +34,15 @@ class Patience:
         Attempts after which the truncation error must have fallen
     stalled : float
         to this share of what it was: one alone may be erratic, where contacts open.
+    lost : float
+        Error over the tolerance on the way at which an attempt is lost; analysis/lost_attempts.py.
     """
 
     attempts: int = 12
     breakdowns: int = 2
     stalls: int = 3
     stalled: float = 0.7
+    lost: float = 2.0
 
 
 PATIENCE = Patience()
@@ -68,13 +71,16 @@ class Attempt(NamedTuple):
     compiled_s : float
         Time spent before it on compilation, part of none of these, s.
     truncations : tuple of float
-        Truncation errors of the attempts before it that ran through.
+        Truncation errors of the attempts before it that did not break down; infinite of one that
+        ended on the way, for it was lost.
     breakdowns : int
         How many did not.
     best : (float, Candidate), optional
         The least error of these attempts, and the steps that gave it.
     repeats : bool
         Whether it is this best one again, for none met the tolerance.
+    known_until : float
+        Time up to which the scene is answered, s, for it cannot be predicted any longer.
     """
 
     engine: str
@@ -88,6 +94,7 @@ class Attempt(NamedTuple):
     breakdowns: int = 0
     best: tuple[float, Candidate] | None = None
     repeats: bool = False
+    known_until: float = math.inf
 
     @property
     def number(self) -> int:
@@ -123,6 +130,13 @@ class Outcome(NamedTuple, Generic[Collected]):
     cost: Cost
     missed: str
     known_until: float = math.inf
+
+
+class _Lost(Exception):
+    """An attempt that will miss its tolerance, with the one that is to follow."""
+
+    def __init__(self, following: Attempt):
+        self.following = following
 
 
 def first_attempt(
@@ -163,6 +177,8 @@ def solve_to_tolerance(
 ) -> Outcome[Collected]:
     """Run a scene, or a batch of like ones, at ever shorter steps until the tolerance is met.
 
+    An attempt whose estimate shows on the way that it is lost ends there.
+
     Parameters
     ----------
     engine : Engine
@@ -183,15 +199,22 @@ def solve_to_tolerance(
     ------
     RunFailed
         If the run breaks down, at a given step or again and again.
+    ToleranceNotMet
+        If it is clear on the way that the scene cannot be predicted to its end, unless `patient`.
     """
     compiled = compiled_s() - attempt.compiled_s
     while True:
         began = clock()
         run = engine.start(scenes, attempt.candidate, begin(attempt))
+        if not attempt.candidate.fixed:
+            run.judge = partial(_judge, engine, scenes[0], attempt, patient)
         errors: list[ErrorBudget] = []
+        lost: Attempt | None = None
         try:
             collected = collect(run)
             errors = run.errors()
+        except _Lost as verdict:
+            lost = verdict.following
         except RunFailed as failure:
             # a given step is not shortened
             if attempt.candidate.fixed or attempt.breakdowns == PATIENCE.breakdowns:
@@ -202,8 +225,10 @@ def solve_to_tolerance(
             cost = run.cost()
             run.close()
         # a batch has one step, so its worst scene decides
-        error = max(errors, key=lambda budget: budget.solver) if errors else None
-        following, missed = next_attempt(engine, scenes[0], attempt, error, patient)
+        error = _worst(errors) if errors else None
+        following = lost
+        if not lost:
+            following, missed = next_attempt(engine, scenes[0], attempt, error, patient)
         if not following:
             assert error
             cost = cost._replace(
@@ -217,10 +242,41 @@ def solve_to_tolerance(
             known_s = math.inf
             if missed or attempt.candidate.fixed:
                 known_s = _known_until(error, attempt.tolerance, scenes[0])
+            known_s = min(known_s, attempt.known_until)
             return Outcome(collected, attempt, errors, error, cost, missed, known_s)
         run_s = cost.integration_s + cost.estimate_s
         planned_s = attempt.planned_s + clock() - began - run_s
         attempt = following._replace(planned_s=planned_s, spent_s=attempt.spent_s + run_s)
+
+
+def _worst(errors: Sequence[ErrorBudget]) -> ErrorBudget:
+    """Return the largest error of several scenes."""
+    return max(errors, key=lambda budget: budget.solver)
+
+
+def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: Run) -> None:
+    """End an attempt on the way that will miss its tolerance, if another one may meet it.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If no step does, for rounding is amplified, and nobody wants the best answer there is.
+    """
+    error = _worst(run.errors())
+    tolerance = attempt.tolerance
+    if attempt.repeats or error.solver <= PATIENCE.lost * tolerance:
+        return
+    expected = _worst(run.outlook())
+    known_s = _known_until(expected, tolerance, scene)
+    helps = engine.refine(attempt.candidate, expected, tolerance)
+    if known_s < math.inf and not (helps or patient):
+        so_far = expected._replace(truncation=error.truncation)
+        raise ToleranceNotMet(_explain(scene, so_far, attempt), known_until=known_s)
+    following, _ = next_attempt(engine, scene, attempt, expected, patient, ended=False)
+    if following:
+        raise _Lost(following)
+    # what it comes to is the answer
+    run.judge = Run.judge
 
 
 def next_attempt(
@@ -229,8 +285,9 @@ def next_attempt(
     attempt: Attempt,
     error: ErrorBudget | None,
     patient: bool = False,
+    ended: bool = True,
 ) -> tuple[Attempt | None, str]:
-    """Judge an attempt by its error, None if it broke down.
+    """Judge an attempt by its error, None if it broke down; expected, if it has not `ended`.
 
     Returns
     -------
@@ -247,13 +304,14 @@ def next_attempt(
     if attempt.repeats:
         return None, _explain(scene, error, attempt)
     best = attempt.best
-    if best is None or error.solver < best[0]:
+    if ended and (best is None or error.solver < best[0]):
         best = error.solver, candidate
-    attempt = attempt._replace(truncations=(*attempt.truncations, error.truncation), best=best)
+    truncation = error.truncation if ended else math.inf
+    attempt = attempt._replace(truncations=(*attempt.truncations, truncation), best=best)
     better = None if _stalls(attempt) else _shorten(engine, attempt, error, patient)
     if better:
         return attempt._replace(candidate=better), ""
-    if best[1] != candidate and error.roundoff <= attempt.tolerance:
+    if ended and best and best[1] != candidate and error.roundoff <= attempt.tolerance:
         # shorter steps may have been worse by chance, and samples of one run alone are held; where
         # rounding is the limit, the shortest are right for longest
         return attempt._replace(candidate=best[1], repeats=True), ""

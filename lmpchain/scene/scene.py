@@ -348,6 +348,13 @@ class Scene(Recording):
         """The scene of the grains that the wave can have reached, recorded if not all."""
         return self.light_cone.scene if self.light_cone else self
 
+    def until(self, time: float) -> Self:
+        """Return the scene to the last sample before a time, s; itself where that is t = 0."""
+        last = int(np.searchsorted(self.time, time)) - 1
+        if last in (0, self.samples - 1):
+            return self
+        return self.replace(duration=float(self.time[last]), samples=last + 1)
+
     def part(self, first: int, last: int) -> Scene:
         """Return grains first ... last, all recorded: right until a wave meets their ends."""
         # a part of a valid scene is valid

@@ -76,7 +76,8 @@ def simulate(
     InputError
         If the engine cannot do the scene, or an option is wrong.
     ToleranceNotMet
-        With the reason, and the trajectory unless it was clear beforehand.
+        With the reason, and the trajectory unless it was clear beforehand. A long run of a scene
+        that cannot be predicted to its end stops, and its trajectory ends where it can be.
     RunFailed
         If the integration breaks down at a given step.
     Stopped
@@ -171,13 +172,17 @@ def _answer(
 ) -> tuple[Trajectory, Outcome[Any]]:
     """Solve what is left of a task, with another engine if the first one leaves out too much."""
     policy = task.policy
-    scene = task.scene
-    attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
+    attempt = output.attempt or policy.first(task.scene, task.tolerance, task.best_effort)
     announce(attempt.candidate.cost_s, "the run")
     with output.requests:
         while True:
+            scene = task.scene.until(attempt.known_until)
             engine = output.prepare(policy.engine(attempt))
-            outcome, gathered = _solve(task, engine, attempt, output, progress)
+            try:
+                outcome, gathered = _solve(task, scene, engine, attempt, output, progress)
+            except ToleranceNotMet as limit:
+                attempt = _shorten(task, scene, limit)
+                continue
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
             except ToleranceNotMet as refusal:
@@ -189,6 +194,7 @@ def _answer(
             # the time of a dismissed engine counts for the answer, too
             attempt = following._replace(
                 refusal=attempt.refusal,
+                known_until=attempt.known_until,
                 planned_s=cost.setup_s + following.planned_s,
                 spent_s=cost.integration_s + cost.estimate_s,
                 compiled_s=cost.compile_s,
@@ -196,11 +202,30 @@ def _answer(
     return output.finish(outcome, gathered), outcome
 
 
+def _shorten(task: Task, scene: Scene, limit: ToleranceNotMet) -> Attempt:
+    """Return the first attempt at the beginning of a scene, as long as it can be predicted.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If there is no sample in it but that at t = 0, or no attempt.
+    """
+    beginning = scene.until(limit.known_until)
+    if beginning is scene:
+        raise limit
+    attempt = task.policy.first(beginning, task.tolerance, task.best_effort)
+    return attempt._replace(refusal=limit.reason, known_until=limit.known_until)
+
+
 def _solve(
-    task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool
+    task: Task,
+    scene: Scene,
+    engine: Engine,
+    attempt: Attempt,
+    output: _Memory | RunFolder,
+    progress: bool,
 ) -> tuple[Outcome[Any], dict[str, Array]]:
     """Solve a scene with one engine; return the outcome, and the quantities of the scene."""
-    scene = task.scene
     scene_part = engine.part(scene)
     # a run that gathers quantities yields samples of the whole scene itself
     cone = None if engine.whole or scene.quantities else scene.light_cone
@@ -276,13 +301,14 @@ class _Memory:
         self._engine = engine
         return engine
 
-    def begin(self, _: Attempt) -> Mapping[str, Array] | None:
+    def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Start at the beginning."""
+        self._scene = self._task.scene.until(attempt.known_until)
         return None
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, G) m and m/s."""
-        scene = self._task.scene
+        scene = self._scene
         u = v = np.empty(0)
         for block in blocks:
             # the whole answer in one block needs no copy
@@ -309,7 +335,7 @@ class _Memory:
         self, outcome: Outcome[tuple[Array, Array]], gathered: dict[str, Array]
     ) -> Trajectory:
         """Return the answer."""
-        scene = self._task.scene
+        scene = self._scene
         engine = self._engine
         displacement, velocity = outcome.collected
         return Trajectory(

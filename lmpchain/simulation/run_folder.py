@@ -36,6 +36,7 @@ from .. import engines
 from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, Outcome
 from ..errors import EngineUnavailable, InputError, LmpchainError
+from ..scene.scene import Scene
 from ..trajectory import zarr_store as store
 from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
@@ -194,17 +195,25 @@ class RunFolder:
             raise InputError.at(self.name, tasks.AT_WORK)
         return lock
 
+    @property
+    def _scene(self) -> Scene:
+        """The scene, or its beginning where it cannot be predicted any longer."""
+        scene = self.task.scene
+        return scene.until(self.attempt.known_until) if self.attempt else scene
+
     def _load_checkpoint(self) -> None:
         """Load the newest checkpoint that is whole, and whose samples are there."""
         damaged = False
-        scene = self.task.scene
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and store.usable(self.path, scene, checkpoint.notes.get("samples")):
-                notes, self._state = checkpoint
+            if checkpoint:
+                notes, state = checkpoint
                 self.attempt = _read_attempt(notes, self._before)
-                self.samples = notes["samples"]
-                self._before = notes["spent"]
-                break
+                if store.usable(self.path, self._scene, notes.get("samples")):
+                    self._state = state
+                    self.samples = notes["samples"]
+                    self._before = notes["spent"]
+                    break
+                self.attempt = None
             damaged = True
         if damaged:
             start = f"the one before, at sample {self.samples}" if self.attempt else "the start"
@@ -237,7 +246,7 @@ class RunFolder:
                 path = error.filename or self.name
                 fault = f"{path}: cannot be written: {error.strerror or error}"
                 kind = LmpchainError
-            done = f"{self.samples} of {self.task.scene.samples} samples were done"
+            done = f"{self.samples} of {self._scene.samples} samples were done"
             cure = f"when that is put right, {resume_command(self.name)} goes on"
             raise kind(f"{fault}; {done} and most are kept; {cure}") from error
 
@@ -258,12 +267,12 @@ class RunFolder:
             for _ in checkpoints.NAMES:
                 checkpoints.save(self.path, self._notes(self._before), {})
             engine = self._engine
-            scene = self.task.scene
+            scene = self._scene
             choices = record(engine, scene, attempt.candidate, self.task.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
             engine.write_inputs(scene.fine, attempt.candidate, self.task.tolerance, self.path)
             write_sums(self.path, finished=False)
-        self._writer = store.Writer(self.path, self.task.scene, self.samples)
+        self._writer = store.Writer(self.path, self._scene, self.samples)
         self._next = time.monotonic() + INTERVALS.checkpoint_s
         return state or None
 
@@ -289,7 +298,7 @@ class RunFolder:
             if reason:
                 request = min(request, moment)
                 if fresh or moment >= request + INTERVALS.sample_s:
-                    done = f"after {self.samples} of {self.task.scene.samples} samples"
+                    done = f"after {self.samples} of {self._scene.samples} samples"
                     raise Stopped(f"{reason} {done}; {resume_command(self.name)} goes on")
         self._writer.flush()
 
@@ -337,7 +346,7 @@ class RunFolder:
             "state": state,
             "reason": reason,
             "samples_done": self.samples,
-            "samples": self.task.scene.samples,
+            "samples": self._scene.samples,
             "attempt": attempt.number if attempt else 0,
             "step_s": attempt.candidate.step if attempt else None,
             "tolerance": self.task.tolerance,

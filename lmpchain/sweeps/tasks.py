@@ -231,7 +231,9 @@ def _answer_beginning(
 ) -> Beginning | None:
     """Answer a scene as long as it can be predicted; None if nothing that is kept is known then."""
     keep = [name for name in plan.keep if is_extreme(name)]
-    if missed.known_until == math.inf or not keep:
+    # a long run stopped there: how much its rest would change is not known
+    stopped = missed.trajectory and missed.trajectory.scene.samples < scene.samples
+    if missed.known_until == math.inf or not keep or stopped:
         return None
     # a little earlier, for the error of all runs together is to be within the tolerance there
     beginning = scene.replace(duration=KNOWN * missed.known_until, samples=2)

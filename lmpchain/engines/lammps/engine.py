@@ -214,14 +214,17 @@ class Lammps(TimeSteppingEngine):
         # half of the tolerance is for the step, half for round-off
         asked = first_attempt(native, scene, tolerance / 2).candidate
         announce(asked.cost_s, "the native trial that finds the step for LAMMPS")
-        trial = _try_steps(native, scene, tolerance / 2)
+        try:
+            trial = _try_steps(native, scene, tolerance / 2)
+        except ToleranceNotMet as limit:
+            raise _without_heights(limit.reason, limit.known_until) from None
         peaks, closest = trial.collected
         steps = trial.attempt.candidate.steps(scene.samples)
         gauge = gauge_diameter(scene, closest)
         errors = tuple(self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, gauge))
         small = self._takes_gauge(scene, errors, tolerance, fixed)
         if trial.missed:
-            raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
+            raise _without_heights(trial.missed, trial.known_until)
         reason = (
             f"round-off in heights leaves about {errors[0]:.1g} with the physical diameter, "
             f"{errors[1]:.1g} with the gauge diameter; {tolerance:.1g} is asked for"
@@ -436,6 +439,11 @@ def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[
     lengthened = solve_to_tolerance(native, [scene], attempt, _largest_motion)
     gains = lengthened.attempt.candidate.step > trial.attempt.candidate.step
     return lengthened if gains and not lengthened.missed else trial
+
+
+def _without_heights(reason: str, known_until: float) -> ToleranceNotMet:
+    """Return the refusal of what a native trial misses: why, and from when on, s."""
+    return ToleranceNotMet(f"even without round-off in heights, {reason}", known_until=known_until)
 
 
 def _largest_motion(run: Run) -> tuple[Array, float]:

@@ -24,6 +24,7 @@ from ..base import Candidate
 from .round_off import accumulate
 
 BLOCK_BYTES = 2**24  # of samples held at a time
+PIECES = 50  # into which a scene is cut that need not be followed to its end
 BURST = 10**6  # steps between two opportunities to stop
 
 
@@ -81,7 +82,11 @@ def perturb(scene: Scene, change: float) -> Scene:
 
 
 def separate(
-    scene: Scene, changes: Sequence[float], method: Method, schedule: StepSchedule
+    scene: Scene,
+    changes: Sequence[float],
+    method: Method,
+    schedule: StepSchedule,
+    enough: float = math.inf,
 ) -> Array:
     """Return how far runs that begin a small change apart come from the unchanged one.
 
@@ -92,6 +97,8 @@ def separate(
         See `perturb`.
     method, schedule
         Of all runs, which land on every sample; what these leave out is the same in all.
+    enough : float
+        Distance beyond which they need not be followed: it stays as it is then.
 
     Returns
     -------
@@ -101,13 +108,19 @@ def separate(
     batch = ChainBatch([scene, *(perturb(scene, change) for change in changes)])
     stepper = NativeStepper(batch, method, schedule, {})
     grains = scene.chain.grains
-    count = max(1, min(scene.samples, BLOCK_BYTES // (64 * grains)))
+    pieces = 1 if enough == math.inf else PIECES
+    count = max(1, min(scene.samples // pieces, BLOCK_BYTES // (64 * grains)))
     fields = np.zeros((2, 1 + len(changes), count, grains))
     displacement, velocity = fields
     # no step leads to sample 0
     fields[:, :, 0] = batch.initial
     distances = np.zeros((2, len(changes), scene.samples))
     for first in range(0, scene.samples, count):
+        largest = stepper.largest()[0]
+        scale = np.where(largest > 0, largest, 1.0)
+        if first and (distances[:, :, first - 1].max(1) > enough * scale).any():
+            distances[:, :, first:] = distances[:, :, first - 1 : first]
+            break
         final = min(first + count, scene.samples) - 1
         while stepper.sample < final:
             stepper.fill(displacement, velocity, first, final, BURST)
@@ -125,20 +138,22 @@ def could_grow(scene: Scene, evaluations: float) -> float:
     return GROWTH.digit * digits * math.exp(min(exponent, 99.0))  # more than any scene has room for
 
 
-def amplify_rounding(scene: Scene, evaluations: float) -> Array:
+def amplify_rounding(scene: Scene, evaluations: float, enough: float = math.inf) -> Array:
     """Return the amplified rounding of so many evaluations of the force at each sample, (T,).
 
-    Relative to the largest motion. The runs that show it take a fraction of the time of an answer.
+    Relative to the largest motion. The runs that show it take a fraction of the time of an answer;
+    they end soon after it is more than `enough`.
     """
     interval = scene.duration / (scene.samples - 1)
     steps = math.ceil(interval * scene.highest_frequency / GROWTH.reach)
     schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
     changes = GROWTH.digit * np.array(GROWTH.changes)
     method = methods_of(scene.chain.damped)["verlet"]
-    distances = separate(scene, changes.tolist(), method, schedule)
+    digits = _digits(evaluations)
+    distances = separate(scene, changes.tolist(), method, schedule, enough / digits)
     # a run that broke down says nothing of the growth in the others
     followed = distances.max(1) <= GROWTH.broken
-    return _digits(evaluations) * distances.max(0, where=followed[:, None], initial=0.0)
+    return digits * distances.max(0, where=followed[:, None], initial=0.0)
 
 
 def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:

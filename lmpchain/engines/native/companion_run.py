@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, cast
 
@@ -33,6 +34,32 @@ PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
+
+
+@dataclass(frozen=True)
+class Looks:
+    """When a run is judged on the way; analysis/lost_attempts.py.
+
+    Attributes
+    ----------
+    begin_s : float
+        Expected time of its steps before the first look, s.
+    apart : float
+        Time of a look over that of the one before.
+    window : float
+        Time of a look over that since which the growth of errors is taken.
+    steepest : float
+        Power of time with which they grow at most.
+    """
+
+    begin_s: float = 0.01
+    apart: float = 1.1
+    window: float = 1.25
+    steepest: float = 12.0
+
+
+LOOKS = Looks()
+TINY = 1e-300
 TOO_CLOSE = "a contact overlaps more than the total energy allows: the run is unstable"
 WRONG = {
     TOO_FAST: "the kinetic energy exceeds the total energy: the run is unstable",
@@ -106,6 +133,8 @@ class CompanionRun(Run):
     twin : bool
         Whether the answer is not native, so that a native twin at the same step measures its
         round-off.
+    work_s : float
+        Expected time of its steps, s, by which it is decided when it is judged on the way.
     """
 
     def __init__(
@@ -116,6 +145,7 @@ class CompanionRun(Run):
         candidate: Candidate,
         state: Mapping[str, Array] | None,
         twin: bool,
+        work_s: float = 0.0,
     ):
         began = clock()
         self.scene = scenes[0]
@@ -138,6 +168,7 @@ class CompanionRun(Run):
         # a guess to begin with
         self._sample_s = candidate.cost_s * self.realisations / samples
         # the fields of the companions, with sample 0 in the first block
+        self._looks = place_looks(work_s, samples - 1, self._together)
         self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
         self._peaks = np.zeros((self.realisations, 2))
@@ -195,6 +226,8 @@ class CompanionRun(Run):
         """Yield the answer; samples that a restored state already had are not repeated."""
         final = self.scene.samples - 1
         while self._sample < final:
+            if self._sample in self._looks:
+                self.judge(self)
             first = self._sample + 1
             until = self._end_of_block(final)
             spent_s = self._spent_s
@@ -218,9 +251,11 @@ class CompanionRun(Run):
         """
         begin = max(self._sample, 0)
         fit = min(self._longest_block, int(BLOCK_S / self._sample_s))
-        if begin + fit >= final:
-            return final
-        return min(begin + fit_block(fit, self.scene.samples, self._together), final)
+        # it is judged at samples that do not rest on the speed of the run, so that bits do not
+        end = min((look for look in self._looks if look > begin), default=final)
+        if begin + fit >= end:
+            return end
+        return min(begin + fit_block(fit, self.scene.samples, self._together), end)
 
     @property
     def _spent_s(self) -> float:
@@ -367,6 +402,46 @@ class CompanionRun(Run):
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
 
+    def outlook(self) -> list[ErrorBudget]:
+        """Return the estimate for every realisation that is expected at the end.
+
+        Truncation errors grow on, as a power of time, as they did of late. Rounding that is
+        amplified counts where it is far beyond the tolerance.
+        """
+        samples = self._sample + 1
+        scale = self._scale()
+        # of the nearest companion
+        apart = self._differences[int(self._twin)]
+        late = apart.max(0) / scale
+        early = apart[: math.ceil(samples / LOOKS.window)].max(0) / scale
+        field = late.argmax(1)[:, None]
+        grown = np.take_along_axis(np.fmax(late, TINY) / np.fmax(early, TINY), field, 1)[:, 0]
+        power = np.clip(np.log(grown) / math.log(LOOKS.window), 0.0, LOOKS.steepest)
+        remaining = self.scene.samples / samples
+        budgets = []
+        for real, error in enumerate(self.errors()):
+            truncation = error.truncation * remaining ** float(power[real])
+            order = error.order
+            if self.candidate.adaptive:
+                # what grows fast behind openings falls no faster than where steps are coarse there
+                order = min(order, OPENINGS.coarse_order)
+            error = error._replace(truncation=truncation, order=order)
+            budgets.append(error if self._twin else self._foresee_chaos(real, error, remaining))
+        return budgets
+
+    def _foresee_chaos(self, real: int, error: ErrorBudget, remaining: float) -> ErrorBudget:
+        """Return an estimate with amplified rounding, where no step can make up for that."""
+        scene = self._scenes[real]
+        evaluations = float(self.native.steps[real]) * self._rounded_in_step * remaining
+        hopeless = GROWTH.pessimism * self.candidate.solver_error
+        if not self._companions.recurrent[real] or could_grow(scene, evaluations) < hopeless:
+            return error
+        amplified = amplify_rounding(scene, evaluations, hopeless)
+        largest = float(amplified.max())
+        if largest < hopeless:
+            return error
+        return error._replace(roundoff=max(error.roundoff, largest), amplified=amplified)
+
     def _round(self, real: int, motion: Motion, opens: bool) -> float:
         """Return the round-off that the scene does not amplify."""
         scene = self._scenes[real]
@@ -436,6 +511,16 @@ class CompanionRun(Run):
 def fit_block(fit: int, samples: int, together: int) -> int:
     """Return the samples of a block: all if they fit, or a multiple of `together`."""
     return samples - 1 if fit >= samples else max(1, fit // together) * together
+
+
+def place_looks(work_s: float, final: int, together: int) -> frozenset[int]:
+    """Return samples where a run that takes so long, s, is judged; `final` is the last one."""
+    fraction = 1 / LOOKS.apart
+    looks = []
+    while fraction * work_s > LOOKS.begin_s:
+        looks.append(int(fraction * final) // together * together)
+        fraction /= LOOKS.apart
+    return frozenset(look for look in looks if look > 0)
 
 
 def restrict(stepper: str, state: Mapping[str, Array] | None) -> dict[str, Array]:

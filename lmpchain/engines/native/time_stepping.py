@@ -181,8 +181,12 @@ class TimeSteppingEngine(Engine):
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
         make = partial(self.stepper, scenes, candidate)
         method = BY_NAME[candidate.integrator]
+        scene = scenes[0]
+        # as shipped: where a run is judged must not rest on the speed of a machine
+        evaluations = method.evaluations * candidate.steps(scene.samples)
+        work_s = self.seconds_per_grain_step * evaluations * scene.chain.grains * len(scenes)
         try:
-            return CompanionRun(make, method, scenes, candidate, state, self.twin)
+            return CompanionRun(make, method, scenes, candidate, state, self.twin, work_s)
         except (LookupError, TypeError, ValueError) as error:
             # without a state it is a fault of this package, not of a file
             if state is None or isinstance(error, InputError):

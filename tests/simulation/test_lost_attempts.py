@@ -1,0 +1,129 @@
+"""Attempts that are lost end on the way; runs that cannot be predicted end where they can be."""
+
+import math
+
+import numpy as np
+import pytest
+from helpers import taylor_series
+
+import lmpchain
+from lmpchain import Chain, Impulse, Profile, Scene, Stopped, ToleranceNotMet, resume, simulate
+from lmpchain.engines.native import companion_run
+from lmpchain.engines.native.companion_run import Looks, place_looks
+from lmpchain.engines.step_control import PATIENCE
+
+
+def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
+    """Return grains that all move, and fly."""
+    velocity = 1e-3 * np.random.default_rng(3).normal(size=grains)
+    velocity[-1] = 0.0
+    start = Profile(displacement=[0.0] * grains, velocity=velocity.tolist())
+    chain = Chain(grains=grains, diameter=1e-3)
+    return Scene(chain=chain, excitation=start, duration=duration, samples=101)
+
+
+def springs(duration: float) -> Scene:
+    """Return a chain near that of springs, whose contacts open: it is soon unpredictable."""
+    chain = Chain(grains=12, diameter=1e-3, exponent=1.05)
+    strike = Impulse(velocity=0.05)
+    samples = round(duration / 2e-5) + 1
+    return Scene(chain=chain, excitation=strike, duration=duration, samples=samples)
+
+
+@pytest.fixture
+def early(monkeypatch):
+    """Have short runs judged, too."""
+    monkeypatch.setattr(companion_run, "LOOKS", Looks(begin_s=1e-5))
+
+
+def test_looks_rest_on_the_scene_alone():
+    """Each within a tenth of the next; none in a short run."""
+    assert place_looks(0.005, 1000, 4) == frozenset()
+    looks = sorted(place_looks(1.0, 10**6, 4))
+    assert all(look % 4 == 0 for look in looks)
+    assert max(b / a for a, b in zip(looks, [*looks[1:], 10**6], strict=True)) < 1.11
+    assert looks[0] == pytest.approx(0.01 * 10**6, rel=0.1)
+
+
+def test_a_lost_attempt_ends_and_tells_the_next_its_step(early, monkeypatch):
+    """Its estimate was beyond the tolerance, and it was not at its end."""
+    scene = agitated(12, 4e-4)
+    answer = simulate(scene, "native", 1e-8)
+    assert answer.error_estimate.solver <= 1e-8
+    ends = []
+    judge = lmpchain.engines.step_control._judge
+
+    def watch(engine, scene, attempt, patient, run):
+        error = run.errors()[0].solver
+        try:
+            judge(engine, scene, attempt, patient, run)
+        except Exception:
+            ends.append((run.progress, error))
+            raise
+
+    monkeypatch.setattr("lmpchain.engines.step_control._judge", watch)
+    again = simulate(scene, "native", 1e-8)
+    assert np.array_equal(again.velocity, answer.velocity)
+    assert ends
+    assert all(done < 1 and error > PATIENCE.lost * 1e-8 for done, error in ends)
+
+
+def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
+    """In whichever attempt it is stopped; the beginning of what is unpredictable, too."""
+    for name, scene in {"agitated": agitated(12, 4e-4), "springs": springs(4e-3)}.items():
+        folder = tmp_path / name
+        answers = []
+        for options in ({}, {"folder": folder, "max_wall": 1e-9}):
+            try:
+                answers.append(simulate(scene, "native", 1e-7, **options))
+            except ToleranceNotMet as missed:
+                answers.append(missed.trajectory)
+            except Stopped:
+                for _ in range(300):
+                    try:
+                        answers.append(resume(folder, max_wall=0.02))
+                    except Stopped:
+                        continue
+                    except ToleranceNotMet as missed:
+                        answers.append(missed.trajectory)
+                    break
+        memory, disk = answers
+        assert np.array_equal(memory.time, disk.time)
+        assert np.array_equal(memory.velocity, disk.velocity[:])
+        assert memory.error_estimate == disk.error_estimate
+
+
+def test_what_cannot_be_predicted_ends_where_it_can(early, tmp_path):
+    """What is kept is right, and it is what the scene to that time has for an answer."""
+    scene = springs(4e-3)
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off, which may exceed") as missed:
+        simulate(scene, "native", 1e-6)
+    kept = missed.value.trajectory
+    assert 0 < kept.time[-1] < missed.value.known_until < scene.duration
+    assert missed.value.known_until <= kept.time[-1] + 1.001 * scene.time[1]
+    assert kept.error_estimate.solver <= 1e-6
+    truth, doubt = taylor_series.reference(kept.scene, 1e-12)
+    assert truth.error(kept.displacement, kept.velocity) + doubt <= kept.error_estimate.solver
+    again = simulate(kept.scene, "native", 1e-6)
+    assert np.array_equal(again.velocity, kept.velocity)
+    with pytest.raises(ToleranceNotMet):
+        simulate(scene, "native", 1e-6, folder=tmp_path / "run")
+    assert lmpchain.simulation.run_folder.status(tmp_path / "run")["state"] == "finished"
+    disk = lmpchain.Trajectory.load(tmp_path / "run")
+    assert np.array_equal(disk.velocity[:], kept.velocity)
+    assert disk.scene == kept.scene
+
+
+def test_who_wants_the_best_answer_gets_all_of_it(early):
+    scene = springs(1e-3)
+    with pytest.warns(UserWarning, match="amplifies round-off"):
+        answer = simulate(scene, "native", 1e-6, on_miss="warn")
+    assert answer.time[-1] == scene.duration
+
+
+def test_a_scene_ends_before_a_time():
+    scene = springs(1e-3)
+    assert scene.until(math.inf) is scene
+    assert scene.until(1e-5) is scene
+    beginning = scene.until(scene.time[7])
+    assert np.allclose(beginning.time, scene.time[:7], rtol=1e-15, atol=0)
