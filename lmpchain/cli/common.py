@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..scene.scene import Scene
 
 PICTURES = (".png", ".pdf", ".svg")
-COLOURS = {"error": "bold red", "fault": "bold red", "warning": "bold yellow", "ok": "green"}
+KIND_STYLES = {"error": "bold red", "fault": "bold red", "warning": "bold yellow", "ok": "green"}
 
 
 def complain(text: str, kind: str = "error") -> None:
@@ -37,7 +37,7 @@ def show(kind: str, text: str, stream: TextIO | None) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    line = Text.assemble((kind, COLOURS[kind]), text)
+    line = Text.assemble((kind, KIND_STYLES[kind]), text)
     Console(file=stream, highlight=False).print(line, soft_wrap=True)
 
 
