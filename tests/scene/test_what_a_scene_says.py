@@ -218,7 +218,10 @@ def test_decks_have_no_more_steps_than_lammps_counts(tmp_path: Path) -> None:
     usual = write_deck(scene.replace(samples=11), tmp_path, step=1e-8)
     assert "thermo          $(10*v_every)" in usual.read_text()
     with pytest.raises(InputError, match=r"^duration: 3000000000 steps are more than LAMMPS"):
-        write_deck(scene, tmp_path, step=1e-5 / 3e9)
+        write_deck(scene.replace(samples=11), tmp_path, step=1e-5 / 3e9)
+    # nor has a run of the library between two samples
+    with pytest.raises(InputError, match=r"^samples: must be more: 3000000000 steps from one to"):
+        simulate(scene, "lammps", integrator="verlet", step=1e-5 / 3e9)
 
 
 def test_a_run_of_minutes_says_so_before_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
