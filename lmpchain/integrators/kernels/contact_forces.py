@@ -75,6 +75,18 @@ def apart(typing: Any) -> Any:
     return types.void(), mark
 
 
+@llvm
+def select(typing: Any, condition: Any, a: Any, b: Any) -> Any:
+    """Return a where the condition holds, else b, without a branch in any version of Python.
+
+    What 3.13 makes of ``a if condition else b`` keeps loops from vector instructions: powers take
+    six times as long.
+    """
+    return types.float64(
+        types.boolean, types.float64, types.float64
+    ), lambda _c, builder, _s, args: builder.select(*args)
+
+
 class Bits(NamedTuple):
     """Parts of a double: 1 bit of sign, 11 of its exponent plus 1023, and 52 of its mantissa.
 
@@ -178,19 +190,19 @@ def _power(r, inverse_length, strength, precompressed, coefficients):
     s = r * inverse_length
     # an open contact is computed as one at rest and its value thrown away: a branch would keep the
     # compiler from making vector instructions
-    inside = s if s > -1.0 else 0.0
+    inside = select(s > -1.0, s, 0.0)
     y = 1.0 + inside
     change = exponential(coefficients[7] * logarithm(y, inside - (y - 1.0)), 1.0)
-    return strength * (change if s > -1.0 else -1.0)
+    return strength * select(s > -1.0, change, -1.0)
 
 
 @compiled
 def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients):
     """Any delta where nothing is pressed."""
     # the logarithm of 0 is none, and so small an overlap gives no force that matters
-    y = r if r > 1e-90 else 1.0
+    y = select(r > 1e-90, r, 1.0)
     power = exponential(coefficients[7] * logarithm(y, 0.0), 0.0)
-    return strength * power if r > 1e-90 else 0.0
+    return select(r > 1e-90, strength * power, 0.0)
 
 
 def _roots(quarters: int) -> Callable[..., Any]:
