@@ -203,9 +203,9 @@ class Lammps(TimeSteppingEngine):
 
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Find the step with native trials of the same map, and the diameter from the round-off."""
-        if choice.steps > deck.MOST_STEPS:
+        if choice.steps > deck.STEPS_OF_A_RUN:
             most = f"{choice.steps} steps from one to the next are more than LAMMPS counts"
-            raise InputError.at("samples", f"must be more: {most}, {deck.MOST_STEPS}")
+            raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
         fixed = self.step is not None
         # the overlaps of a driven column, and so the gauge diameter, are known from a trial only
         bounded = not scene.excitation.does_work
