@@ -9,7 +9,7 @@ from pathlib import Path
 import sphinx.ext.autosummary
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # for what Sphinx keeps by name: equations, gallery_pictures
+sys.path.insert(0, str(HERE))  # for what Sphinx keeps by name, as equations
 
 project = "lmpchain"
 author = "the lmpchain developers"
@@ -24,6 +24,7 @@ extensions = [
     "sphinxarg.ext",
     "sphinxcontrib.bibtex",
     "equations",
+    "live_figures",
 ]
 exclude_patterns = [
     "build",
@@ -41,6 +42,7 @@ html_show_copyright = False
 html_show_sphinx = False
 html_static_path = ["_static"]
 html_css_files = ["wide.css"]
+html_js_files = ["live_figures.js"]
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

@@ -1,12 +1,16 @@
 """The pictures of a gallery script: every figure or axes that a name of the script stands for,
-once.
+once; and the live figure of what its name `live` holds.
 """
 
+from pathlib import Path
 from typing import Any
 
+import live_figures
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
+
+import lmpchain
 
 
 def scraper(block: Any, names: dict[str, Any], conf: dict[str, Any]) -> str:
@@ -22,4 +26,18 @@ def scraper(block: Any, names: dict[str, Any], conf: dict[str, Any]) -> str:
             seen.append(value.figure)
             shown.append(next(names["image_path_iterator"]))
             value.figure.savefig(shown[-1], dpi=110)
-    return figure_rst(shown, conf["src_dir"])
+    return figure_rst(shown, conf["src_dir"]) + _live(names, conf)
+
+
+def _live(names: dict[str, Any], conf: dict[str, Any]) -> str:
+    """Write the live figure of a script, once, and return what shows it."""
+    source = names["example_globals"].pop("live", None)
+    if source is None:
+        return ""
+    script = Path(names["src_file"])
+    folder = Path(conf["src_dir"]) / "measurements" / "live"
+    folder.mkdir(parents=True, exist_ok=True)
+    lmpchain.explore(source, folder / f"{script.stem}.html")
+    title = script.read_text(encoding="utf-8").splitlines()[1]
+    element = live_figures.frame(script.stem, f"{title}: live figure", "../")
+    return f"\n\n.. raw:: html\n\n    {element}\n\n"

@@ -204,7 +204,8 @@
   };
   const slider = byId("time"), play = byId("play"), said = byId("said");
   const draw = () => {
-    if (!run) return;
+    // a figure in a folded part of a page has no size until it is unfolded
+    if (!run || !byId("map").clientWidth || !byId("map").clientHeight) return;
     drawMap(); drawBeads(); drawLines();
     slider.value = row;
     slider.setAttribute("aria-valuetext", seconds(run.times[row]));
@@ -259,7 +260,7 @@
 
   // --- which run is shown
 
-  const places = axes.map((axis) => axis.values.length >> 1);
+  const places = axes.map((axis) => axis.start);
   const shown = () => runs[places.reduce((number, place, k) => number * axes[k].values.length + place, 0)];
   const change = () => {
     const record = shown();

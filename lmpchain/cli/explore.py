@@ -12,7 +12,7 @@ from ..errors import InputError, shown
 from .common import gather, on_terminal, output, read
 from .read import PAGES
 
-RUNS = 15  # of a key whose number of values is not named
+RUNS_OF_KEY = 15  # of a key whose number of values is not named
 FORM = "KEY=LOW:HIGH[:N][:log], such as excitation.velocity=1e-6:1e-1:25:log"
 
 
@@ -46,7 +46,7 @@ def read_axis(text: str) -> tuple[str, list[Any]]:
     if not key or len(bounds) not in (2, 3):
         raise InputError.at("over", f"must be {FORM} (got {shown(text)})")
     low, high = (_number(key, word) for word in bounds[:2])
-    count = _count(key, bounds[2]) if len(bounds) == 3 else RUNS
+    count = _count(key, bounds[2]) if len(bounds) == 3 else RUNS_OF_KEY
     if not low < high:
         raise InputError.at(key, f"the range must go up (got {low:g}:{high:g})")
     if log and low <= 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from os import PathLike
 
 import numpy as np
@@ -20,13 +21,14 @@ from . import live, panels
 from .html import render_live
 from .origin import NOT_RECORDED
 from .panels import Panel
-from .verdicts import front_below, linear_theory, strike_verdict
+from .verdicts import front_below, linear_theory, strike_verdict, unit_of
 
 Rows = Sequence[Sequence[str]]
 PANELS: dict[str, Callable[[Trajectory], Panel]] = {
     "Waveforms": panels.waveforms,
     "The front": panels.arrival,
     "Spectra": panels.spectra,
+    "Dispersion": panels.dispersion,
     "Contacts": panels.forces,
     "Energy": panels.balance,
 }
@@ -104,6 +106,7 @@ def page(
         facts=list(_facts(trajectory)),
         provenance=list(trajectory.provenance.items()),
         scene=trajectory.scene.to_text(),
+        citation=_citation(trajectory),
     )
 
 
@@ -127,6 +130,21 @@ def title(trajectory: Trajectory) -> str:
     load = f", load {chain.top_load:g} N{_of_load(chain)}" if chain.top_load else ""
     run = f"{scene.excitation.label}, {si(scene.duration, 's')}, {trajectory.engine}"
     return f"{counted(chain.grains, 'grain')}, {weight}{load}, {run}"
+
+
+def _citation(trajectory: Trajectory) -> str:
+    """Return the entry of a bibliography for the version that solved the run."""
+    release = trajectory.provenance.get("lmpchain", version("lmpchain"))
+    lines = [
+        "@software{lmpchain,",
+        "  title = {lmpchain: waves in columns of Hertzian grains},",
+        "  author = {{The lmpchain developers}},",
+        f"  version = {{{release}}}",
+        "}",
+    ]
+    if trajectory.engine == "lammps":
+        lines.append("and LAMMPS, which solved it: doi:10.1016/j.cpc.2021.108171")
+    return "\n".join(lines)
 
 
 def _of_load(chain: Chain) -> str:
@@ -176,7 +194,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, exponent {chain.exponent:g}"
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N{_of_load(chain)}"
     values = ", ".join(
-        f"{key} {value:g}"
+        f"{key} {value:g} {unit_of(key, scene.excitation.kind)}".rstrip()
         if isinstance(value, int | float)
         else f"{key} of {np.size(value)} values"
         for key, value in scene.excitation.given().items()

@@ -26,26 +26,9 @@ from ..util.suggestions import did_you_mean
 from . import live
 from .html import render_live
 from .live import Axis, View
-from .verdicts import facts, front_below, linear_theory, short_power
+from .verdicts import facts, front_below, linear_theory, short_power, unit_of
 
 SOURCE_KEYS = ("scene", "over", "engine", "tolerance")
-# units of keys by their last word; an amplitude is a force only where a force acts
-UNITS_OF_KEYS = {
-    "velocity": "m/s",
-    "displacement": "m",
-    "gravity": "m/s²",
-    "top_load": "N",
-    "diameter": "m",
-    "duration": "s",
-    "frequency": "Hz",
-    "amplitude": "m",
-    "rise": "s",
-    "viscoelastic": "s",
-    "drag": "1/s",
-    "density": "kg/m³",
-    "youngs_modulus": "Pa",
-    "mass": "kg",
-}
 
 
 class PageLimits(NamedTuple):
@@ -165,7 +148,9 @@ def _read(source: Mapping[str, Any]) -> tuple[Sweep, list[Axis]]:
         # their remarks are those of runs, which stand on the page
         list(plan.trials())
     kind = plan.tables.get("excitation", {}).get("kind", "")
-    return plan, [_axis(key, sweep, kind) for key, sweep in values.items()]
+    # a scene knows the values that its tables leave out
+    scene = source["scene"] if isinstance(source.get("scene"), Scene) else plan.tables
+    return plan, [_axis(key, sweep, scene, kind) for key, sweep in values.items()]
 
 
 def _read_values(over: Any) -> dict[str, list[float]]:
@@ -198,15 +183,23 @@ def _check_values(sweep: Any) -> list[float]:
     return values
 
 
-def _axis(key: str, values: list[float], kind: str) -> Axis:
+def _axis(key: str, values: list[float], scene: Any, kind: str) -> Axis:
     """Return the slider of a key; evenly spaced ratios are those of a logarithmic one."""
     name = key.rpartition(".")[2]
-    unit = "N" if name == "amplitude" and kind == "force" else UNITS_OF_KEYS.get(name, "")
+    unit = unit_of(name, kind)
     log = values[0] > 0 and len(values) > 2
     if log:
         ratios = np.diff(np.log(values))
         log = bool(np.ptp(ratios) < 1e-6 * ratios.max()) or values[-1] > 100 * values[0]
-    return Axis(key, unit, values, log)
+    # where the scene itself is, or in the middle
+    own: Any = scene
+    for word in key.split("."):
+        own = own.get(word) if isinstance(own, Mapping) else getattr(own, word, None)
+    start = len(values) // 2
+    if isinstance(own, int | float) and (own > 0 or not log):
+        size = np.log if log else np.positive
+        start = int(np.abs(size(values) - size(own)).argmin())
+    return Axis(key, unit, values, log, start)
 
 
 class _Grid(NamedTuple):
@@ -270,7 +263,8 @@ def _view(run: Trajectory, between: tuple[int, int], plan: Sweep) -> View:
     try:
         passed: Front | str = (front := front_below(run))
     except InputError as error:
-        passed = error.faults[0][1]
+        key, reason = error.faults[0]
+        passed = "no single one" if key == "excitation" else reason
     texts = dict(facts(run, linear, passed, plan.tolerance))
     full = live.view(run, between, linear=linear, front=front, facts=texts)
     return full.thinned(*PAGE.views[0])

@@ -43,7 +43,7 @@ class ViewSizes(NamedTuple):
 
 
 VIEW = ViewSizes()
-NOTHING = np.iinfo(np.int16).min  # in place of NaN, which integers lack
+NAN_STEPS = np.iinfo(np.int16).min  # in place of NaN, which integers lack
 
 
 @dataclass(frozen=True)
@@ -221,12 +221,13 @@ def _law(trajectory: Trajectory, grains: np.ndarray) -> Array | None:
 
 
 class Axis(NamedTuple):
-    """A slider: the key that it changes, its unit, its values, and whether they are log-spaced."""
+    """A slider: its key and unit, its values, log-spaced or not, and where it begins."""
 
     key: str
     unit: str
     values: list[float]
     log: bool
+    start: int
 
 
 def numbers(
@@ -300,7 +301,7 @@ class _Store:
             return None
         largest = largest or float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
         unit = largest / self.levels
-        steps = np.where(np.isnan(values), NOTHING, np.round(np.nan_to_num(values) / unit))
+        steps = np.where(np.isnan(values), NAN_STEPS, np.round(np.nan_to_num(values) / unit))
         # differences of neighbouring times are small, and pack well; they wrap round, as int16 does
         whole = steps.astype(np.int64)
         changes = np.diff(whole, axis=0, prepend=0).astype("<i8").astype("<u2").ravel()

@@ -78,6 +78,8 @@ def wave(run: Trajectory) -> Panel:
 
 def waveforms(run: Trajectory) -> Panel:
     """Draw velocity over grains at some times, with linear theory where there is one."""
+    from matplotlib.ticker import EngFormatter
+
     run = crop(run)
     picture = figure(WIDTH, 4.4)
     rows = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
@@ -105,7 +107,8 @@ def waveforms(run: Trajectory) -> Panel:
             below.plot(run.grains, (run.velocity[row] - expected) / largest, color=shade, lw=1)
     first, last = extent(run)
     above.set_xlim(first - 0.5, last + 0.5)
-    above.set_ylabel("velocity downward (m/s)")
+    above.set_ylabel("velocity downward")
+    above.yaxis.set_major_formatter(EngFormatter("m/s"))
     legend(above)
     below.axhline(0, color=COLOURS["lammps"], lw=0.8)
     below.set(xlabel="grain, from the top", ylabel="difference\n/ largest")
@@ -113,9 +116,11 @@ def waveforms(run: Trajectory) -> Panel:
     peak = f"grain {run.grains[end.argmax()]}, {si(end.max(), 'm/s', 1)}"
     caption = f"At the end the motion is largest at {peak}. "
     if linear is None:
-        fault = "no linear theory of this scene"
-        below.text(0.5, 0.5, fault, transform=below.transAxes, ha="center", va="center")
-        return _panel(above, f"{caption}There is {fault}.")
+        # no axes without a curve
+        below.remove()
+        above.tick_params(labelbottom=True)
+        above.set_xlabel("grain, from the top")
+        return _panel(above, f"{caption}There is no linear theory of this scene.")
     error = departure(run, linear)
     return _panel(
         above,
@@ -126,7 +131,7 @@ def waveforms(run: Trajectory) -> Panel:
 
 def arrival(run: Trajectory) -> Panel:
     """Draw height and arrival of the front against depth, each with its law where there is one."""
-    from matplotlib.ticker import EngFormatter, LogLocator
+    from matplotlib.ticker import EngFormatter, LogLocator, StrMethodFormatter
 
     track = front_below(run)
     chain = run.scene.chain
@@ -142,12 +147,14 @@ def arrival(run: Trajectory) -> Panel:
         label = f"{name}: power -{power:.3g}" if power else f"{name}: constant"
         height.plot(depth, law, "--", lw=1, label=label)
     height.set(xscale="log", yscale="log")
-    height.set(xlabel="depth h = n − 1/2 (grains)", ylabel="peak (m/s)")
-    for axis in (height.xaxis, height.yaxis):
+    height.set(xlabel="depth h = n − 1/2 (grains)", ylabel="peak velocity")
+    # depths are numbers of grains, "0.5" and not "500 m"
+    for axis, form in (
+        (height.xaxis, StrMethodFormatter("{x:g}")),
+        (height.yaxis, EngFormatter("m/s")),
+    ):
         axis.set(
-            major_locator=LogLocator(subs=(1, 2, 3, 5)),
-            major_formatter=EngFormatter(),
-            minor_formatter="",
+            major_locator=LogLocator(subs=(1, 2, 3, 5)), major_formatter=form, minor_formatter=""
         )
     legend(height)
     time.plot(track.grain, 1e6 * track.time, ".", ms=4, label="this run")
@@ -187,14 +194,27 @@ def spectra(run: Trajectory) -> Panel:
     run = crop(run)
     result = spectrum.spectrum(run)
     ax = result.plot(_axes())
+    ax.locator_params(axis="x", nbins=4)
     first, last = extent(run)
     ax.set_ylim(last + 0.5, first - 0.5)
-    row = np.unravel_index(result.amplitude.argmax(), result.amplitude.shape)[0]
+    # a grain that stays displaced has all of its motion at 0 Hz, which is no tone
+    heard = np.where(result.frequency[:, None] > 0, result.amplitude, 0.0)
+    row = np.unravel_index(heard.argmax(), heard.shape)[0]
     strongest = si(result.frequency[row], "Hz", 1)
     caption = f"Velocity spectrum of every grain, strongest at {strongest}."
     if result.cut_off.any():
         caption += " The line is the local cut-off frequency."
     return _panel(ax, caption, map=True)
+
+
+def dispersion(run: Trajectory) -> Panel:
+    """Draw the spectrum over wavenumber and frequency of the grains that move."""
+    first, last = extent(crop(run))
+    result = spectrum.dispersion(run, first, last)
+    caption = f"Spectrum of grains {first} to {last} over wavenumber; waves downward on the right."
+    if result.relation.any():
+        caption += " Lines: dispersion relation of weak waves at the first, middle and last grain."
+    return _panel(result.plot(_axes()), caption, map=True)
 
 
 def forces(run: Trajectory) -> Panel:
@@ -209,12 +229,19 @@ def forces(run: Trajectory) -> Panel:
         ax.set_ylim(last + 0.5, first - 0.5)
     openings = sum(event.opens for event in history.events())
     change = np.abs(history.change).max(0)
-    largest = f"{si(change.max(), 'N', 1)}, in contact {history.contact[change.argmax()]}"
+    largest = f"{si(change.max(), 'N', 1)}, in {_name(run, int(history.contact[change.argmax()]))}"
     times = f"{openings} time{'s' if openings > 1 else ''}"
     opened = f"Contacts open {times}." if openings else "No contact opens."
     return _panel(
         ax, f"Force of every contact above that at rest, at most {largest}. {opened}", map=many
     )
+
+
+def _name(run: Trajectory, contact: int) -> str:
+    """Return the name of a contact; those of the ends are walls."""
+    if contact == 0:
+        return "the contact with the top wall"
+    return f"contact {contact}" if contact < run.scene.chain.grains else "the bottom wall"
 
 
 def balance(run: Trajectory) -> Panel:

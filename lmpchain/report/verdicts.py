@@ -32,9 +32,31 @@ class FrontLimits(NamedTuple):
     onward: float = 0.9
 
 
-FRONT = FrontLimits()
+FRONT_LIMITS = FrontLimits()
+# units of keys by their last word; an amplitude is a force only where a force acts
+UNITS_OF_KEYS = {
+    "velocity": "m/s",
+    "displacement": "m",
+    "gravity": "m/s²",
+    "top_load": "N",
+    "diameter": "m",
+    "duration": "s",
+    "frequency": "Hz",
+    "amplitude": "m",
+    "rise": "s",
+    "viscoelastic": "s",
+    "drag": "1/s",
+    "density": "kg/m³",
+    "youngs_modulus": "Pa",
+    "mass": "kg",
+}
 # engines of linear theory: the second takes damped chains, too
 LINEAR_ENGINES = ("chebyshev", "modes")
+
+
+def unit_of(name: str, kind: str) -> str:
+    """Return the unit of a key of a scene by its last word, for this kind of excitation."""
+    return "N" if name == "amplitude" and kind == "force" else UNITS_OF_KEYS.get(name, "")
 
 
 def linear_theory(run: Trajectory) -> Trajectory | None:
@@ -77,7 +99,7 @@ def front_below(run: Trajectory) -> front.Front:
         raise InputError.at(
             "excitation", "sends no single front: there is one after a strike or a push on a grain"
         )
-    track = front.track(run).between(source + 1, scene.chain.grains - FRONT.reflected)
+    track = front.track(run).between(source + 1, scene.chain.grains - FRONT_LIMITS.reflected)
     fewest = front.FEWEST
     if track.grain.size < fewest:
         raise InputError.at(
@@ -88,7 +110,7 @@ def front_below(run: Trajectory) -> front.Front:
     shown = track.time_error < step
     resolved = np.diff(track.time[shown])
     # what does not pass one grain after the other is no front, but a mode that swings
-    if shown.sum() >= fewest and np.mean(resolved > 0) >= FRONT.onward:
+    if shown.sum() >= fewest and np.mean(resolved > 0) >= FRONT_LIMITS.onward:
         return track.where(shown)
     needed = 1 + int(np.ceil(scene.highest_frequency * scene.duration / front.RESOLVED_TURN))
     if needed > scene.samples:

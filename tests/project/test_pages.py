@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.browser import browser, installed
 from helpers.child_processes import PATIENCE
 from matplotlib.figure import Figure
 
@@ -465,6 +466,24 @@ def test_functions_document_what_they_raise():
         assert all(error in section or "LmpchainError" in section for error in raised), name
 
 
+def check_live_figures(build: Path, profile: Path):
+    """Check that the presets of the first page are there, small, and move in a browser."""
+    index = (build / "index.html").read_text(encoding="utf-8")
+    figures = re.findall(r'<iframe class="live-figure" src="([^"]*)"', index)
+    assert len(figures) == 4
+    assert all((build / figure).stat().st_size < 2e6 for figure in figures)
+    if not installed():
+        return
+    with browser(profile) as shown:
+        shown.open(build / "index.html", 1280, 1400)
+        high = "document.querySelectorAll('iframe.live-figure')[{}].style.height.length > 0"
+        shown.wait_for(high.format(0))
+        shown.run("document.querySelectorAll('details.live-preset')[2].open = true")
+        shown.wait_for(high.format(2))
+        assert not shown.run("document.querySelectorAll('details.live-preset')[0].open")
+        assert shown.remarks == []
+
+
 @pytest.mark.parametrize(
     "executed",
     [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.soak)],
@@ -512,19 +531,16 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     ]
     assert len(cited) > 100
     assert all(f'id="equation-eq-{number}"' in model for number in set(cited))
+    check_live_figures(build, tmp_path / "profile")
     for script in GALLERY if executed else ():
         page = (build / "measurements" / f"{script.stem}.html").read_text(encoding="utf-8")
         assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count(
             "\npicture"
         )
-    if (
-        browser := shutil.which("chromium")
-        or shutil.which("chromium-browser")
-        or shutil.which("google-chrome")
-    ):
+    if program := installed():
         shown = subprocess.run(
             [
-                browser,
+                program,
                 "--headless",
                 "--no-sandbox",
                 "--disable-gpu",

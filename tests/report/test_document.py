@@ -96,7 +96,7 @@ def test_facts_are_those_of_the_run(run: Trajectory, rows: Any):
     facts = {key: value for key, value in (row for row in rows(run).rows if len(row) == 2)}
     assert facts["chain"] == "40 grains, top free, bottom fixed, exponent 1.5"
     assert facts["gravity and load"] == "9.81 m/s², 0 N"
-    assert facts["excitation"] == "impulse: velocity 0.001"
+    assert facts["excitation"] == "impulse: velocity 0.001 m/s"
     assert facts["recorded"] == "40 grains at 121 times up to 6e-05 s"
     fastest, farthest = (max(abs(x) for x in a.flat) for a in (run.velocity, run.displacement))
     assert facts["largest velocity"] == f"{fastest:.6g} m/s"

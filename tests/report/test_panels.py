@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Displacement, Force, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain.measure import spectrum
 from lmpchain.measure.contact import LINES
 from lmpchain.report import panels
+from lmpchain.report.live import crop, extent
 from lmpchain.report.verdicts import front_below
 from lmpchain.util.plotting import COLOURS, si
 
@@ -161,7 +163,8 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
     first, last = reached(run)
     assert above.get_xlim() == (first - 0.5, last + 0.5)
     assert apart.get_xlim() == above.get_xlim()
-    assert above.get_ylabel() == "velocity downward (m/s)"
+    assert above.get_ylabel() == "velocity downward"
+    assert above.yaxis.get_major_formatter()(2e-6) == "2 µm/s"
     assert apart.get_xlabel() == "grain, from the top"
     assert apart.get_ylabel() == "difference\n/ largest"
     assert curve(apart, 3)[:, 1].tolist() == [0.0, 0.0]
@@ -185,13 +188,10 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
 
 def test_waveforms_without_linear_theory_say_so(draw: Any, vacuum: Trajectory):
     picture = draw("waveforms", vacuum)
-    above, apart = picture.axes
+    # no axes without a curve
+    (above,) = picture.axes
     assert len(above.lines) == 3
-    assert len(apart.lines) == 1
-    (note,) = apart.texts
-    assert note.get_text() == "no linear theory of this scene"
-    assert (note.get_position(), note.get_ha(), note.get_va()) == ((0.5, 0.5), "center", "center")
-    assert note.get_transform() == apart.transAxes
+    assert above.get_xlabel() == "grain, from the top"
     assert picture.caption.endswith("There is no linear theory of this scene.")
 
 
@@ -234,8 +234,10 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
     ]
     assert (height.get_xscale(), height.get_yscale()) == ("log", "log")
     assert height.get_xlabel() == "depth h = n − 1/2 (grains)"
-    assert height.get_ylabel() == "peak (m/s)"
-    assert height.yaxis.get_major_formatter()(2e-4) == "200 µ"
+    assert height.get_ylabel() == "peak velocity"
+    assert height.yaxis.get_major_formatter()(2e-6) == "2 µm/s"
+    assert height.xaxis.get_major_formatter()(0.5) == "0.5"
+    assert height.yaxis.get_major_formatter()(2e-4) == "200 µm/s"
     for axis in (height.xaxis, height.yaxis):
         ticks = axis.get_major_locator().tick_values(1.0, 99.0)
         assert {1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 50.0} <= set(np.round(ticks, 9))
@@ -360,6 +362,19 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
 
 
 # --- spectra, contacts, energy
+
+
+def test_the_dispersion_is_that_of_the_grains_that_move(draw: Any, run: Trajectory):
+    picture = draw("dispersion", run)
+    first, last = extent(crop(run))
+    assert picture.caption.startswith(f"Spectrum of grains {first} to {last} over wavenumber")
+    result = spectrum.dispersion(run, first, last)
+    # Newton's law for a wave exp(i k n - i w t) in the middle: m w^2 = 4 k sin(q/2)^2 at most
+    chain = run.scene.chain
+    middle = result.grain[1]
+    stiff = chain.linear_stiffness[middle - 2 : middle].mean()
+    edge = np.sqrt(4 * stiff / chain.masses[0]) / (2 * np.pi)
+    assert result.relation[1].max() == pytest.approx(edge, rel=1e-2)
 
 
 def test_the_spectrum_says_where_it_is_strongest(draw: Any, run: Trajectory, vacuum: Trajectory):

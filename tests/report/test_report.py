@@ -87,14 +87,16 @@ def test_a_whole_page(run: Trajectory, text: str):
         "Waveforms",
         "The front",
         "Spectra",
+        "Dispersion",
         "Contacts",
         "Energy",
         "Fits",
         "The run",
         "Provenance",
+        "How to cite",
         "The scene",
     ]
-    assert len(page.pictures) == 6
+    assert len(page.pictures) == 7
     assert all(b"<svg" in picture for picture in page.pictures)
     assert all(link.startswith("data:") for link in page.links), "nothing is fetched from elsewhere"
     facts = " ".join(page.texts[: page.texts.index("The wave in space and time")])
@@ -193,7 +195,7 @@ def test_what_does_not_apply_says_why():
         in page.sections["Energy"]
     )
     assert "left out: modes" in page.sections["Fits"]
-    assert 1 <= len(page.pictures) <= 4
+    assert 1 <= len(page.pictures) <= 5
 
 
 @pytest.mark.slow
