@@ -109,6 +109,7 @@ KNOWN = {
         "faster than Coste's by, at 1.1 of the speed of sound": (0.15, 0.005),
     },
     "orbits": {"residual of the breather": (0, 1e-12)},
+    "damped_dimer": {"gap from": (5.2845, 0.001), "gap to": (8.1609, 0.001)},
     "rectifier": {
         # sqrt(4 k / m) / 2 pi of an infinite chain
         "upper end of the band": (6.918, 0.05),
@@ -261,6 +262,14 @@ CAPTIONS = {
         "least energy of a narrow one": "takes {:.0f} µJ at least",
         "largest multiplier at 547 µJ": "the largest is {:.2f} a period",
         "residual of the breather": "return to {:.0e} after",
+    },
+    "damped_dimer": {
+        "gap from": "gap is from {:.2f} to",
+        "gap to": "to {:.2f} kHz. Driven",
+        "6.7 kHz, 1, fold": "folds at {:.3f} µm",
+        "6.7 kHz, 2, fold": "back again at {:.4f} µm",
+        "6.7 kHz, 3, Neimark-Sacker": "point at {:.3f} µm of the upper",
+        "7 kHz, 3, period doubling": "period doubling at {:.3f} µm",
     },
     "rectifier": {
         "upper end of the band": "ends at {:.2f} kHz",
