@@ -136,6 +136,46 @@ def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagno
     return Diagnosis(tuple(findings))
 
 
+def compile_all(progress: bool = False) -> None:
+    """Compile what runs and gradients need, so that no later process waits: for images of machines.
+
+    Parameters
+    ----------
+    progress : bool
+        Whether a bar shows how far it is.
+    """
+    from . import design
+    from .chain.chain import Chain
+    from .integrators.kernels.contact_forces import FORMS, addresses
+    from .measure import front
+    from .scene.excitation import Impulse
+    from .scene.scene import Scene
+    from .simulation.api import simulate
+    from .util.progress import ProgressBar
+
+    chain = Chain(grains=20, material="glass", diameter=1e-3)
+    weak = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=20e-6, samples=33)
+    strong = weak.replace(excitation=Impulse(velocity=1e-2))
+    watched = strong.replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"])
+    of_methods = [
+        partial(simulate, weak, "native", 1e-2, integrator=name)
+        for name in ("rkn4", "dop853", "gear4")
+    ]
+    jobs: list[Callable[[], object]] = [
+        *(partial(addresses, form) for form in FORMS),
+        *of_methods,
+        partial(simulate, strong, "native", 1e-2),
+        partial(simulate, watched, "native", 1e-2),
+        partial(simulate, weak, "chebyshev", 1e-2),
+        lambda: front.track(simulate(weak, "modes", 1e-2)),
+        partial(design.gradient, strong, design.Momentum([1]), ["masses"], tolerance=1e-2),
+    ]
+    with ProgressBar(len(jobs), "compiling", shown=progress) as bar:
+        for job in jobs:
+            job()
+            bar.advance()
+
+
 def _findings(name: str, cure: str, run: Check) -> list[Finding]:
     findings = []
     with warnings.catch_warnings(record=True) as warned:

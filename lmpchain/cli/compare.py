@@ -186,8 +186,10 @@ def _show_finding(finding: Finding) -> None:
 def doctor(arguments: argparse.Namespace) -> int:
     """Check the installation and print finding by finding; a fault sets the exit code."""
     path = arguments.json and output(arguments.json, "")
-    from ..doctor import diagnose
+    from ..doctor import compile_all, diagnose
 
+    if arguments.compile:
+        compile_all(progress=on_terminal())
     diagnosis = diagnose(tell=_show_finding)
     print(diagnosis.summary)
     if path:

@@ -527,7 +527,14 @@ VERBS = {
         doctor,
         "check the installation: LAMMPS, MPI, versions, cores, engines",
         "doctor",
-        (_argument("--json", metavar="FILE", help="file for the findings"),),
+        (
+            _argument("--json", metavar="FILE", help="file for the findings"),
+            _argument(
+                "--compile",
+                action="store_true",
+                help="compile first all that runs need: for clusters and images",
+            ),
+        ),
     ),
     "docs": Verb(docs, "open the pages of the documentation", "docs", ()),
 }

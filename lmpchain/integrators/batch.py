@@ -13,7 +13,7 @@ from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
 from ..scene.strike import first_overlaps
 from ..util.arrays import Array
-from .kernels.contact_forces import FORMS, ROOTS, Form
+from .kernels.contact_forces import FORMS, ROOTS, Form, addresses
 from .kernels.layout import ALONE, PAD, WAVE, Chains, Dissipation, Imposed, Links, Team
 from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
 
@@ -116,6 +116,7 @@ class ChainBatch:
             strength=layout.strength,
             uncompressed=layout.uncompressed,
             form=np.array(forms),
+            loops=np.array([addresses(form) for form in forms]),
             precompressed=float(chain.compressed),
             coefficients=series(chain.exponent),
         )

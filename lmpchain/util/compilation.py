@@ -17,7 +17,7 @@ from typing import Any
 
 import numba
 from numba.core.bytecode import FunctionIdentity
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.event import Event, Listener, register
 
 from .remarks import warn
@@ -143,6 +143,18 @@ class _KeptFile(IndexDataCacheFile):
             opened.write(sha256(content).digest() + content)
 
 
+class _KeptCode(FunctionCache):
+    """What is kept of a function; those that one factory makes differ by their `kind`.
+
+    numba would tell them apart by what they close over, which is another object in each process.
+    """
+
+    kind = ""
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple:
+        return sig, codegen.magic_tuple(), self.kind
+
+
 def _complain(path: str | PathLike[str], reason: object) -> None:
     """Warn, once a folder, that compiled code cannot be used or kept."""
     folder = Path(path).parent
@@ -156,7 +168,9 @@ def _complain(path: str | PathLike[str], reason: object) -> None:
         )
 
 
-def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
+def compiled_once(
+    what: str, seconds: int, kind: str = "", **options: Any
+) -> Callable[[Callable], Any]:
     """Return a decorator for `numba.njit` with a persistent cache and a message on stderr.
 
     The result is kept beside the source; if that folder may not be written to, in the user's cache
@@ -169,6 +183,8 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
         What is compiled; functions with the same text are announced once a process.
     seconds : int
         About how long all of it takes.
+    kind : str, optional
+        Tells functions that one factory makes apart.
     **options
         For `numba.njit`.
     """
@@ -180,7 +196,10 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
             # numba checks only the source of this module, but a function may call modules beside
             # it. The version is looked at before the rest of the file is read, which may name
             # records that are no longer there.
-            file: Any = dispatcher._cache._cache_file
+            code: Any = dispatcher._cache
+            code.__class__ = _KeptCode
+            code.kind = kind
+            file: Any = code._cache_file
             file._version = f"{file._version} {_sources(Path(function.__code__.co_filename))}"
             file.__class__ = _KeptFile
         except RuntimeError:

@@ -619,6 +619,15 @@ def test_the_doctor_says_each_finding_and_how_many_are_bad(
     assert json.loads(file.read_text())["summary"] == summary
 
 
+@pytest.mark.parametrize("arguments", [[], ["--compile"]])
+def test_the_doctor_compiles_if_it_is_asked_to(arguments: list[str], monkeypatch: Any):
+    compiled = []
+    monkeypatch.setattr(doctor, "diagnose", lambda tell: doctor.Diagnosis(()))
+    monkeypatch.setattr(doctor, "compile_all", lambda progress: compiled.append(progress))
+    assert main(["doctor", *arguments]) == 0
+    assert len(compiled) == len(arguments)
+
+
 # --- files and words
 
 

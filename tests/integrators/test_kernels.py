@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import smooth
 from llvmlite import binding
-from numba import boolean, float64, int64, types
+from numba import float64, types
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Profile, Scene
@@ -24,7 +24,7 @@ from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
 from lmpchain.integrators.kernels.contact_forces import ROOTS, Form
-from lmpchain.integrators.kernels.layout import STATE, Links, Rows
+from lmpchain.integrators.kernels.layout import STATE, Links
 from lmpchain.integrators.kernels.openings import Near, _find_nearness
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
@@ -48,6 +48,14 @@ def spread(low: float, high: float, count: int = 400) -> Array:
     return np.exp(np.random.default_rng(1).uniform(np.log(low), np.log(high), count))
 
 
+def links_of(
+    inverse_length: Array, strength: Array, form: int, precompressed: float, exponent: float
+) -> Links:
+    """Return contacts without one that only touches."""
+    loops = np.array(forces.addresses(form))
+    return Links(inverse_length, strength, 0.0, int(form), loops, precompressed, series(exponent))
+
+
 def force(
     form: int, exponent: float, r: Array, precompressed: float = 1.0, strength: float = 1.0
 ) -> Array:
@@ -58,8 +66,8 @@ def force(
     bodies[::2] = r
     found = np.zeros(2 * r.size - 1)
     alike = np.ones(2 * r.size - 1)
-    links = Links(alike, strength * alike, 0.0, form, precompressed, series(exponent))
-    forces.contact_forces(form, found, bodies, links)
+    links = links_of(alike, strength * alike, form, precompressed, exponent)
+    forces.LOOPS[form][0](found, bodies, links)
     return found[::2]
 
 
@@ -138,8 +146,8 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     found = np.zeros(7)
     # which may be written to, as in loops that are compiled
     at_rest = chain.equilibrium_force.copy()
-    links = Links(1 / eps, at_rest, 0.0, form, 1.0, series(exponent))
-    forces.contact_forces(form, found[1:-1], u, links)
+    links = links_of(1 / eps, at_rest, form, 1.0, exponent)
+    forces.LOOPS[form][0](found[1:-1], u, links)
     moved = 1e-5 * eps[0] * np.eye(6)
     rest = np.zeros(6)
     slope = [
@@ -236,13 +244,10 @@ def packed(assembly: str, operation: str) -> int:
     ],
 )
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
-    row = types.Array(float64, 1, "C")
-    _, loop = forces.LOOPS[form]
-    alike = np.ones(2)
-    none = np.empty(0)
-    links = numba.typeof(Links(alike, alike, 0.0, form, 1.0, alike))
-    rows = numba.typeof(Rows(alike, alike, alike, none))
-    loop.compile((row, row, row, links, rows, boolean, int64, boolean))
+    _, kept = forces.LOOPS[form]
+    # what is kept for later processes cannot be read; the same compiled anew can
+    loop = forces.compiled(kept.py_func)
+    loop.compile(forces.SWEEP)
     assert packed(next(iter(loop.inspect_asm().values())), operation) > 0
 
 
@@ -258,7 +263,7 @@ def test_other_loops_do_several_at_a_time():
     bodies, *_ = batch.place(*(field[None] for field in batch.initial))
     chains = batch.arrays(bodies, bodies, bodies[:, None], np.zeros(1, STATE))
     alike = np.ones(2)
-    links = numba.typeof(Links(alike, alike, 0.0, 0, 1.0, alike))
+    links = numba.typeof(links_of(alike, alike, Form.CORRECTED, 1.0, 1.5))
     near = numba.typeof(Near(alike, alike, 1.0, 1.0, 1.0))
     for loop, takes, operation in (
         (_find_nearness, (row, row, row, links, near), "sqrt"),
@@ -266,13 +271,15 @@ def test_other_loops_do_several_at_a_time():
     ):
         loop.compile(takes)
         assert packed(loop.inspect_asm(takes), operation) > 0
-    force(Form.CORRECTED, 1.5, np.ones(4))
-    assert packed(next(iter(forces.contact_forces.inspect_asm().values())), "sqrt") > 0
+    loop = forces.compiled(forces.LOOPS[Form.CORRECTED][0].py_func)
+    loop.compile(forces.FORCES)
+    assert packed(next(iter(loop.inspect_asm().values())), "sqrt") > 0
 
 
 def test_no_contact_that_shortens_a_step_is_passed_over():
     rng = np.random.default_rng(3)
     size = 100
+    find = numba.njit(error_model="numpy", fastmath=forces.STRICT)(_find_nearness.py_func)
     shortened = 0.2
     close = shortened ** (-14 / 3)
     passed = 0
@@ -284,22 +291,12 @@ def test_no_contact_that_shortens_a_step_is_passed_over():
         reach = np.cbrt(weight) / (2**0.5 * (2 * omega) ** 3)
         length = 10 ** rng.uniform(-2, 2, size)
         pressed = float(rng.integers(2))
-        links = Links(length, weight, 0.0, 0, pressed, series(1.5))
+        links = links_of(length, weight, Form.CORRECTED, pressed, 1.5)
         near = Near(weight, np.full(size, np.inf), close, omega, 1e6)
-        every = _find_nearness(y, rates, bends, links, near)
-        found = _find_nearness(y, rates, bends, links, near._replace(reach=reach))
+        every = find(y, rates, bends, links, near)
+        found = find(y, rates, bends, links, near._replace(reach=reach))
         assert found == every or every < shortened**14
         passed = passed + (found < every)
         shortens = shortens + (every > shortened**14)
     assert passed > 100
     assert shortens > 100
-
-
-@x86
-@pytest.mark.soak  # half a minute of compilation
-def test_steps_do_several_grains_at_a_time(untiled: Any):
-    """What is kept for later processes cannot be read; the same compiled anew can."""
-    assembly = next(iter(untiled.inspect_asm().values()))
-    # one for 3/2, 5/4 and 7/4 each, and one for the corrected form
-    assert packed(assembly, "sqrt") >= 4
-    assert packed(assembly, "fmadd") > 0

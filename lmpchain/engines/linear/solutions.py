@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import spherical_jn
 
 from ...integrators.kernels.chebyshev import Propagator
 from ...scene.scene import Scene
@@ -114,6 +113,9 @@ class ModalSolution:
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
         """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
+        # which takes longer than many a run
+        from scipy.special import spherical_jn
+
         if self._modes.decay is not None:
             return self._damped_by_sine(t, amplitude, omega)
         w = self._modes.frequency

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact_forces import compiled_march, fma, inlined
+from .contact_forces import compiled_march, fma, inlined, pasted
 from .dense_output import Rates, fill_jerk, fill_samples, keep, passes
 from .layout import PAD, RESOLUTION, Rows
 from .openings import bound_nearness, shorten
@@ -60,7 +60,7 @@ def _fill_passed(chain, rates, clock, span, out, beyond):
     return True
 
 
-@inlined
+@pasted
 def _advance(chain, method, work, clock, span, out):
     """Take one step."""
     (kicks, drifts), openings = method
@@ -116,7 +116,7 @@ def _advance(chain, method, work, clock, span, out):
     return 1
 
 
-@inlined
+@pasted
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick."""
     rates = work[2]
@@ -139,7 +139,8 @@ def march(chains, method, clocks, fields, goal):
     room = np.zeros((4, size))
     path = room[3, : size if chains.imposed.acts else 0]
     rows = Rows(kick=room[0], drift=room[1], carried=room[2], path=path)
-    nearest = bound_nearness(chains, clocks, openings)
+    nearest = np.empty((clocks.size, chains.omega.size))
+    bound_nearness(nearest, chains, clocks, openings)
     bodies = np.zeros((4, chains.x.shape[1]))
     rates = Rates(force=bodies[0], pull=bodies[1], rate=bodies[2], jerk=bodies[3])
     work = rows, np.cumsum(stages.drifts), rates, nearest

@@ -11,31 +11,43 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import IntEnum
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ...util.compilation import compiled_once
+from .layout import Links, Rows
 
 # no reordering and no contraction but the explicit fma: every blocking of the loops gives the same
 # bits
 STRICT = {"nnan", "ninf", "nsz"}
 # functions that are called from Python, and kept for later processes
-compiled_engine = partial(compiled_once, "the native engine", 20, error_model="numpy")
+compiled_engine = partial(compiled_once, "the native engine", 7, error_model="numpy")
 compiled_march = partial(compiled_engine, nogil=True, fastmath=STRICT)
 llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
 # without numba's runtime: such functions make no arrays and count no references, which would take
-# half of the time; inlined functions take records of arrays for nothing, of which a call would copy
-# every field
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": STRICT, "_nrt": False}
+# half of the time; nor can Python call them
+_OPTIONS: dict[str, Any] = {
+    "error_model": "numpy",
+    "fastmath": STRICT,
+    "_nrt": False,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 compiled = numba.njit(**_OPTIONS)
-inlined = numba.njit(**_OPTIONS, inline="always")
+# inlined functions take records of arrays for nothing, of which a call would copy every field; LLVM
+# puts them in place, in a tenth of the time that numba takes for it
+inlined = numba.njit(**_OPTIONS, forceinline=True)
+# numba does so for what returns arrays, which a call would have to count, or a record, which none
+# can, and for steps, which are long and called in one place, so that they are compiled once
+pasted = numba.njit(**_OPTIONS, inline="always")
 
 
 @llvm
@@ -233,10 +245,25 @@ def touching(r, uncompressed, coefficients):
     return uncompressed * r ** coefficients[7] if r > 0.0 else 0.0
 
 
-def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Make the two loops over contacts that are all of Eq. (1), for one form of the force."""
+_ROW = types.float64[::1]
+_LINKS = types.NamedTuple(
+    [_ROW, _ROW, types.float64, types.int64, types.int64[::1], types.float64, _ROW], Links
+)
+_ROWS = types.NamedUniTuple(_ROW, len(Rows._fields), Rows)
+# what the two loops of a form take; they return nothing
+FORCES = types.void(_ROW, _ROW, _LINKS)
+SWEEP = types.void(_ROW, _ROW, _ROW, _LINKS, _ROWS, types.boolean, types.int64, types.boolean)
 
-    @compiled
+
+def _loops(form: int, force: Callable[..., Any]) -> tuple[Any, Any]:
+    """Make the two loops over contacts that are all of Eq. (1), for one form of the force.
+
+    They are compiled when a scene needs the form, apart from the marches, which call them where
+    `addresses` says.
+    """
+    kept = compiled_engine(fastmath=STRICT, _nrt=False, kind=str(int(form)))
+
+    @kept
     def forces(out, x, links):
         """Fill out (C,) with the force of every contact between the bodies x (C+1,), N."""
         il = links.inverse_length
@@ -245,7 +272,7 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
         for n in range(out.size):
             out[n] = force(x[n] - x[n + 1], il[n], st[n], pressed, links.coefficients)
 
-    @compiled
+    @kept
     def sweep_rows(x, v, inverse_mass, links, rows, top, body, forced):
         """Kick and drift all grains once a row, in one pass: each contact's force is found once.
 
@@ -307,7 +334,57 @@ FORMS: dict[int, tuple[str, Callable[..., Any]]] = {
     Form.POWER: ("vectorised power", _power),
     Form.UNCOMPRESSED_POWER: ("vectorised power", _uncompressed_power),
 } | {form: ("plain square roots", _roots(form)) for form in ROOTS}
-LOOPS = {form: _loops(force) for form, (_, force) in FORMS.items()}
+LOOPS = {form: _loops(form, force) for form, (_, force) in FORMS.items()}
+
+
+@cache
+def addresses(form: int) -> tuple[int, ...]:
+    """Return where the two loops of a form lie in memory, once they are compiled."""
+    places = []
+    for loop, signature in zip(LOOPS[form], (FORCES, SWEEP), strict=True):
+        loop.compile(signature)
+        code = loop.overloads[signature.args]
+        places.append(code.library.get_pointer_to_function(code.fndesc.llvm_func_name))
+    return tuple(places)
+
+
+def _caller(signature: Any) -> Any:
+    """Make the function that calls a compiled one of this signature at an address."""
+
+    @llvm
+    def call(typing: Any, address: Any, arguments: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+            convention = context.call_conv
+            values = [
+                context.cast(builder, value, given, taken)
+                for value, given, taken in zip(
+                    cgutils.unpack_tuple(builder, args[1]), arguments, signature.args, strict=True
+                )
+            ]
+            function = convention.get_function_type(types.none, signature.args)
+            place = builder.inttoptr(args[0], function.as_pointer())
+            convention.call_function(builder, place, types.none, signature.args, values)
+            return context.get_dummy_value()
+
+        return types.void(types.int64, arguments), generate
+
+    return call
+
+
+_call_forces = _caller(FORCES)
+_call_sweep = _caller(SWEEP)
+
+
+@inlined
+def contact_forces(links, out, x):
+    """Fill out (C,) with the force of every contact between the bodies x (C+1,), N."""
+    _call_forces(links.loops[0], (out, x, links))
+
+
+@inlined
+def kick_and_drift(links, x, v, inverse_mass, rows, top, body, forced):
+    """Kick and drift all grains once a row, as `sweep_rows` says."""
+    _call_sweep(links.loops[1], (x, v, inverse_mass, links, rows, top, body, forced))
 
 
 def by_form(loops: dict[int, Callable[..., Any]]) -> Callable[..., Any]:
@@ -317,7 +394,7 @@ def by_form(loops: dict[int, Callable[..., Any]]) -> Callable[..., Any]:
     """
     *first_forms, (_, last) = loops.items()
 
-    @inlined
+    @pasted
     def choose(form, arguments):
         return last(*arguments)
 
@@ -336,14 +413,10 @@ def _choose_form(
 ) -> Callable[..., Any]:
     """Make the function that runs a loop if the form is its own, and else looks further."""
 
-    @inlined
+    @pasted
     def choose_form(form, arguments):
         if form == number:
             return loop(*arguments)
         return choose(form, arguments)
 
     return choose_form
-
-
-contact_forces = by_form({form: forces for form, (forces, _) in LOOPS.items()})
-kick_and_drift = by_form({form: sweep_rows for form, (_, sweep_rows) in LOOPS.items()})

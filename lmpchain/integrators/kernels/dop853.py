@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from .contact_forces import apart, compiled, compiled_march, inlined
+from .contact_forces import apart, compiled, compiled_march, inlined, pasted
 from .layout import PAD, RESOLUTION, Goal
 from .openings import bound_nearness, shorten
 from .right_hand_side import accelerate, ahead, impose, impose_velocity
@@ -139,7 +139,7 @@ def _complete(chain, dissipation, clock, now, force, creep, reduced):
     look(chain, clock, state.steps, now, 1.0)
 
 
-@inlined
+@pasted
 def _advance(chain, method, work, clock, span, out):
     """Take one step of the Runge-Kutta-Nystrom form."""
     (nodes, inner, weights, rates), openings, adaptive, dissipation = method
@@ -216,7 +216,7 @@ def _advance(chain, method, work, clock, span, out):
     return 1
 
 
-@inlined
+@pasted
 def _land(chain, method, work, clock, span, out):
     """Make the velocities of a damped chain of the reduced ones."""
     force, _, slopes, reduced, _, _ = work
@@ -232,14 +232,15 @@ def _land(chain, method, work, clock, span, out):
 _march = sample_loop(_advance, False, _land)
 
 
-@inlined
+@pasted
 def _make_work(chains, method, clocks):
     """Return arrays to work in."""
     width = chains.x.shape[1]
     stages = method[0][0].size
     # accelerations of all stages, and creeps behind them
     slopes = np.zeros((2 * stages if method[3].acts else stages, width))
-    nearest = bound_nearness(chains, clocks, method[1])
+    nearest = np.empty((clocks.size, chains.omega.size))
+    bound_nearness(nearest, chains, clocks, method[1])
     weigh = Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64))
     return np.zeros(width), np.zeros(width), slopes, np.zeros(width), nearest, weigh
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact_forces import compiled, compiled_march, inlined
+from .contact_forces import compiled, compiled_march, inlined, pasted
 from .layout import PAD, RESOLUTION
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
@@ -121,7 +121,7 @@ def _step(chain, corrections, work, now, then, h):
         derivatives[2, PAD] = 0.0
 
 
-@inlined
+@pasted
 def _advance(chain, method, work, clock, span, out):
     """Take one step, or two where what is imposed ends within it, and begin anew there."""
     (corrections,) = method

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact_forces import compiled_march, inlined
+from .contact_forces import compiled_march, inlined, pasted
 from .dense_output import fill_rates
 from .layout import PAD
 from .right_hand_side import accelerate, hold, impose, impose_velocity
@@ -35,7 +35,7 @@ def _accelerate(chain, dissipation, work, t):
         a[n] = pull[n] + chain.inverse_mass[n] * pressed - dissipation.drag[number, n] * v[n]
 
 
-@inlined
+@pasted
 def _advance(chain, method, work, clock, span, out):
     """Take one step: half a kick, a drift, the forces at the velocities of then, half a kick."""
     (dissipation,) = method

@@ -120,6 +120,8 @@ class Links(NamedTuple):
         chain, else 0.
     form : (R,) array
         Form of the force.
+    loops : (R, 2) array
+        Where the loops of the form lie in memory, see `contact_forces.addresses`.
     precompressed, coefficients : number and (8,) array
         See `contact_forces`.
     """
@@ -128,6 +130,7 @@ class Links(NamedTuple):
     strength: Array
     uncompressed: Any
     form: Any
+    loops: NDArray[np.int64]
     precompressed: float
     coefficients: Array
 

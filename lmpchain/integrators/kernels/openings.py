@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from ...util.arrays import Array
 from .contact_forces import bits, inlined, number
 from .layout import PAD
@@ -127,18 +125,16 @@ def _find_nearness(y, rates, bends, links, near):
 
 
 @inlined
-def bound_nearness(chains, clocks, openings):
-    """Return the largest nearness that shortens a step, by F schedules in R chains, (F, R).
+def bound_nearness(nearest, chains, clocks, openings):
+    """Fill nearest (F, R) with the largest that shortens a step, by F schedules in R chains.
 
     It is that of the step that crosses the opening, for shorter ones gain nothing.
     """
-    nearest = np.empty((openings.least.size, chains.omega.size))
     for schedule in range(openings.least.size):
         for real in range(chains.omega.size):
             reach = clocks[schedule].step * chains.omega[real]
             crosses = max(openings.factor * reach**openings.power, openings.least[schedule])
             nearest[schedule, real] = (openings.shortened * reach / crosses) ** (14 / 9)
-    return nearest
 
 
 @inlined

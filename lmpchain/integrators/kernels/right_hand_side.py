@@ -11,7 +11,15 @@ import math
 
 import numpy as np
 
-from .contact_forces import apart, compiled, contact_forces, inlined, kick_and_drift, touching
+from .contact_forces import (
+    apart,
+    compiled,
+    contact_forces,
+    inlined,
+    kick_and_drift,
+    pasted,
+    touching,
+)
 from .layout import PAD, RESOLUTION, Links, Rows
 from .team import meet, share
 
@@ -126,7 +134,7 @@ def hold(chain, v):
         v[PAD] = 0.0
 
 
-@inlined
+@pasted
 def slice_links(links, contacts, uncompressed):
     """Return some of the contacts, the first of which touches with this constant besides."""
     return Links(
@@ -134,12 +142,13 @@ def slice_links(links, contacts, uncompressed):
         strength=links.strength[contacts],
         uncompressed=uncompressed,
         form=links.form,
+        loops=links.loops,
         precompressed=links.precompressed,
         coefficients=links.coefficients,
     )
 
 
-@inlined
+@pasted
 def slice_rows(rows, numbers):
     """Return some of the rows of a sweep."""
     return Rows(
@@ -165,7 +174,7 @@ def accelerate(chain, y, first, last, force, pull):
     # slices, whose bounds the compiler knows: then it makes vectors of the loop
     f = force[: last - first + 1]
     links = chain.links
-    contact_forces(links.form, f, y[first - 1 : last + 1], slice_links(links, near, 0.0))
+    contact_forces(slice_links(links, near, 0.0), f, y[first - 1 : last + 1])
     if first == PAD and links.uncompressed > 0.0:
         f[0] += touching(y[PAD - 1] - y[PAD], links.uncompressed, links.coefficients)
     _fill_pull(pull[first:last], chain.inverse_mass[first:last], f)
@@ -183,11 +192,10 @@ def _sweep_rows(chain, a, b, rows):
     touches = chain.links.uncompressed if top and a == PAD else 0.0
     body = pushed if pushed > 0 else chain.imposed.wave.body
     kick_and_drift(
-        chain.links.form,
+        slice_links(chain.links, slice(a - 1, b), touches),
         chain.x[a - 1 : b + 1],
         chain.v[a:b],
         chain.inverse_mass[a:b],
-        slice_links(chain.links, slice(a - 1, b), touches),
         rows,
         top,
         body - (a - 1),
@@ -202,7 +210,7 @@ def _lean(chain, a, row, carried):
     x = chain.x
     team.edges[team.part, row] = x[a]
     links = slice_links(chain.links, slice(a - 1, a), 0.0)
-    contact_forces(links.form, carried[row : row + 1], x[a - 1 : a + 1], links)
+    contact_forces(links, carried[row : row + 1], x[a - 1 : a + 1])
 
 
 @compiled

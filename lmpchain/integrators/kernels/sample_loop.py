@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from .contact_forces import compiled, inlined
+from .contact_forces import compiled, inlined, pasted
 from .layout import Chain, Imposed, Links, Row, Span
 from .window import record
 
@@ -14,7 +14,7 @@ from .window import record
 SHORTEST = 2.0**-50
 
 
-@inlined
+@pasted
 def links_of(links, real):
     """Return the contacts of one chain of a batch."""
     return Links(
@@ -22,12 +22,13 @@ def links_of(links, real):
         strength=links.strength[real],
         uncompressed=links.uncompressed[real],
         form=links.form[real],
+        loops=links.loops[real],
         precompressed=links.precompressed,
         coefficients=links.coefficients,
     )
 
 
-@inlined
+@pasted
 def chain_of(chains, real, schedule):
     """Return one chain of a batch, as a schedule moves it."""
     imposed = chains.imposed
@@ -54,7 +55,7 @@ def chain_of(chains, real, schedule):
     )
 
 
-@inlined
+@pasted
 def _row(fields, real, schedule):
     """Return where the samples of a chain go."""
     if schedule == 0:
@@ -64,7 +65,7 @@ def _row(fields, real, schedule):
     )
 
 
-@inlined
+@pasted
 def _leave(chain, method, work, clock, span, out):
     """Leave a landing as it is, where displacements and velocities are complete."""
 

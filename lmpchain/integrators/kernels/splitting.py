@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact_forces import compiled_march, inlined
+from .contact_forces import compiled_march, inlined, pasted
 from .layout import PAD, Rows
 from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
 from .sample_loop import sample_loop
@@ -43,7 +43,7 @@ def _burst(chain, span, stages):
     return min(span.steps - int(state.done), steps)
 
 
-@inlined
+@pasted
 def _advance(chain, method, work, clock, span, out):
     """Take a burst of steps; the last kick of a step and the first of the next are one.
 
@@ -89,7 +89,7 @@ def _advance(chain, method, work, clock, span, out):
     return burst
 
 
-@inlined
+@pasted
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick, where a sample lies between it and the first of the next step."""
     rows = slice_rows(work[0], slice(0, 1))

@@ -83,9 +83,7 @@ def evaluate(links, x, lost, response):
     last = PAD - 1 + force.size
     il = links.inverse_length[first:last]
     st = links.strength[first:last]
-    contact_forces(
-        links.form, force, x[first : last + 1], slice_links(links, slice(first, last), 0.0)
-    )
+    contact_forces(slice_links(links, slice(first, last), 0.0), force, x[first : last + 1])
     delta = links.coefficients[7]
     for n in range(force.size):
         overlap = (x[first + n] - x[PAD + n]) * il[n] + links.precompressed
