@@ -101,7 +101,7 @@ static REAL crossing(const REAL *a, int p, REAL h, int sign, int from_start, REA
   return -1;
 }
 
-/* Returns 0, 1 if `most` contact-steps were too few, 2 if a step became too short. */
+/* Returns 0, 1 if `most` contact-steps were too few, 2 if a step became too short, 3 if a series has no numbers. */
 int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REAL *eps, const REAL *mobility,
               const REAL *viscosity, const REAL *drag, int kind, int grain, int sines, const REAL *sine, int knots, const REAL *knot_times, const REAL *pieces, const REAL *start, int T,
               const REAL *times, double tol_, int p, double most, double *out, double *peak, double *stats) {
@@ -144,7 +144,8 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
     shut[c] = K[c] > 0 && o > 0;
     root[c] = 0;
   }
-  REAL t = 0, end = times[T - 1], X_peak = 1, V_peak = 1e-6;
+  REAL t = 0, end = times[T - 1], X_peak = 1, V_peak = 1e-6, ulp = 1;
+  while (1 + ulp / 2 > 1) ulp /= 2;
   for (int n = lo; n < hi; n++) {
     if (fabs(x[n]) > X_peak) X_peak = fabs(x[n]);
     if (fabs(v[n]) > V_peak) V_peak = fabs(v[n]);
@@ -247,9 +248,9 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
       REAL most_x = grain < 0 ? fabs(wall[k]) : 0; /* also while it moves alone */
       for (int n = first; n < last; n++) {
         REAL y = fabs(X[(size_t)k * N + n]);
+        if (!(y < INFINITY)) { result = 3; goto done; }
         if (y > most_x) most_x = y;
       }
-      if (!(most_x < INFINITY)) { result = 2; goto done; }
       if (most_x > 0) {
         h = fmin(h, pow(tol * X_peak / most_x, (REAL)1 / k));
         h = fmin(h, pow(tol * V_peak / (k * most_x), (REAL)1 / (k - 1)));
@@ -274,16 +275,19 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
       if (when < 0) { root[c] = INFINITY; continue; }
       if (!(O[c] >= 0 && root[c] <= t)) root[c] = t + when;
       REAL mob = fmax(c > 0 ? mobility[c - 1] : 0, c < N ? mobility[c] : 0), good = when, bad = -1;
+      /* less is round-off of displacements, that would leave an overlap of 0, whose power has no series; it matters
+         where contacts are viscous and delta is hardly above 1 */
+      const REAL least = 8 * ulp * X_peak;
       for (int i = 0; i <= 2 * SCAN; i++) { /* a touch may be shorter than what the scan resolves after it */
         REAL at = i <= SCAN ? when + (beyond - when) * i / SCAN : beyond + (h - beyond) * (i - SCAN) / SCAN, o = value(a, p, at);
-        if (o > 0 && K[c] * pow(o, delta) * (t + at - root[c] + viscosity[c]) * mob > tol * V_peak) { bad = at; break; }
+        if (o > least && K[c] * pow(o, delta) * (t + at - root[c] + viscosity[c]) * mob > tol * V_peak) { bad = at; break; }
         good = at;
       }
       if (bad < 0) continue;
       if (bad > when)
         for (int b = 0; b < 60; b++) {
           REAL mid = (good + bad) / 2, o = value(a, p, mid);
-          if (o > 0 && K[c] * pow(o, delta) * (t + mid - root[c] + viscosity[c]) * mob > tol * V_peak) bad = mid; else good = mid;
+          if (o > least && K[c] * pow(o, delta) * (t + mid - root[c] + viscosity[c]) * mob > tol * V_peak) bad = mid; else good = mid;
         }
       if (bad < h) { h = bad; flip = c; }
     }

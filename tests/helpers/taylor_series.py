@@ -74,7 +74,7 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     Raises
     ------
     Unresolved
-        If steps become too short, or too many.
+        If steps become too short, or too many, or a series has no numbers.
     """
     real: Any = np.longdouble if kind == "long double" else np.float64
     chain = scene.chain
@@ -150,7 +150,7 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     )
     if result:
         raise Unresolved(
-            f"{['', 'too many steps', 'too short a step'][result]} "
+            f"{['', 'too many steps', 'too short a step', 'not a number'][result]} "
             f"({stats[0]:g} steps, {stats[1]:g} events)"
         )
     scale = (float(length), float(length / time))

@@ -157,3 +157,17 @@ def test_what_does_not_move_stays():
     t = simulate(Scene(chain=chain, excitation=away, duration=1e-4, samples=9), engine="native")
     assert abs(t.displacement - t.displacement[0]).max() < 1e-12 * 1e-9
     assert abs(t.velocity).max() < 1e-12 * 1e-9 * 1e4
+
+
+def test_a_reference_has_numbers_where_overlaps_are_smaller_than_round_off():
+    """Of delta hardly above 1, a viscous contact that shuts has a force from overlaps on that
+    displacements do not resolve.
+    """
+    chain = damped_chain(grains=3, exponent=1.001, top_load=1e-3, damping={"viscoelastic": 1e-9})
+    overlap = chain.equilibrium_overlap[0]
+    apart = Profile(displacement=[300 * overlap * (1 - 1e-4) - overlap, 300 * overlap, 0.0])
+    scene = Scene(chain=chain, excitation=apart, duration=5e-7, samples=3)
+    true, doubt = reference(scene, 1e-18)
+    assert doubt < 1e-9
+    t = simulate(scene, engine="native", tolerance=1e-6)
+    assert true.error(t.displacement, t.velocity) < 1e-6
