@@ -6,8 +6,6 @@ import argparse
 import math
 from typing import Any
 
-import numpy as np
-
 from ..errors import InputError, shown
 from .common import gather, on_terminal, output, read
 from .read import PAGES
@@ -51,6 +49,9 @@ def read_axis(text: str) -> tuple[str, list[Any]]:
         raise InputError.at(key, f"the range must go up (got {low:g}:{high:g})")
     if log and low <= 0:
         raise InputError.at(key, f"a range in equal ratios must begin above 0 (got {low:g})")
+    # numbers are heavy, and help needs none
+    import numpy as np
+
     values = (np.geomspace if log else np.linspace)(low, high, count)
     # numbers of grains and the like, if both ends are written so
     if all(word.lstrip("+-").isdecimal() for word in bounds[:2]):

@@ -11,6 +11,7 @@ from ..util.lazy import attributes, listed
 __all__ = [
     "bands",
     "bessel",
+    "collision",
     "continuum",
     "dimer_soliton",
     "dyson",
@@ -20,6 +21,7 @@ __all__ = [
     "scattering",
     "shock",
     "soliton",
+    "steady",
 ]
 __getattr__ = attributes(__name__, __all__)
 __dir__ = listed(__name__)

@@ -51,7 +51,7 @@ def listed(module: str) -> Callable[[], list[str]]:
     --------
     >>> from lmpchain.util import tables
     >>> listed(tables.__name__)()
-    ['align', 'counted', 'duration', 'finite', 'number', 'wrap']
+    ['align', 'counted', 'duration', 'finite', 'line_width', 'number', 'wrap']
     """
 
     def names() -> list[str]:

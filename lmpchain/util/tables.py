@@ -7,6 +7,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 LINE_WIDTH = 80  # letters, which every terminal has
@@ -30,27 +31,29 @@ def align(rows: Iterable[Sequence[str]]) -> list[str]:
     rows = list(rows)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [(" " * GAP).join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    # most tables fit, and need not wait for the library
-    return lines if max(map(len, lines), default=0) <= line_width() else _wrap_cells(rows)
+    return lines if max(map(len, lines), default=0) <= line_width() else _wrap_cells(rows, widths)
 
 
-def _wrap_cells(rows: Sequence[Sequence[str]]) -> list[str]:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, GAP, 0, 0))
+def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
+    """Return a table whose widest columns are narrowed until it fits; no word is broken."""
     # a word, such as a path to copy, stays whole, be the line longer for it
     longest = [max(map(len, " ".join(column).split(" "))) for column in zip(*rows, strict=True)]
-    for width in longest:
-        table.add_column(min_width=width)
+    while sum(widths) + GAP * (len(widths) - 1) > line_width():
+        spare = [
+            width if width > least else 0 for width, least in zip(widths, longest, strict=True)
+        ]
+        if not any(spare):
+            break
+        widths[spare.index(max(spare))] -= 1
+    lines = []
     for row in rows:
-        table.add_row(*map(Text, row))
-    width = max(line_width(), sum(longest) + GAP * len(longest))
-    console = Console(width=width, color_system=None)
-    with console.capture() as capture:
-        console.print(table)
-    return [line.rstrip() for line in capture.get().splitlines()]
+        cells = (
+            textwrap.wrap(cell, width or 1, break_long_words=False, break_on_hyphens=False)
+            for cell, width in zip(row, widths, strict=True)
+        )
+        for pieces in zip_longest(*cells, fillvalue=""):
+            lines.append((" " * GAP).join(map(str.ljust, pieces, widths)).rstrip())
+    return lines
 
 
 def wrap(*sentences: str) -> list[str]:

@@ -217,8 +217,8 @@ def test_the_picture(found, tmp_path):
     guides = [text.get_text() for text in over_evaluations.texts]
     assert {"better", "2", "4", "6", "8", "order"} <= set(guides)
     times = {
-        name.get_text(): bar.get_width()
-        for name, bar in zip(bars.get_yticklabels(), bars.patches, strict=True)
+        name.get_text(): dot.get_xdata()[0]
+        for name, dot in zip(bars.get_yticklabels(), bars.lines, strict=True)
     }
     for curve in found.curves:
         seconds = time_to(TARGET, [(point.seconds, point.error) for point in curve.points])

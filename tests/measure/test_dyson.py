@@ -105,12 +105,13 @@ def test_stiffness_over_that_of_the_first_contact(exponent: float):
 
 
 @pytest.mark.parametrize("unit", [1.0, -0.5])
-def test_the_table(unit: float):
+def test_the_table(unit: float, monkeypatch: pytest.MonkeyPatch):
     """Two orders: in units of the strike if there was one, the mean of random chains with its error
     and its grain.
     """
     seen = by_hand(unit)
     others = [ensemble(1.0, unit), ensemble(-1.0, unit, 2e-2)]
+    monkeypatch.setattr("lmpchain.util.tables.line_width", lambda: 120)
     lines = seen.table(ORDERED * unit, others).splitlines()
     name = "m/s" if unit == 1 else "v0 = -0.5 m/s"
     assert lines[0] == f"t = 2e-05 s (tau = 12.5); velocities in {name}"

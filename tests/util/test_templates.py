@@ -91,7 +91,14 @@ def test_a_page_of_the_package_escapes_and_a_deck_does_not():
         "notes": [],
         "left_out": [],
     }
-    values |= {"facts": [], "provenance": [], "scene": "", "script": "", "digest": ""}
+    values |= {
+        "facts": [],
+        "provenance": [],
+        "scene": "",
+        "script": "",
+        "digest": "",
+        "citation": "",
+    }
     page = render("report.html", **values)
     assert "&lt;i&gt;" in page
     assert "<i>" not in page

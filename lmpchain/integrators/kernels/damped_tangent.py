@@ -12,7 +12,7 @@ import numpy as np
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .contact_forces import STRICT, fma, inlined
+from .contact_forces import STRICT, fma, inlined, pasted
 from .layout import PAD
 from .sample_loop import links_of
 from .tangent import Motion, Response, add_exactly, evaluate
@@ -63,7 +63,7 @@ class Slopes(NamedTuple):
     dw: Array
 
 
-@inlined
+@pasted
 def _gather(sums, begin, slopes, weights, h):
     """Fill sums (N, C) with begin + h sum_j w_j slopes_j, without the weights that are 0."""
     used = np.flatnonzero(weights)
