@@ -236,17 +236,24 @@ def solve_to_tolerance(
                 estimate_s=cost.estimate_s + attempt.spent_s,
                 compile_s=compiled_s() - compiled,
             )
-            missed = attempt.refusal or missed
-            if missed and engine.suspect:
-                missed = f"{engine.suspect}; {missed}"
-            known_s = math.inf
-            if missed or attempt.candidate.fixed:
-                known_s = _known_until(error, attempt.tolerance, scenes[0])
-            known_s = min(known_s, attempt.known_until)
+            missed, known_s = _conclude(engine, scenes[0], attempt, error, missed)
             return Outcome(collected, attempt, errors, error, cost, missed, known_s)
         run_s = cost.integration_s + cost.estimate_s
         planned_s = attempt.planned_s + clock() - began - run_s
         attempt = following._replace(planned_s=planned_s, spent_s=attempt.spent_s + run_s)
+
+
+def _conclude(
+    engine: Engine, scene: Scene, attempt: Attempt, error: ErrorBudget, missed: str
+) -> tuple[str, float]:
+    """Return why the last attempt missed its tolerance, if so, and until when it is right, s."""
+    missed = attempt.refusal or missed
+    if missed and engine.suspect:
+        missed = f"{engine.suspect}; {missed}"
+    known_s = math.inf
+    if missed or attempt.candidate.fixed:
+        known_s = _known_until(error, attempt.tolerance, scene)
+    return missed, min(known_s, attempt.known_until)
 
 
 def _worst(errors: Sequence[ErrorBudget]) -> ErrorBudget:
@@ -311,11 +318,20 @@ def next_attempt(
     better = None if _stalls(attempt) else _shorten(engine, attempt, error, patient)
     if better:
         return attempt._replace(candidate=better), ""
-    if ended and best and best[1] != candidate and error.roundoff <= attempt.tolerance:
-        # shorter steps may have been worse by chance, and samples of one run alone are held; where
-        # rounding is the limit, the shortest are right for longest
+    if ended and best and _is_worth_repeating(best[1], candidate, error, attempt.tolerance):
         return attempt._replace(candidate=best[1], repeats=True), ""
     return None, _explain(scene, error, attempt)
+
+
+def _is_worth_repeating(
+    best: Candidate, candidate: Candidate, error: ErrorBudget, tolerance: float
+) -> bool:
+    """Return whether an earlier attempt is run again: samples of one run alone are held.
+
+    Shorter steps may have been worse by chance; where rounding is the limit, the shortest are right
+    for longest.
+    """
+    return best != candidate and error.roundoff <= tolerance
 
 
 def _shorten(

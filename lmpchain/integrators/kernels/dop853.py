@@ -163,8 +163,7 @@ def _advance(chain, method, work, clock, span, out):
     )
     # the first stage is at the begin of the step: how near an opening is follows from its
     # accelerations
-    for n in range(first - 1, last + 1):
-        z[n] = y[n]
+    put(z[first - 1 : last + 1], y[first - 1 : last + 1])
     # of what is imposed, by the law behind a corner on which the step may begin
     impose(chain, z, now, now + 0.5 * min(remaining, span.step))
     impose_velocity(chain, w, PAD, now)
