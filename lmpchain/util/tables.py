@@ -39,12 +39,10 @@ def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
     # a word, such as a path to copy, stays whole, be the line longer for it
     longest = [max(map(len, " ".join(column).split(" "))) for column in zip(*rows, strict=True)]
     while sum(widths) + GAP * (len(widths) - 1) > line_width():
-        spare = [
-            width if width > least else 0 for width, least in zip(widths, longest, strict=True)
-        ]
-        if not any(spare):
+        widest = widths.index(max(widths))
+        if widths[widest] == longest[widest]:
             break
-        widths[spare.index(max(spare))] -= 1
+        widths[widest] -= 1
     lines = []
     for row in rows:
         cells = (
