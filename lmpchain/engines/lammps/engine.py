@@ -204,6 +204,8 @@ class Lammps(TimeSteppingEngine):
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Find the step with native trials of the same map, and the diameter from the round-off."""
         if choice.steps > deck.STEPS_OF_A_RUN:
+            # refuses years of work, which more samples would not shorten
+            super().propose(scene, tolerance, choice)
             most = f"{choice.steps} steps from one to the next are more than LAMMPS counts"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
         fixed = self.step is not None

@@ -167,8 +167,10 @@ class CompanionRun(Run):
         self._longest_block = fit_block(BLOCK_BYTES // bytes_a_sample, samples, self._together)
         # a guess to begin with
         self._sample_s = candidate.cost_s * self.realisations / samples
+        # with a twin, heights round by as much however little has moved, and the motion may grow
+        # yet: a share of it says nothing of the end, and a native trial was judged before
+        self._looks = place_looks(0.0 if twin else work_s, samples - 1, self._together)
         # the fields of the companions, with sample 0 in the first block
-        self._looks = place_looks(work_s, samples - 1, self._together)
         self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
         self._peaks = np.zeros((self.realisations, 2))
@@ -411,7 +413,7 @@ class CompanionRun(Run):
         samples = self._sample + 1
         scale = self._scale()
         # of the nearest companion
-        apart = self._differences[int(self._twin)]
+        apart = self._differences[0]
         late = apart.max(0) / scale
         early = apart[: math.ceil(samples / LOOKS.window)].max(0) / scale
         field = late.argmax(1)[:, None]
@@ -426,7 +428,7 @@ class CompanionRun(Run):
                 # what grows fast behind openings falls no faster than where steps are coarse there
                 order = min(order, OPENINGS.coarse_order)
             error = error._replace(truncation=truncation, order=order)
-            budgets.append(error if self._twin else self._foresee_chaos(real, error, remaining))
+            budgets.append(self._foresee_chaos(real, error, remaining))
         return budgets
 
     def _foresee_chaos(self, real: int, error: ErrorBudget, remaining: float) -> ErrorBudget:
