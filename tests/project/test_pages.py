@@ -496,7 +496,7 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     copy = tmp_path / "docs"
     build = tmp_path / "built"
     shutil.copytree(DOCS, copy, ignore=shutil.ignore_patterns("build", "api", "measurements"))
-    for name in ("analysis", "CITATION.cff"):
+    for name in ("analysis", "CITATION.cff", "CHANGELOG.md"):
         (tmp_path / name).symlink_to(ROOT / name)
     options = (
         []

@@ -166,6 +166,9 @@ class TimeSteppingEngine(Engine):
         interval = candidate.step * candidate.steps_per_landing
         longest = min(method.stability_limit, math.pi) / LONGER[-1] / scene.highest_frequency
         aimed = candidate.steps_per_landing * STEP_CONTROL.aim(error, tolerance)
+        # companions that broke down show no error to go by
+        if math.isinf(aimed):
+            return None
         steps = math.ceil(max(aimed, interval / longest))
         gains = candidate.steps_per_landing >= STEP_CONTROL.least * steps
         return candidate.with_steps(steps) if gains and not candidate.fixed else None
