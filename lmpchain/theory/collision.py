@@ -1,10 +1,10 @@
 """Shifts of solitary waves that meet, by the integrable limits of a chain under a load.
 
-A wave whose tail falls as ``exp(-kappa |x|)``, ``sinh(kappa/2) = c kappa/2``, goes on where it would
-have been without the other one, shifted by grains. The laws are those of two solitons of Toda's
-chain, Theory of Nonlinear Lattices (Springer, 1981), and of Korteweg and de Vries's equation; a
-chain of any exponent follows them as amplitudes fall. Y. Shen et al., Phys. Rev. E 90, 022905
-(2014), compare both with granular chains.
+A wave whose tail falls as ``exp(-kappa |x|)``, ``sinh(kappa/2) = c kappa/2``, goes on where
+it would have been without the other one, shifted by grains. The laws are those of two solitons
+of Toda's chain, Theory of Nonlinear Lattices (Springer, 1981), and of Korteweg and de Vries's
+equation; a chain of any exponent follows them as amplitudes fall. Y. Shen et al., Phys. Rev. E
+90, 022905 (2014), compare both with granular chains.
 """
 
 from __future__ import annotations
