@@ -209,21 +209,18 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
         )
     heights = [float(wave.exact.velocity(0.0)) for wave in waves]
     # lines before and after; a wave in a collision may lose height
-    found = {
-        way: crests.find(time, way * velocity, 0.3 * _in_si(chain, waves[k], heights[k]))
-        for k, way in enumerate(wave.way for wave in waves)
-    }
-    if waves[0].way == waves[1].way:
-        weakest = min((0, 1), key=heights.__getitem__)
-        least = 0.3 * _in_si(chain, waves[weakest], heights[weakest])
-        found = {waves[0].way: crests.find(time, waves[0].way * velocity, least)}
+    least: dict[int, float] = {}
+    for wave, height in zip(waves, heights, strict=True):
+        least[wave.way] = min(least.get(wave.way, np.inf), 0.3 * _in_si(chain, wave, height))
+    # of either way, down to the lower one of two that go one way
+    passages = {way: crests.find(time, way * velocity, low) for way, low in least.items()}
     before = [
-        _line(found[wave.way], wave, chain, start, meeting - apart, (wave.grain, start))
+        _line(passages[wave.way], wave, chain, start, meeting - apart, (wave.grain, start))
         for wave in waves
     ]
     place = _crossing(*before)
     after = [
-        _line(found[wave.way], wave, chain, meeting + apart, float(time[-1]), place)
+        _line(passages[wave.way], wave, chain, meeting + apart, float(time[-1]), place)
         for wave in waves
     ]
     return _compare(chain, waves, before, after, place)
@@ -254,7 +251,7 @@ def _in_si(chain: Chain, wave: _Wave, velocity: float) -> float:
 
 
 def _line(
-    found: crests.Crests,
+    passages: crests.Crests,
     wave: _Wave,
     chain: Chain,
     begin: float,
@@ -266,13 +263,13 @@ def _line(
     Of times behind that point the later half counts.
     """
     grain, time = through
-    expected = grain + wave.speed * (found.time - time)
+    expected = grain + wave.speed * (passages.time - time)
     height = _in_si(chain, wave, float(wave.exact.velocity(0.0)))
     # the other wave is further off than the shift
-    near = np.abs(found.grain - expected) < wave.reach
-    near &= np.abs(found.height / height - 1) < crests.NEAR
-    near &= (found.time > begin) & (found.time < end)
-    near &= (found.grain >= END_GRAINS) & (found.grain < chain.grains - END_GRAINS)
+    near = np.abs(passages.grain - expected) < wave.reach
+    near &= np.abs(passages.height / height - 1) < crests.NEAR
+    near &= (passages.time > begin) & (passages.time < end)
+    near &= (passages.grain >= END_GRAINS) & (passages.grain < chain.grains - END_GRAINS)
     if near.sum() < ALONE:
         when = "after" if begin > time else "before"
         raise InputError.at(
@@ -280,8 +277,8 @@ def _line(
             f"each wave must pass {ALONE} grains alone {when} they meet (got {near.sum()}): "
             "put them further apart, in a longer chain, and record longer",
         )
-    x = found.grain[near].astype(float)
-    t = found.time[near]
+    x = passages.grain[near].astype(float)
+    t = passages.time[near]
     order = np.argsort(t)
     # what the collision radiates leaves the wave slowly
     settled = order[order.size // 2 :] if begin > time else order
@@ -294,13 +291,13 @@ def _line(
     ]
     speed = 1 / float(slope)
     noise = float(
-        found.time_error[near].max() + np.abs(t - t.mean() - slope * (x - x.mean())).max()
+        passages.time_error[near].max() + np.abs(t - t.mean() - slope * (x - x.mean())).max()
     )
     speed_off = abs(float(pieces[0] - pieces[1])) + 3 * noise / float(np.ptp(x))
     return _Line(
         grain=x,
         time=t,
-        height=float(found.height[near].mean()),
+        height=float(passages.height[near].mean()),
         speed=speed,
         origin=float(x.mean() - intercept * speed),
         middle=float(t.mean()),

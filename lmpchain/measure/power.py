@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.acting import Drive, Force
-from ..theory.steady import displacements
+from ..theory.steady import displacements, dynamic_stiffness
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
@@ -237,8 +237,7 @@ def _linear(chain: Chain, drive: Drive | Force, number: int) -> tuple[float, flo
     omega = 2 * np.pi * drive.frequency
     u = displacements(chain, drive)
     v = 1j * omega * u
-    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
-    force = stiffness * (u[:-1] - u[1:])
+    force = dynamic_stiffness(chain, omega) * (u[:-1] - u[1:])
     passed = (force[number] * (v[number] + v[number + 1]).conj()).real / 4
     if isinstance(drive, Force):
         given = drive.amplitude * v[drive.grain].real / 2

@@ -101,10 +101,11 @@ def front_below(run: Trajectory) -> front.Front:
         )
     track = front.track(run).between(source + 1, scene.chain.grains - FRONT_LIMITS.reflected)
     fewest = front.FEWEST
+    missing = InputError.at(
+        "front", f"none travels downward from grain {source} past {fewest} grains or more"
+    )
     if track.grain.size < fewest:
-        raise InputError.at(
-            "front", f"none travels downward from grain {source} past {fewest} grains or more"
-        )
+        raise missing
     step = scene.duration / (scene.samples - 1)
     # times nearer to one another than the samples show tell nothing of their order
     shown = track.time_error < step
@@ -118,9 +119,7 @@ def front_below(run: Trajectory) -> front.Front:
             "samples",
             f"{si(step, 's')} apart do not resolve the front: record at least {needed} of them",
         )
-    raise InputError.at(
-        "front", f"none travels downward from grain {source} past {fewest} grains or more"
-    )
+    raise missing
 
 
 def short_power(number: float) -> str:
@@ -170,7 +169,12 @@ def facts(
     """
     number = run.scene.strike_number
     yield "strike number", f"{number:.3g}" if np.isfinite(number) else "∞ (sonic vacuum)"
-    yield "linear theory", linear_verdict(run, linear)[14:] if linear else "none of this scene"
+    yield (
+        "linear theory",
+        linear_verdict(run, linear).removeprefix("linear theory ")
+        if linear
+        else "none of this scene",
+    )
     error = run.error_estimate.total
     miss = "" if error <= tolerance else f", above the tolerance {short_power(tolerance)}"
     yield "estimated error", f"{short_power(error)} ({run.engine}){miss}"

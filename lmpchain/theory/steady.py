@@ -13,6 +13,32 @@ from ..util.lazy import listed
 __dir__ = listed(__name__)
 
 
+def dynamic_stiffness(chain: Chain, omega: float) -> NDArray[np.complex128]:
+    """Return ``K (1 + i w A)`` of all contacts, walls included, at one frequency.
+
+    Parameters
+    ----------
+    chain : Chain
+        Compressed.
+    omega : float
+        w, rad/s.
+
+    Returns
+    -------
+    (N+1,) complex array
+        N/m.
+
+    Examples
+    --------
+    >>> lossy = {"viscoelastic": 1e-6}
+    >>> chain = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0, damping=lossy)
+    >>> k = dynamic_stiffness(chain, 1e5)[1]
+    >>> round(float(k.imag / k.real), 12)
+    0.1
+    """
+    return chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
+
+
 def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     """Return u of the motion ``Im(u exp(i w t))`` in which the linearised chain follows a drive.
 
@@ -39,7 +65,7 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     [0.0, 1e-09, 5e-10, 0.0, 0.0]
     """
     omega = 2 * np.pi * drive.frequency
-    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
+    stiffness = dynamic_stiffness(chain, omega)
     answer = np.zeros(chain.grains + 2, complex)
     if isinstance(drive, Drive):
         answer[drive.grain] = drive.amplitude
