@@ -110,3 +110,22 @@ def test_what_is_not_steady_is_refused() -> None:
     struck = short.replace(excitation=Impulse(velocity=1e-6))
     with pytest.raises(InputError, match="excitation: must be a drive"):
         power.through(simulate(struck, "native", 1e-3), 100)
+
+
+def test_viscous_contacts_take_their_part_of_the_power() -> None:
+    """Also that of the driven grain with the wall above it, which a lossless one gives back."""
+    level = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
+    chain = Chain(grains=12, damping={"viscoelastic": 0.05 / (2 * np.pi * FREQUENCY)}, **level)
+    drive = Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY)
+    scene = Scene(chain=chain, excitation=drive, duration=80 / FREQUENCY, samples=1601)
+    t = simulate(scene, "native", 1e-7)
+    ledger = energy.ledger(t)
+    elapsed = t.time[-1] - t.time[800]
+    passed = power.through(t, 5)
+    given = (ledger.drive[-1] - ledger.drive[800]) / elapsed
+    lost = (ledger.dissipated[-1] - ledger.dissipated[800]) / elapsed
+    assert given == pytest.approx(lost, rel=1e-3)
+    assert passed.input == pytest.approx(given, rel=1e-3)
+    assert passed.linear_input == pytest.approx(given, rel=1e-3)
+    assert 0 < passed.share < 1
+    assert passed.share == pytest.approx(passed.linear_share, rel=1e-3)
