@@ -42,8 +42,7 @@ def strike(delta: float, velocity: float) -> solitary.Train:
     constant = mass * 0.01 / 1e-6 ** (delta + 1)
     row = lmpchain.Chain(
         grains=grains,
-        # wide beside these overlaps, as Hertz's law asks for; masses and constants are given
-        diameter=1e-2,
+        diameter=1e-3,
         gravity=0.0,
         bottom="free",
         exponent=delta,
