@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.text import Text
 
 import lmpchain
 from lmpchain.util.files import write_aside
-from lmpchain.util.plotting import COLOURS, MARKERS, figure
+from lmpchain.util.plotting import COLOURS, MARKERS, figure, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,6 +31,7 @@ NATIVE, LAMMPS = (
     for name, size in (("native", 3.5), ("lammps", 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
+SVG = "--svg"
 PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
 # the paper's formula where it is wrong
 PRINTED = {
@@ -54,6 +56,7 @@ def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
     parser.add_argument(
         "-o", "--output", type=Path, help="the picture; by default pictures/" + name
     )
+    add_svg(parser)
     for flag, what in flags.items():
         parser.add_argument("--" + flag.replace("_", "-"), action="store_true", help=what)
     given = parser.parse_args()
@@ -61,6 +64,11 @@ def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
         Path(name) if given.quick else Path(script).resolve().parent / "pictures" / name
     )
     return given
+
+
+def add_svg(parser: argparse.ArgumentParser) -> None:
+    """Let a script take --svg, which `finish` acts on."""
+    parser.add_argument(SVG, action="store_true", help="write the picture as SVG, too, for print")
 
 
 def page(
@@ -79,7 +87,7 @@ def page(
             lower.yaxis.set_minor_formatter("")
             upper.tick_params(labelbottom=False)
             pairs.append((upper, lower))
-    picture.suptitle(title, fontsize="medium")
+    picture.suptitle(title, x=0.01, ha="left")
     return picture, pairs
 
 
@@ -138,13 +146,29 @@ def random_search(
 
 
 def finish(picture: Figure, path: Path) -> None:
-    """Save the picture in full colour with the commit, the command and the printed
-    numbers in it, and say where.
+    """Save the picture in full colour and the common style, and say where.
+
+    The commit, the command and the printed numbers are in it.
     """
+    restyle(picture)
     about = {"Commit": commit(), "Command": command(), "Numbers": json.dumps(PRINTED_NUMBERS)}
     with write_aside(path) as aside:
         picture.savefig(aside, dpi=110, format="png", metadata=about, pil_kwargs={"optimize": True})
+    if SVG in sys.argv:
+        with write_aside(path.with_suffix(".svg")) as aside:
+            picture.savefig(aside, format="svg")
     print(f"picture: {path}")
+
+
+def restyle(picture: Figure) -> None:
+    """Put titles on the left, and set powers of ten and strike numbers as formulas."""
+    for axes in picture.axes:
+        if centred := axes.get_title():
+            axes.set_title("")
+            axes.set_title(centred, loc="left")
+        axes.set_title(axes.get_title(loc="left"), loc="left", fontsize="medium")
+    for text in picture.findobj(Text):
+        text.set_text(typeset(text.get_text()))
 
 
 def commit() -> str:
@@ -168,7 +192,9 @@ def command() -> str:
     without where the picture goes.
     """
     options = [
-        word for word in sys.argv[1:] if word.startswith("--") or not re.search(r"[/.]|^-o$", word)
+        word
+        for word in sys.argv[1:]
+        if word != SVG and (word.startswith("--") or not re.search(r"[/.]|^-o$", word))
     ]
     return " ".join(["python", os.path.relpath(sys.argv[0], HERE.parent), *options])
 

@@ -7,12 +7,14 @@ grains that no wave has reached cost nothing, and a thousand random chains share
 Each number is the best of several runs, taken in turn.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from figures import arguments, finish, legends
@@ -22,7 +24,10 @@ from lmpchain.benchmark.curves import machine
 from lmpchain.disorder.averages import ensemble
 from lmpchain.engines import Lammps, Native
 from lmpchain.util.files import write_aside
-from lmpchain.util.plotting import COLOURS, figure
+from lmpchain.util.plotting import COLOURS, figure, look_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STRENGTH = 0.03  # of the velocities, as a strike number v0*
 PHASE = 0.1  # that the deepest contact advances in a step, rad
@@ -37,11 +42,12 @@ ENGINES: dict[str, Callable[[float], Any]] = {
     "lammps verlet, 1 rank": lambda step: Lammps(integrator="verlet", step=step),
     "lammps verlet, 2 ranks": lambda step: Lammps(integrator="verlet", step=step, ranks=2),
 }
-STYLES = {
-    "native verlet": {"color": COLOURS["native"], "marker": "s"},
-    "native rkn6": {"color": COLOURS["modes"], "marker": "^"},
-    "lammps verlet, 1 rank": {"color": COLOURS["lammps"], "marker": "o"},
-    "lammps verlet, 2 ranks": {"color": COLOURS["continuum"], "marker": "P"},
+LAMMPS: dict[str, Any] = {"color": COLOURS["lammps"], "ls": "--"}
+STYLES: dict[str, dict[str, Any]] = {
+    "native verlet": look_of("verlet"),
+    "native rkn6": look_of("rkn6"),
+    "lammps verlet, 1 rank": LAMMPS | {"marker": "o", "mfc": "w"},
+    "lammps verlet, 2 ranks": LAMMPS | {"marker": "o"},
 }
 Row = dict[str, Any]
 
@@ -175,50 +181,50 @@ def tables(numbers: dict[str, list[Row]]) -> str:
 
 def main() -> None:
     """Measure, print the tables, save the numbers and draw."""
-    given = arguments(__file__, __doc__)
-    numbers = measure(given.quick)
+    given = arguments(
+        __file__, __doc__, draw="draw the stored numbers again, without a measurement"
+    )
+    stored = given.output.with_suffix(".json")
+    if given.draw:
+        numbers = json.loads(stored.read_text(encoding="utf-8"))
+    else:
+        numbers = {"machine": machine()} | measure(given.quick)
+        with write_aside(stored) as aside:
+            aside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     print(tables(numbers))
-    with write_aside(given.output.with_suffix(".json")) as aside:
-        aside.write_text(
-            json.dumps({"machine": machine()} | numbers, indent=1) + "\n", encoding="utf-8"
-        )
-    picture = figure(10, 4.2)
-    speed, strike, threads = picture.subplots(1, 3, width_ratios=(2, 1.3, 1.3))
+    finish(draw(numbers), given.output)
+
+
+def draw(numbers: dict[str, Any]) -> Figure:
+    """Draw the speed against the number of grains, and say what a strike on grain 1 takes."""
+    picture = figure(7, 4.6)
+    speed = picture.subplots()
     for name in ENGINES:
         rows = [row for row in numbers["throughput"] if row["engine"] == name]
         speed.loglog(
-            [r["grains"] for r in rows],
-            [r["grain_steps_per_s"] for r in rows],
+            [row["grains"] for row in rows],
+            [row["grain_steps_per_s"] for row in rows],
             label=name,
             **STYLES[name],
         )
-    speed.set(xlabel="grains, all in motion", ylabel="grain-steps a second")
-    rows = numbers["answers"]
-    strike.loglog(
-        [r["grains"] for r in rows],
-        [r["seconds"] for r in rows],
-        color=COLOURS["native"],
-        marker="s",
+    milliseconds = [1e3 * row["seconds"] for row in numbers["answers"]]
+    speed.annotate(
+        "A strike on grain 1, from its parameters to the solution for 100 µs:\n"
+        f"{min(milliseconds):.1f} to {max(milliseconds):.1f} ms at each of these lengths, "
+        f"as at most {max(row['active_grains'] for row in numbers['answers'])} grains are computed",
+        (0.02, 0.03),
+        xycoords="axes fraction",
+        fontsize="small",
     )
-    strike.set(
-        xlabel="grains, the first is struck",
-        ylabel="time to the answer for 100 µs, s",
-        ylim=(1e-3, 1),
-    )
-    for steps in LENGTHS:
-        rows = [row for row in numbers["ensembles"] if row["steps"] == steps]
-        rate = [row["realisations"] / row["seconds"] for row in rows]
-        threads.plot([row["threads"] for row in rows], rate, marker="s", label=f"{steps} steps")
-    threads.set(xlabel="threads", ylabel="random chains a second", xticks=THREADS)
-    threads.set_ylim(bottom=0)
-    legends(picture)
+    speed.set(xlabel="grains, all in motion", ylabel="grain-steps (1/s)", ylim=(3e6, 3e9))
+    legends(picture, loc="center right")
     versions = numbers["throughput"][0]["provenance"]
     about = [
-        machine(),
+        numbers["machine"],
         *(f"{name} {versions[name]}" for name in ("lmpchain", "python", "numpy", "numba")),
     ]
-    picture.supxlabel(", ".join(about), fontsize="x-small")
-    finish(picture, given.output)
+    picture.supxlabel(", ".join(about), fontsize="x-small", x=0.01, ha="left")
+    return picture
 
 
 if __name__ == "__main__":

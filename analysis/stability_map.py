@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from figures import finish
+from figures import add_svg, finish
 
 from lmpchain.util.files import write_aside
 
@@ -42,6 +42,7 @@ def main() -> None:
         "--draw", action="store_true", help="draw the kept numbers again, without a measurement"
     )
     parser.add_argument("-o", "--output", type=Path, help="folder; by default pictures")
+    add_svg(parser)
     given = parser.parse_args()
     if unknown := [name for name in given.maps if name not in MAPS]:
         parser.error(f"no map is called {unknown[0]}; there are {', '.join(MAPS)}")

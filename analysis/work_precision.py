@@ -14,7 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from figures import finish
+from figures import add_svg, finish
 
 import lmpchain
 from lmpchain.benchmark.bench import BUDGET_S, work_precision
@@ -80,6 +80,7 @@ def main() -> None:
     parser.add_argument(
         "--draw", action="store_true", help="draw the kept numbers again, without a measurement"
     )
+    add_svg(parser)
     given = parser.parse_args()
     for name in given.scenes or SCENES:
         kept = given.output / f"work_precision_{name}.json"

@@ -116,7 +116,7 @@ def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
         plane.text(right, 1.15 * tau[0], f"{100 * level:.0f} %", color="white")
     plane.set(xlim=(width[0], width[-1]), ylim=(tau[0], tau[-1]))
     plane.set(xlabel="width of a strike spread over the top (grains)", ylabel="time τ")
-    plane.set_title("Eq. (27): white, measured; dashed, law", loc="left", fontsize="medium")
+    plane.set_title("Eq. (27): measured (white) and law (dashed)", loc="left", fontsize="medium")
 
 
 def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:
@@ -141,9 +141,7 @@ def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:
     )
     for level in (0.01, 0.1):
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
-    axes.set(
-        xlabel="wavelength λ (grains)", ylabel="by how much the chain's phase velocity is lower"
-    )
+    axes.set(xlabel="wavelength λ (grains)", ylabel="1 − phase velocity / that of long waves")
     axes.set_xticks([2, 4, 8, 12.8, 20, 40], labels=["2", "4", "8", "12.8", "20", "40"])
     axes.minorticks_off()
     axes.set_title("Dispersion: 1 % at 12.8 grains, 10 % at 4", loc="left", fontsize="medium")

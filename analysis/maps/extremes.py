@@ -79,7 +79,6 @@ def draw(data: dict[str, Any]) -> Figure:
         panel(axes, data)
         axes.title.set_fontsize("medium")
         axes.legend(frameon=False, fontsize="small")
-    picture.suptitle("Extremes: laws are lines, points are measured", fontsize="medium")
     return picture
 
 
@@ -102,8 +101,14 @@ def _overlaps(axes: Axes, data: dict[str, Any]) -> None:
         ha="right",
         color="0.4",
     )
-    axes.set(xlabel="overlap / diameter as struck", ylabel="ratio", ylim=(1e-12, 1e3))
-    axes.set_title("Deep overlaps")
+    axes.set(
+        xlabel="overlap / diameter as struck",
+        ylabel="overlap / diameter; relative difference",
+        ylim=(1e-12, 1e5),
+    )
+    axes.set_title(
+        "Deep overlaps: the energy bounds them,\nand LAMMPS follows as far as they are allowed"
+    )
 
 
 def _bending(axes: Axes, data: dict[str, Any]) -> None:
@@ -123,7 +128,9 @@ def _bending(axes: Axes, data: dict[str, Any]) -> None:
         ha="right",
     )
     axes.set(xlabel="diameter drawn (m)", ylabel="growth of a bend (1/s)", ylim=(None, 2e6))
-    axes.set_title("LAMMPS: a bent column buckles")
+    axes.set_title(
+        "A column bends in LAMMPS, the faster the finer it is drawn,\nas linear stability says"
+    )
 
 
 def _weights(axes: Axes, data: dict[str, Any]) -> None:
@@ -143,7 +150,10 @@ def _weights(axes: Axes, data: dict[str, Any]) -> None:
         "overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED
     )
     axes.set(xlabel="m", ylabel="relative error", ylim=(1e-17, 1e-3))
-    axes.set_title("Dyson's weight, Eq. (23), to 3 deviations")
+    axes.set_title(
+        "Dyson's weight, Eq. (23), loses digits as κ is rounded;\n"
+        f"as printed it overflows beyond m = {limits.MOST_PRINTED:.0f}"
+    )
 
 
 def _functions(axes: Axes, data: dict[str, Any]) -> None:
@@ -164,4 +174,4 @@ def _functions(axes: Axes, data: dict[str, Any]) -> None:
         label="theory.bessel.free_end at T = n - 1/2",
     )
     axes.set(xlabel="grain n", ylabel="relative error", ylim=(1e-17, 1e-8))
-    axes.set_title("Bessel functions of large order")
+    axes.set_title("Bessel functions of large order lose no more\nthan the rounding of T costs")

@@ -26,6 +26,7 @@ SCENES = {
 }
 MOVED, TIMES = 50, (1, 5, 10, 12)  # Fig. 2
 LAMBDA = 0.5  # Fig. 8
+BOX = {"facecolor": "w", "lw": 0, "pad": 0.6}  # behind words that lines pass
 POINT = {"marker": "o", "ls": "none", "color": COLOURS["lammps"], "ms": 6}
 
 
@@ -66,7 +67,7 @@ def draw(data: dict[str, Any]) -> Figure:
             strike["gravity"],
             strike["v0"],
             label,
-            (-6, 8) if name == "Fig. 5, g" else (0, 8),
+            (0, 8),
             "center",
         )
     linear.set(ylim=(3e-8, 0.1))
@@ -91,7 +92,16 @@ def _point(
     axes: Axes, x: float, y: float, label: str, away: tuple[float, float], side: str
 ) -> None:
     axes.plot(x, y, **POINT)
-    axes.annotate(label, (x, y), xytext=away, textcoords="offset points", ha=side, fontsize="small")
+    axes.annotate(
+        label,
+        (x, y),
+        xytext=away,
+        textcoords="offset points",
+        ha=side,
+        fontsize="small",
+        bbox=BOX,
+        zorder=2.5,
+    )
 
 
 def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
@@ -106,15 +116,14 @@ def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
     axes.loglog(depth, 4 ** (1 / 3) * depth ** (-1 / 6), color=COLOURS["native"])
     axes.text(5, 1.35, "Fig. 9: front of a strike", color=COLOURS["native"])
     axes.loglog([1, h[-1]], [LAMBDA, LAMBDA], color=COLOURS["lammps"])
-    for row, below in ((0, -14), (-1, 8)):
+    for row, below in ((0, 8), (-1, 8)):
         _point(axes, h[row], LAMBDA, f"{100 * error[row]:.0f} %", (0, below), "center")
-    axes.text(1.3, 0.53, "Fig. 8: driven top", color=COLOURS["lammps"])
+    axes.text(1.3, 0.53, "Fig. 8: driven top", color=COLOURS["lammps"], bbox=BOX)
     tenth = float(np.interp(0.1, error, h))
-    _point(axes, tenth, LAMBDA, f"measured: 10 %\nat h = {tenth:.0f}", (-4, 8), "right")
+    _point(axes, tenth, LAMBDA, f"measured: 10 %\nat h = {tenth:.0f}", (0, -28), "center")
     for level in (0.01, 0.1):
-        axes.text(
-            1.3, 0.88 * (12 * level / 1.3**0.5) ** (1 / 3), f"law: {100 * level:.0f} %", va="top"
-        )
+        place = 5.0, (12 * level / 5.0**0.5) ** (1 / 3)
+        axes.text(*place, f"law: {100 * level:.0f} %", ha="center", va="center", bbox=BOX)
     axes.set_yticks([0.1, 0.2, 0.5, 1, 2, 4], labels=["0.1", "0.2", "0.5", "1", "2", "4"])
     axes.minorticks_off()
     axes.set(xlim=(1, 1000), ylim=(0.1, 4), xlabel="depth h (grains)", ylabel="frequency ω of τ")

@@ -80,11 +80,13 @@ def draw(data: dict[str, Any]) -> Figure:
         ax.tick_params(labelleft=place % 4 == 0)
         if place % 4 == 0:
             ax.set_ylabel("longest step × band edge at rest")
-        if place > 2:
-            ax.set_xlabel("strike number v$_0$*")
+        if place > 3:
+            ax.set_xlabel("strike number $v_0^*$")
     panels[0].annotate("predicted", (30, 1.5), color="0.2")
     panels[1].annotate("predicted", (2e-2, 2.1), color="0.2")
+    panels[5].annotate("down to 0.7 of the prediction", (0.05, 0.06), xycoords="axes fraction")
     _vacuum(panels[7], data)
+    panels[7].yaxis.tick_right()
     entries: dict[str, Any] = {}
     for ax in panels[:2]:
         entries |= {str(artist.get_label()): artist for artist in ax.get_legend_handles_labels()[0]}
@@ -115,7 +117,7 @@ def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
     for engine, key, size in (("lammps", "few", 9), ("native", "numbers", 5)):
         if name in data[engine]:
             ax.loglog(data[key], np.array(data[engine][name]) * edge, **style(engine, size))
-    ax.set(ylim=(0.12, 20), xlim=(6e-3, 1.7e4))
+    ax.set(ylim=(0.12, 20), xlim=(6e-3, 1.7e4), yticks=(0.2, 0.5, 1, 2, 5, 10))
     ax.set_title(f"{name}: refused above {limit:.3g}", loc="left", fontsize="medium")
     ax.yaxis.set_major_formatter("{x:g}")
 

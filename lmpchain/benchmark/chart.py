@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, groupby
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 LABELLED = 5  # curves in colour, those that reach the target soonest
 TARGET = 1e-6  # error
 FRONT = "#F0E442"
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 LAMMPS: dict[str, Any] = {
     "color": COLOURS["lammps"],
     "ms": 5,
@@ -91,13 +93,30 @@ def _styles(result: Any, times: Mapping[str, float]) -> dict[str, dict[str, Any]
 def _write_ways(ax: Axes, result: Any) -> None:
     """Write the cheapest way to each error below the charts, LAMMPS in its colour."""
     ax.set_axis_off()
-    lines = result.best()
+    lines = [raise_powers(line) for line in result.best()]
     for row, line in enumerate(lines):
         colour = COLOURS["lammps"] if "lammps" in line else "black"
         weight = "bold" if row == 0 else "normal"
         height = 1 - row / len(lines)
         text: dict[str, Any] = {"family": "monospace", "fontsize": "small", "va": "top"}
         ax.text(0.0, height, line, transform=ax.transAxes, color=colour, weight=weight, **text)
+
+
+def raise_powers(line: str) -> str:
+    """Return a line of a table with raised powers of ten, in as many letters.
+
+    Examples
+    --------
+    >>> raise_powers("1e-06  2.17e-06 s")
+    '10⁻⁶   2.17·10⁻⁶ s'
+    """
+
+    def raise_one(found: re.Match[str]) -> str:
+        factor = "" if found[1] == "1" else f"{found[1]}·"
+        power = f"{factor}10{str(int(found[2])).translate(RAISED)}"
+        return power.ljust(len(found[0]))
+
+    return re.sub(r"\b(\d(?:\.\d+)?)e([-+]\d+)", raise_one, line)
 
 
 def _draw_errors(
@@ -249,11 +268,14 @@ def _title(scene: Scene) -> str:
 
 def _footer(result: Any) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in result.versions.items())
+    dropped = f"{result.dropped} points within {KNOWN:g} times of that are left out"
+    left_out = dropped if result.dropped else f"no point is within {KNOWN:g} times of that"
     text = (
         "Error: the larger of those of displacement and velocity, each the largest over samples "
         "and grains relative to the largest motion of any grain at any time. "
         f"Reference: {result.reference.method}; its error is {result.reference.error:.0e}, and "
-        f"{result.dropped} points within {KNOWN:g} times of that are left out. "
+        f"{left_out}. To a tolerance, integrator and step are chosen by the engine, so that time "
+        "and error jump where its choice changes; points follow one another by tolerance. "
         "Times: of the integration, to a tolerance with the error estimate, and the least of "
         f"several runs after a first, on {result.machine}; {versions}."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Sequence
 from os import PathLike
@@ -42,6 +43,8 @@ SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A
 SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
 # each integrator looks the same in every picture
 INTEGRATORS = ("kahan-li6", "kahan-li8", "verlet", "rkn6", "rkn4", "dop853", "gear4")
+# a number as computers write it: 2e-08
+POWER = re.compile(r"(?<![\w.$])(\d(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\w)")
 LABEL_HEIGHT = 0.055  # of the axes: what a line of small letters takes
 
 
@@ -55,6 +58,19 @@ def look_of(integrator: str) -> dict[str, Any]:
     """
     place = INTEGRATORS.index(integrator) if integrator in INTEGRATORS else len(SHADES) - 1
     return {"color": SHADES[place], "marker": SHAPES[place]}
+
+
+def typeset(text: str) -> str:
+    """Return text with its powers of ten and strike numbers as formulas.
+
+    Examples
+    --------
+    >>> print(typeset("v0* = 1e-06, 2e-08 off"))
+    $v_0^*$ = $10^{-6}$, $2\\times 10^{-8}$ off
+    """
+    text = re.sub(r"v0\*|v\$_0\$\*", "$v_0^*$", text)
+    text = POWER.sub(r"$\1\\times 10^{\2\3}$", text)
+    return text.replace(r"$1\times 10", "$10")
 
 
 def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
