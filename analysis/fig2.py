@@ -39,7 +39,7 @@ def main() -> None:
     n = np.arange(1, GRAINS)
 
     title = (
-        "Fig. 2: grain 50 is displaced by 1.  "
+        "Fig. 2: grain 50 is displaced and released.  "
         "Corrected: Eq. (6), with one κ, holds at early times only"
     )
     picture, pairs = page(title, 2, rows=2, width=11, height=10)
@@ -62,7 +62,7 @@ def main() -> None:
             ylim=(wave.get_ylim()[0], 1.75 * wave.get_ylim()[1]),
         )
         wave.set_ylabel("displacement / $φ_{50}(0)$")
-        below.set(xlabel="grain, from the top", ylabel="|theory − native| / max", ylim=(1e-11, 3))
+        below.set(xlabel="grain, from the top", ylabel="off / max", ylim=(1e-11, 3))
         say(f"Eq. (6) at tau {tau}", 100 * off, "% off")
     say("Eq. (19), largest", good)
     legends(picture, loc="upper center")

@@ -9,6 +9,7 @@ Eq. (19), and the standard error of the mean.
 import numpy as np
 from figures import SHADES, arguments, finish, kappa, legends, page, say, weak_scene
 from matplotlib.colors import SymLogNorm
+from scipy.ndimage import gaussian_filter
 
 import lmpchain
 from lmpchain.disorder.averages import ensemble
@@ -59,8 +60,14 @@ def main() -> None:
     image = mean.pcolormesh(
         tau, orders, largest, cmap="viridis", vmin=0, vmax=0.5, shading="gouraud"
     )
+    smooth = gaussian_filter(largest, (0.7, 1.5))
     lines = mean.contour(
-        tau, orders, largest, levels=(0.1, 0.2, 0.3, 0.4), colors="w", linewidths=0.7
+        tau,
+        orders,
+        smooth,
+        levels=(0.1, 0.2, 0.3, 0.4),
+        colors="w",
+        linewidths=0.7,
     )
     mean.clabel(lines, fontsize="x-small", manual=[(6, 14), (13, 10), (18, 5), (22, 1.5)])
     picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$", extend="max")
@@ -73,7 +80,8 @@ def main() -> None:
         noise.plot(tau[1:], error[1:], color=shade, label=f"m = {orders[place]}")
 
     weighted.set_title("one column, the paper's weighted sum", fontsize="medium")
-    mean.set_title(f"mean over {columns} columns for each m", fontsize="medium")
+    mean.set_title(f"mean over {columns} columns for each m; contours smoothed")
+    noise.set_title("jumps where another grain comes to have the largest mean")
     for axes in (weighted, mean):
         axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
     below.set(xlabel="time τ", ylabel="|difference|", ylim=(1e-10, 1e-4))

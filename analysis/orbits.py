@@ -59,35 +59,43 @@ def main() -> None:
     say("period there over that of the linear mode", both.period[least] / period)
 
     picture = figure(12, 4.8)
-    family, shape, circle = picture.subplots(1, 3, width_ratios=(1.3, 1.3, 1))
-    both.plot(family)
-    family.set_title("energy against frequency", loc="left", fontsize="medium")
+    family, shape, growth = picture.subplots(1, 3, width_ratios=(1.3, 1.3, 1))
+    frequency = 1 / both.period
+    family.semilogy(frequency, both.energy, color=SHADES[0], lw=2, label="stable")
+    unstable = np.where(both.stable, np.nan, both.energy)
+    family.semilogy(frequency, unstable, "o-", ms=4, lw=4, color=SHADES[3], label="unstable")
+    family.axvline(1 / period, color="0.75", label="linear mode")
+    family.xaxis.set_major_formatter(lambda x, _: f"{1e-3 * x:g}")
+    family.yaxis.set_major_formatter(lambda y, _: f"{1e6 * y:g}")
+    family.set_yticks([5e-5, 1e-4, 2e-4, 5e-4])
+    family.yaxis.set_minor_formatter("")
+    family.set_xlabel("frequency (kHz)", fontsize="medium")
+    family.set_ylabel("energy above rest (µJ)", fontsize="medium")
+    family.legend(frameon=False, fontsize="small", loc="lower left")
+    family.set_title("Energy against frequency")
     chosen = [both[0], both[least], both[-1]]
-    for orbit, colour, mark in zip(chosen, (SHADES[2], SHADES[0], SHADES[5]), "^os", strict=True):
+    looks = ((SHADES[2], "^", 0.79), (SHADES[0], "o", 0.86), (SHADES[5], "s", 0.93))
+    for orbit, (colour, mark, height) in zip(chosen, looks, strict=True):
         label = f"{1e6 * orbit.energy:.3g} µJ, {1e-3 / orbit.period:.2f} kHz"
         n = np.arange(1, grains + 1)
         shape.plot(
             n, orbit.displacement * 1e6, mark + "-", ms=3.5, lw=0.8, color=colour, label=label
         )
+        shape.text(0.03, height, label, transform=shape.transAxes, color=colour)
         family.plot(1 / orbit.period, orbit.energy, mark, ms=8, mfc="none", mew=1.6, color=colour)
-        multipliers = orbit.multipliers
-        circle.plot(multipliers.real, multipliers.imag, mark, ms=4, mfc="none", color=colour)
         share = chain.masses * orbit.motion()[2].std(0) ** 2
         say(
             f"participation at {1e6 * orbit.energy:.3g} µJ",
             share.sum() ** 2 / (share**2).sum(),
             "grains",
         )
-        say(f"largest multiplier at {1e6 * orbit.energy:.3g} µJ", np.abs(multipliers).max())
+        say(f"largest multiplier at {1e6 * orbit.energy:.3g} µJ", np.abs(orbit.multipliers).max())
     shape.set(xlabel="grain", ylabel="displacement (µm)")
-    shape.set_title("the orbits marked, at rest at t = 0", loc="left", fontsize="medium")
-    shape.legend(frameon=False, fontsize="small", loc="upper left")
-    bottom, top = shape.get_ylim()
-    shape.set_ylim(bottom, top + 0.35 * (top - bottom))
-    turn = np.linspace(0, 2 * np.pi, 200)
-    circle.plot(np.cos(turn), np.sin(turn), color="0.6", lw=0.8, zorder=0)
-    circle.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
-    circle.set_title("Floquet multipliers", loc="left", fontsize="medium")
+    shape.set_title("The orbits marked, at rest at t = 0")
+    largest = [np.abs(orbit.multipliers).max() - 1 for orbit in both.orbits]
+    growth.plot(1e-3 * frequency, np.maximum(largest, 0.0), ".-", color=SHADES[3])
+    growth.set(xlabel="frequency (kHz)", ylabel="largest |multiplier| − 1", ylim=(0, None))
+    growth.set_title("Growth in a period")
     finish(picture, given.output)
 
 

@@ -17,7 +17,7 @@ from lmpchain.theory import continuum, front
 DELTAS = (1.0, 1.25, 1.5, 2.0, 2.5)
 FURTHER = (1.1, 1.35, 1.7, 1.85)  # for the exponents alone
 DEEPEST = 1000
-PER_TAU = 5
+PER_TAU = 12
 NEXT = 0.34  # of the next order, for Hertz
 
 
@@ -70,8 +70,8 @@ def main() -> None:
         "Transport: the first pulse of a weak strike on the top, native engine against "
         "theory.front (lines)"
     )
-    picture, pairs = page(title, 2, rows=2, width=12, height=11)
-    (speed, speed_off), (time, time_off), (energy, energy_off), (power, power_off) = pairs
+    picture, ((speed, speed_off), (power, power_off)) = page(title, 2, width=12, height=5.6)
+    supplement, ((time, time_off), (energy, energy_off)) = page(title, 2, width=12, height=5.6)
     depths = np.unique(np.geomspace(5, deepest, 40).astype(int))
     exponents = []
     for place, delta in enumerate(sorted((*deltas, *further))):
@@ -102,7 +102,8 @@ def main() -> None:
             (energy, energy_off, e, theory_e),
         ):
             off = abs(values[-1] / line[-1] - 1)
-            axes.loglog(depths, line, color=shade, lw=1.2)
+            bounded = line if axes is not energy else np.where(line <= 1, line, np.nan)
+            axes.loglog(depths, bounded, color=shade, lw=1.2)
             axes.loglog(
                 depths,
                 values,
@@ -184,8 +185,15 @@ def main() -> None:
     for lower in (speed_off, time_off, energy_off):
         lower.set(xlabel="grain n, or length of the chain", ylabel="|run / theory − 1|")
     power_off.set(xlabel="exponent δ of the contacts", ylabel="difference")
-    legends(picture)
-    finish(picture, given.output)
+    for axes, ticks in ((speed, (0.1, 0.2, 0.3, 0.5)), (energy, (0.2, 0.5, 1))):
+        axes.set_yticks(ticks)
+        axes.yaxis.set(major_formatter="{x:g}", minor_formatter="")
+    for drawn, path in (
+        (picture, given.output),
+        (supplement, given.output.with_stem(given.output.stem + "_supplement")),
+    ):
+        legends(drawn)
+        finish(drawn, path)
 
 
 if __name__ == "__main__":

@@ -166,21 +166,28 @@ def main() -> None:
             color=colour,
             label=f"{name}: {100 * left:.1f} %",
         )
-        beads.plot(np.arange(1, BEADS + 1), 1e3 * scene.chain.diameters, ".-", color=colour)
-    pulses.axvline(begin / UNIT + DELAY, color="0.8", zorder=0)
+        beads.step(np.arange(1, BEADS + 1), 1e3 * scene.chain.diameters, where="mid", color=colour)
+    pulses.axvline(begin / UNIT + DELAY, ymax=0.6, color="0.8", zorder=0)
+    pulses.set_title("The pulse; the line: when half of it is wanted")
     pulses.set(
         xlabel="time over that of a long wave from bead to bead",
-        ylabel=f"velocity of bead {END}, mm/s",
+        ylabel=f"velocity of bead {END} (mm/s)",
     )
     pulses.set_xlim(begin / UNIT - 10, SCENE.duration / UNIT)
     pulses.set_ylim(top=10)
     pulses.legend(
         frameon=False, fontsize="small", title="peak force above the load", loc="upper left"
     )
-    beads.set(xlabel="bead", ylabel="diameter, mm", xlim=(PIECE.start - 5, PIECE.stop + 6))
+    beads.set(xlabel="bead", ylabel="diameter (mm)", xlim=(PIECE.start - 5, PIECE.stop + 6))
     found.plot(search)
-    search.axhline(least, color="#E69F00", ls="--")
+    search.axhline(least, color="#E69F00", ls="--", label="random, best")
     search.set(yscale="log", xlabel="runs of each start", ylabel="least objective so far")
+    search.tick_params(labelsize="medium")
+    for axis in (search.xaxis, search.yaxis):
+        axis.label.set_fontsize("medium")
+    search.set_title("The search by gradients, a line a start")
+    search.legend(frameon=False, fontsize="small", loc="lower left")
+    beads.set_title("The piece between beads that are alike")
     say(
         "delay by the speed of long waves over that wanted",
         delay_of_long_waves(found.values["diameters"]) / DELAY,

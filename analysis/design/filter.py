@@ -123,7 +123,7 @@ def main() -> None:
     say("gap from", gap[0])
     say("gap to", gap[1])
     say("pairs of runs", len(history))
-    picture = figure(10.0, 3.8)
+    picture = figure(11.0, 4.4)
     left, right = picture.subplots(1, 2)
     near = np.linspace(0.02, 0.998, 1500)
     for name, factors, style in (
@@ -138,19 +138,25 @@ def main() -> None:
             **style,
         )
     left.axvspan(*gap, color="#E69F00", alpha=0.25, lw=0, label="gap of the cells")
-    for way, colour in ((stop, "#D55E00"), (through, "#009E73")):
-        left.fill_between(
-            way.frequency / EDGE, 0.5 * way.weight / way.weight.max(), color=colour, alpha=0.4, lw=0
-        )
+    for way, colour, name in (
+        (stop, "#D55E00", "spectrum to stop (scaled)"),
+        (through, "#009E73", "spectrum to pass (scaled)"),
+    ):
+        shown = 0.5 * way.weight / way.weight.max()
+        left.fill_between(way.frequency / EDGE, shown, color=colour, alpha=0.4, lw=0, label=name)
     for share in () if given.quick else (0.2, 0.3, 0.38, STOP, 0.5, 0.6, 0.7, 0.75, PASS, 0.85):
         left.plot(share, Way(share).passed(found)[0], "o", ms=4, mfc="none", color="k")
-    left.plot([], [], "o", ms=4, mfc="none", color="k", label="packets")
+    left.plot([], [], "o", ms=4, mfc="none", color="k", label="runs of packets")
+    left.set_title("What passes twelve cells")
+    right.set_title("The search by gradients of two runs")
+    right.locator_params(axis="x", integer=True)
     left.set(
         xlabel="frequency over the highest",
         ylabel="share of the energy that passes",
         ylim=(0, 1.05),
     )
-    left.legend(frameon=False, fontsize="small", loc="lower left")
+    below = {"loc": "upper left", "bbox_to_anchor": (0, -0.14), "ncols": 3}
+    left.legend(frameon=False, fontsize="small", **below)
     for part, name, colour in zip(
         np.transpose(history), ("stopped", "passing"), ("#D55E00", "#009E73"), strict=True
     ):

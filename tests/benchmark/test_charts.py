@@ -316,7 +316,9 @@ def test_lammps_is_in_its_colour_and_the_rows_are_below(panels: Any):
         for name in ("lammps, verlet", "lammps, rkn4"):
             assert lines[name].get_color() == COLOURS["lammps"]
     ways = panels[0].figure.axes[3]
-    assert [text.get_text() for text in ways.texts] == RESULT.best()
+    lines = [text.get_text() for text in ways.texts]
+    assert [line.split()[1:3] for line in lines] == [line.split()[1:3] for line in RESULT.best()]
+    assert [line[:5].strip() for line in lines[1:4:2]] == ["10⁻³", "10⁻⁶"]
     assert {text.get_color() for text in ways.texts if "lammps" in text.get_text()} == {
         COLOURS["lammps"]
     }
