@@ -25,6 +25,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from scipy.optimize import differential_evolution
 
@@ -170,6 +171,17 @@ def evolution(seconds: float) -> tuple[float, Scene, int]:
     return *best, tried
 
 
+def draw_beads(axes: Axes, scene: Scene, height: float, colour: str) -> None:
+    """Draw beads one after the other, and the wall, at a height; light materials in white."""
+    diameters = 1e3 * scene.chain.diameters
+    centres = np.cumsum(diameters) - diameters / 2
+    light = scene.chain.masses < 5000 * np.pi / 6 * scene.chain.diameters**3
+    for x, diameter, soft in zip(centres, diameters, light, strict=True):
+        face = "w" if soft else colour
+        axes.add_patch(Circle((x, height), diameter / 2, fc=face, ec="0.2", lw=0.8))
+    axes.plot([diameters.sum()] * 2, [height - 8, height + 8], color="0.3", lw=3)
+
+
 def main() -> None:
     """Search both ways and draw the forces on the wall and the beads."""
     given = arguments(
@@ -240,8 +252,11 @@ def main() -> None:
     say("evolution, then gradients", both_peak, "N")
     say("runs with gradients after the evolution", both.runs)
     say("peak in three times the time over that", longer / both_peak)
-    picture = figure(10.0, 7.0)
-    above, below = picture.subplots(2, 2)
+    picture = figure(11.0, 8.0)
+    panels = picture.subplot_mosaic([["force", "search"], ["beads", "beads"]])
+    over_time = panels["force"]
+    search = panels["search"]
+    beads = panels["beads"]
     cases = {
         "equal": SCENE,
         f"random, best of {tried}": random_scene,
@@ -253,30 +268,22 @@ def main() -> None:
     }
     cases["evolution, then optimised"] = both.scene
     colours = "0.5", "#E69F00", "#0072B2", "#CC79A7", "#009E73", "#D55E00"
-    for (name, scene), colour in zip(cases.items(), colours, strict=True):
+    for place, ((name, scene), colour) in enumerate(zip(cases.items(), colours, strict=True)):
         at, force = wall_force(scene)
-        above[0].semilogy(1e3 * at, force, color=colour, label=f"{name}: {force.max():.3g} N")
-        below[0].plot(np.arange(1, BEADS + 1), 1e3 * scene.chain.diameters, ".-", color=colour)
-    above[0].set(xlabel="time, ms", ylabel="force on the wall, N", ylim=(1, 2e4))
-    above[0].legend(frameon=False, fontsize=8)
-    below[0].set(
-        xlabel="bead, the wall is below the last",
-        ylabel="diameter, mm",
-        xticks=range(2, BEADS + 1, 2),
-    )
-    found.plot(above[1])
-    above[1].axhline(random_peak, color="#E69F00", ls="--")
-    above[1].set(ylabel="least peak force so far, N", xlabel="runs of each start, steel")
-    below[1].set_aspect("equal")
-    for scene, y in ((found.scene, 22), (mixed.scene, 0), (both.scene, -22)):
-        diameters = 1e3 * scene.chain.diameters
-        centre = np.cumsum(diameters) - diameters / 2
-        soft = scene.chain.masses < 5000 * np.pi / 6 * scene.chain.diameters**3
-        for x, d, light in zip(centre, diameters, soft, strict=True):
-            below[1].add_patch(Circle((x, y), d / 2, fc="w" if light else "#56B4E9", ec="0.3"))
-        below[1].plot([diameters.sum()] * 2, [y - 9, y + 9], color="0.3", lw=3)
-    below[1].set(xlim=(-2, 1e3 * BEADS * SIZE + 2), ylim=(-36, 36), xlabel="mm", yticks=[])
-    below[1].set_title("optimised, struck from the left; white: PTFE", fontsize=9)
+        over_time.semilogy(1e3 * at, force, color=colour, label=f"{name}: {force.max():.3g} N")
+        draw_beads(beads, scene, -20.0 * place, colour)
+        beads.text(-3, -20.0 * place, name.split(", best of")[0], ha="right", va="center")
+    over_time.set(xlabel="time (ms)", ylabel="force on the wall (N)", ylim=(1, 1e6))
+    over_time.set_title("Force on the wall, and its largest")
+    over_time.legend(frameon=False, fontsize="small")
+    found.plot(search)
+    search.axhline(random_peak, color="#E69F00", ls="--", label="random, best")
+    search.set(ylabel="least peak force so far (N)", xlabel="runs of each start, steel")
+    search.set_title("The search by gradients, a line a start")
+    search.legend(search.lines[-1:], ["random, best"], frameon=False, fontsize="small")
+    beads.set(xlim=(-50, 1e3 * BEADS * SIZE + 4), ylim=(-112, 12), xlabel="from the striker (mm)")
+    beads.set(aspect="equal", yticks=[], xticks=range(0, 201, 25))
+    beads.set_title("The beads, struck from the left; white: PTFE")
     finish(picture, given.output)
 
 

@@ -37,3 +37,4 @@ bounds = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
 best = design.optimise(collision, design.Momentum([3]), ["masses"], bounds, maximise=True, starts=2)
 print("mass between 1 and 9 g:", best.values["masses"][1])
 picture_of_optimum = best.plot()
+picture_of_optimum.set_ylabel("momentum of the last ball (kg m/s)")
