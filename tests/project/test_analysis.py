@@ -124,6 +124,19 @@ KNOWN = {
         "overtaken, weakest": (-0.065, 0.003),
         "bands, sum over the energy less 1": (0, 1e-9),
     },
+    "shocks": {
+        # conserved quantities; the other laws hold for old and weak waves
+        "steady shocks, speed off Rankine and Hugoniot's": (0, 2e-3),
+        "plateau over that of a simple wave": (1, 3e-4),
+        "leading edge over a solitary wave as high": (1, 2e-3),
+        "leading edge off Whitham's, in that of sound, jump 1.91": (0, 0.01),
+        "rarefaction, trailing edge off theory": (0, 0.03),
+    },
+    "averages": {
+        "mean off the ensemble after the longest time": (0, 1e-3),
+        "variance off the ensemble after the longest time": (0, 0.03),
+        "intervals that cover": (95, 6),
+    },
     "scattering": {
         "transparent at, diameter × 0.9": (0.8132874794, 0.005),
         "transparent at, diameter × 1.1": (0.6229566659, 0.005),
@@ -283,6 +296,17 @@ CAPTIONS = {
         "share at 3, 0.1 m/s": "to {:.5f} at 3",
         "head-on, equal, weakest": "and by {:.0%} at 1.0125",
         "share at 210 kHz, strongest over weakest": "and {:.2f} times at 210",
+    },
+    "shocks": {
+        "leading edge off Whitham's, in that of sound, jump 1.91": "edge is {:.3f} of the speed",
+        "trailing edge off Whitham's, in that of sound, jump 1.91": "trailing edge {:.3f}, which",
+        "leading wave over the piston, in velocity": "wave is {:.2f} times as fast",
+        "steady shocks, speed off Rankine and Hugoniot's": "Hugoniot say, to {:.0e}, and",
+        "thickness over Burgers's, A times sound 0.15": "to {:.2f} times as thick",
+    },
+    "averages": {
+        "intervals that cover": "over 0.1 s {:.1f} % cover",
+        "variance off the ensemble, largest in half intervals": "lies within {:.2f} half",
     },
     "scattering": {
         "transparent at, diameter × 1.1": "{:.4f} and 0.4122 of its band edge",
