@@ -4,11 +4,10 @@
 
 Processor time of `simulate` with the native engine at 1e-6, the least of some repeats, beside the
 same where every attempt runs to its end, in turn in one process; and beside the last attempt alone.
-Writes pictures/lost_attempts.json.
+Writes tables/lost_attempts.md, which docs/speed.md shows.
 """
 
 import argparse
-import json
 import time
 import warnings
 from collections.abc import Iterator
@@ -22,7 +21,15 @@ from lmpchain.engines import Native
 from lmpchain.engines.native import companion_run
 from lmpchain.engines.native.companion_run import Looks
 
-TABLE = Path(__file__).parent / "pictures" / "lost_attempts.json"
+TABLE = Path(__file__).parent / "tables" / "lost_attempts.md"
+COLUMNS = (
+    "scene",
+    "with looks, s",
+    "every attempt to its end, s",
+    "the last attempt alone, s",
+    "with looks / last",
+    "answered to, ms",
+)
 TOLERANCE = 1e-6
 
 
@@ -87,27 +94,24 @@ def main() -> None:
     scenes["near springs"] = springs()
     for scene in (agitated(100), springs()):
         spend(scene)  # compiles
-    rows = {}
+    lines = [" | ".join(("", *COLUMNS, "")).strip(), "|---" * len(COLUMNS) + "|"]
     for name, scene in scenes.items():
         looked = []
-        whole = []
+        to_the_end = []
         last = []
         for _ in range(given.repeats):
             spent_s, step_s, end_s = spend(scene)
             looked.append(spent_s)
             with unseen():
-                whole.append(spend(scene)[0])
+                to_the_end.append(spend(scene)[0])
             if end_s == scene.duration:
                 last.append(spend_last(scene, step_s))
-        rows[name] = {
-            "answer_s": min(looked),
-            "unseen_s": min(whole),
-            "last_attempt_s": min(last) if last else None,
-            "asked_s": scene.duration,
-            "answered_s": end_s,
-        }
-        print(name, rows[name])
-    TABLE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        least = min(looked)
+        alone = f"{min(last):.3g} | {least / min(last):.2f}" if last else "- | -"
+        answered = f"{1e3 * end_s:.3g} of {1e3 * scene.duration:.3g}"
+        lines.append(f"| {name} | {least:.3g} | {min(to_the_end):.3g} | {alone} | {answered} |")
+        print(lines[-1])
+    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -13,13 +13,14 @@ from functools import cache, partial
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.event import Event, Listener, register
 
+from .progress import PERCENT, ProgressBar
 from .remarks import warn
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
@@ -34,7 +35,26 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     warn("NUMBA_DISABLE_JIT is ignored: the kernels run compiled only; unset it")
     numba.config.DISABLE_JIT = 0  # type: ignore[attr-defined]
 
-_messages: dict[Callable, str] = {}  # for the compilation of each function
+BLAS = "scipy.linalg.cython_blas"
+if BLAS not in sys.modules:
+    # numba would import scipy.linalg, a fifth of the time of a command, to see that it is there
+    sys.modules[BLAS] = None  # type: ignore[assignment]
+    from numba.np import arraymath
+
+    arraymath._HAVE_BLAS = True  # type: ignore[attr-defined]
+    del sys.modules[BLAS]
+
+LONG_S = 3  # what compiles as long is announced, and has a bar from then on
+
+
+class _Job(NamedTuple):
+    """A compilation: what is said of it, and about how long all with the same text take, s."""
+
+    message: str
+    seconds: int
+
+
+_jobs: dict[Callable, _Job] = {}  # the compilation of each function
 _announced: set[str] = set()
 _complained: set[Path] = set()
 DIGEST = sha256().digest_size
@@ -43,14 +63,32 @@ DIGEST = sha256().digest_size
 class _Announcer(Listener):
     """Announce compilations that take long; loading a kept result is silent."""
 
+    def __init__(self) -> None:
+        self.depth = 0
+        self.bar: ProgressBar | None = None
+
     def on_start(self, event: Event) -> None:
-        message = _messages.get(event.data["dispatcher"].py_func)
-        if message is not None and message not in _announced:
-            _announced.add(message)
-            print(message, file=sys.stderr, flush=True)
+        job = _jobs.get(event.data["dispatcher"].py_func)
+        if job is not None and job.seconds >= LONG_S:
+            if job.message not in _announced:
+                _announced.add(job.message)
+                print(job.message, file=sys.stderr, flush=True)
+            if self.depth == 0:
+                on_terminal = sys.stderr.isatty()
+                self.bar = ProgressBar(
+                    job.seconds, "compiling", layout=PERCENT, delay_s=LONG_S, shown=on_terminal
+                )
+                self.began = time.perf_counter()
+        self.depth += 1
 
     def on_end(self, event: Event) -> None:
-        pass
+        self.depth -= 1
+        if self.bar is not None:
+            # functions end one in another; what is left to do is known by the clock alone
+            self.bar.reach(min(time.perf_counter() - self.began, self.bar.total))
+            if self.depth == 0:
+                self.bar.close()
+                self.bar = None
 
 
 class _Stopwatch(Listener, threading.local):
@@ -182,7 +220,7 @@ def compiled_once(
     what : str
         What is compiled; functions with the same text are announced once a process.
     seconds : int
-        About how long all of it takes.
+        About how long all of it takes. What takes less than 3 s is silent.
     kind : str, optional
         Tells functions that one factory makes apart.
     **options
@@ -205,7 +243,7 @@ def compiled_once(
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
             dispatcher = numba.njit(**options)(function)
-        _messages[function] = f"compiling {what}, {when}: about {seconds} s"
+        _jobs[function] = _Job(f"compiling {what}, {when}: about {seconds} s", seconds)
         return dispatcher
 
     return decorate

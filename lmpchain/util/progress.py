@@ -7,6 +7,7 @@ from typing import Any, Self
 from .arrays import check_flags
 
 COUNT = "{desc}: {n:.0f} of {total}{unit} |{bar}| {elapsed}, {remaining} left"
+PERCENT = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
 RATE = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}"
 
 
@@ -24,7 +25,9 @@ class ProgressBar:
     done : float
         Amount that was done before.
     layout : str
-        What the bar says, in the fields of tqdm: `COUNT` or `RATE`.
+        What the bar says, in the fields of tqdm: `COUNT`, `PERCENT` or `RATE`.
+    delay_s : float
+        What ends before that shows nothing, s.
     shown : bool
         tqdm is imported only if it is.
 
@@ -43,16 +46,24 @@ class ProgressBar:
         *,
         done: float = 0,
         layout: str = COUNT,
+        delay_s: float = 0.0,
         shown: bool = True,
     ):
         check_flags(progress=shown)
+        self.total = total
         self._bar: Any = None
         if shown:
             # its import takes longer than many runs
             from tqdm.auto import tqdm
 
             self._bar = tqdm(
-                total=total, desc=text, unit=unit, initial=done, leave=False, bar_format=layout
+                total=total,
+                desc=text,
+                unit=unit,
+                initial=done,
+                leave=False,
+                bar_format=layout,
+                delay=delay_s,
             )
 
     def __enter__(self) -> Self:
@@ -64,6 +75,11 @@ class ProgressBar:
                 self._bar.n = self._bar.total
                 # a fast one has shown nothing since its beginning
                 self._bar.refresh()
+            self.close()
+
+    def close(self) -> None:
+        """Take the bar away."""
+        if self._bar is not None:
             self._bar.close()
 
     def advance(self, amount: float = 1) -> None:

@@ -3,6 +3,7 @@
 import base64
 import importlib.util
 import inspect
+import io
 import pickle
 import struct
 import sys
@@ -67,6 +68,7 @@ def test_a_bar_counts_what_is_done(monkeypatch: pytest.MonkeyPatch):
         "initial": 2,
         "leave": False,
         "bar_format": RATE,
+        "delay": 0.0,
     }
     assert shown.calls == [1, 0.5, 2.5, "native", ("slow", False), ("shown", 7), "closed"]
     with ProgressBar(3):
@@ -212,16 +214,32 @@ def test_a_compilation_is_announced_once_and_its_time_is_counted(
     del sys.modules["toy_announced"]
 
 
+def test_a_long_compilation_has_a_bar_on_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    toy = module(tmp_path, "toy_with_bar", TOY.format(name="another"))
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", terminal)
+        assert toy.twice(2) == 4
+        assert "%" not in terminal.getvalue(), "it was short"
+        patch.setattr(compilation, "LONG_S", 0)
+        assert toy.half(2) == np.inf
+    assert "\rcompiling:   0% |" in terminal.getvalue()
+    del sys.modules["toy_with_bar"]
+
+
 def test_what_cannot_be_kept_is_compiled_in_every_process(capsys: pytest.CaptureFixture[str]):
     names: dict[str, Any] = {}
     exec(compile("def third(x):\n    return x / 3", "<no file>", "exec"), names)
-    third = compilation.compiled_once("what has no file", 2)(names["third"])
+    third = compilation.compiled_once("what has no file", 3)(names["third"])
     assert third(3.0) == 1.0
     said = capsys.readouterr().err
     assert said.startswith(
         "compiling what has no file, in every process, for there is no folder to keep it in"
     )
-    assert said.endswith(": about 2 s\n")
+    assert said.endswith(": about 3 s\n")
 
 
 def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.MonkeyPatch):

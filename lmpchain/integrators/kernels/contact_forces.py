@@ -28,7 +28,7 @@ from .layout import Links, Rows
 # bits
 STRICT = {"nnan", "ninf", "nsz"}
 # functions that are called from Python, and kept for later processes
-compiled_engine = partial(compiled_once, "the native engine", 7, error_model="numpy")
+compiled_engine = partial(compiled_once, "the native engine", 15, error_model="numpy")
 compiled_march = partial(compiled_engine, nogil=True, fastmath=STRICT)
 llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
