@@ -80,6 +80,7 @@ def test_a_bar_counts_what_is_done(monkeypatch: pytest.MonkeyPatch):
         "initial": 0,
         "leave": False,
         "bar_format": COUNT,
+        "delay": 0.0,
     }
     with ProgressBar(3, shown=False) as bar:
         bar.advance()
