@@ -44,6 +44,12 @@ class Reference(NamedTuple):
     steps: int
     events: int
 
+    def until(self, samples: int) -> Reference:
+        """Return its first samples; the largest motion stays that of all."""
+        return self._replace(
+            displacement=self.displacement[:samples], velocity=self.velocity[:samples]
+        )
+
     def error(self, displacement: Array, velocity: Array) -> float:
         """Return how far an answer is off, relative to the largest motion of the run."""
         pairs = zip(

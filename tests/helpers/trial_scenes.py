@@ -243,6 +243,9 @@ def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | 
     kinds = ["force"] * 4 + ["wall"] * 3 * (chain.top == "wall") + ["drive"] * (chain.top == "free")
     kind = rng.choice(kinds + ["packet"] * 3 * chain.compressed)
     contact = max(grain - 1, int(chain.top == "free")) if kind == "force" else int(kind == "drive")
+    if kind == "force" and chain.compressed and chain.contacts.force[contact] == 0.0:
+        # a wall that nothing presses against grain 1: its contact below holds it
+        contact += 1
     constant = chain.contacts.constant[contact]
     mass = chain.masses[max(contact - 1, 0)]
     held = chain.contacts.force[contact] if chain.compressed else _log(rng, 1e-6, 10)

@@ -208,7 +208,8 @@ def judge(
         row |= {"doubt": doubt, "events": true.events}
         clear = missed and doubt < tolerance / 30
         if answer is not None:
-            off = true.error(answer.displacement, answer.velocity)
+            # what cannot be predicted to its end is answered as far as it can
+            off = true.until(answer.time.size).error(answer.displacement, answer.velocity)
             row |= {"true": off, "ratio": estimate / off if off else np.inf,
                     "above": off - doubt > tolerance,
                     "low": off - doubt - ROUND > LOW * estimate}  # fmt: skip
@@ -241,6 +242,8 @@ def possible(scene: Scene, true: Reference, tolerance: float, engine: str) -> bo
             with warnings.catch_warnings(action="ignore"), within(LONGEST):
                 answer = simulate(scene, engine, tolerance, on_miss="warn")
         except (ToleranceNotMet, RunFailed, TooLong):
+            return False
+        if answer.time.size < scene.samples:
             return False
         return true.error(answer.displacement, answer.velocity) < tolerance / 3
     try:
