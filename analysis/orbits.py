@@ -44,13 +44,7 @@ def main() -> None:
     for longer in np.geomspace(breather.period, most * period, 2 if given.quick else 41)[1:]:
         far.append(orbits.follow(here, "period", longer))
         here = far[-1][-1]
-    both = orbits.Family(
-        (*near.orbits[::-1], *(orbit for piece in far for orbit in piece.orbits[1:])),
-        np.concatenate((near.value[::-1], *(piece.value[1:] for piece in far))),
-        "period",
-        tuple(event for piece in (near, *far) for event in piece.events),
-        all(piece.reached for piece in (near, *far)),
-    )
+    both = near.backwards().join(*far)
     say("events", len(both.events))
     say("orbits followed", len(both))
     inside = np.flatnonzero(both.period > breather.period)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..chain.chain import Chain
+from ..errors import InputError
 from ..scene.excitation import Force
 from ..theory.bands import Cell, branches, repeating
 from ..theory.modes import eigenmodes
@@ -22,6 +23,7 @@ from .orbit import Orbit
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+SAME = 1e-6  # relative: orbits nearer than this in value, period and energy are one
 DECADES = 50.0  # ratio of sizes from which on an axis is logarithmic
 MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^", "branch point": "D"}
 
@@ -112,6 +114,63 @@ class Family(Shown, Tabular):
     def stable(self) -> np.ndarray:
         """Which orbits are stable, (P,) bool."""
         return np.array([orbit.stable for orbit in self.orbits])
+
+    def backwards(self) -> Family:
+        """Return the same orbits and events in the opposite order."""
+        last = len(self) - 2
+        events = (
+            replace(event, after=last - event.after) if event.after >= 0 else event
+            for event in self.events[::-1]
+        )
+        return replace(self, orbits=self.orbits[::-1], value=self.value[::-1], events=tuple(events))
+
+    def join(self, *others: Family) -> Family:
+        """Return one family of this and others that each go on where the one before ended.
+
+        The orbit where two meet counts once. The joined family has come to its value if all have;
+        else it says why the first of them that did not has ended.
+
+        Raises
+        ------
+        InputError
+            If a family is one in another parameter, or begins elsewhere.
+
+        Examples
+        --------
+        >>> lower = orbits.follow(orbit, "energy", 1e-6)                # doctest: +SKIP
+        >>> upper = orbits.follow(orbit, "energy", 4e-6)                # doctest: +SKIP
+        >>> lower.backwards().join(upper).plot()                        # doctest: +SKIP
+        """
+        joined = self
+        for other in others:
+            if other.parameter != self.parameter:
+                raise InputError.at(
+                    "parameter", f"a family in {self.parameter} is needed to join it"
+                )
+            end, start = (
+                [f.value[n], f[n].period, f[n].energy] for f, n in ((joined, -1), (other, 0))
+            )
+            if not np.allclose(start, end, rtol=SAME, atol=0.0):
+                raise InputError.at(
+                    "others",
+                    f"a family that begins at {self.parameter} = {start[0]:g} does not go on "
+                    f"from {end[0]:g}; join in their order, `backwards()` turns one round",
+                )
+            # events count the orbits of their own family
+            earlier = len(joined) - 1
+            events = (
+                replace(event, after=event.after + earlier) if event.after >= 0 else event
+                for event in other.events
+            )
+            joined = replace(
+                joined,
+                orbits=joined.orbits + other.orbits[1:],
+                value=np.append(joined.value, other.value[1:]),
+                events=(*joined.events, *events),
+                reached=joined.reached and other.reached,
+                ended=joined.ended or other.ended,
+            )
+        return joined
 
     def plot(self, ax: Axes | None = None, of: str = "") -> Axes:
         """Draw energy against frequency, or the response to a drive, and return the axes.

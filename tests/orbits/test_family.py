@@ -1,5 +1,6 @@
 """The picture and the numbers of a family of orbits: what is drawn, where, and in which units."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain
+from lmpchain.errors import InputError
 from lmpchain.orbits.family import Event, Family
 from lmpchain.util.plotting import COLOURS
 
@@ -186,3 +188,49 @@ def test_the_numbers_of_a_family_are_written_with_its_last_orbit():
         ],
         "orbit": {"frequency": FREQUENCY[-1]},
     }
+
+
+def turned(places: tuple[int, ...], first: int, last: int) -> Family:
+    """Return the orbits from first to last, with folds after some of them."""
+    events = tuple(replace(event("fold", place), after=place - first) for place in places)
+    whole = family(DIMER)
+    return replace(
+        whole,
+        orbits=whole.orbits[first : last + 1],
+        value=whole.value[first : last + 1],
+        events=events,
+    )
+
+
+def test_joined_families_are_the_family_that_was_cut():
+    events = tuple(replace(event("fold", place), after=place) for place in (1, 3))
+    whole = family(DIMER, events=events)
+    pieces = (turned((1,), 0, 2), turned((3,), 2, 4))
+    upwards = pieces[0].join(pieces[1])
+    downwards = pieces[1].backwards().join(pieces[0].backwards())
+    for joined in (upwards, downwards.backwards()):
+        np.testing.assert_array_equal(joined.value, whole.value)
+        assert [e.after for e in joined.events] == [1, 3]
+        assert [orbit.energy for orbit in joined] == ENERGY.tolist()
+        drawn = joined.plot().lines
+        for line, true in zip(drawn, whole.plot().lines, strict=True):
+            np.testing.assert_array_equal(line.get_xydata(), true.get_xydata())
+    # between orbits 4 and 3, then 2 and 1, which the numbers from above call 0 and 2
+    assert [e.after for e in downwards.events] == [0, 2]
+
+
+def test_a_joined_family_says_why_its_first_unfinished_piece_ended():
+    lower = turned((), 0, 2)
+    upper = replace(turned((), 2, 4), reached=False, ended="it turns back")
+    joined = lower.join(upper)
+    assert (joined.reached, joined.ended) == (False, "it turns back")
+    # an event without a place keeps none
+    assert lower.join(replace(upper, events=(event("fold", 3),))).events[0].after == -1
+
+
+def test_only_families_that_go_on_are_joined():
+    lower = turned((), 0, 1)
+    with pytest.raises(InputError, match=r"begins at energy = 1.2e-05 .* from 6e-06; .*backwards"):
+        lower.join(turned((), 2, 4))
+    with pytest.raises(InputError, match="a family in energy"):
+        lower.join(replace(turned((), 1, 4), parameter="period"))
