@@ -132,6 +132,11 @@ KNOWN = {
         "leading edge off Whitham's, in that of sound, jump 1.91": (0, 0.01),
         "rarefaction, trailing edge off theory": (0, 0.03),
     },
+    "averages": {
+        "mean off the ensemble after the longest time": (0, 1e-3),
+        "variance off the ensemble after the longest time": (0, 0.03),
+        "intervals that cover": (95, 6),
+    },
     "scattering": {
         "transparent at, diameter × 0.9": (0.8132874794, 0.005),
         "transparent at, diameter × 1.1": (0.6229566659, 0.005),
@@ -298,6 +303,10 @@ CAPTIONS = {
         "leading wave over the piston, in velocity": "wave is {:.2f} times as fast",
         "steady shocks, speed off Rankine and Hugoniot's": "Hugoniot say, to {:.0e}, and",
         "thickness over Burgers's, A times sound 0.15": "to {:.2f} times as thick",
+    },
+    "averages": {
+        "intervals that cover": "over 0.1 s {:.1f} % cover",
+        "variance off the ensemble, largest in half intervals": "lies within {:.2f} half",
     },
     "scattering": {
         "transparent at, diameter × 1.1": "{:.4f} and 0.4122 of its band edge",
