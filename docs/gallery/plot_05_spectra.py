@@ -24,5 +24,5 @@ picture_of_spectrum = spectrum.spectrum(t).plot()
 # %%
 # A dimer has two bands and a gap between them.
 dimer = lmpchain.patterns.periodic(64, 1e-2, ["steel", "ptfe"], gravity=0, top_load=20.0)
-ringing = lmpchain.Scene(chain=dimer, excitation=strike, duration=2e-3, samples=1024)
+ringing = lmpchain.Scene(chain=dimer, excitation=strike, duration=8e-3, samples=4096)
 picture_of_dimer = spectrum.dispersion(lmpchain.simulate(ringing, tolerance=1e-3), 1, 62).plot()

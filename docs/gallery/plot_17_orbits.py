@@ -15,5 +15,5 @@ print(f"period {1e6 * orbit.period:.2f} us, stable: {orbit.stable}")
 picture = orbit.plot()
 
 # %%
-family = orbits.follow(orbit, "energy", 2e-5)
+family = orbits.follow(orbit, "energy", 1e-3)
 picture_of_family = family.plot()

@@ -16,6 +16,7 @@ from .pareto import KNOWN, front, time_to
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+ROOM = 0.6  # of the width of axes: names of marks further right stand on their left
 LABELLED = 5  # curves in colour, those that reach the target soonest
 TARGET = 1e-6  # error
 FRONT = "#F0E442"
@@ -188,16 +189,22 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
     def height(point: tuple[float, float, str]) -> int:
         return round(2 * math.log10(max(point[0], LEAST_ERROR)))
 
+    # settles the limits, on which places depend
+    ax.get_xlim()
     for _, group in groupby(points, key=height):
         errors, costs, names = zip(*group, strict=True)
         for error, cost, name in zip(errors, costs, names, strict=True):
             ax.plot(cost, error, MARKERS.get(name, "x"), color="0.8", mec="k", ms=8, zorder=5)
         label = textwrap.fill(", ".join(names), 20)
+        place = ax.transAxes.inverted().transform(ax.transData.transform((max(costs), errors[0])))
+        # on the side where there is room
+        late = place[0] > ROOM
         ax.annotate(
             label,
             (max(costs), errors[0]),
-            (8, 0),
+            (-8 if late else 8, 0),
             textcoords="offset points",
+            ha="right" if late else "left",
             va="center",
             fontsize="small",
             zorder=6,
@@ -222,13 +229,13 @@ def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[s
         ax.annotate(f"{1e3 * times[name]:.3g}", (1e3 * times[name], row), (7, 0), **text)
     ax.set_yticks(rows, reached, fontsize="x-small")
     ax.set(xscale="log", xlabel="ms", ylim=(len(reached) - 0.4, -0.6))
-    ax.margins(x=0.15)
+    ax.margins(x=0.3)
     ax.grid(axis="x", color="0.92", lw=0.6)
     exponent = round(math.log10(TARGET))
     ax.set_title(f"Time to an error of $10^{{{exponent}}}$", loc="left", fontsize="medium")
     never = [name for name in times if name not in reached]
     if never:
-        ax.set_xlabel(f"ms\n\nnever: {textwrap.fill(', '.join(never), 48)}", fontsize="x-small")
+        ax.set_xlabel(f"ms\n\nnever: {textwrap.fill('; '.join(never), 48)}", fontsize="x-small")
 
 
 def _pairs(points: Iterable[Mapping[str, Any]], cost: str) -> list[tuple[float, float]]:

@@ -169,20 +169,23 @@ class ContinuumFit(Fitted, Tabular):
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw C from every sample against tau^2 - chi^2, with fit and theory; returns the axes."""
+        """Draw C of every sample and of the fit over that of theory; returns the axes."""
+        from matplotlib.ticker import LogLocator
+
         ax = axes_in_units(ax, "", "")
         amplitudes = self.values * self.cone**self.power
         label = f"samples of {np.unique(self.grain).size} grains"
-        ax.plot(self.cone, amplitudes, ".", markersize=3, label=label)
+        ax.plot(self.cone, amplitudes / self.expected - 1, ".", markersize=3, label=label)
         label = f"C = {self.amplitude:.8g} ± {self.error:.1g}"
-        ax.axhline(self.amplitude, color="k", lw=1, label=label)
+        ax.axhline(self.amplitude / self.expected - 1, color="k", lw=1, label=label)
         label = f"Eq. (35): {self.expected:.8g}"
-        ax.axhline(self.expected, color="0.5", lw=1, ls="--", label=label)
+        ax.axhline(0.0, color="0.5", lw=1, ls="--", label=label)
         ax.set(
             xscale="log",
-            xlabel="tau² − chi² (time in units of √(m₁/k₁))",
-            ylabel=f"displacement / v0 √(m₁/k₁)\n· (tau² − chi²)^{self.power:.3g}",
+            xlabel=r"$\tau^2 - \chi^2$ (time in units of $\sqrt{m_1/k_1}$)",
+            ylabel="C over that of Eq. (35), less 1",
         )
+        ax.xaxis.set(major_locator=LogLocator(subs=(1, 2, 5)), minor_formatter="")
         legend(ax)
         return ax
 

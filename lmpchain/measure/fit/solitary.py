@@ -84,18 +84,17 @@ class SolitonFit(Fitted, Tabular):
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw peak velocity and local speed of the grains over the exact; returns the axes."""
+        """Draw how far peak velocity and local speed are off the exact wave; returns the axes."""
         ax = axes_in_units(ax, "", "")
         local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
-        height = self.velocity / self.amplitude - 1
-        speed = local / self.expected[1] - 1
-        formula = self.formula / self.expected[1] - 1
+        height = np.abs(self.velocity / self.amplitude - 1)
+        speed = np.abs(local / self.expected[1] - 1)
+        formula = abs(self.formula / self.expected[1] - 1)
         author = "Coste" if self.wave.loaded else "Nesterenko"
         ax.plot(self.grain, height, ".", label="largest velocity, over its mean")
         ax.plot(self.grain, speed, ".", label="local speed, over that of the solitary wave")
         ax.axhline(formula, color="0.4", lw=1, ls="--", label=f"speed by {author}'s formula")
-        ax.axhline(0, color="k", lw=1)
-        ax.set(xlabel="grain, from the top", ylabel="relative difference")
+        ax.set(yscale="log", xlabel="grain, from the top", ylabel="|relative difference|")
         legend(ax)
         return ax
 
