@@ -2,8 +2,8 @@
 Time of flight between two sensors
 ==================================
 
-As an experiment does it: from the peak at one sensor to the peak at the other, with how far off it
-may be.
+As an experiment does it: from the peak at one sensor to the peak at the other, with its
+error.
 """
 
 import lmpchain

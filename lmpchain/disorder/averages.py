@@ -99,7 +99,7 @@ def ensemble(
     of: Of = "stiffness",
     progress: bool = False,
 ) -> Ensemble:
-    """Answer a scene for many disordered chains and average.
+    """Simulate a scene for many disordered chains and average.
 
     Only running means and variances are held, whatever the number of chains. Chain i is that of
     `realisation` and is answered with the same bits however many others there are.

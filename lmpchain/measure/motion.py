@@ -410,7 +410,7 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     Returns
     -------
     Peaks
-        Grains, values and how far off these may be.
+        Grains, values and their errors.
 
     Raises
     ------

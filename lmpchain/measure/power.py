@@ -184,7 +184,7 @@ def _check_drive(drive: object) -> Drive | Force:
 
 
 def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, float]:
-    """Return the mean over the last periods, and how far it may be off by change and sampling.
+    """Return the mean over the last periods, and its error by change and sampling.
 
     Hann's window, over whole periods, leaves out harmonics and what dies out at other frequencies.
     """

@@ -39,7 +39,7 @@ class Plan(Shown, Tabular):
     step : float
         s; of an exact solution, the time between two samples.
     expected_error : float
-        Of equation and solver together; the run says how far off the equation was.
+        Of equation and solver together; the run states the error of the equation.
     expected_cost_s : float
         Time for setting up, integrating and estimating the error, s.
     why : str

@@ -156,7 +156,7 @@ def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     if proposal.solver_error > tolerance:
         why = f"its solver leaves about {proposal.solver_error:.1g}, above the tolerance"
     elif math.isnan(proposal.model_error):
-        why = f"how far off {theory} is here is not known before the run"
+        why = f"the error of {theory} here is not known before the run"
     else:
         error = percent(proposal.model_error)
         why = f"strike number {scene.strike_number:.2g}: {theory} leaves out up to {error}"

@@ -33,7 +33,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
         Its dimensions are what was swept: those of the grid under the names of their keys, `case`
         for a list, `draw` for random draws, `realisation` for disorder; then `time` in s (or
         `sample`, with the times as a coordinate, if scenes differ in them) and `grain`. What is
-        read off a motion comes with how far it may be off, under the name with `_error`. Arrays are
+        read off a motion comes with its error, under the name with `_error`. Arrays are
         read from their files when they are used. Where a scene has failed or is not done, all
         values are NaN, and `reason` says why; it is empty for the others. Of a scene that cannot be
         predicted to its end, largest values and fronts stay that are settled before; what samples

@@ -46,7 +46,7 @@ class Trajectory(Shown, Record, Tabular):
     provenance : dict
         Choices that shaped the solution, and versions.
     gathered : dict
-        The `quantities` of the scene by name, and how far off each may be, by name with "_error":
+        The `quantities` of the scene by name, and their errors, by name with "_error":
         (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,).
     """
 

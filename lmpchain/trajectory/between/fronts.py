@@ -1,4 +1,4 @@
-"""Wave fronts of grains: which of their maxima they are, how far off, and how wide, compiled."""
+"""Wave fronts of grains: which of their maxima they are, their errors and widths, compiled."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def choose(events, largest, start, rules):
 
 @compiled
 def spread(event, rules):
-    """Return how far off the time of a maximum is by the errors of its slope, or of its height."""
+    """Return the error of the time of a maximum by the errors of its slope, or of its height."""
     top = abs(event.height)
     # errors of slope and curvature that an error of the highest frequency has
     swift = rules.frequency * rules.error
@@ -116,7 +116,7 @@ def _earlier(events, when, lowest, late, rules):
 
 @compiled
 def doubt_choice(events, at, late, peak, rules):
-    """Return how far off time and height of a front are, for other maxima may be the front.
+    """Return the errors of time and height of a front, for other maxima may be the front.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 Between two samples the velocity is the polynomial of degree 6 that has the recorded velocity v,
 the acceleration a and the jerk j at both ends, and carries the grain from one recorded
 displacement u to the other. Without that last condition it is the quintic through v, a and j; by
-how much that misses the recorded displacement shows how far off both may be.
+how much that misses the recorded displacement shows the error of both.
 
 Polynomials are in Bernstein form: the sum of c_k B_k(s), s = t / h from 0 to 1. They lie between
 the least and the largest of the c_k and have at most as many roots as these change sign. The mean

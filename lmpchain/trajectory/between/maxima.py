@@ -59,7 +59,7 @@ class Largest(NamedTuple):
     high: Array
 
     def estimate(self, error: float) -> tuple[Array, Array]:
-        """Return the values and how far off they are, for samples with this error."""
+        """Return the values and their errors, for samples with this error."""
         return self.value, np.maximum(self.high - self.value, self.value - self.low) + error
 
 
