@@ -229,7 +229,7 @@ def _answer_alone(
 def _answer_beginning(
     scene: Scene, engine: Engine, plan: Sweep, missed: ToleranceNotMet
 ) -> Beginning | None:
-    """Simulate a scene as long as it can be predicted; None if nothing that is kept is known then."""
+    """Simulate a scene while it can be predicted; None if nothing that is kept is known then."""
     keep = [name for name in plan.keep if is_extreme(name)]
     # a long run stopped there: how much its rest would change is not known
     stopped = missed.trajectory and missed.trajectory.scene.samples < scene.samples
