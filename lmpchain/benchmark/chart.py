@@ -16,7 +16,7 @@ from .pareto import KNOWN, front, time_to
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ROOM = 0.6  # of the width of axes: names of marks further right stand on their left
+ROOM = 0.75  # of the width of axes: names of marks further right stand on their left
 LABELLED = 5  # curves in colour, those that reach the target soonest
 TARGET = 1e-6  # error
 FRONT = "#F0E442"

@@ -110,7 +110,9 @@ class ContactHistory(Shown, Tabular):
         above_rest : bool
             Whether to draw what the forces are above those at rest.
         """
-        from matplotlib.ticker import EngFormatter, MaxNLocator
+        from matplotlib.ticker import MaxNLocator
+
+        from ..util.ticks import UnitFormatter
 
         ax = axes_in_units(ax, "s", "N")
         label = "contact force above rest" if above_rest else "contact force"
@@ -131,7 +133,7 @@ class ContactHistory(Shown, Tabular):
                 colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
                 extend = "both"
             mesh = ax.pcolorfast(edges(self.time), edges(numbers), force, **colours)
-            colour_bar(ax, mesh, label, format=EngFormatter("N"), extend=extend)
+            colour_bar(ax, mesh, label, format=UnitFormatter("N"), extend=extend)
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))
             ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])

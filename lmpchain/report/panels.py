@@ -78,7 +78,7 @@ def wave(run: Trajectory) -> Panel:
 
 def waveforms(run: Trajectory) -> Panel:
     """Draw velocity over grains at some times, with linear theory where there is one."""
-    from matplotlib.ticker import EngFormatter
+    from ..util.ticks import UnitFormatter
 
     run = crop(run)
     picture = figure(WIDTH, 4.4)
@@ -108,7 +108,7 @@ def waveforms(run: Trajectory) -> Panel:
     first, last = extent(run)
     above.set_xlim(first - 0.5, last + 0.5)
     above.set_ylabel("velocity downward")
-    above.yaxis.set_major_formatter(EngFormatter("m/s"))
+    above.yaxis.set_major_formatter(UnitFormatter("m/s"))
     legend(above)
     below.axhline(0, color=COLOURS["lammps"], lw=0.8)
     below.set(xlabel="grain, from the top", ylabel="difference\n/ largest")
@@ -131,7 +131,9 @@ def waveforms(run: Trajectory) -> Panel:
 
 def arrival(run: Trajectory) -> Panel:
     """Draw height and arrival of the front against depth, each with its law where there is one."""
-    from matplotlib.ticker import EngFormatter, LogLocator, StrMethodFormatter
+    from matplotlib.ticker import LogLocator, StrMethodFormatter
+
+    from ..util.ticks import UnitFormatter
 
     track = front_below(run)
     chain = run.scene.chain
@@ -151,7 +153,7 @@ def arrival(run: Trajectory) -> Panel:
     # depths are numbers of grains, "0.5" and not "500 m"
     for axis, form in (
         (height.xaxis, StrMethodFormatter("{x:g}")),
-        (height.yaxis, EngFormatter("m/s")),
+        (height.yaxis, UnitFormatter("m/s")),
     ):
         axis.set(
             major_locator=LogLocator(subs=(1, 2, 3, 5)), major_formatter=form, minor_formatter=""

@@ -97,7 +97,7 @@ class Plan(Shown, Tabular):
         Filled markers stand for candidates that are expected to meet the tolerance; the ring is the
         one taken.
         """
-        from matplotlib.ticker import EngFormatter
+        from ..util.ticks import UnitFormatter
 
         ax = axes_in_units(ax, "s", "")
         ax.axhline(
@@ -123,7 +123,7 @@ class Plan(Shown, Tabular):
             label="taken",
         )
         ax.set(xscale="log", yscale="log", xlabel="expected cost", ylabel="expected error, at most")
-        ax.xaxis.set_major_formatter(EngFormatter("s"))
+        ax.xaxis.set_major_formatter(UnitFormatter("s"))
         ax.xaxis.set_minor_formatter("")
         ax.margins(0.2)
         legend(ax)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.ticker import EngFormatter, LogLocator
+from matplotlib.ticker import LogLocator
 
 from ..scene.scene import Scene
 from ..util.arrays import Array
@@ -16,6 +16,7 @@ from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, look_of, panels, window
 from ..util.tables import align, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
+from ..util.ticks import UnitFormatter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,7 +154,7 @@ def _draw_steps(axes: Axes, result: Stability) -> None:
     label = "longest step before a run of this duration breaks down"
     axes.set(xscale="log", xlabel=label, title="Time step")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.xaxis.set_major_formatter(UnitFormatter("s"))
     axes.xaxis.set_minor_formatter("")
     axes.set_yticks(heights, [row.method for row in rows])
     axes.grid(axis="x", color="0.92", lw=0.6)
@@ -166,7 +167,7 @@ def _draw_energy(axes: Axes, result: Stability) -> None:
         error = np.maximum(curve.y[1:], LEAST_ERROR)
         axes.plot(curve.x[1:], error, color=colour, lw=1.2, label=curve.name)
     axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
-    axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.xaxis.set_major_formatter(UnitFormatter("s"))
     axes.set_title("Energy, with forty steps a period of the fastest oscillation")
     _legend(axes)
 
@@ -190,7 +191,7 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
                     name = f"predictable to {TOLERANCE:g}, {label}"
                     axes.axvline(value, color="0.3", ls=style, lw=1.2, label=name)
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
-    axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.xaxis.set_major_formatter(UnitFormatter("s"))
     axes.locator_params(axis="x", nbins=5)
     axes.set_title("Divergence of two runs, 1e-13 apart at the start")
     _legend(axes)

@@ -21,7 +21,9 @@ def space_time(
     trajectory: Record, field: Literal["velocity", "displacement"], ax: Axes | None
 ) -> Axes:
     """Draw the motion over time and depth; see `Trajectory.plot`."""
-    from matplotlib.ticker import EngFormatter, MaxNLocator
+    from matplotlib.ticker import MaxNLocator
+
+    from ..util.ticks import UnitFormatter
 
     ax = axes_in_units(ax, "s", "")
     order = as_slice(np.argsort(trajectory.grains))
@@ -33,7 +35,7 @@ def space_time(
     limit = scale(motion)
     mesh = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
     colour_bar(
-        ax, mesh, f"{field}, downward", format=EngFormatter(UNITS_OF_FIELDS[field]), extend="both"
+        ax, mesh, f"{field}, downward", format=UnitFormatter(UNITS_OF_FIELDS[field]), extend="both"
     )
     ax.set(
         xlabel="time", ylabel="grain, from the top", xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1]

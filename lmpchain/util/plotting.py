@@ -183,15 +183,15 @@ def window(width: float = 6.4, height: float = 4.2) -> Figure:
 
 
 def axes_in_units(ax: Axes | None, x: str, y: str) -> Axes:
-    """Return axes, given or new, in our colours, labelled in these units with SI prefixes."""
-    from matplotlib.ticker import EngFormatter
+    """Return axes, given or new, in our colours, whose labels get these units with SI prefixes."""
+    from .ticks import UnitFormatter
 
     ax = window().subplots() if ax is None else ax
     if not ax.has_data():
         ax.set_prop_cycle(color=list(COLOURS.values()))
     for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
         if unit:
-            axis.set_major_formatter(EngFormatter(unit))
+            axis.set_major_formatter(UnitFormatter(unit))
     if x and ax.get_xscale() == "linear":
         ax.locator_params(axis="x", nbins=6)
     if _inches(ax) < NARROW:

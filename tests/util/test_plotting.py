@@ -112,6 +112,36 @@ def test_ticks_bear_units_with_prefixes():
     assert [tick.format_ticks([2500.0]) for tick in ticks] == [["2500"], ["2500"]]
 
 
+@pytest.mark.parametrize(
+    ("span", "ticks", "label"),
+    [
+        ((0.0, 5e-4), ["0", "100", "200", "300", "400", "500"], "energy (µJ)"),
+        ((-2e-3, 2e-3), ["−2", "−1", "0", "1", "2"], "energy (mJ)"),
+        ((0.0, 1000.0), ["0", "0.5", "1"], "energy (kJ)"),
+        ((0.0, 2.0), ["0", "1", "2"], "energy (J)"),
+    ],
+)
+def test_units_stand_in_the_label_and_plain_numbers_at_the_ticks(
+    span: tuple[float, float], ticks: list[str], label: str
+):
+    ax = axes_in_units(figure(WIDE, 3.0).subplots(), "", "J")
+    # the unit of an earlier drawing gives way
+    ax.set(ylabel="energy (nJ)", ylim=span, yticks=np.linspace(*span, len(ticks)))
+    for _ in range(2):
+        assert [tick.get_text() for tick in ax.get_yticklabels()] == ticks
+        assert ax.get_ylabel() == label
+    ax.set_ylabel("")
+    assert ax.get_yticklabels()[-1].get_text().endswith("J")
+
+
+def test_a_logarithmic_axis_takes_the_unit_of_its_middle():
+    ax = figure(WIDE, 3.0).subplots()
+    ax.set(xscale="log", xlabel="cost", xlim=(0.9e-4, 1.1), xticks=[1e-4, 1e-2, 1.0])
+    axes_in_units(ax, "s", "")
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["0.1", "10", "1000"]
+    assert ax.get_xlabel() == "cost (ms)"
+
+
 def most_intervals(ax, which: str) -> int:
     """Return the largest number of intervals that ticks make along an axis."""
     most = 0

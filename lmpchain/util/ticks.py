@@ -1,0 +1,55 @@
+"""Plain numbers at ticks, and their unit with its prefix in the label of the axis."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import EngFormatter
+
+ROUND_OFF = 1e-14  # of the largest tick: a smaller one is 0
+
+
+class UnitFormatter(EngFormatter):
+    """Ticks as plain numbers of a unit whose prefix suits the axis, as in "energy (µJ)".
+
+    An axis without a label has units at its ticks, as numbers under the pointer have.
+    """
+
+    axis: Any
+
+    def format_ticks(self, values: list[float]) -> list[str]:
+        """Return the numbers at the ticks, and write their unit into the label of the axis."""
+        label = self.axis.label
+        text = label.get_text()
+        if not text:
+            return super().format_ticks(values)
+        power = self._power(np.asarray(values, float))
+        prefixes = self.ENG_PREFIXES
+        # the unit of the drawing before, whose limits may have been others
+        prefix = "|".join(filter(None, prefixes.values()))
+        bare = re.sub(rf" \((?:{prefix})?{re.escape(self.unit)}\)$", "", text)
+        with_unit = f"{bare} ({prefixes[power]}{self.unit})"
+        if with_unit != text:
+            label.set_text(with_unit)
+        scaled = np.asarray(values, float) / 10.0**power
+        scaled[np.abs(scaled) < ROUND_OFF * np.abs(scaled).max(initial=0.0)] = 0.0
+        numbers = [
+            np.format_float_positional(value, precision=9, fractional=False, trim="-")
+            for value in scaled
+        ]
+        return [number.replace("-", "\N{MINUS SIGN}") for number in numbers]
+
+    def _power(self, values: np.ndarray) -> int:
+        """Return the power of ten that suits the ticks in view, or their middle if logarithmic."""
+        low, high = sorted(self.axis.get_view_interval())
+        seen = np.abs(values[(values >= low) & (values <= high)])
+        seen = seen[seen > 0]
+        if not seen.size:
+            return 0
+        logarithmic = self.axis.get_scale() == "log"
+        size = np.sqrt(seen.min() * seen.max()) if logarithmic else seen.max()
+        # a thousand is 1000.0000000001 of some locators, and 999.9999999 of others
+        power = 3 * int(np.floor(np.log10(size * (1 + 1e-9)) / 3))
+        return min(max(power, min(self.ENG_PREFIXES)), max(self.ENG_PREFIXES))
