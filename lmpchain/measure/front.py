@@ -57,7 +57,7 @@ class Front(Shown, Tabular):
         full width at half maximum in time, s, NaN where the motion does not pass half the amplitude
         on both sides.
     time_error, amplitude_error, width_error : (P,) arrays
-        How far these may be off: by sampling, by the error of the trajectory where it is known, and
+        Errors of these: by sampling, by the error of the trajectory where it is known, and
         because another maximum may be the front if values are off by as much.
     """
 

@@ -87,7 +87,8 @@ def brief(value: Any, letters: int = 60) -> str:
             return np.array2string(value, precision=5)
         # complex numbers have no order
         numbers = np.abs(value) if np.iscomplexobj(value) else value
-        numbers = numbers[np.isfinite(numbers)]
+        # no minus before 0
+        numbers = numbers[np.isfinite(numbers)] + 0
         extent = f" from {numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else ""
         return f"{value.shape}{extent}"
     if isinstance(value, Mapping | list | tuple):
@@ -102,8 +103,21 @@ def brief(value: Any, letters: int = 60) -> str:
 
 @cache
 def parse_meanings(text: str) -> dict[str, str]:
-    """Return the meaning of each attribute or parameter in the docstring of a class."""
+    """Return the meaning of each attribute or parameter in the docstring of a class.
+
+    Names that share a meaning get their share of it, between semicolons, or the first one gets all.
+
+    Examples
+    --------
+    >>> parse_meanings("time, speed : float\\n    Of the peak, s; m/s.\\nload : float\\n    In N.")
+    {'time': 'Of the peak, s', 'speed': 'm/s', 'load': 'In N'}
+    """
     meanings: dict[str, str] = {}
-    for names, meaning in re.findall(r"^(\w[\w, ]*) : .*\n((?:    .*\n?)+)", text, re.MULTILINE):
-        meanings |= dict.fromkeys(names.split(", "), " ".join(meaning.split()))
+    for group, words in re.findall(r"^(\w[\w, ]*) : .*\n((?:    .*\n?)+)", text, re.MULTILINE):
+        names = group.split(", ")
+        meaning = " ".join(words.replace("`", "").split()).removesuffix(".")
+        shares = meaning.split("; ")
+        if len(shares) != len(names):
+            shares = [meaning] + [""] * (len(names) - 1)
+        meanings |= zip(names, shares, strict=True)
     return meanings

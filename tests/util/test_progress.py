@@ -123,6 +123,7 @@ class Few(Shown):
         (np.arange(5), "(5,) from 0 to 4"),
         (np.array([1 / 3, 1.0]), "[0.33333 1.     ]"),
         (np.array([[1.5, np.nan], [-2.0, np.inf]]), "(2, 2) from -2 to 1.5"),
+        (np.array([-0.0] * 5), "(5,) from 0 to 0"),
         (np.array([3 + 4j] * 5), "(5,) from 5 to 5"),
         ([1, 2, 3, 4], "[1, 2, 3, 4]"),
         ([1] * 5, "5 values"),
@@ -148,11 +149,11 @@ def test_a_value_shows_eight_of_its_fields_in_a_line():
 
 def test_a_table_has_names_values_and_meanings():
     rows = list(Few(1)._summary())
-    assert rows[0] == ("size", "0.333333", "In metres, on two lines.")
-    assert rows[1] == ("name", repr("n" * 88), "Of it.")
+    assert rows[0] == ("size", "0.333333", "In metres, on two lines")
+    assert rows[1] == ("name", repr("n" * 88), "Of it")
     assert rows[2] == ("longer", "'" + "n" * 85 + " ...", "")
     assert rows[3] == ("more0", "0", "")
-    assert parse_meanings(inspect.getdoc(Few))["width"] == "In metres, on two lines."
+    assert parse_meanings(inspect.getdoc(Few))["width"] == "", "said of the first"
     html = Few(0)._repr_html_()
     assert html.startswith("<div><b>Few</b><table><tr><td style=")
     assert html.endswith("</table></div>")
