@@ -173,12 +173,12 @@ def table(result: dict[str, Any]) -> str:
     others = [row for name, rows in points.items() if not name.startswith("native") for row in rows]
     lammps = [row for row in others if row["code"].startswith("LAMMPS")]
     lines = [
-        "| ms to an error of | " + " | ".join(f"{target:.0e}" for target in TARGETS) + " |",
+        "| µs to an error of | " + " | ".join(f"{target:.0e}" for target in TARGETS) + " |",
         "|---" * 5 + "|",
     ]
     cut = {f"{name}, cut by hand": rows for name, rows in _by_code(result["rows_cut"]).items()}
     for name, rows in (points | {f"{TO_TOLERANCE}, the whole call": whole} | cut).items():
-        lines.append(_line(name, [1e3 * _time_to(rows, target) for target in TARGETS]))
+        lines.append(_line(name, [1e6 * _time_to(rows, target) for target in TARGETS]))
     for label, ours in (("native", given), (TO_TOLERANCE, chosen)):
         for who, theirs in (
             ("best of the others", others),
@@ -201,7 +201,9 @@ def _time_to(rows: list[dict[str, Any]], target: float) -> float:
 
 def _line(name: str, values: list[float]) -> str:
     return (
-        f"| {name} | " + " | ".join(f"{x:.3g}" if math.isfinite(x) else "-" for x in values) + " |"
+        f"| {name} | "
+        + " | ".join(f"{float(f'{x:.3g}'):,.10g}" if math.isfinite(x) else "-" for x in values)
+        + " |"
     )
 
 
