@@ -211,7 +211,7 @@ def test_the_picture(found, tmp_path):
     assert {"native, to a tolerance", "others", "Pareto front"} <= set(shown)
     assert len(shown) == len(set(shown)) <= LABELLED + 5
     assert {"lammps, verlet", "lammps, rkn6"} <= set(shown)
-    assert ways.texts[1].get_text().startswith("1e-03")
+    assert ways.texts[1].get_text().startswith("10⁻³")
     rings = [line for line in over_evaluations.lines if line.get_markersize() == 14]
     assert 1 <= len(rings) <= LABELLED + 3
     guides = [text.get_text() for text in over_evaluations.texts]

@@ -57,7 +57,10 @@ def test_under_a_load(downward: bool):
     rows = {row.quantity: row for row in summary(t).rows if row.fit == "soliton"}
     assert rows["speed"].value == fit.speed
     assert rows["width"].expected == pytest.approx(wave.width, rel=1e-5)
-    assert len(fit.plot().figure.axes[0].lines) == 4
+    height, speed, formula = fit.plot().lines
+    assert np.max(height.get_ydata()) < 1e-4
+    assert np.median(speed.get_ydata()) < 1e-4
+    assert formula.get_ydata()[0] == pytest.approx(1 - fit.formula / fit.expected[1], rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ class SolitonFit(Fitted, Tabular):
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw how far peak velocity and local speed are off the exact wave; returns the axes."""
+        """Draw what sets peak velocity and local speed off the exact wave; returns the axes."""
         ax = axes_in_units(ax, "", "")
         local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
         height = np.abs(self.velocity / self.amplitude - 1)
