@@ -142,12 +142,12 @@ def test_the_table_gives_the_least_time_to_each_error(peer):
     ]
     text = run.table({"rows": native + others, "rows_cut": []})
     lines = dict(line.strip("| ").split(" | ", 1) for line in text.splitlines() if " | " in line)
-    assert lines["native rkn6"] == "0.01 | 0.04 | - | -"
-    assert lines["one"] == "0.2 | 0.7 | - | -"
+    assert lines["native rkn6"] == "10 | 40 | - | -"
+    assert lines["one"] == "200 | 700 | - | -"
     assert lines["best of the others / native"] == "20 | 17.5 | - | -"
-    assert lines["LAMMPS / native"] == "1e+03 | - | - | -"
+    assert lines["LAMMPS / native"] == "1,000 | - | - | -"
     assert lines[f"best of the others / {run.TO_TOLERANCE}"] == "2 | 7 | - | -"
-    assert lines[f"{run.TO_TOLERANCE}, the whole call"] == "0.3 | 0.3 | - | -"
+    assert lines[f"{run.TO_TOLERANCE}, the whole call"] == "300 | 300 | - | -"
 
 
 def test_a_code_that_fails_leaves_a_gap(peer, capsys):

@@ -110,7 +110,7 @@ def test_what_a_value_holds_is_shown_and_not_obeyed():
 
 def test_a_table_says_what_the_docstring_says(run: Trajectory):
     texts = Seen(energy.ledger(run)._repr_html_()).texts
-    assert texts[texts.index("time") + 2] == "s."
+    assert texts[texts.index("time") + 2] == "s"
 
 
 def test_values_in_few_letters():
