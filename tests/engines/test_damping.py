@@ -132,12 +132,8 @@ def test_leaving_damping_out_changes_no_more_than_a_run_says(seed: int):
     rng = np.random.default_rng([55, seed])
     draw = acted_trial_scene if seed % 3 == 0 else trial_scene
     lossless = draw(rng, work=1e3)
-    # a weak wave in a short chain, and one at all: a force of 0 N moves nothing
-    while (
-        not lossless.strike_number < 0.1
-        or lossless.chain.grains > 60
-        or getattr(lossless.excitation, "amplitude", 1.0) == 0
-    ):
+    # a weak wave in a short chain
+    while not lossless.strike_number < 0.1 or lossless.chain.grains > 60:
         lossless = draw(rng, work=1e3)
     lossless = lossless.replace(samples=100)
     scene = damped(rng, lossless)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import t
 
 from lmpchain.simulation.batch_means import BATCHING, correlation_of_neighbours, estimate
 
@@ -40,13 +39,8 @@ def test_94_to_96_percent_of_1000_intervals_cover(memory: float, copies: int):
 
 @pytest.mark.soak
 @pytest.mark.parametrize(("memory", "copies"), [(0.0, 1), (0.5, 1), (0.8, 2), (0.9, 4), (0.9, 1)])
-def test_94_to_96_5_percent_of_20000_intervals_cover(memory: float, copies: int):
-    """Chance in the correlation widens intervals of 32 batches by (1 + 1/8)^(1/2) at most.
-
-    Of independent means that is 2.163 in place of Student's 2.040: 96.2 % cover.
-    """
-    assert 2 * t.cdf(t.ppf(0.975, 31) * 1.125**0.5, 31) - 1 == pytest.approx(0.962, abs=5e-4)
-    assert 0.94 <= coverage(memory, copies, 32, 20 * TRIALS, 2) <= 0.965
+def test_94_to_96_percent_of_20000_intervals_cover(memory: float, copies: int):
+    assert 0.94 <= coverage(memory, copies, 32, 20 * TRIALS, 2) <= 0.96
 
 
 @pytest.mark.parametrize("memory", [0.95, 0.99, 0.999, 0.9999])
