@@ -201,3 +201,17 @@ def test_a_driven_grain_whose_samples_are_few():
     speed = 2 * np.pi * 20e3 * 1e-9
     assert abs(seen.value[0] - speed) <= seen.error[0] < 1e-2 * speed
     assert np.isfinite(seen.error[1:]).all()
+
+
+def test_a_front_that_rises_behind_a_sample_near_a_contact_that_opens():
+    """Its top is sampled before it is reached, where the interval before is known far better."""
+    sizes = (8.8256e-3, 7.3948e-3, 12.8546e-3, 11.8211e-3, 9.6739e-3)
+    walls = {"top": "wall", "bottom": "wall"}
+    chain = Chain(grains=5, material="ptfe", diameter=sizes, gravity=12.0993, **walls)
+    strike = Impulse(grain=4, velocity=14.5657)
+    scene = Scene(chain=chain, excitation=strike, duration=1.55346e-3, samples=152)
+    few = motion_of(simulate(scene, "native", 1e-9)).fronts("velocity", 0.5)[2]
+    many = motion_of(simulate(scene.replace(samples=1209), "native", 1e-9))
+    arrival, height, _ = many.fronts("velocity", 0.5)[2, :3]
+    assert abs(few[0] - arrival) <= few[3] < 3e-5
+    assert abs(few[1] - height) <= few[4] < 0.05

@@ -194,6 +194,9 @@ def _exceed(last, p, i, t, s, height, bend):
         # in free flight, maybe: the maximum is where that began
         flat = begin <= (1.0 + NO_FALL) * abs(last.height) and top <= begin + error
         if flat and not _has_fallen(last):
+            # or it is higher, by an error that the interval before need not have
+            last.off = larger(last.off, error)
+            last.tilt = larger(last.tilt, SHAPE.slope * error / p.h)
             return
         s = 0.0 if begin >= (1.0 - NO_FALL) * top else s
     last.when = t + s * p.h
