@@ -81,7 +81,7 @@ def main() -> None:
         lw=1.2,
     )
     states.set(
-        xlabel="modes a grain and a kHz",
+        xlabel="modes per grain and kHz",
         ylabel="frequency (kHz)",
         xlim=(0, None),
         ylim=waves.get_ylim(),
@@ -110,7 +110,7 @@ def main() -> None:
     surface.semilogy(
         n, np.abs(shape), "o", ms=4, mfc="none", color=SHADES[0], label="mode of 41 beads"
     )
-    surface.semilogy(n[::2], envelope[::2], "--", lw=1, color="0.3", label="m / M a cell, exact")
+    surface.semilogy(n[::2], envelope[::2], "--", lw=1, color="0.3", label="m / M per cell, exact")
     surface.set(
         xlim=(0, 24),
         ylim=(1e-6, 2),

@@ -45,7 +45,7 @@ def main() -> None:
     states.set_title(
         "Spectrum: exact (lines), transfer matrices (points)", loc="left", fontsize="medium"
     )
-    states.legend(frameon=False, title="Dyson's chain")
+    states.legend(frameon=False, title="Dyson's chain", fontsize="small")
 
     omega = np.geomspace(0.1, 2.0, 11)
     for (m, mark), colour in list(zip(MARKS.items(), SHADES, strict=False))[1:]:
@@ -64,7 +64,7 @@ def main() -> None:
     localised.set_title(
         r"Localisation: $\omega^2\,\mathrm{Var}(1/k)/8$ (lines)", loc="left", fontsize="medium"
     )
-    localised.legend(frameon=False, title="random springs")
+    localised.legend(frameon=False, title="random springs", fontsize="small")
 
     line = {
         "grains": grains,

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.collections import QuadMesh
 from matplotlib.text import Text
 
 import lmpchain
@@ -32,6 +34,7 @@ NATIVE, LAMMPS = (
 )
 THEORY = {"color": "0.2", "lw": 1.4}
 SVG = "--svg"
+PRINT_DPI = 300
 PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
 # the paper's formula where it is wrong
 PRINTED = {
@@ -87,7 +90,7 @@ def page(
             lower.yaxis.set_minor_formatter("")
             upper.tick_params(labelbottom=False)
             pairs.append((upper, lower))
-    picture.suptitle(title, x=0.01, ha="left")
+    picture.suptitle(title)
     return picture, pairs
 
 
@@ -155,13 +158,26 @@ def finish(picture: Figure, path: Path) -> None:
     with write_aside(path) as aside:
         picture.savefig(aside, dpi=110, format="png", metadata=about, pil_kwargs={"optimize": True})
     if SVG in sys.argv:
-        with write_aside(path.with_suffix(".svg")) as aside:
-            picture.savefig(aside, format="svg")
+        save_for_print(picture, path.with_suffix(".svg"))
     print(f"picture: {path}")
+
+
+def save_for_print(picture: Figure, path: Path) -> None:
+    """Save as SVG, letters as outlines, which look the same without our fonts.
+
+    The cells of maps, which are thousands, become pixels that are fine enough for print.
+    """
+    for cells in picture.findobj(QuadMesh):
+        cells.set_rasterized(True)
+    # the same picture gives the same file
+    with rc_context({"svg.hashsalt": "lmpchain"}), write_aside(path) as aside:
+        picture.savefig(aside, dpi=PRINT_DPI, format="svg", metadata={"Date": None})
 
 
 def restyle(picture: Figure) -> None:
     """Put titles on the left, and set powers of ten and strike numbers as formulas."""
+    if title := picture.get_suptitle():
+        picture.suptitle(title, x=0.01, ha="left")
     for axes in picture.axes:
         if centred := axes.get_title():
             axes.set_title("")

@@ -68,7 +68,7 @@ def strike_unit(gravity: np.ndarray | float) -> np.ndarray | float:
 
 
 def draw(data: dict[str, Any]) -> Figure:
-    """Draw the map and, at g, the norms and the package's own estimates."""
+    """Draw the map and, at g, the norms and the package's estimates."""
     picture = figure(15, 5.6)
     plane, norms, own = picture.subplots(1, 3, width_ratios=(1.15, 1, 1))
     gravity = data["gravity"]
@@ -150,4 +150,4 @@ def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
     axes.plot(
         numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured"
     )
-    axes.set_title("At g, the package's own estimates", loc="left", fontsize="medium")
+    axes.set_title("At g, the package's estimates", loc="left", fontsize="medium")

@@ -98,7 +98,7 @@ def draw(data: dict[str, Any]) -> Figure:
         ax.set_title(said, loc="left", fontsize="medium")
         ax.set_xlabel("step × highest frequency")
         place = "lower right" if kind == "one length" else "upper left"
-        ax.legend(title="slope", alignment="left", frameon=False, loc=place)
+        ax.legend(title="slope", alignment="left", frameon=False, loc=place, fontsize="small")
     x = np.array([2e-3, 0.1])
     shape = order_through_openings("rkn6", EXPONENT)
     for order, height, name in (

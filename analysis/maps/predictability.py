@@ -96,7 +96,7 @@ def draw(data: dict) -> Figure:
         color="#D55E00",
         lw=1.8,
         ls="--",
-        label="predicted: 0.9 (1 - exp(-N/20)) decades a reflection",
+        label="predicted: 0.9 (1 - exp(-N/20)) decades per reflection",
     )
     picture.legend(
         *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROOM = 0.75  # of the width of axes: names of marks further right stand on their left
+NAMES_WIDTH = 30  # letters below the axes of the times, which are narrow
 LABELLED = 5  # curves in colour, those that reach the target soonest
 TARGET = 1e-6  # error
 FRONT = "#F0E442"
@@ -35,7 +36,9 @@ def draw(
     result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
 ) -> Axes:
     """Draw error against time and force evaluations, and times to one error."""
-    over_time, *rest = panels(_figure(result) if ax is None else ax)
+    # a figure of our own has room for the legend below, where no curve is
+    axes, below = _figure(result) if ax is None else (ax, None)
+    over_time, *rest = panels(axes)
     curves: dict[str, list[Mapping[str, Any]]] = {
         curve.name: [vars(point) for point in curve.points] for curve in result.curves
     }
@@ -45,9 +48,11 @@ def draw(
     styles = _styles(result, times)
     _draw_errors(over_time, "seconds", result, curves, styles)
     over_time.set(xlabel="time (s)", ylabel="relative error")
-    legend(
-        rest[0] if rest else over_time, *over_time.get_legend_handles_labels(), loc="upper right"
-    )
+    explained = over_time.get_legend_handles_labels()
+    if below:
+        legend(below, *explained, loc="upper right", ncols=3)
+    else:
+        legend(rest[0] if rest else over_time, *explained, loc="upper right")
     if rest:
         over_evaluations, bars = rest
         _draw_errors(over_evaluations, "force_evaluations", result, curves, styles)
@@ -59,18 +64,19 @@ def draw(
     return over_time
 
 
-def _figure(result: Any) -> list[Axes]:
-    """Return the axes of a figure of its own, with the cheapest ways written below them."""
+def _figure(result: Any) -> tuple[list[Axes], Axes]:
+    """Return the axes of a figure of its own, and those below with the cheapest ways."""
     picture = window(14.0, 8.6)
     rooms = picture.subplot_mosaic(
         [["time", "evaluations", "bars"], ["ways"] * 3],
         width_ratios=(5, 5, 3.5),
         height_ratios=(7, 1.7),
     )
-    _write_ways(rooms.pop("ways"), result)
+    below = rooms.pop("ways")
+    _write_ways(below, result)
     picture.suptitle(_title(result.scene), x=0.01, ha="left")
     picture.supxlabel(_footer(result), x=0.01, ha="left", fontsize="x-small", color="0.35")
-    return list(rooms.values())
+    return list(rooms.values()), below
 
 
 def _styles(result: Any, times: Mapping[str, float]) -> dict[str, dict[str, Any]]:
@@ -94,7 +100,9 @@ def _styles(result: Any, times: Mapping[str, float]) -> dict[str, dict[str, Any]
 def _write_ways(ax: Axes, result: Any) -> None:
     """Write the cheapest way to each error below the charts, LAMMPS in its colour."""
     ax.set_axis_off()
-    lines = [raise_powers(line) for line in result.best()]
+    rows = [[typeset_cell(cell) for cell in row] for row in result.ways()]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     for row, line in enumerate(lines):
         colour = COLOURS["lammps"] if "lammps" in line else "black"
         weight = "bold" if row == 0 else "normal"
@@ -103,21 +111,21 @@ def _write_ways(ax: Axes, result: Any) -> None:
         ax.text(0.0, height, line, transform=ax.transAxes, color=colour, weight=weight, **text)
 
 
-def raise_powers(line: str) -> str:
-    """Return a line of a table with raised powers of ten, in as many letters.
+def typeset_cell(cell: str) -> str:
+    """Return a cell of a table with raised powers of ten, and with microseconds as on the axes.
 
     Examples
     --------
-    >>> raise_powers("1e-06  2.17e-06 s")
-    '10⁻⁶   2.17·10⁻⁶ s'
+    >>> typeset_cell("2.17e-06 s"), typeset_cell("1e-06"), typeset_cell("22.4 us")
+    ('2.17·10⁻⁶ s', '10⁻⁶', '22.4 µs')
     """
 
     def raise_one(found: re.Match[str]) -> str:
         factor = "" if found[1] == "1" else f"{found[1]}·"
-        power = f"{factor}10{str(int(found[2])).translate(RAISED)}"
-        return power.ljust(len(found[0]))
+        return f"{factor}10{str(int(found[2])).translate(RAISED)}"
 
-    return re.sub(r"\b(\d(?:\.\d+)?)e([-+]\d+)", raise_one, line)
+    cell = re.sub(r"\b(\d(?:\.\d+)?)e([-+]\d+)", raise_one, cell)
+    return re.sub(r"\bus\b", "µs", cell)
 
 
 def _draw_errors(
@@ -228,14 +236,15 @@ def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[s
         }
         ax.annotate(f"{1e3 * times[name]:.3g}", (1e3 * times[name], row), (7, 0), **text)
     ax.set_yticks(rows, reached, fontsize="x-small")
-    ax.set(xscale="log", xlabel="ms", ylim=(len(reached) - 0.4, -0.6))
+    ax.set(xscale="log", xlabel="time (ms)", ylim=(len(reached) - 0.4, -0.6))
     ax.margins(x=0.3)
     ax.grid(axis="x", color="0.92", lw=0.6)
     exponent = round(math.log10(TARGET))
     ax.set_title(f"Time to an error of $10^{{{exponent}}}$", loc="left", fontsize="medium")
     never = [name for name in times if name not in reached]
     if never:
-        ax.set_xlabel(f"ms\n\nnever: {textwrap.fill('; '.join(never), 48)}", fontsize="x-small")
+        names = textwrap.fill(f"never: {', '.join(never)}", NAMES_WIDTH)
+        ax.set_xlabel(f"time (ms)\n\n{names}")
 
 
 def _pairs(points: Iterable[Mapping[str, Any]], cost: str) -> list[tuple[float, float]]:

@@ -207,13 +207,17 @@ class WorkPrecision(Shown, Tabular):
 
     def best(self) -> list[str]:
         """Return the cheapest way to each error as lines of a table, with that of LAMMPS beside."""
+        return align(self.ways())
+
+    def ways(self) -> list[Sequence[str]]:
+        """Return the rows of that table."""
         rows: list[Sequence[str]] = [("to reach", "engine", "step", "error", "time", "")]
         for pair in zip(self.cheapest(), self.cheapest("lammps"), strict=True):
             for choice, name in zip(pair, ("none", "lammps"), strict=True):
                 # where LAMMPS is the cheapest of all, a row says it
                 if name == "none" or choice.engine != pair[0].engine:
                     rows.append(_cells(choice, name))
-        return align(rows)
+        return rows
 
     def to_json(self) -> dict[str, Any]:
         """Return the points for a JSON file; numbers that are not finite become None."""

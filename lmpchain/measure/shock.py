@@ -37,6 +37,13 @@ OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor 
 FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
 MOMENTS = 400  # that are kept for a picture
 COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
+# of the theories in `predictions`, for legends
+AUTHORS = {
+    "whitham": "Whitham",
+    "toda": "Toda",
+    "kdv": "Korteweg and de Vries",
+    "burgers": "Burgers",
+}
 STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
 
 
@@ -190,7 +197,7 @@ class Shock(Shown, Tabular):
         """Return theory and speed of an edge, of the best theory, which comes first, if any."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
-                return [(theory, float(speed))]
+                return [(AUTHORS.get(theory, theory), float(speed))]
         return []
 
     def _place(self, speed: float) -> float:

@@ -56,7 +56,11 @@ class Impulse(OneGrain):
     @property
     def label(self) -> str:
         """Name and strength in words."""
-        return f"an {self.kind} of {self.velocity * 1e3:g} mm/s"
+        size = abs(self.velocity)
+        factor, unit = (
+            (1.0, "m/s") if size >= 1 else (1e3, "mm/s") if size >= 1e-5 else (1e6, "µm/s")
+        )
+        return f"an {self.kind} of {self.velocity * factor:g} {unit}"
 
 
 class Displacement(OneGrain):

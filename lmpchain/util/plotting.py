@@ -45,6 +45,8 @@ SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
 INTEGRATORS = ("kahan-li6", "kahan-li8", "verlet", "rkn6", "rkn4", "dop853", "gear4")
 # a number as computers write it: 2e-08
 POWER = re.compile(r"(?<![\w.$])(\d(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\w)")
+# a hyphen that stands for a minus: between two terms, or before one
+MINUS = re.compile(r"(?<=\S )-(?= \S)|(?<![^\s(])-(?=[\w.])")
 LABEL_HEIGHT = 0.055  # of the axes: what a line of small letters takes
 
 
@@ -61,15 +63,18 @@ def look_of(integrator: str) -> dict[str, Any]:
 
 
 def typeset(text: str) -> str:
-    """Return text with its powers of ten and strike numbers as formulas.
+    """Return text with its powers of ten, strike numbers and signs as formulas have them.
 
     Examples
     --------
     >>> print(typeset("v0* = 1e-06, 2e-08 off"))
     $v_0^*$ = $10^{-6}$, $2\\times 10^{-8}$ off
+    >>> print(typeset("n - 1/2, (-0.08), kahan-li6"))
+    n − 1/2, (−0.08), kahan-li6
     """
     text = re.sub(r"v0\*|v\$_0\$\*", "$v_0^*$", text)
     text = POWER.sub(r"$\1\\times 10^{\2\3}$", text)
+    text = MINUS.sub("\N{MINUS SIGN}", text)
     return text.replace(r"$1\times 10", "$10")
 
 

@@ -202,7 +202,7 @@ def test_dots_are_times_to_one_error(panels: Any):
     ]
     assert bars.get_title(loc="left") == "Time to an error of $10^{-6}$"
     assert bars.get_xscale() == "log"
-    assert " ".join(bars.get_xlabel().split()) == "ms never: lammps, verlet; modes; bessel"
+    assert " ".join(bars.get_xlabel().split()) == "time (ms) never: lammps, verlet, modes, bessel"
     low, high = bars.get_ylim()
     assert low > len(reached) - 1 + 0.4  # the fastest on top
     assert high < -0.4

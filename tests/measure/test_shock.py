@@ -138,7 +138,7 @@ def test_picture_names_edges_and_plateaus() -> None:
     """Every line of the picture is named, and axes have units."""
     ax = shock.find(piston(1.0)).plot()
     labels = " ".join(ax.get_legend_handles_labels()[1])
-    for word in ("leading edge", "trailing edge", "whitham", "plateau ahead", "plateau behind"):
+    for word in ("leading edge", "trailing edge", "Whitham", "plateau ahead", "plateau behind"):
         assert word in labels
     assert ax.get_xlabel() == "contact, from the top"
 

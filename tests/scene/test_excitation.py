@@ -82,4 +82,6 @@ def test_only_an_impulse_is_a_strike() -> None:
     assert Impulse(velocity=1e-3).strikes_top
     assert not any(e.strikes_top for e in WEAK.values())
     assert Impulse(velocity=8.57e-4).label == "an impulse of 0.857 mm/s"
+    assert Impulse(velocity=1e-6).label == "an impulse of 1 µm/s"
+    assert Impulse(velocity=-2.5).label == "an impulse of -2.5 m/s"
     assert WEAK["drive"].label == "a drive"
