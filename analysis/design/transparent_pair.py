@@ -79,15 +79,20 @@ def main() -> None:
             near / omega, 1 - scattering.transmission(one, near).transmitted, label=name, **style
         )
     left.set(
+        title="What the two beads reflect",
         xlabel="frequency over that of the packet",
         ylabel="reflected share of the energy",
         ylim=(1e-6, 1),
         yscale="log",
     )
     left.axvline(1, color="0.8", zorder=0)
-    left.legend(frameon=False)
+    left.legend(frameon=False, fontsize="small", loc="lower left", handlelength=1.2)
     right.semilogy(np.arange(1, found.runs + 1), found.history[0] / whole, ".-", color="#0072B2")
-    right.set(xlabel="run", ylabel="share of the energy that comes back")
+    right.set(
+        title="The search by gradients",
+        xlabel="run",
+        ylabel="share of the energy that comes back",
+    )
     finish(picture, given.output)
 
 
