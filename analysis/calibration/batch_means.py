@@ -22,7 +22,7 @@ from lmpchain import Chain, Impulse, Profile, Scene, averages
 from lmpchain.simulation.batch_means import BATCHING, estimate
 from lmpchain.simulation.time_averages import ENERGY_ERRORS
 
-THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.27, 0.35, 0.45)
+THRESHOLDS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 COVERED = 0.93  # of intervals of 95 %, scatter and the worst memories included
 PER_STRETCH = 8
 FACTOR = 4.0  # by which an energy error may be off that only sets a first step

@@ -1,14 +1,14 @@
 """Intervals of time averages from the means of batches, whose neighbours resemble each other.
 
-A time is cut into batches so long that their means are as good as independent; Student's t with
-their spread then gives the interval of the average. The mean of a batch of length b varies by
-
-    b Var = s (1 - c / b + ...)      s = sum over all lags of the covariance,
-
-so that batches which are too short, not longer than the time c over which a motion remembers, give
-intervals which are too narrow. The correlation of neighbours among shorter batches shows c: D. S.
-Steiger and J. R. Wilson, Management Science 48, 1569 (2002); G. S. Fishman, Discrete-Event
-Simulation (2001), chapter 6.
+The mean of a long time varies by s over that time, where s, the sum of the covariance over all
+lags, is the spectrum at frequency 0. Cosines of the time with few half periods see the spectrum
+next to 0: their amplitudes in the means of batches are independent normal numbers of variance s, so
+that Student's t with as many degrees of freedom gives the interval of the average: U. K. Mueller,
+Journal of Econometrics 141, 1331 (2007); E. Lazarus, D. J. Lewis, J. H. Stock and M. W. Watson,
+Journal of Business and Economic Statistics 36, 541 (2018). For a memory of time c they are too
+small by the square of c over the period, where the spread of a few long batches is too small by c
+over a batch. The correlation of neighbours shows c: D. S. Steiger and J. R. Wilson, Management
+Science 48, 1569 (2002).
 """
 
 from __future__ import annotations
@@ -22,26 +22,24 @@ from ..util.arrays import Array
 
 @dataclass(frozen=True)
 class Batching:
-    """How batches are chosen; analysis/calibration/batch_means.py.
+    """How batches and cosines are chosen; analysis/calibration/batch_means.py.
 
     Attributes
     ----------
-    counts : tuple of int
-        Batches of a copy that are tried, many first: few are longer, and cost width.
+    stretches : int
+        Batches of a copy, which are averaged one by one.
+    cosines : tuple of int
+        Of a copy that are tried, many first, the constant one included: few cost width.
     finer : int
-        Stretches of a batch, whose neighbours are compared.
+        Stretches whose neighbours are compared, in half a period of the fastest cosine.
     resemblance : float
-        Largest correlation of neighbouring stretches: beyond it batches of them are too short.
+        Largest correlation of neighbouring stretches: beyond it the cosines are too fast.
     """
 
-    counts: tuple[int, ...] = (32, 16, 8)
+    stretches: int = 256
+    cosines: tuple[int, ...] = (16, 8)
     finer: int = 8
-    resemblance: float = 0.27
-
-    @property
-    def stretches(self) -> int:
-        """Stretches of the time of a copy, which are averaged one by one."""
-        return self.counts[0] * self.finer
+    resemblance: float = 0.5
 
 
 BATCHING = Batching()
@@ -55,13 +53,13 @@ class Estimate(NamedTuple):
     ----------
     mean : float
     error : float
-        Its standard error; infinite if the batches resemble each other however long they are.
+        Its standard error; infinite if the motion remembers too long.
     half_width : float
         Of its interval of 95 % confidence.
     batches : int
-        Whose means make the interval; 0 if none do.
+        Independent ones that the interval is worth: cosines of all copies; 0 if there is none.
     resemblance : float
-        Correlation of neighbouring stretches, an eighth of a batch each.
+        Correlation of neighbouring stretches, an eighth of half a period of the fastest cosine.
     """
 
     mean: float
@@ -87,8 +85,9 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
     >>> noise = np.random.default_rng(3).normal(3.0, 1.0, (1, BATCHING.stretches))
     >>> average = estimate(noise)
     >>> average.batches, abs(average.mean - 3.0) < average.half_width
-    (32, True)
+    (16, True)
     """
+    from scipy.fft import dct
     from scipy.stats import t
 
     copies = len(means)
@@ -98,35 +97,34 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
         shift = known - known.mean()
         means = means - shift * ((shift * means).sum() / (shift**2).sum())
         lost = 2
+    amplitudes = dct(means - means.mean(), norm="ortho")
     resemblance = math.nan
-    for count in BATCHING.counts:
-        # of ever longer stretches: those that remember a little for long show it late
+    for count in BATCHING.cosines:
+        # of longer stretches, too: those that remember a little for long show it late
         resemblances = {
             finer: correlation_of_neighbours(means.reshape(copies, count * finer, -1).mean(-1))
-            for finer in (BATCHING.finer, BATCHING.finer // 2, BATCHING.finer // 4)
+            for finer in (BATCHING.finer, BATCHING.finer // 2)
         }
         resemblance = resemblances[BATCHING.finer]
         if resemblance > BATCHING.resemblance:
             continue
-        batches = means.reshape(copies, count, -1).mean(-1)
-        error = math.sqrt(_widening(resemblances) * batches.var(ddof=lost) / batches.size)
-        # correlations of so many stretches are off by chance: without that, too narrow
-        doubted = {
-            finer: each + 1 / math.sqrt(copies * count * finer)
-            for finer, each in resemblances.items()
-        }
-        wider = math.sqrt(_widening(doubted) / _widening(resemblances))
-        student = float(t.ppf((1 + LEVEL) / 2, batches.size - lost))
-        return Estimate(mean, error, wider * student * error, batches.size, resemblance)
+        independent = copies * count
+        variance = float((amplitudes[:, :count] ** 2).sum()) / (independent - lost)
+        error = math.sqrt(_widening(resemblances) * variance / means.size)
+        student = float(t.ppf((1 + LEVEL) / 2, independent - lost))
+        return Estimate(mean, error, student * error, independent, resemblance)
     return Estimate(mean, math.inf, math.inf, 0, resemblance)
 
 
 def _widening(resemblances: dict[int, float]) -> float:
-    """Return by what factor the variance of batches is too small, from correlations of stretches.
+    """Return by what factor the variance of cosines is too small, from correlations of stretches.
 
-    It is 1 + c / b, where stretches of this correlation are about c / (2 resemblance) long.
+    Stretches of length b remember for c = 2 b times their correlation. With an exponential memory
+    the spectrum at angular frequency w is s / (1 + (c w)^2), which is averaged up to pi / (b f) by
+    cosines of at least f stretches in half a period.
     """
-    return 1 + max(0.0, *(2 * each / finer for finer, each in resemblances.items()))
+    slowest = max(0.0, *(each / finer for finer, each in resemblances.items()))
+    return 1 + (2 * math.pi * slowest) ** 2 / 3
 
 
 def correlation_of_neighbours(means: Array) -> float:

@@ -125,7 +125,7 @@ class Averages(Shown, Tabular):
         Over which a quantity remembers: the integral of its correlation over positive lags, s; NaN
         if the time was too short.
     batches : dict of int
-        Whose means make the interval of the mean; 0 if they resemble each other.
+        How many independent ones the interval of the mean is worth; 0 if there is no interval.
     energy_error : float
         Of the integration: root mean square of the energy above rest over that at t = 0, less 1.
     integrator : str
@@ -421,15 +421,15 @@ def averages(
     -----
     UserWarning
         If a quantity remembers for so long that the time is too short for its interval, which is
-        then infinite, or that the interval is that of the fewest batches.
+        then infinite, or that the interval is worth the fewest batches.
 
     Notes
     -----
-    Intervals are those of batch means (`lmpchain.simulation.batch_means`): Student's t with 8 to 32
-    batches a copy, which are longer, the longer a quantity remembers. They are wider by the energy
-    error e: an average may shift by e times the larger of its distance from rest and the standard
-    deviation, a variance by 2 e of itself, for neither grows faster than with the first and second
-    power of the energy.
+    Intervals follow from the means of 256 batches a copy (`lmpchain.simulation.batch_means`):
+    Student's t with the amplitudes of 16 or 8 slow cosines in them, the slower, the longer a
+    quantity remembers. They are wider by the energy error e: an average may shift by e times the
+    larger of its distance from rest and the standard deviation, a variance by 2 e of itself, for
+    neither grows faster than with the first and second power of the energy.
 
     The equipartition is ``(M + 2)/3 sum K_n^2 / (sum K_n)^2`` of the kinetic energies K_n of the M
     grains that move. Its mean is 1 where all velocities of one kinetic energy are equally likely,
@@ -678,10 +678,10 @@ def _conclude(
     if unknown := [name for name, batches in results["batches"].items() if not batches]:
         short = f"a time of {time:.3g} s is too short for an interval of {', '.join(unknown)}"
         cure = f"try time={4 * time:.2g}, or copies"
-        warn(f"{short}: memories are as long as batches; {cure}", stacklevel=3)
-    fewest = copies * BATCHING.counts[-1]
+        warn(f"{short}: it is remembered for too long; {cure}", stacklevel=3)
+    fewest = copies * BATCHING.cosines[-1]
     if few := [name for name, batches in results["batches"].items() if batches == fewest]:
-        says = f"the interval of {', '.join(few)} is that of {fewest} batches, the fewest"
+        says = f"the interval of {', '.join(few)} is worth {fewest} independent batches, the fewest"
         cure = f"it covers less surely than others: try time={4 * time:.2g}, or copies"
         warn(f"{says} that a time of {time:.3g} s allows; {cure}", stacklevel=3)
     return Averages(
