@@ -41,6 +41,8 @@ class DigitGrowth:
     reach : float
         omega h of these runs with velocity Verlet: growth asks for stable steps, not for accurate
         ones.
+    shorter : float
+        How many times shorter they are once more where a run breaks down.
     rate : float
         Exponent a radian of the fastest motion that no scene exceeds: where that leaves a digit
         below all that counts, nothing is measured.
@@ -57,6 +59,7 @@ class DigitGrowth:
     digit: float = 1e-15
     changes: tuple[float, ...] = (1.0, -1.0, 0.5)
     reach: float = 0.2
+    shorter: float = 4.0
     rate: float = 0.06
     broken: float = 4.0
     safety: float = 4.0
@@ -144,13 +147,18 @@ def amplify_rounding(scene: Scene, evaluations: float, enough: float = math.inf)
     Relative to the largest motion. The runs that show it take a fraction of the time of an answer;
     they end soon after it is more than `enough`.
     """
+    changes = (GROWTH.digit * np.array(GROWTH.changes)).tolist()
     interval = scene.duration / (scene.samples - 1)
-    steps = math.ceil(interval * scene.highest_frequency / GROWTH.reach)
-    schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
-    changes = GROWTH.digit * np.array(GROWTH.changes)
     method = methods_of(scene.chain.damped)["verlet"]
     digits = _digits(evaluations)
-    distances = separate(scene, changes.tolist(), method, schedule, enough / digits)
+    distances = np.zeros((0, scene.samples))
+    for reach in (GROWTH.reach, GROWTH.reach / GROWTH.shorter):
+        steps = math.ceil(interval * scene.highest_frequency / reach)
+        schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
+        distances = separate(scene, changes, method, schedule, enough / digits)
+        # steps too long for contacts that are pressed so much stiffer show no growth but their own
+        if distances.max() <= GROWTH.broken:
+            break
     # a run that broke down says nothing of the growth in the others
     followed = distances.max(1) <= GROWTH.broken
     return digits * distances.max(0, where=followed[:, None], initial=0.0)

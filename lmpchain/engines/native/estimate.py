@@ -5,7 +5,7 @@ The estimate of the largest relative error of an answer at steps h is
     e = max(2 d12 / (g - 1),  b)                                 truncation
         + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      round-off, as it is or amplified
 
-with b = 0.7 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
+with b = dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
 at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
 nothing opens and steps are equal. Where equal steps press contacts to far beyond their overlap at
 rest, these began as good as open: a part of the error falls with h^2 alone, and with the share s of
@@ -66,7 +66,7 @@ class Trust:
 
     safety: float = 2.0
     least_gain: float = 1.5
-    nearby: float = 0.7
+    nearby: float = 1.0
     settled: float = 0.01
 
 
