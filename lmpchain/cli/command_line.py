@@ -7,6 +7,8 @@ Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wro
 from __future__ import annotations
 
 import argparse
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -22,6 +24,13 @@ from .common import complain
 from .parser import Parser, ShowVersion
 from .run import resume, run, run_folder, sweep
 from .verbs import VERBS
+
+# Nearly all that a command makes while it starts stays to its end: looking through it for garbage
+# as often as Python does, and once more at the end, takes a quarter of the time of a short one.
+OBJECTS_BETWEEN_LOOKS = 20_000
+# NumPy's threads wait busily for work, for 2^26 cycles, before they sleep: a twentieth of that time
+# on each core.
+BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 
 
 class _Terminated(BaseException):
@@ -39,6 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv : list of str, optional
         Arguments without the name of the program; those of the process by default.
     """
+    gc.set_threshold(OBJECTS_BETWEEN_LOOKS)
+    atexit.register(gc.freeze)
+    os.environ.setdefault(*BRIEF_WAITING)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):
         if mpi.is_launched() and not mpi.is_first():
             # the first one does it all

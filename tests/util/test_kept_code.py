@@ -88,3 +88,41 @@ def test_kernels_run_compiled_only(folder: Path):
     said, complaints = run(folder, NUMBA_DISABLE_JIT="1")
     assert said == "42 0"
     assert "NUMBA_DISABLE_JIT is ignored" in complaints
+
+
+GROWN = """
+import numpy as np
+
+@compiled_once("a test", 1)
+def doubled(values):
+    return np.concatenate((values, 2 * values)).sum()
+
+@compiled_once("a test", 1)
+def summed(values):
+    return doubled(values) + np.ones(3).sum()
+"""
+CALLS = """
+import sys
+import numpy as np
+import kept
+print(kept.doubled(np.arange(3.0)), sum(kept.doubled.stats.cache_hits.values()))
+print(COMPILER in sys.modules)
+"""
+LATER = "print(kept.summed(np.arange(3.0)))"
+
+
+def test_kept_code_is_read_without_the_compiler_and_called_by_what_is_compiled_later(folder: Path):
+    (folder / "kept.py").write_text(MODULE + GROWN)
+
+    def printed(script: str) -> list[str]:
+        compiler = "COMPILER = 'numba.typed.typeddict'\n"
+        command = [sys.executable, "-c", compiler + script]
+        environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/cache"}
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, check=True
+        )
+        return done.stdout.split()
+
+    assert printed(CALLS) == ["9.0", "0", "True"]
+    assert printed(CALLS) == ["9.0", "1", "False"]
+    assert printed(CALLS + LATER) == ["9.0", "1", "False", "12.0"]
