@@ -10,6 +10,7 @@ force, solitary waves were up to twice as fast as without the load.
 """
 
 import numpy as np
+from matplotlib.ticker import LogLocator
 
 import lmpchain
 from lmpchain.measure import contact
@@ -51,6 +52,7 @@ def strike(material, load, speed):
 # In both materials the speed doubles where waves are weak. Strong waves forget the load.
 picture = figure(6.5, 4)
 axes = picture.subplots()
+names = {"ptfe": "PTFE", "steel": "steel"}
 for (material, speeds), colour in zip(
     {"ptfe": [0.1, 0.3, 1.0, 2.0], "steel": [0.02, 0.1, 0.3, 1.0]}.items(),
     COLOURS.values(),
@@ -58,7 +60,7 @@ for (material, speeds), colour in zip(
 ):
     for load, style in ((0.0, "--"), (2.38, "-")):
         rows = np.array([strike(material, load, speed) for speed in speeds])
-        label = f"{material}, {load:g} N"
+        label = f"{names[material]}, {load:g} N"
         axes.loglog(rows[:, 0], rows[:, 1], style, marker=".", color=colour, label=label)
         for (dynamic, travelled, wall), speed in zip(rows, speeds, strict=True):
             print(
@@ -66,4 +68,8 @@ for (material, speeds), colour in zip(
                 f" at {travelled:5.1f} m/s, {wall:6.2f} N on the wall"
             )
 axes.set(xlabel="dynamic force in contact 40 (N)", ylabel="speed of the wave (m/s)")
+# 500 rather than 5 × 10²
+axes.yaxis.set(
+    major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
+)
 axes.legend(frameon=False)

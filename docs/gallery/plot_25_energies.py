@@ -67,4 +67,4 @@ split = wavenumbers.bands(
 )
 picture_of_bands = figure(7.5, 4)
 axes = split.plot(picture_of_bands.subplots())
-axes.set(yscale="linear", ylim=(0, 5e-3 * split.total[-1]))
+axes.set(ylim=(0, 5e-3 * split.total[-1]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend
+from ..util.plotting import axes_in_units, legend, prefixed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ class AtRest(Shown):
         number = np.arange(1, self.grains + 1)
         every = -(-self.grains // DRAWN_POINTS)
         curves = [
-            ("mass", "kg", number, self.masses),
+            ("mass", "g", number, 1e3 * self.masses),
             # a contact lies between two grains
             ("overlap at rest", "m", number[:-1] + 0.5, self.equilibrium_overlap),
         ]
@@ -53,7 +53,7 @@ class AtRest(Shown):
                     (values / values.max())[::every],
                     ".-",
                     lw=1,
-                    label=f"{name} / {values.max():.3g} {unit}",
+                    label=f"{name} / {prefixed(values.max(), unit, 3)}",
                 )
         ax.set(xlabel="grain, from the top", ylabel="over the largest", ylim=(0, 1.3))
         legend(ax, loc="upper left")

@@ -164,7 +164,7 @@ class Sensitivity(Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the change for 1 % of every entry along the chain, and return the axes."""
-        from ..util.plotting import COLOURS, axes_in_units, legend, set_title
+        from ..util.plotting import COLOURS, axes_in_units, legend, prefixed, set_title
 
         ax = axes_in_units(ax, "", "")
         size = abs(self.value) or 1.0
@@ -175,7 +175,7 @@ class Sensitivity(Tabular):
                 continue
             # a contact is drawn between its two grains
             at = np.arange(1, change.size + 1) + (0.5 if name == "contact_constants" else 0.0)
-            label = name.replace("_", " ")
+            label = name.replace("_", " ").replace("youngs", "Young's")
             line: dict[str, Any] = {"color": next(colours), "marker": ".", "ms": 3, "lw": 0.9}
             ax.plot(at, change / size, label=label, **line)
             # nothing is seen of smaller changes
@@ -184,7 +184,10 @@ class Sensitivity(Tabular):
         ax.set_xlabel("grain")
         ax.set_ylabel("change for 1 % more, %")
         ax.set_xlim(0.5, last + 2.5)
-        set_title(ax, f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}")
+        kind, _, place = self.of.replace("_", " ").partition(":")
+        where = "contact" if kind == "peak force" else "grain"
+        name = f"{kind}, {where} {place}" if place else kind
+        set_title(ax, f"{name}: {prefixed(self.value, self.unit)}")
         legend(ax)
         return ax
 

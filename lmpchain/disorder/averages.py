@@ -75,14 +75,14 @@ class Ensemble(Averages, Tabular):
 
         A band of two standard errors is around it.
         """
-        from ..util.plotting import axes_in_units, legend, set_title
+        from ..util.plotting import axes_in_units, legend, prefixed, set_title
 
         ax = axes_in_units(ax, "", "m/s")
         label = f"m = {self.m:g}: mean of {self.realisations} chains"
         mean = self.velocity[sample]
         draw_mean(ax, self.grains, mean, self.velocity_error[sample], label, "± 2 st. errors")
         ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
-        set_title(ax, f"t = {self.time[sample]:.4g} s")
+        set_title(ax, f"t = {prefixed(self.time[sample], 's')}")
         legend(ax)
         return ax
 

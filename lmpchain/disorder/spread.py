@@ -105,13 +105,15 @@ class Spreading(Averages, Tabular):
 
         ax = axes_in_units(ax, "", "")
         for name, label in (
-            ("second_moment", "second moment, grains²"),
-            ("participation", "participation, grains"),
+            ("second_moment", "second moment (grains²)"),
+            ("participation", "participation (grains)"),
         ):
             # the first sample is at t = 0, which a logarithm cannot show
             error = getattr(self, f"{name}_error")[1:]
             draw_mean(ax, self.time[1:], getattr(self, name)[1:], error, label)
-        ax.set(xscale="log", yscale="log", xlabel="time, s")
+        ax.set(xscale="log", yscale="log", xlabel="time")
+        # a logarithmic axis has forgotten its unit
+        axes_in_units(ax, "s", "")
         ax.set_ylabel(f"mean of {self.realisations} chains, m = {self.m:g}")
         legend(ax)
         return ax

@@ -360,5 +360,5 @@ def _errorbars(ax: Axes | None, frequency: Array, values: Array, errors: Array) 
 
     ax = axes_in_units(ax, "", "")
     ax.errorbar(frequency, values, 2 * errors, fmt="o-", ms=3, capsize=2)
-    ax.set_xlabel("frequency, rad/s")
+    ax.set_xlabel("frequency (rad/s)")
     return ax

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 Quantity = Literal["amplitude", "time", "width", "speed"]
+DECADE = 10.0  # of values: an axis of fewer has ticks at round numbers of them
 FEWEST = 6  # grains for a power law with its correction
 # radians that the fastest motion turns through between two samples that show which maximum is the
 # front: of columns of 2000 grains with 2.6 rad all times were right, with 3.4 rad one in 30 was not
@@ -438,7 +439,9 @@ def asymptotic(
 
 def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None) -> Axes:
     """Draw values against depth, logarithmic unless they have errors."""
-    from matplotlib.ticker import LogLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator
+
+    from ..util.ticks import UnitFormatter
 
     ax = axes_in_units(ax, "", "")
     ax.errorbar(h, y, yerr=error, fmt=".", markersize=4, elinewidth=1)
@@ -451,4 +454,13 @@ def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None =
     ax.xaxis.set(
         major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
     )
+    if label.endswith(")"):
+        # the unit at the end of the label gets its prefix
+        unit = label[label.rindex("(") + 1 : -1]
+        decades = y.size > 0 and y.max() > DECADE * y.min()
+        ax.yaxis.set(
+            major_locator=LogLocator(subs=(1, 2, 5)) if decades else MaxNLocator(6),
+            major_formatter=UnitFormatter(unit),
+            minor_formatter="",
+        )
     return ax

@@ -17,7 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import axes_in_units, legend, prefixed, set_title
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts
@@ -87,12 +87,16 @@ class Power(Shown, Tabular):
         ax = axes_in_units(ax, "s", "W")
         ax.plot(self.time, self.power, color="0.6", lw=0.6)
         window = [self._begin, self.time[-1]]
-        ax.plot(window, [self.mean] * 2, color="#D55E00", label=f"mean, {self.mean:.4g} W")
+        ax.plot(window, [self.mean] * 2, color="#D55E00", label=f"mean, {prefixed(self.mean, 'W')}")
         if np.isfinite(self.linear):
-            ax.axhline(self.linear, color="k", ls="--", lw=1, label=f"linear, {self.linear:.4g} W")
+            ax.axhline(
+                self.linear, color="k", ls="--", lw=1, label=f"linear, {prefixed(self.linear, 'W')}"
+            )
         ax.set(xlabel="time", ylabel="power")
-        share = f", {self.share:.3%} of that of the drive" if np.isfinite(self.input) else ""
-        set_title(ax, f"Contact {self.contact}: ± {self.error:.1g} W{share}")
+        share = (
+            f", {100 * self.share:.5g} % of that of the drive" if np.isfinite(self.input) else ""
+        )
+        set_title(ax, f"Contact {self.contact}: ± {prefixed(self.error, 'W', 1)}{share}")
         legend(ax)
         return ax
 

@@ -20,7 +20,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, choose_few, colour_bar, legend, set_title, si
+from ..util.plotting import axes_in_units, choose_few, colour_bar, legend, prefixed, set_title, si
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
 from .flight import summit
@@ -145,13 +145,13 @@ class Shock(Shown, Tabular):
         for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
             colour = COLOURS[name]
             if np.isfinite(edge.speed):
-                label = f"{name} edge, {edge.speed:.5g} ± {edge.error:.1g} grains/s"
+                label = f"{name} edge, {edge.speed:.5g} ± {float(f'{edge.error:.1g}'):g} grains/s"
                 ax.axvline(self._place(edge.speed), color=colour, lw=1.2, label=label)
             for theory, speed in self._predicted(name):
                 label = f"{name} edge, {theory}: {speed:.5g} grains/s"
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         ax.set(xlabel="contact, from the top", ylabel="overlap")
-        set_title(ax, f"{self.kind} after {self.time:.3g} s")
+        set_title(ax, f"{self.kind} after {prefixed(self.time, 's', 3)}")
         legend(ax)
         return ax
 

@@ -101,21 +101,23 @@ class Train(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the energy of each grain at the end, each wave marked with its share."""
-        ax = axes_in_units(ax, "", "J")
+        ax = axes_in_units(ax, "", "")
         ax.semilogy(self.place, np.maximum(self.density, 1e-12 * self.total), color="0.3", lw=1)
         for number, (grain, share) in enumerate(zip(self.grain, self.share, strict=True)):
             label = "solitary waves" if number == 0 else None
             height = float(np.interp(grain, self.place, self.density))
             ax.plot(grain, height, "v", color="#D55E00", ms=5, label=label)
             if number < 6:
-                ax.text(grain, 2 * height, f"{share:.3%}", rotation=90, ha="center", va="bottom")
+                ax.text(
+                    grain, 2 * height, f"{100 * share:.3g} %", rotation=90, ha="center", va="bottom"
+                )
         # room for these words
         ax.set_ylim(top=1e4 * self.density.max())
-        ax.set(xlabel="grain, from the top", ylabel="energy of a grain")
+        ax.set(xlabel="grain, from the top", ylabel="energy of a grain (J)")
         whole, error = self.all_share
         count = self.grain.size
         waves = "1 solitary wave has" if count == 1 else f"{count} solitary waves have"
-        set_title(ax, f"{waves} {whole:.4%} ± {error:.0e} of the energy")
+        set_title(ax, f"{waves} {100 * whole:.6g} ± {100 * error:.1g} % of the energy")
         legend(ax, loc="upper left")
         return ax
 

@@ -23,7 +23,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import axes_in_units, legend, prefixed, set_title
 from ..util.tabular import NamedColumn, Tabular
 from .bodies import motion
 from .energy import shares
@@ -92,8 +92,10 @@ class EnergyBands(Shown, Tabular):
         labels = [f"{low:.2g} to {high:.2g}" for low, high in itertools.pairwise(self.edges)]
         values = self.energy[sample].T / spacing
         ax.stackplot(self.place, values, labels=labels, lw=0)
-        ax.set(xlabel="grain, from the top", ylabel="energy a grain")
-        set_title(ax, f"after {self.time[sample]:.3g} s, by wavenumber (radians a grain)")
+        ax.set(xlabel="grain, from the top", ylabel="energy per grain")
+        set_title(
+            ax, f"after {prefixed(self.time[sample], 's', 3)}, by wavenumber (radians a grain)"
+        )
         legend(ax)
         return ax
 

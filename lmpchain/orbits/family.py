@@ -194,7 +194,8 @@ class Family(Shown, Tabular):
         events = [event.orbit for event in self.events]
         place = self.value
         event_place = np.array([event.value for event in self.events])
-        name = self.parameter
+        quantity = self.parameter.removeprefix("drive.")
+        name = quantity if quantity == self.parameter else f"{quantity} of the drive"
         if by_frequency:
             place = self._frequencies(self.orbits)
             event_place = self._frequencies(events)

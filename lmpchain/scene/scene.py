@@ -172,12 +172,21 @@ class Scene(Recording):
         first, last = self.excitation.reach(self.chain)
         top = max(1, first - DRAWN_AROUND)
         near = np.arange(top, min(self.chain.grains, last + DRAWN_AROUND) + 1)
-        for name, unit, values in zip(
-            ("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True
-        ):
-            if values.any():
-                ax.plot(near, values[near - 1], ".-", lw=1, label=f"{name} ({unit})")
+        given = [
+            (name, unit, values)
+            for name, unit, values in zip(
+                ("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True
+            )
+            if values.any()
+        ]
+        for name, unit, values in given:
+            ax.plot(near, values[near - 1], ".-", lw=1, label=f"{name} ({unit})")
         ax.set(xlabel="grain, from the top", ylabel="at t = 0, downward")
+        if len(given) == 1:
+            # which then names the axis
+            name, unit, _ = given[0]
+            ax.set_ylabel(f"{name} at t = 0, downward")
+            return axes_in_units(ax, "", unit)
         legend(ax)
         return ax
 

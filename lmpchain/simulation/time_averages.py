@@ -237,7 +237,7 @@ class Averages(Shown, Tabular):
         of : str, optional
             By default the first quantity.
         """
-        from ..util.plotting import axes_in_units, legend, set_title
+        from ..util.plotting import axes_in_units, legend, prefixed, set_title
 
         name = next(iter(self.mean)) if of is None else of
         if name not in self.mean:
@@ -258,8 +258,9 @@ class Averages(Shown, Tabular):
         if self.warm_up:
             ax.axvspan(0.0, self.warm_up, color="0.92", lw=0, label="warm-up, left out")
         ax.set(xlabel="time", ylabel=name.replace("_", " "), xlim=(0.0, self.time))
-        unit = f" {self.unit[name]}" if self.unit[name] else ""
-        set_title(ax, f"{name.replace('_', ' ')}: {self.mean[name]:.5g}{unit}")
+        unit = self.unit[name]
+        mean = prefixed(self.mean[name], unit, 5) if unit else f"{self.mean[name]:.5g}"
+        set_title(ax, f"{name.replace('_', ' ')}: {mean}")
         legend(ax)
         return ax
 

@@ -13,7 +13,15 @@ from matplotlib.ticker import LogLocator
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LEAST_ERROR, look_of, panels, window
+from ..util.plotting import (
+    COLOURS,
+    LEAST_ERROR,
+    look_of,
+    panels,
+    set_title,
+    typeset,
+    window,
+)
 from ..util.tables import align, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from ..util.ticks import UnitFormatter
@@ -152,7 +160,8 @@ def _draw_steps(axes: Axes, result: Stability) -> None:
     axes.plot(predicted, heights, "|", ms=16, mew=2, color="0.3", label="predicted")
     axes.plot(measured, heights, "o", ms=6, color=COLOURS["lammps"], label="measured")
     label = "longest step before a run of this duration breaks down"
-    axes.set(xscale="log", xlabel=label, title="Time step")
+    axes.set(xscale="log", xlabel=label)
+    set_title(axes, "Time step")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(UnitFormatter("s"))
     axes.xaxis.set_minor_formatter("")
@@ -168,7 +177,7 @@ def _draw_energy(axes: Axes, result: Stability) -> None:
         axes.plot(curve.x[1:], error, color=colour, lw=1.2, label=curve.name)
     axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
     axes.xaxis.set_major_formatter(UnitFormatter("s"))
-    axes.set_title("Energy, with forty steps a period of the fastest oscillation")
+    set_title(axes, "Energy, with forty steps a period of the fastest oscillation")
     _legend(axes)
 
 
@@ -180,7 +189,7 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
     for level in (1e-3, TOLERANCE, 1e-9):
         axes.axhline(level, color="0.75", lw=0.8)
         text: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "color": "0.4"}
-        axes.annotate(f"{level:g}", (1, level), (-2, 2), ("axes fraction", "data"), **text)
+        axes.annotate(typeset(f"{level:g}"), (1, level), (-2, 2), ("axes fraction", "data"), **text)
     for row in result.boundaries:
         if row.what.startswith("predictable"):
             for value, style, label in (
@@ -188,12 +197,12 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
                 (row.measured, "-", "measured"),
             ):
                 if np.isfinite(value) and value <= 1.2 * end:
-                    name = f"predictable to {TOLERANCE:g}, {label}"
+                    name = typeset(f"predictable to {TOLERANCE:g}, {label}")
                     axes.axvline(value, color="0.3", ls=style, lw=1.2, label=name)
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
     axes.xaxis.set_major_formatter(UnitFormatter("s"))
     axes.locator_params(axis="x", nbins=5)
-    axes.set_title("Divergence of two runs, 1e-13 apart at the start")
+    set_title(axes, "Divergence of two runs, 1e-13 apart at the start")
     _legend(axes)
 
 
@@ -209,7 +218,7 @@ def _draw_strength(axes: Axes, result: Stability) -> None:
     axes.annotate("this scene", (1.0, 0.6), (4, 0), ("data", "axes fraction"), "offset points")
     axes.set(xscale="log", yscale="log", ylabel="relative error")
     axes.set_xlabel("strength of the strike, over that of the scene")
-    axes.set_title("Model error and round-off")
+    set_title(axes, "Model error and round-off")
     _legend(axes)
 
 

@@ -24,7 +24,7 @@ from ..chain.contacts import Contacts, hertz_constant, pair_value
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend
+from ..util.plotting import axes_in_units, legend, prefixed
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .domain import real, require
 from .modes import eigenmodes
@@ -199,7 +199,7 @@ class GapModes(Shown, Tabular):
         """Draw the displacements of the grains in each mode, over its largest; return the axes."""
         ax = axes_in_units(ax, "", "")
         for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
-            label = f"{w / (2 * np.pi):.4g} Hz, {number:.1f} grains"
+            label = f"{prefixed(w / (2 * np.pi), 'Hz')}, {number:.1f} grains"
             grain = np.arange(1, shape.size + 1)
             ax.plot(grain, shape / np.abs(shape).max(), ".-", lw=1, label=label)
         ax.set(xlabel="grain", ylabel="displacement over the largest")

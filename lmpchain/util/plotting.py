@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
 from collections.abc import Sequence
@@ -46,6 +47,7 @@ INTEGRATORS = ("kahan-li6", "kahan-li8", "verlet", "rkn6", "rkn4", "dop853", "ge
 # a number as computers write it: 2e-08
 POWER = re.compile(r"(?<![\w.$])(\d(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\w)")
 # a hyphen that stands for a minus: between two terms, or before one
+PLAIN = (1e-3, 1e3)  # between these, numbers are written without a power of ten
 MINUS = re.compile(r"(?<=\S )-(?= \S)|(?<![^\s(])-(?=[\w.])")
 LABEL_HEIGHT = 0.055  # of the axes: what a line of small letters takes
 
@@ -69,13 +71,23 @@ def typeset(text: str) -> str:
     --------
     >>> print(typeset("v0* = 1e-06, 2e-08 off"))
     $v_0^*$ = $10^{-6}$, $2\\times 10^{-8}$ off
+    >>> print(typeset("1.2e-01 and 0.0e+00"))
+    0.12 and 0
     >>> print(typeset("n - 1/2, (-0.08), kahan-li6"))
     n − 1/2, (−0.08), kahan-li6
     """
     text = re.sub(r"v0\*|v\$_0\$\*", "$v_0^*$", text)
-    text = POWER.sub(r"$\1\\times 10^{\2\3}$", text)
-    text = MINUS.sub("\N{MINUS SIGN}", text)
-    return text.replace(r"$1\times 10", "$10")
+    text = POWER.sub(_typeset_number, text)
+    return MINUS.sub("\N{MINUS SIGN}", text)
+
+
+def _typeset_number(said: re.Match[str]) -> str:
+    """Return a number that a computer wrote as 2e-08: plain if it is neither small nor large."""
+    number = float(said[0])
+    if number == 0 or PLAIN[0] <= number < PLAIN[1]:
+        return f"{number:g}"
+    factor = "" if float(said[1]) == 1 else rf"{said[1]}\times "
+    return f"${factor}10^{{{said[2]}{said[3]}}}$"
 
 
 def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
@@ -180,6 +192,36 @@ def si(value: float, unit: str, places: int | None = None) -> str:
     return EngFormatter(unit, places=places)(value)
 
 
+def prefixed(value: float, unit: str, digits: int = 4) -> str:
+    """Return a number of so many digits with its unit and an SI prefix.
+
+    Examples
+    --------
+    >>> prefixed(1.0310392e-4, "s"), prefixed(2.0032e-4, "N", 2)
+    ('103.1 µs', '200 µN')
+    """
+    return si(float(f"{value:.{digits}g}"), unit)
+
+
+def with_error(value: float, error: float, unit: str) -> str:
+    """Return a number to the first digit of its error, both with one SI prefix.
+
+    Examples
+    --------
+    >>> with_error(7.998059e-4, 6.651e-7, "m/s"), with_error(0.05, 0.0, "N")
+    ('799.8 ± 0.7 µm/s', '50 mN')
+    """
+    from matplotlib.ticker import EngFormatter
+
+    power = 3 * math.floor(math.log10(abs(value)) / 3) if value else 0
+    prefix = EngFormatter.ENG_PREFIXES.get(power)
+    if prefix is None or not (0 < error < math.inf):
+        return prefixed(value, unit)
+    places = max(0, -math.floor(math.log10(error) - power))
+    numbers = (f"{number / 10.0**power:.{places}f}" for number in (value, error))
+    return f"{' ± '.join(numbers)} {prefix}{unit}"
+
+
 def window(width: float = 6.4, height: float = 4.2) -> Figure:
     """Return an empty figure of this size in inches that `pyplot.show` and notebooks show."""
     from matplotlib import pyplot
@@ -215,7 +257,7 @@ def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
 
 def set_title(ax: Axes, text: str) -> None:
     """Put a title above axes, on the left, in as many lines as it takes."""
-    ax.set_title(_fold(ax, text, 10.0), loc="left", fontsize=10.0)
+    ax.set_title(typeset(_fold(ax, text, 10.0)), loc="left", fontsize=10.0)
 
 
 def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
@@ -223,7 +265,7 @@ def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
     handles = handles or ax.get_legend_handles_labels()
     if handles[0]:
         size = 7.0 if _inches(ax) < NARROW else 9.0
-        labels = [_fold(ax, label, size + 2.0) for label in handles[1]]
+        labels = [typeset(_fold(ax, label, size + 2.0)) for label in handles[1]]
         ax.legend(
             handles[0], labels, **{"frameon": False, "fontsize": size, "handlelength": 1.5} | keys
         )

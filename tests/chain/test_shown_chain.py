@@ -69,8 +69,9 @@ def test_the_picture_of_a_chain_has_masses_and_overlaps_over_their_largest() -> 
         chain.equilibrium_overlap / chain.equilibrium_overlap.max(), rel=1e-14
     )
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
-    deepest = chain.equilibrium_overlap.max()
-    assert labels == [f"mass / {chain.masses[-1]:.3g} kg", f"overlap at rest / {deepest:.3g} m"]
+    milligrams = 1e6 * chain.masses[-1]
+    nanometres = 1e9 * chain.equilibrium_overlap.max()
+    assert labels == [f"mass / {milligrams:.3g} mg", f"overlap at rest / {nanometres:.3g} nm"]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain, from the top", "over the largest")
     assert axes.get_ylim()[0] == 0
     assert axes.get_ylim()[1] > 1.1

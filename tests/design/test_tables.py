@@ -202,7 +202,7 @@ def test_a_picture_has_the_change_in_percent_along_the_chain():
     np.testing.assert_array_equal(ax.lines[-1].get_ydata(), [0, 0])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("grain", "change for 1 % more, %")
     assert ax.get_xlim() == (0.5, 4.5)
-    assert ax.get_title("left") == "peak force:3: 2 N"
+    assert ax.get_title("left") == "peak force, contact 3: 2 N"
     assert ax.get_legend() is not None
     far = shown()
     far.relative["diameters"] = np.array([1.0, 0.0, 0.9e-3, 0.0, 1.1e-3, 0.9e-3])

@@ -399,7 +399,9 @@ def test_picture_of_a_mean():
         at_top = path.vertices[path.vertices[:, 0] == 1, 1]
         error = found.velocity_error[sample, 0]
         assert np.ptp(at_top) == pytest.approx(4 * error, rel=1e-9)
-        assert axes.get_title("left") == f"t = {found.time[sample]:.4g} s"
+        assert axes.get_title("left") == (
+            "t = 0 s" if sample == 0 else f"t = {1e6 * found.time[sample]:.4g} µs"
+        )
         assert len(axes.get_legend().get_texts()) == 2
     assert (axes.get_xlabel(), axes.get_ylabel()) == (
         "grain number, from the top",

@@ -428,10 +428,10 @@ def test_the_four_panels_hold_the_numbers() -> None:
     assert growth.get_lines()[0].get_ydata().tolist() == [1e-13, 1e-9, np.inf]
     levels = [line.get_ydata()[0] for line in growth.get_lines()[1:4]]
     assert levels == [1e-3, 1e-6, 1e-9]
-    assert [text.get_text() for text in growth.texts] == ["0.001", "1e-06", "1e-09"]
+    assert [text.get_text() for text in growth.texts] == ["0.001", "$10^{-6}$", "$10^{-9}$"]
     ends = lines_of(growth)
-    assert list(ends["predictable to 1e-06, predicted"].get_xdata()) == [4e-4, 4e-4]
-    assert list(ends["predictable to 1e-06, measured"].get_xdata()) == [5e-4, 5e-4]
+    assert list(ends["predictable to $10^{-6}$, predicted"].get_xdata()) == [4e-4, 4e-4]
+    assert list(ends["predictable to $10^{-6}$, measured"].get_xdata()) == [5e-4, 5e-4]
     assert growth.get_ylabel() == "distance of two runs, over the largest value"
     curves = lines_of(strength)
     assert curves["Eq. (3), estimate"].get_linestyle() == "-"

@@ -105,8 +105,8 @@ class FrontLaw(Fitted, Tabular):
         less = self.time - self.shift
         ax.plot(self.depth, less, ".", markersize=4, label="less the lag of the grains")
         exponent, factor = self.expected
-        expected = f"expected {factor:.4f} h^{exponent:.4f}"
-        law = f"{self.factor:.4f} h^{self.exponent:.4f}, {expected}"
+        expected = f"expected {factor:.4f} $h^{{{exponent:.4f}}}$"
+        law = f"{self.factor:.4f} $h^{{{self.exponent:.4f}}}$, {expected}"
         ax.plot(self.depth, self.law, lw=1, label=law)
         ax.set(
             xscale="log",

@@ -16,7 +16,7 @@ from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
-from ...util.plotting import axes_in_units, choose_few, legend, set_title
+from ...util.plotting import axes_in_units, choose_few, legend, set_title, with_error
 from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
 from ..bodies import motion
@@ -145,8 +145,6 @@ class ParameterFit(Fitted, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw some of the traces as points and the fit as lines; returns the axes."""
-        from matplotlib.ticker import EngFormatter
-
         trace = self.trace
         ax = axes_in_units(ax, "s", UNITS_OF_TRACES[trace.field])
         for i in choose_few(trace.grain.size):
@@ -157,8 +155,7 @@ class ParameterFit(Fitted, Tabular):
         ax.set(xlabel="time", ylabel=field)
         unit = UNITS_OF_TRACES[self.parameter]
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
-        value = EngFormatter(unit, places=4)(self.value)
-        set_title(ax, f"{name} {value} ± {EngFormatter(unit, places=1)(self.error)} (lines)")
+        set_title(ax, f"{name} {with_error(self.value, self.error, unit)} (lines)")
         legend(ax)
         return ax
 

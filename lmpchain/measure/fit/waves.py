@@ -119,6 +119,7 @@ class ModeFit(Fitted, Tabular):
             ax = axes_in_units(ax, "s", "")
             ax.plot(self.time, self.residual)
             ax.set(xlabel="time", ylabel="linear motion from t = 0,\nrelative residual")
+            ax.ticklabel_format(axis="y", useMathText=True)
             return ax
         ax = axes_in_units(ax, "Hz", "")
         hertz = self.frequency / (2 * np.pi)
