@@ -202,7 +202,7 @@ def _check_reach(scene: Scene, latest: float) -> None:
 
 
 def _check_noise(traces: Sequence[Traces]) -> None:
-    """Raise `InputError` unless traces of several units say how far each may be off."""
+    """Raise `InputError` unless traces of several units say how uncertain each is."""
     units = {FIELD_UNITS[trace.field] for trace in traces}
     if len(units) > 1 and any(trace.noise is None for trace in traces):
         weights = f"of each trace, as squares of {' and '.join(sorted(units))} cannot be added"

@@ -16,6 +16,7 @@ from ..scene.file_columns import Quantity
 from ..scene.scene import Scene
 from ..scene.trace_file import TraceFile
 from ..util.arrays import Array, check_flags, numbers, whole_numbers
+from ..util.notebook import Shown
 from ..util.remarks import note
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from ..util.units import FIELD_UNITS
@@ -25,8 +26,8 @@ Field = Literal["velocity", "displacement", "force", "contact"]
 OF_FILES = TraceFile.arguments.keys() - {"file"}
 
 
-@dataclass(frozen=True, eq=False)
-class Traces(Tabular):
+@dataclass(frozen=True, eq=False, repr=False)
+class Traces(Shown, Tabular):
     """Values measured at the same times at some grains or contacts.
 
     Parameters

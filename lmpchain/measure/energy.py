@@ -69,7 +69,7 @@ class EnergyLedger(Shown, Tabular):
         What force, driver, walls, a held grain and drag have given since t = 0 beyond the impulses
         that balance at rest.
     drive_error, impulse_error, dissipated_error : float
-        How far these may be off, as the contact forces are known at samples only: the shift when
+        Their uncertainty, as the contact forces are known at samples only: the shift when
         every second sample is used, J and N s; infinite for fewer than three samples. Where forces
         are smooth and well sampled, the true error is about 1/15 of it.
     """
@@ -158,7 +158,7 @@ class EnergyLosses(Shown, Tabular):
     of_grain : (T, N) array
         The integral of m gamma v^2; that of a driven grain is left out.
     error : float
-        How far the sum may be off, as the powers are known at samples only: the shift when every
+        Uncertainty of the sum, as the powers are known at samples only: the shift when every
         second sample is used; infinite for fewer than three samples.
     """
 
@@ -193,7 +193,7 @@ class EnergyShares(Shown, Tabular):
         Kinetic energy of each grain, half of its contacts with other grains, and all of those with
         walls; NaN where a neighbour was not recorded.
     kinetic_error, elastic_error, of_grain_error : arrays like these three
-        How far each may be off by the error of the trajectory, where that is known.
+        Uncertainty of each by the error of the trajectory, where that is known.
     """
 
     time: Array

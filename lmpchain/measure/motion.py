@@ -51,7 +51,7 @@ class Peaks(NamedTuple):
     grain : (G,) array
         Their numbers.
     value, error : (G,) arrays
-        Its size, m/s or m, and how far that may be off: by sampling, and by the error of the
+        Its size, m/s or m, and its uncertainty: by sampling, and by the error of the
         trajectory where it is known.
     """
 
@@ -268,7 +268,7 @@ class Motion:
         return self._column[grains]
 
     def known_error(self, field: Field) -> float:
-        """Return how far any value may be off by the error of the trajectory."""
+        """Return the uncertainty of any value by the error of the trajectory."""
         return self._errors[field == "velocity"]
 
     @cached_property

@@ -152,7 +152,8 @@ class Shock(Shown, Tabular):
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         ax.set(xlabel="contact, from the top", ylabel="overlap")
         set_title(ax, f"{self.kind} after {prefixed(self.time, 's', 3)}")
-        legend(ax)
+        # it may lie on the lines of the edges
+        legend(ax, frameon=True, framealpha=0.9, edgecolor="none")
         return ax
 
     def plot_map(self, ax: Axes | None = None) -> Axes:

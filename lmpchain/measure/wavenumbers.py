@@ -94,7 +94,7 @@ class EnergyBands(Shown, Tabular):
         ax.stackplot(self.place, values, labels=labels, lw=0)
         ax.set(xlabel="grain, from the top", ylabel="energy per grain")
         set_title(
-            ax, f"after {prefixed(self.time[sample], 's', 3)}, by wavenumber (radians a grain)"
+            ax, f"after {prefixed(self.time[sample], 's', 3)}, by wavenumber (radians per grain)"
         )
         legend(ax)
         return ax

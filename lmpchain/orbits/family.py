@@ -28,8 +28,8 @@ DECADES = 50.0  # ratio of sizes from which on an axis is logarithmic
 MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^", "branch point": "D"}
 
 
-@dataclass(frozen=True, eq=False)
-class Event:
+@dataclass(frozen=True, eq=False, repr=False)
+class Event(Shown):
     """A fold or a bifurcation of a family, at one of its orbits.
 
     Attributes

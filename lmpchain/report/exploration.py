@@ -73,7 +73,7 @@ def explore(
     """Write one self-contained page in which a slider a key goes through runs of a scene.
 
     Beside the motion of the chosen run stand its strike number, its estimated error, its front and
-    how far linear theory is off. The page holds those runs and no others: a value between two shows
+    the error of linear theory. The page holds those runs and no others: a value between two shows
     the nearest run. It takes 2 MB at most and fetches nothing.
 
     Parameters

@@ -78,7 +78,7 @@ def _linear_run(scene: Scene) -> Trajectory | None:
 
 
 def departure(run: Trajectory, linear: Trajectory) -> float:
-    """Return how far linear theory is off at most, over the largest velocity."""
+    """Return the largest error of linear theory, over the largest velocity."""
     largest = np.abs(run.velocity).max(initial=0.0) or 1.0
     return float(np.abs(run.velocity - linear.velocity).max(initial=0.0) / largest)
 
@@ -144,7 +144,7 @@ def strike_verdict(run: Trajectory, linear: Trajectory | None) -> str:
 
 
 def linear_verdict(run: Trajectory, linear: Trajectory) -> str:
-    """Return how far linear theory is off, in words."""
+    """Return the error of linear theory in words."""
     error = departure(run, linear)
     if error < 1e-5:
         return "linear theory holds to better than 0.001 % of the largest velocity"

@@ -64,7 +64,7 @@ class Impulse(OneGrain):
 
 
 class Displacement(OneGrain):
-    """One grain moved from its equilibrium and let go, m, positive downward."""
+    """One grain displaced from its equilibrium and released, m, positive downward."""
 
     kind: ClassVar[str] = "displacement"
     strength: ClassVar[tuple[str, ...]] = ("displacement",)

@@ -50,6 +50,8 @@ DASHPOT = 10.0  # A omega beyond which a contact hardly gives way in a period
 # omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is
 # known between them
 GATHERING_TURN = 0.5
+# strike numbers at which linear theory errs by 1 and by 10 % in the velocities after 100 us
+WEAK, STRONG = 0.04, 0.4
 DRAWN_AROUND = 10  # grains at rest drawn on either side of those that are moved
 
 
@@ -152,7 +154,7 @@ class Scene(Recording):
             yield (
                 "strike number",
                 f"{self.strike_number:.4g}",
-                "linear theory needs it to be far below 1",
+                _verdict(self.strike_number),
             )
 
     def _picture(self) -> str:
@@ -435,3 +437,12 @@ class LightCone(NamedTuple):
     scene: Scene
     rows: slice | NDArray[np.intp]
     columns: slice | NDArray[np.intp]
+
+
+def _verdict(strike_number: float) -> str:
+    """Return in words what a strike number says of linear theory."""
+    if strike_number == math.inf:
+        return "no contact is pressed: there is no linear theory"
+    if strike_number > STRONG:
+        return "too strong for linear theory"
+    return "weak enough for linear theory" if strike_number < WEAK else "almost linear"

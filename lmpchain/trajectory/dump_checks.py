@@ -68,7 +68,7 @@ class SampledMotion(NamedTuple):
     slowest : float
         Largest angle of the mean motion of a group.
     leak : float
-        How far comparisons of groups may be off, by what faster motion adds at their borders.
+        Uncertainty of comparisons of groups, by what faster motion adds at their borders.
     forces : float
         Largest angle at which accelerations are compared with forces.
     """
@@ -206,7 +206,7 @@ def _find_start(scene: Scene, motion: Motion, first: FirstFrame) -> str:
 
 
 def _gap_limits(scene: Scene, motion: Motion, first: FirstFrame) -> Array:
-    """Return how far each distance between neighbours may be off in the first frame, (N-1,) m."""
+    """Return the uncertainty of each distance between neighbours in the first frame, (N-1,) m."""
     moved = 2 * np.abs(motion.displacement).max()
     limits = CHECKS.overlap * (scene.chain.equilibrium_overlap + moved) + first.slack
     return np.asarray(limits)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from functools import cache
 from html import escape
 from inspect import getdoc
@@ -25,7 +26,9 @@ class Shown:
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         """Yield the names and values to show."""
-        yield from ((name, value) for name, value in vars(self).items() if not name.startswith("_"))
+        # of a record what it was made of, without what was worked out or is not to be shown
+        kept = [one.name for one in fields(self) if one.repr] if is_dataclass(self) else vars(self)
+        yield from ((name, getattr(self, name)) for name in kept if not name.startswith("_"))
 
     def _summary(self) -> Iterator[Sequence[str]]:
         """Yield the rows of the table: name, value, meaning."""
@@ -51,8 +54,8 @@ class Shown:
         return base64.b64encode(buffer.getvalue()).decode("ascii")
 
     def __repr__(self) -> str:
-        fields = islice(self._fields(), 2 * FEW_VALUES)
-        text = ", ".join(f"{name}={brief(value)}" for name, value in fields)
+        few = islice(self._fields(), 2 * FEW_VALUES)
+        text = ", ".join(f"{name}={brief(value)}" for name, value in few)
         return f"{type(self).__name__}({text})"
 
     def _repr_html_(self) -> str:
@@ -79,6 +82,8 @@ def brief(value: Any, letters: int = 60) -> str:
     ('(101,) from 0 to 1', '[0 1 2]', '0.333333')
     >>> brief("abc"), brief([1] * 9)
     ("'abc'", '9 values')
+    >>> brief({"force:10": 0.12345678})
+    'force:10: 0.123457'
     """
     if isinstance(value, float | np.floating):
         return f"{value:.6g}"
@@ -91,13 +96,20 @@ def brief(value: Any, letters: int = 60) -> str:
         numbers = numbers[np.isfinite(numbers)] + 0
         extent = f" from {numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else ""
         return f"{value.shape}{extent}"
-    if isinstance(value, Mapping | list | tuple):
-        records = any(hasattr(item, "_fields") for item in value)
+    if isinstance(value, Mapping | list | tuple) and not hasattr(value, "_fields"):
+        items = value.values() if isinstance(value, Mapping) else value
+        records = any(hasattr(item, "_fields") for item in items)
         if records or len(value) > FEW_VALUES:
             return f"{len(value)} values"
-    if isinstance(value, tuple):
-        return f"({', '.join(brief(item, letters) for item in value)})"
-    text = repr(value)
+    if isinstance(value, Mapping):
+        text = ", ".join(f"{name}: {brief(item, letters)}" for name, item in value.items())
+    elif isinstance(value, tuple):
+        names = [f"{name}=" for name in getattr(value, "_fields", ())] or [""] * len(value)
+        kind = type(value).__name__ if hasattr(value, "_fields") else ""
+        items = map("{}{}".format, names, (brief(item, letters) for item in value))
+        text = f"{kind}({', '.join(items)})"
+    else:
+        text = repr(value)
     return text if len(text) <= letters else f"{text[: letters - 4]} ..."
 
 

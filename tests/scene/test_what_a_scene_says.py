@@ -618,8 +618,13 @@ def test_a_notebook_shows_what_a_scene_is() -> None:
     assert rows["recorded"] == ["11 times to 0.0001 s, 4 grains", ""]
     assert rows["strike number"] == [
         f"{scene.strike_number:.4g}",
-        "linear theory needs it to be far below 1",
+        "almost linear",
     ]
+    words = {1e-6: "weak enough for linear theory", 1e-2: "too strong for linear theory"}
+    for velocity, verdict in words.items():
+        assert verdict in scene_of(Impulse(velocity=velocity))._repr_html_()
+    loose = Chain(grains=5, diameter=1e-3, gravity=0.0)
+    assert "there is no linear theory" in scene_of(Impulse(velocity=1e-4), loose)._repr_html_()
     assert rows["excitation"][0].startswith("Impulse(")
     assert rows["chain"][0].startswith("Chain(")
     assert "data:image/png" in html

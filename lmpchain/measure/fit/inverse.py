@@ -16,6 +16,7 @@ from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
+from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, choose_few, legend, set_title, with_error
 from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
@@ -37,8 +38,8 @@ UNITS_OF_TRACES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Trace:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trace(Shown):
     """A measured trace: velocity, displacement or force of some grains over time.
 
     Parameters

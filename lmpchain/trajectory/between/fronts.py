@@ -125,7 +125,7 @@ def doubt_choice(events, at, late, peak, rules):
     at : int
         Which of them is the front.
     late : float
-        How far off its time is at least, s.
+        Least error of its time, s.
     peak : Peak
     rules : Rules
 
