@@ -42,8 +42,8 @@ class Power(Shown, Tabular):
     time, power : (T,) arrays
         s; force above rest times the mean velocity of the two bodies, W.
     mean, error : float
-        Over the last `periods` of the drive, W; by how much it may be off: the change from their first
-        to their second half, that of every second sample, and the error of the trajectory.
+        Over the last `periods` of the drive, W; by how much it may be off: the change from their
+        first to their second half, that of every second sample, and the error of the trajectory.
     periods : int
     input, input_error : float
         Mean power of the drive over the same periods, in the same way, W; NaN if the grains it acts

@@ -170,7 +170,9 @@ class Scene(Recording):
             ax.plot(time, waveform.at(time))
             ax.set(xlabel="time", ylabel=f"{name}, downward")
             return ax
-        ax = axes_in_units(ax, "", "")
+        return self._plot_start(axes_in_units(ax, "", ""))
+
+    def _plot_start(self, ax: Axes) -> Axes:
         first, last = self.excitation.reach(self.chain)
         top = max(1, first - DRAWN_AROUND)
         near = np.arange(top, min(self.chain.grains, last + DRAWN_AROUND) + 1)

@@ -83,34 +83,44 @@ def brief(value: Any, letters: int = 60) -> str:
     >>> brief("abc"), brief([1] * 9)
     ("'abc'", '9 values')
     >>> brief({"force:10": 0.12345678})
-    'force:10: 0.123457'
+    '{force:10: 0.123457}'
     """
     if isinstance(value, float | np.floating):
         return f"{value:.6g}"
     if isinstance(value, np.ndarray):
-        if value.ndim == 1 and value.size <= FEW_VALUES:
-            return np.array2string(value, precision=5)
-        # complex numbers have no order
-        numbers = np.abs(value) if np.iscomplexobj(value) else value
-        # no minus before 0
-        numbers = numbers[np.isfinite(numbers)] + 0
-        extent = f" from {numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else ""
-        return f"{value.shape}{extent}"
-    if isinstance(value, Mapping | list | tuple) and not hasattr(value, "_fields"):
-        items = value.values() if isinstance(value, Mapping) else value
-        records = any(hasattr(item, "_fields") for item in items)
-        if records or len(value) > FEW_VALUES:
-            return f"{len(value)} values"
-    if isinstance(value, Mapping):
-        text = ", ".join(f"{name}: {brief(item, letters)}" for name, item in value.items())
-    elif isinstance(value, tuple):
-        names = [f"{name}=" for name in getattr(value, "_fields", ())] or [""] * len(value)
-        kind = type(value).__name__ if hasattr(value, "_fields") else ""
-        items = map("{}{}".format, names, (brief(item, letters) for item in value))
-        text = f"{kind}({', '.join(items)})"
-    else:
-        text = repr(value)
+        return _brief_array(value)
+    text = (
+        _brief_group(value, letters) if isinstance(value, Mapping | list | tuple) else repr(value)
+    )
     return text if len(text) <= letters else f"{text[: letters - 4]} ..."
+
+
+def _brief_array(values: np.ndarray) -> str:
+    """Return the shape of an array and the range of its values, or the few that there are."""
+    if values.ndim == 1 and values.size <= FEW_VALUES:
+        return np.array2string(values, precision=5)
+    # complex numbers have no order
+    numbers = np.abs(values) if np.iscomplexobj(values) else values
+    # no minus before 0
+    numbers = numbers[np.isfinite(numbers)] + 0
+    extent = f" from {numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else ""
+    return f"{values.shape}{extent}"
+
+
+def _brief_group(values: Any, letters: int) -> str:
+    """Return a record by its fields, few values one by one, and how many there are else."""
+    if hasattr(values, "_fields"):
+        pairs = zip(values._fields, values, strict=True)
+        said = ", ".join(f"{name}={brief(item, letters)}" for name, item in pairs)
+        return f"{type(values).__name__}({said})"
+    items = values.values() if isinstance(values, Mapping) else values
+    if len(values) > FEW_VALUES or any(hasattr(item, "_fields") for item in items):
+        return f"{len(values)} values"
+    if isinstance(values, Mapping):
+        said = ", ".join(f"{name}: {brief(item, letters)}" for name, item in values.items())
+        return f"{{{said}}}"
+    said = ", ".join(brief(item, letters) for item in values)
+    return f"({said})" if isinstance(values, tuple) else f"[{said}]"
 
 
 @cache
