@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -194,8 +195,7 @@ class Family(Shown, Tabular):
         events = [event.orbit for event in self.events]
         place = self.value
         event_place = np.array([event.value for event in self.events])
-        quantity = self.parameter.removeprefix("drive.")
-        name = quantity if quantity == self.parameter else f"{quantity} of the drive"
+        name = re.sub(r"drive\.(.*)", r"\1 of the drive", self.parameter)
         if by_frequency:
             place = self._frequencies(self.orbits)
             event_place = self._frequencies(events)
