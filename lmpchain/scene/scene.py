@@ -51,7 +51,7 @@ DASHPOT = 10.0  # A omega beyond which a contact hardly gives way in a period
 # known between them
 GATHERING_TURN = 0.5
 # strike numbers at which linear theory errs by 1 and by 10 % in the velocities after 100 us
-WEAK, STRONG = 0.04, 0.4
+WEAK, STRONG = 0.037, 0.4
 DRAWN_AROUND = 10  # grains at rest drawn on either side of those that are moved
 
 

@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -406,6 +406,64 @@ def test_a_measured_figure_stands_on_one_page():
             cited.setdefault(script, set()).add(page.name)
     assert len(cited) > 5
     assert [script for script, pages in cited.items() if len(pages) > 1] == []
+
+
+# what several pages say, and how: a number in a group of its own, or in one of several
+QUANTITIES = {
+    "strike number at which linear theory is off by 1 %": (
+        r"at the strike number (0\.\d+), and 10 %|v_0\^\* < (0\.\d+)\$, to 10 %"
+        r"|thresholds (0\.\d+) and|below (0\.\d+) linear theory is right"
+        r"|below (0\.\d+) for 1 %|at v0\* = (0\.\d+) and 10 %"
+    ),
+    "strike number at which linear theory is off by 10 %": (
+        r"and 10 % at (0\.\d+)|to 10 % for (0\.\d+)|thresholds 0\.\d+ and (0\.\d+)"
+    ),
+    "strike number at which contact 1 opens": (
+        r"contact 1 opens from (\d+\.\d)|column opens at (\d+\.\d)|, from (\d+\.\d) on contact 1"
+    ),
+    "error of linear theory in Fig. 5 at g": (
+        r"and 28, (\d+), 144 % at|28 %, (\d+) % and 144|at 10 g, (\d+) % at g|28, (\d+), 144 % off"
+    ),
+    "time of a column of a sweep": r"(0\.\d+ to 0\.\d+) ms of a core",
+    "error of Eq. (7)": r"off by (\d+ to \d+) %, for the top|Eq\. \(7\) is (\d+ to \d+) % off",
+    "shift at 1.05 times sound beside Toda's law": (
+        r"from Toda's by (\d+) % at 1\.05|differ by [-−](\d+)% at 1\.05"
+    ),
+    "intervals of 95 % that cover": (
+        r"intervals that cover, % \| ([\d.]+) \||over 0\.1 s ([\d.]+) % cover"
+    ),
+}
+
+
+def said_of(form: str, texts: Mapping[str, str]) -> dict[str, set[str]]:
+    """Return the numbers that each page gives in this form, without zeros at their end."""
+    numbers = {
+        page: {
+            "".join(groups).rstrip("0") if "." in "".join(groups) else "".join(groups)
+            for groups in (match.groups("") for match in re.finditer(form, " ".join(text.split())))
+        }
+        for page, text in texts.items()
+    }
+    return {page: said for page, said in numbers.items() if said}
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_pages_state_a_quantity_alike(quantity: str):
+    """And a page on which it is changed is found out."""
+    texts = {
+        str(page): page.read_text(encoding="utf-8")
+        for page in (*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "analysis" / "README.md")
+    }
+    said = said_of(QUANTITIES[quantity], texts)
+    assert len(said) > 1, "it stands on one page alone"
+    assert len(set.union(*said.values())) == 1, said
+    page = next(iter(said))
+    match = re.search(QUANTITIES[quantity], " ".join(texts[page].split()))
+    number = next(filter(None, match.groups()))
+    other = f"{number[:-1]}{(int(number[-1]) + 1) % 10}"
+    changed = match[0].replace(number, other)
+    texts[page] = texts[page].replace("\n", " ").replace(match[0], changed)
+    assert said_of(QUANTITIES[quantity], texts) != said
 
 
 def public_functions() -> list[str]:
