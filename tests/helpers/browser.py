@@ -91,18 +91,34 @@ class Browser:
         while self.run("document.readyState") != "complete":
             pass
 
-    def run(self, script: str) -> Any:
-        """Return the value of an expression in the page; a promise is waited for."""
+    def run(self, script: str, frame: str = "") -> Any:
+        """Return the value of an expression in the page; a promise is waited for.
+
+        With `frame` in the frame whose address has this in it.
+        """
+        context = {"contextId": self._context(frame)} if frame else {}
         answer = self.call(
-            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+            "Runtime.evaluate",
+            expression=script,
+            returnByValue=True,
+            awaitPromise=True,
+            **context,
         )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait_for(self, script: str, patience: float = 60.0) -> None:
-        """Wait until an expression is true in the page."""
+    def _context(self, address: str) -> int:
+        """Return where scripts of ours run in a frame: its page is seen, its variables are not."""
+        frames = self.call("Page.getFrameTree")["frameTree"].get("childFrames", [])
+        (number,) = (
+            each["frame"]["id"] for each in frames if address in each["frame"].get("url", "")
+        )
+        return int(self.call("Page.createIsolatedWorld", frameId=number)["executionContextId"])
+
+    def wait_for(self, script: str, patience: float = 60.0, frame: str = "") -> None:
+        """Wait until an expression is true in the page, or in one of its frames."""
         end = time.monotonic() + patience
-        while not self.run(script):
+        while not self.run(script, frame):
             assert time.monotonic() < end, script
             time.sleep(0.05)
 
@@ -125,6 +141,12 @@ class Browser:
     def point(self, x: float, y: float) -> None:
         """Move the pointer."""
         self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+    def click(self, x: float, y: float) -> None:
+        """Press and let go the button of the pointer at a place."""
+        button = {"x": x, "y": y, "button": "left", "clickCount": 1}
+        self.call("Input.dispatchMouseEvent", type="mousePressed", **button)
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", **button)
 
     def screenshot(self, path: Path) -> None:
         """Save a picture of the whole page."""

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.browser import browser, installed
+from helpers.browser import Browser, browser, installed
 from helpers.child_processes import PATIENCE
 from matplotlib.figure import Figure
 
@@ -466,6 +466,23 @@ def test_pages_state_a_quantity_alike(quantity: str):
     assert said_of(QUANTITIES[quantity], texts) != said
 
 
+@pytest.mark.parametrize(
+    ("question", "place"),
+    [
+        ("equations", "model.md"),
+        ("choose duration, samples", "choosing.md"),
+        ("strike", "scenes.md#strikers"),
+        ("not", "scope.md"),
+        ("cite", "bibliography.md"),
+    ],
+)
+def test_the_first_page_leads_to_what_newcomers_ask(question: str, place: str):
+    """In one click; `test_links_lead_somewhere` follows it."""
+    rows = re.findall(r"^\| (.*\?) \| (.*) \|$", (DOCS / "index.md").read_text("utf-8"), re.M)
+    assert len(rows) > 8
+    assert any(question in asked and f"({place})" in answer for asked, answer in rows)
+
+
 def public_functions() -> list[str]:
     """Return the dotted names of the functions that the reference shows."""
     found = []
@@ -537,10 +554,39 @@ def check_live_figures(build: Path, profile: Path):
         shown.open(build / "index.html", 1280, 1400)
         high = "document.querySelectorAll('iframe.live-figure')[{}].style.height.length > 0"
         shown.wait_for(high.format(0))
+        move_live_figure(shown, figures[0])
         shown.run("document.querySelectorAll('details.live-preset')[2].open = true")
         shown.wait_for(high.format(2))
         assert not shown.run("document.querySelectorAll('details.live-preset')[0].open")
         assert shown.remarks == []
+
+
+def move_live_figure(shown: Browser, figure: str) -> None:
+    """Check that the pointer and the keyboard reach a figure within a page."""
+    shown.wait_for("document.documentElement.dataset.ready", frame=figure)
+    place = "(({{x, y, width, height}}) => [x, y, width, height])({}.getBoundingClientRect())"
+
+    def click(element: str) -> None:
+        left, top, _, _ = shown.run(place.format("document.querySelector('iframe.live-figure')"))
+        x, y, width, height = shown.run(place.format(f"document.{element}"), figure)
+        shown.click(left + x + width / 2, top + y + height / 2)
+
+    run = "document.getElementById('value-0').textContent"
+    click("getElementById('axis-0')")
+    before = shown.run(run, figure)
+    shown.press("ArrowRight")
+    shown.wait_for(f"{run} !== {json.dumps(before)}", 10, figure)
+    said = "document.getElementById('said').textContent"
+    click("getElementById('map')")
+    chosen = shown.run(said, figure)
+    shown.press("ArrowDown")
+    shown.wait_for(f"{said} !== {json.dumps(chosen)}", 10, figure)
+    assert int(shown.run(said, figure).split()[1]) == int(chosen.split()[1]) + 1
+    click("getElementById('play')")
+    moment = shown.run(said, figure)
+    shown.wait_for(f"{said} !== {json.dumps(moment)}", 10, figure)
+    click("getElementById('play')")
+    assert shown.run("document.getElementById('play').textContent", figure) == "Play"
 
 
 @pytest.mark.parametrize(
