@@ -3,6 +3,7 @@ from scripts.
 """
 
 import sys
+import warnings
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
@@ -66,6 +67,10 @@ autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "none"  # numpydoc's sections name the types
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
+
+# pages say what a warning says and by which command they were made, not in which folders
+warnings.formatwarning = lambda message, category, *_: f"{category.__name__}: {message}\n"
+sys.argv = ["sphinx-build", "docs", "docs/build"]
 
 sphinx_gallery_conf = {
     "examples_dirs": "gallery",

@@ -13,7 +13,7 @@ duration = 200 * chain.time_scale
 scene = lmpchain.Scene(
     chain=chain, excitation=lmpchain.Impulse(velocity=1e-9), duration=duration, samples=1601
 )
-t = lmpchain.simulate(scene, "chebyshev")
+t = lmpchain.simulate(scene, "chebyshev", 1e-5)
 
 # .time .amplitude .width of every grain, with errors, but those near the wall
 found = front.track(t).between(1, 280)

@@ -149,7 +149,9 @@ def linear_verdict(run: Trajectory, linear: Trajectory) -> str:
     if error < 1e-5:
         return "linear theory holds to better than 0.001 % of the largest velocity"
     kind = "holds to" if error < 0.05 else "is off by"
-    return f"linear theory {kind} {100 * error:.2g} % of the largest velocity"
+    # 140 %, not 1.4e+02 %
+    percent = float(f"{100 * error:.2g}")
+    return f"linear theory {kind} {percent:g} % of the largest velocity"
 
 
 def facts(

@@ -203,10 +203,10 @@ def test_picture_of_spreading():
             [mean[-1] - 2 * error[-1], mean[-1] + 2 * error[-1]]
         )
     assert [line.get_label() for line in axes.lines] == [
-        "second moment, grains²",
-        "participation, grains",
+        "second moment (grains²)",
+        "participation (grains)",
     ]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time, s", "mean of 5 chains, m = 3")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "mean of 5 chains, m = 3")
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert len(axes.get_legend().get_texts()) == 2
     for count, bands in ((1, 0), (2, 2)):

@@ -221,7 +221,7 @@ def test_pictures_have_labels_and_bars():
         (share, share.integrated, "share of the modes below", "linear"),
     ):
         (ax,) = found.plot().figure.axes
-        assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency, rad/s", label)
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency (rad/s)", label)
         assert (ax.get_xscale(), ax.get_yscale()) == (scale, scale)
         (container,) = ax.containers
         line, caps, (bars,) = container.lines

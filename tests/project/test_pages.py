@@ -548,6 +548,8 @@ def check_live_figures(build: Path, profile: Path):
     figures = re.findall(r'<iframe class="live-figure" src="([^"]*)"', index)
     assert len(figures) == 4
     assert all((build / figure).stat().st_size < 2e6 for figure in figures)
+    # nor do they say where they were built
+    assert not any(str(build) in (build / figure).read_text("utf-8") for figure in figures)
     if not installed():
         return
     with browser(profile) as shown:

@@ -359,7 +359,7 @@ def test_picture_of_gap_modes():
     assert line.get_xdata().tolist() == list(range(1, modes.shape.shape[1] + 1))
     assert line.get_ydata() == pytest.approx(modes.shape[0] / abs(largest), rel=1e-14)
     hertz = modes.frequency[0] / (2 * np.pi)
-    assert line.get_label() == f"{hertz:.4g} Hz, {modes.participation[0]:.1f} grains"
+    assert line.get_label() == f"{hertz / 1e3:.4g} kHz, {modes.participation[0]:.1f} grains"
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain", "displacement over the largest")
     assert axes.get_legend() is not None
 
