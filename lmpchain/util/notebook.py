@@ -83,7 +83,7 @@ def brief(value: Any, letters: int = 60) -> str:
     >>> brief("abc"), brief([1] * 9)
     ("'abc'", '9 values')
     >>> brief({"force:10": 0.12345678})
-    '{force:10: 0.123457}'
+    "{'force:10': 0.123457}"
     """
     if isinstance(value, float | np.floating):
         return f"{value:.6g}"
@@ -117,7 +117,7 @@ def _brief_group(values: Any, letters: int) -> str:
     if len(values) > FEW_VALUES or any(hasattr(item, "_fields") for item in items):
         return f"{len(values)} values"
     if isinstance(values, Mapping):
-        said = ", ".join(f"{name}: {brief(item, letters)}" for name, item in values.items())
+        said = ", ".join(f"{name!r}: {brief(item, letters)}" for name, item in values.items())
         return f"{{{said}}}"
     said = ", ".join(brief(item, letters) for item in values)
     return f"({said})" if isinstance(values, tuple) else f"[{said}]"
