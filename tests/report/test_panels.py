@@ -230,7 +230,7 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
         "the",
         "column:",
         "power",
-        "-0.267",
+        "−0.267",
     ]
     assert (height.get_xscale(), height.get_yscale()) == ("log", "log")
     assert height.get_xlabel() == "depth h = n − 1/2 (grains)"
