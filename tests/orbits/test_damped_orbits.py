@@ -432,7 +432,7 @@ def test_a_resonance_curve_is_drawn_through_its_folds():
     sizes = ["period [s]", "energy [J]", "amplitude [m]"]
     assert columns == ["drive.frequency [Hz]", *sizes, "stable"]
     by_load = orbits.follow(family[0], "drive.amplitude", 0.06 * OVERLAP).plot()
-    assert by_load.get_xlabel() == "drive.amplitude"
+    assert by_load.get_xlabel() == "amplitude of the drive"
     assert by_load.get_ylabel() == "largest displacement"
 
 
