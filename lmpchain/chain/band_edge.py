@@ -59,8 +59,9 @@ def band_edges(diagonal: Array, coupling: Array) -> Array:
                 slope = (1.0 + borrowed * slope) * inverse
                 first += slope
                 second += slope * slope + bend
-            # rounding has brought the shift to the eigenvalue
-            if not pivot > 0.0:
+            # rounding has brought the shift to the eigenvalue, or past it for a long piece of the
+            # chain, where slopes then grow from grain to grain
+            if not (pivot > 0.0 and second < math.inf):
                 break
             spread = math.sqrt((size - 1) * max(size * second - first * first, 0.0))
             step = size / (first + spread)

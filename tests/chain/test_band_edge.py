@@ -36,6 +36,21 @@ def test_they_are_exact_in_a_uniform_chain():
         assert abs(edge / exact - 1) < 4 * EPSILON
 
 
+def test_an_end_of_a_long_chain_that_swings_alone_above_the_band():
+    """A stiff wall: its mode decays along the chain, and lies apart from thousands of others."""
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        moving = int(10 ** rng.uniform(2.5, 4.5))
+        stiffness = np.ones(moving + 1)
+        stiffness[0] = 10 ** rng.uniform(0, 1.5)
+        masses = np.ones(moving)
+        masses[0] = rng.uniform(0.3, 1.5)
+        diagonal, coupling = dynamical_matrix(stiffness, masses)
+        square = dstebz(diagonal, coupling, 2, 0.0, 1.0, moving, moving, 0.0, "E")[1][0]
+        (edge,) = band_edges(diagonal[None], coupling[None])
+        assert abs(edge**2 / square - 1) < 8 * EPSILON
+
+
 def test_many_at_once_are_those_of_each_to_the_last_bit():
     rng = np.random.default_rng(2)
     diagonal, coupling = dynamical_matrix(
