@@ -428,7 +428,7 @@ def averages(
     -----
     Intervals follow from the means of 256 batches a copy (`lmpchain.simulation.batch_means`):
     Student's t with the amplitudes of 16 or 8 slow cosines in them, the slower, the longer a
-    quantity remembers. They are wider by the energy error e: an average may shift by e times the
+    quantity remembers. They are wider by the energy error e: an average may shift by 2 e times the
     larger of its distance from rest and the standard deviation, a variance by 2 e of itself, for
     neither grows faster than with the first and second power of the energy.
 
@@ -668,7 +668,7 @@ def _conclude(
         results["mean"][name] = mean.mean
         results["variance"][name] = variance
         size = max(abs(mean.mean - quantity.at_rest), math.sqrt(variance))
-        half_width = mean.half_width + sums.energy_error * size
+        half_width = mean.half_width + 2 * sums.energy_error * size
         results["interval"][name] = (mean.mean - half_width, mean.mean + half_width)
         results["variance_interval"][name] = _of_variance(variance, mean, spread, sums.energy_error)
         results["batches"][name] = mean.batches

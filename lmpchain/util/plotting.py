@@ -257,7 +257,8 @@ def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
 
 def set_title(ax: Axes, text: str) -> None:
     """Put a title above axes, on the left, in as many lines as it takes."""
-    ax.set_title(typeset(_fold(ax, text, 10.0)), loc="left", fontsize=10.0)
+    # a power of ten, as formulas have it, is a little wider than its text
+    ax.set_title(typeset(_fold(ax, text, 11.0)), loc="left", fontsize=10.0)
 
 
 def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
