@@ -50,8 +50,9 @@ DASHPOT = 10.0  # A omega beyond which a contact hardly gives way in a period
 # omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is
 # known between them
 GATHERING_TURN = 0.5
-# strike numbers at which linear theory errs by 1 and by 10 % in the velocities after 100 us
-WEAK, STRONG = 0.037, 0.4
+# strike numbers at which linear theory errs by so much in the velocities after 100 us
+ERRS_BY_1_PERCENT = 0.037
+ERRS_BY_10_PERCENT = 0.4
 DRAWN_AROUND = 10  # grains at rest drawn on either side of those that are moved
 
 
@@ -173,22 +174,18 @@ class Scene(Recording):
         return self._plot_start(axes_in_units(ax, "", ""))
 
     def _plot_start(self, ax: Axes) -> Axes:
+        """Draw displacements and velocities at t = 0 of the grains around those that have any."""
         first, last = self.excitation.reach(self.chain)
         top = max(1, first - DRAWN_AROUND)
         near = np.arange(top, min(self.chain.grains, last + DRAWN_AROUND) + 1)
-        given = [
-            (name, unit, values)
-            for name, unit, values in zip(
-                ("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True
-            )
-            if values.any()
-        ]
-        for name, unit, values in given:
+        fields = zip(("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True)
+        excited = [(name, unit, values) for name, unit, values in fields if values.any()]
+        for name, unit, values in excited:
             ax.plot(near, values[near - 1], ".-", lw=1, label=f"{name} ({unit})")
         ax.set(xlabel="grain, from the top", ylabel="at t = 0, downward")
-        if len(given) == 1:
+        if len(excited) == 1:
             # which then names the axis
-            name, unit, _ = given[0]
+            name, unit, _ = excited[0]
             ax.set_ylabel(f"{name} at t = 0, downward")
             return axes_in_units(ax, "", unit)
         legend(ax)
@@ -445,6 +442,8 @@ def _verdict(strike_number: float) -> str:
     """Return in words what a strike number says of linear theory."""
     if strike_number == math.inf:
         return "no contact is pressed: there is no linear theory"
-    if strike_number > STRONG:
+    if strike_number > ERRS_BY_10_PERCENT:
         return "too strong for linear theory"
-    return "weak enough for linear theory" if strike_number < WEAK else "almost linear"
+    if strike_number < ERRS_BY_1_PERCENT:
+        return "weak enough for linear theory"
+    return "almost linear"

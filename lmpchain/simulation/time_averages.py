@@ -428,9 +428,10 @@ def averages(
     -----
     Intervals follow from the means of 256 batches a copy (`lmpchain.simulation.batch_means`):
     Student's t with the amplitudes of 16 or 8 slow cosines in them, the slower, the longer a
-    quantity remembers. They are wider by the energy error e: an average may shift by 2 e times the
+    quantity remembers. They are wider by the energy error e: an average may shift by e times the
     larger of its distance from rest and the standard deviation, a variance by 2 e of itself, for
-    neither grows faster than with the first and second power of the energy.
+    neither grows faster than with the first and second power of the energy. An average gets twice
+    that, for steps shift it besides: by as much, of the kinetic energy of beads between walls.
 
     The equipartition is ``(M + 2)/3 sum K_n^2 / (sum K_n)^2`` of the kinetic energies K_n of the M
     grains that move. Its mean is 1 where all velocities of one kinetic energy are equally likely,
@@ -668,6 +669,8 @@ def _conclude(
         results["mean"][name] = mean.mean
         results["variance"][name] = variance
         size = max(abs(mean.mean - quantity.at_rest), math.sqrt(variance))
+        # as much again for what steps do to an average beside the energy: of the kinetic energy
+        # of 38 beads 80 in 100 intervals cover without that
         half_width = mean.half_width + 2 * sums.energy_error * size
         results["interval"][name] = (mean.mean - half_width, mean.mean + half_width)
         results["variance_interval"][name] = _of_variance(variance, mean, spread, sums.energy_error)

@@ -89,9 +89,8 @@ def brief(value: Any, letters: int = 60) -> str:
         return f"{value:.6g}"
     if isinstance(value, np.ndarray):
         return _brief_array(value)
-    text = (
-        _brief_group(value, letters) if isinstance(value, Mapping | list | tuple) else repr(value)
-    )
+    group = isinstance(value, Mapping | list | tuple)
+    text = _brief_group(value, letters) if group else repr(value)
     return text if len(text) <= letters else f"{text[: letters - 4]} ..."
 
 

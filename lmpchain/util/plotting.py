@@ -46,8 +46,8 @@ SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
 INTEGRATORS = ("kahan-li6", "kahan-li8", "verlet", "rkn6", "rkn4", "dop853", "gear4")
 # a number as computers write it: 2e-08
 POWER = re.compile(r"(?<![\w.$])(\d(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\w)")
-# a hyphen that stands for a minus: between two terms, or before one
 PLAIN = (1e-3, 1e3)  # between these, numbers are written without a power of ten
+# a hyphen that stands for a minus: between two terms, or before one
 MINUS = re.compile(r"(?<=\S )-(?= \S)|(?<![^\s(])-(?=[\w.])")
 LABEL_HEIGHT = 0.055  # of the axes: what a line of small letters takes
 

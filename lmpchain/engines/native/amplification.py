@@ -151,7 +151,6 @@ def amplify_rounding(scene: Scene, evaluations: float, enough: float = math.inf)
     interval = scene.duration / (scene.samples - 1)
     method = methods_of(scene.chain.damped)["verlet"]
     digits = _digits(evaluations)
-    distances = np.zeros((0, scene.samples))
     for reach in (GROWTH.reach, GROWTH.reach / GROWTH.shorter):
         steps = math.ceil(interval * scene.highest_frequency / reach)
         schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
