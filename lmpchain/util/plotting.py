@@ -258,7 +258,8 @@ def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
 def set_title(ax: Axes, text: str) -> None:
     """Put a title above axes, on the left, in as many lines as it takes."""
     # a power of ten, as formulas have it, is a little wider than its text
-    ax.set_title(typeset(_fold(ax, text, 11.0)), loc="left", fontsize=10.0)
+    wide = 11.0 if typeset(text) != text else 10.0
+    ax.set_title(typeset(_fold(ax, text, wide)), loc="left", fontsize=10.0)
 
 
 def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
