@@ -103,7 +103,7 @@ class Spreading(Averages, Tabular):
         """Draw second moment and participation with two standard errors, and return the axes."""
         from ..util.plotting import axes_in_units, legend
 
-        ax = axes_in_units(ax, "", "")
+        ax = axes_in_units(ax, "s", "", "xy")
         for name, label in (
             ("second_moment", "second moment (grains²)"),
             ("participation", "participation (grains)"),
@@ -111,10 +111,7 @@ class Spreading(Averages, Tabular):
             # the first sample is at t = 0, which a logarithm cannot show
             error = getattr(self, f"{name}_error")[1:]
             draw_mean(ax, self.time[1:], getattr(self, name)[1:], error, label)
-        ax.set(xscale="log", yscale="log", xlabel="time")
-        # a logarithmic axis has forgotten its unit
-        axes_in_units(ax, "s", "")
-        ax.set_ylabel(f"mean of {self.realisations} chains, m = {self.m:g}")
+        ax.set(xlabel="time", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}")
         legend(ax)
         return ax
 

@@ -122,13 +122,13 @@ class Front(Shown, Tabular):
             )
         values = np.abs(getattr(self, quantity))
         finite = np.isfinite(values)
-        unit = UNITS_OF_FRONTS.get(quantity, UNITS_OF_FIELDS[self.field])
-        label = f"{quantity} of the front ({unit})"
+        label = f"{quantity} of the front ({unit_of(quantity, self.field)})"
         return DepthProfile(self.grain[finite] - 0.5, values[finite], label)
 
     def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Axes:
         """Draw a quantity against depth, both logarithmic; returns the axes."""
-        return _draw(ax, *self.against_depth(quantity))
+        profile = self.against_depth(quantity)
+        return _draw(ax, *profile, unit=unit_of(quantity, self.field))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -166,6 +166,8 @@ class PowerLaw(Shown, Tabular):
     ----------
     label, depth, values : str, (P,) and (P,) arrays
         The quantity, depths h = n - 1/2 in grains, and what was fitted.
+    unit : str
+        Of the values.
     order, exponent, factor, correction : float
     error : (3,) array
         Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the
@@ -178,6 +180,7 @@ class PowerLaw(Shown, Tabular):
     label: str
     depth: Array
     values: Array
+    unit: str
     order: float
     error: Array
     exponent: float
@@ -196,10 +199,15 @@ class PowerLaw(Shown, Tabular):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw values and law against depth, both logarithmic; returns the axes."""
         law = f"exponent {self.exponent:.4f} ± {self.error[0]:.4f}, corrected for finite depth"
-        ax = _draw(ax, self.depth, self.values, self.label)
+        ax = _draw(ax, self.depth, self.values, self.label, unit=self.unit)
         ax.plot(self.depth, self(self.depth), label=law)
         legend(ax)
         return ax
+
+
+def unit_of(quantity: Quantity, field: Field) -> str:
+    """Return the unit of a quantity of the front of a field."""
+    return UNITS_OF_FRONTS.get(quantity, UNITS_OF_FIELDS[field])
 
 
 def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
@@ -429,6 +437,7 @@ def asymptotic(
         label=label,
         depth=depth,
         values=values,
+        unit=unit_of(quantity, front.field),
         order=order,
         error=(fit.interval + fit.shift) * [1, factor, 1],
         exponent=power,
@@ -437,30 +446,19 @@ def asymptotic(
     )
 
 
-def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None) -> Axes:
+def _draw(
+    ax: Axes | None, h: Array, y: Array, label: str, unit: str = "", error: Array | None = None
+) -> Axes:
     """Draw values against depth, logarithmic unless they have errors."""
     from matplotlib.ticker import LogLocator, MaxNLocator
 
-    from ..util.ticks import UnitFormatter
-
-    ax = axes_in_units(ax, "", "")
+    ax = axes_in_units(ax, "", unit, "xy" if error is None else "x")
     ax.errorbar(h, y, yerr=error, fmt=".", markersize=4, elinewidth=1)
-    ax.set(
-        xscale="log",
-        yscale="log" if error is None else "linear",
-        xlabel="depth h = n − 1/2 (grains)",
-        ylabel=label,
-    )
+    ax.set(xlabel="depth h = n − 1/2 (grains)", ylabel=label)
     ax.xaxis.set(
         major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
     )
-    if label.endswith(")"):
-        # the unit at the end of the label gets its prefix
-        unit = label[label.rindex("(") + 1 : -1]
+    if error is None:
         decades = y.size > 0 and y.max() > DECADE * y.min()
-        ax.yaxis.set(
-            major_locator=LogLocator(subs=(1, 2, 5)) if decades else MaxNLocator(6),
-            major_formatter=UnitFormatter(unit),
-            minor_formatter="",
-        )
+        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if decades else MaxNLocator(6))
     return ax

@@ -265,14 +265,10 @@ class Family(Shown, Tabular):
 
     @staticmethod
     def _scale_by_decades(ax: Axes, unit: str) -> None:
-        from matplotlib.ticker import LogLocator, NullFormatter
+        from matplotlib.ticker import LogLocator
 
-        from ..util.ticks import UnitFormatter
-
-        ax.set_yscale("log")
+        axes_in_units(ax, "", unit, "y")
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(UnitFormatter(unit))
-        ax.yaxis.set_minor_formatter(NullFormatter())
 
     @staticmethod
     def _sizes(orbits: Sequence[Orbit], of: str) -> Array:

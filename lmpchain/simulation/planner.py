@@ -97,9 +97,7 @@ class Plan(Shown, Tabular):
         Filled markers stand for candidates that are expected to meet the tolerance; the ring is the
         one taken.
         """
-        from ..util.ticks import UnitFormatter
-
-        ax = axes_in_units(ax, "s", "")
+        ax = axes_in_units(ax, "s", "", "xy")
         ax.axhline(
             self.tolerance, color="0.4", lw=1, ls="--", label=f"tolerance {self.tolerance:g}"
         )
@@ -122,9 +120,7 @@ class Plan(Shown, Tabular):
             mec="k",
             label="taken",
         )
-        ax.set(xscale="log", yscale="log", xlabel="expected cost", ylabel="expected error, at most")
-        ax.xaxis.set_major_formatter(UnitFormatter("s"))
-        ax.xaxis.set_minor_formatter("")
+        ax.set(xlabel="expected cost", ylabel="expected error, at most")
         ax.margins(0.2)
         legend(ax)
         return ax

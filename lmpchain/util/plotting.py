@@ -7,7 +7,7 @@ import re
 import textwrap
 from collections.abc import Sequence
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -229,23 +229,32 @@ def window(width: float = 6.4, height: float = 4.2) -> Figure:
     return pyplot.figure(figsize=(width, height), layout="constrained")
 
 
-def axes_in_units(ax: Axes | None, x: str, y: str) -> Axes:
-    """Return axes, given or new, in our colours, whose labels get these units with SI prefixes."""
+def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axes:
+    """Return axes, given or new, in our colours, whose labels get these units with SI prefixes.
+
+    Those named in `logarithmic`, "x", "y" or "xy", become so: a scale that is set later forgets its
+    unit.
+    """
     from .ticks import UnitFormatter
 
     ax = window().subplots() if ax is None else ax
     if not ax.has_data():
         ax.set_prop_cycle(color=list(COLOURS.values()))
-    for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
+    narrow = _inches(ax) < NARROW
+    names: tuple[Literal["x", "y"], ...] = ("x", "y")
+    for name, axis, unit in zip(names, (ax.xaxis, ax.yaxis), (x, y), strict=True):
+        if name in logarithmic:
+            ax.set(**{f"{name}scale": "log"})
         if unit:
             axis.set_major_formatter(UnitFormatter(unit))
-    if x and ax.get_xscale() == "linear":
-        ax.locator_params(axis="x", nbins=6)
-    if _inches(ax) < NARROW:
-        ax.locator_params(nbins=5)
-        ax.tick_params(labelsize=8.0)
-        for axis in (ax.xaxis, ax.yaxis):
+            if axis.get_scale() == "log":
+                # minor ticks know nothing of the prefix
+                axis.set_minor_formatter("")
+        if axis.get_scale() == "linear" and (narrow or (name == "x" and unit)):
+            ax.locator_params(axis=name, nbins=5 if narrow else 6)
+        if narrow:
             axis.label.set_fontsize(8.0)
+            axis.set_tick_params(labelsize=8.0)
     return ax
 
 

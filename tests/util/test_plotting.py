@@ -142,6 +142,20 @@ def test_a_logarithmic_axis_takes_the_unit_of_its_middle():
     assert ax.get_xlabel() == "cost (ms)"
 
 
+@pytest.mark.parametrize("width", [NARROW, WIDE])
+def test_an_axis_keeps_its_unit_where_it_is_logarithmic(width: float):
+    ax = axes_in_units(figure(width, 3.0).subplots(), "s", "m/s", "y")
+    ax.plot([0.0, 1e-3], [2e-6, 3e-2])
+    ax.set(ylabel="velocity", ylim=(1e-6, 1e-1), yticks=[1e-5, 1e-3])
+    assert (ax.get_xscale(), ax.get_yscale()) == ("linear", "log")
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["10", "1000"]
+    assert ax.get_ylabel() == "velocity (µm/s)"
+    # minor ticks have no numbers: these would be without the prefix
+    assert not any(tick.get_text() for tick in ax.get_yticklabels(minor=True))
+    both = axes_in_units(figure(width, 3.0).subplots(), "s", "", "xy")
+    assert (both.get_xscale(), both.get_yscale()) == ("log", "log")
+
+
 def most_intervals(ax, which: str) -> int:
     """Return the largest number of intervals that ticks make along an axis."""
     most = 0
