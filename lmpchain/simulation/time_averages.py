@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -34,6 +35,7 @@ from .observables import Observable, observable
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+FEW_MEANS = 2  # that fit in a line
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
 A_TIME = "a time above 0 s"
 NO_INTERVAL = "unknown"  # half-width of an interval for which the time is too short
@@ -153,6 +155,17 @@ class Averages(Shown, Tabular):
     step: float
     middle: Array
     stretch_mean: Mapping[str, Array]
+
+    def __repr__(self) -> str:
+        """Return the first means with their half intervals, and how many others there are."""
+        said = []
+        for name, mean in islice(self.mean.items(), FEW_MEANS):
+            half_width = self.interval[name][1] - mean
+            error = f"{half_width:.1g}" if math.isfinite(half_width) else NO_INTERVAL
+            said.append(f"{name} = {mean:.4g} ± {error} {self.unit[name]}".rstrip())
+        others = len(self.mean) - len(said)
+        said += [f"{others} more"] * (others > 0)
+        return f"Averages({', '.join(said)}; over {self.time - self.warm_up:.4g} s)"
 
     def _columns(self) -> Iterator[NamedColumn]:
         names = list(self.mean)

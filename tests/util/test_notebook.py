@@ -19,7 +19,7 @@ from matplotlib import pyplot
 import lmpchain
 from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
 from lmpchain.measure import contact, energy, front, spectrum
-from lmpchain.measure.fit import fit_bessel, fit_continuum, fit_exponents, fit_modes
+from lmpchain.measure.fit import fit_bessel, fit_continuum, fit_exponents, fit_modes, fit_parameter
 from lmpchain.measure.fit.overview import summary
 from lmpchain.orbits import normal_mode
 from lmpchain.simulation.planner import Plan
@@ -92,6 +92,30 @@ def test_a_notebook_shows_a_table_and_a_picture(run: Trajectory, name: str, said
     assert "\n" not in repr(value)
 
 
+def test_averages_and_fits_of_a_parameter_are_a_line_of_a_hundred_letters():
+    """With what was asked for: values, errors and units."""
+    walls = {"gravity": 0.0, "top": "wall", "bottom": "wall"}
+    beads = SCENE.replace(chain=Chain(grains=4, diameter=1e-3, **walls))
+    beads = beads.replace(excitation=lmpchain.Impulse(velocity=0.1))
+    with pytest.warns(UserWarning, match="too short for an interval"):
+        average = lmpchain.averages(beads, ["velocity:1", "temperature", "force:2"], time=1e-4)
+    assert re.fullmatch(
+        r"Averages\(velocity:1 = \S+ ± \S+ m/s, temperature = \S+ ± \S+ J, 1 more; over 8e-05 s\)",
+        repr(average),
+    )
+    true = SCENE.replace(excitation=lmpchain.Impulse(velocity=8e-4))
+    fitted = fit_parameter(
+        lmpchain.simulate(true, "native", 1e-9),
+        true.replace(excitation=lmpchain.Impulse(velocity=1e-3)),
+        "velocity",
+        lambda scene: lmpchain.simulate(scene, "native", 1e-9),
+    )
+    assert re.fullmatch(
+        r"ParameterFit\(velocity = 0\.0008\d* ± \S+ m/s, residual \S+, \d+ runs\)", repr(fitted)
+    )
+    assert max(len(repr(average)), len(repr(fitted))) < 110
+
+
 def test_a_chain_of_millions_is_shown_at_once():
     chain = Chain(grains=10**7, diameter=1e-7)
     assert repr(chain) == "Chain(grains=10000000, diameter=1e-07)"
@@ -144,6 +168,8 @@ def test_every_plot_has_ax_and_returns_axes():
             "Shown.__repr__",
             "Checked.__repr__",
             "Trajectory.__repr__",
+            "Averages.__repr__",
+            "ParameterFit.__repr__",
         ), kind
 
 

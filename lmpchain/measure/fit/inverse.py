@@ -18,11 +18,12 @@ from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, choose_few, legend, set_title, with_error
+from ...util.tables import counted
 from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
 from ..bodies import motion
 from ..contact import sensor
-from .table import Fitted, Row
+from .table import Fitted, Row, round_to_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -137,6 +138,13 @@ class ParameterFit(Fitted, Tabular):
     residual: float
     scene: Scene
     runs: int
+
+    def __repr__(self) -> str:
+        """Return the parameter with its error, and what is left of the trace."""
+        unit = UNITS_OF_TRACES[self.parameter]
+        value = f"{round_to_error(self.value, self.error)} ± {self.error:.1g} {unit}"
+        left = f"residual {self.residual:.1g}, {counted(self.runs, 'run')}"
+        return f"ParameterFit({self.parameter} = {value}, {left})"
 
     def rows(self) -> Iterator[Row]:
         """Yield the parameter, and what the scene with it leaves of the trace."""
