@@ -6,11 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import live_figures
+from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
 import lmpchain
+from lmpchain.util.compilation import announce_nothing
+
+announce_nothing()
 
 
 def scraper(block: Any, names: dict[str, Any], conf: dict[str, Any]) -> str:
@@ -26,6 +30,8 @@ def scraper(block: Any, names: dict[str, Any], conf: dict[str, Any]) -> str:
             seen.append(value.figure)
             shown.append(next(names["image_path_iterator"]))
             value.figure.savefig(shown[-1], dpi=110)
+    # else they are kept from script to script, and matplotlib warns of that
+    pyplot.close("all")
     return figure_rst(shown, conf["src_dir"]) + _live(names, conf)
 
 

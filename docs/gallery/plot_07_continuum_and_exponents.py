@@ -13,7 +13,7 @@ strike = lmpchain.Impulse(velocity=1e-9)
 scene = lmpchain.Scene(
     chain=chain, excitation=strike, duration=200 * chain.time_scale, samples=1601
 )
-t = lmpchain.simulate(scene, "chebyshev")
+t = lmpchain.simulate(scene, "chebyshev", 1e-5)
 
 continuum = fit.fit_continuum(t)
 picture = continuum.plot()

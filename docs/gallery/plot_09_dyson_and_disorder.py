@@ -19,7 +19,7 @@ picture = means[1].plot()
 
 # %%
 # The weighted sum of Eq. (22), which is no average, beside these means.
-t = lmpchain.simulate(scene, "chebyshev")
+t = lmpchain.simulate(scene, "chebyshev", 1e-5)
 picture_of_sums = dyson.sums(t, [1, 5]).plot(t.velocity[-1], means)
 
 # %%

@@ -35,6 +35,6 @@ thrown = lmpchain.Profile(displacement=[0.0, 4e-5, 8e-5], velocity=[1.0, 0.0, 0.
 collision = lmpchain.Scene(chain=balls, excitation=thrown, duration=4e-4, samples=2)
 bounds = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
 best = design.optimise(collision, design.Momentum([3]), ["masses"], bounds, maximise=True, starts=2)
-print("mass between 1 and 9 g:", best.values["masses"][1])
+print(f"mass between 1 and 9 g: {1e3 * best.values['masses'][1]:.3f} g")
 picture_of_optimum = best.plot()
 picture_of_optimum.set_ylabel("momentum of the last ball (kg m/s)")

@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.tables import align, number
+from ..util.tables import align, counted, number, wrap
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import motion
 
@@ -86,12 +86,12 @@ class DysonSums(Shown, Tabular):
             Whose last sample is the same time.
         """
         unit = "m/s" if self.unit == 1 else f"v0 = {self.unit:g} m/s"
-        lines = [
+        lines = wrap(
             f"t = {self.time[-1]:.6g} s (tau = {self.tau[-1]:.4g}); velocities in {unit}",
             f"Eq. (22): {MEANING}",
             f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains "
             "with kappa_n zeta_n, its standard error and grain",
-        ]
+        )
         equation = ["as printed", "sum of weights", "normalised"]
         rows = [["m", *equation, "random chains", "standard error", "grain"]]
         for row in self._rows(ensembles):
@@ -107,9 +107,9 @@ class DysonSums(Shown, Tabular):
         largest = max(ensemble.model_error for ensemble in ensembles)
         lines.append(f"model error of Eq. (3) in random chains: up to {largest:.2g}")
         if squeezed := sum(ensemble.squeezed for ensemble in ensembles):
-            lines.append(
-                f"in {squeezed} chains a contact is so soft that Hertz's law would no longer "
-                "hold at rest"
+            lines += wrap(
+                f"in {counted(squeezed, 'chain')} a contact is so soft that Hertz's law would no "
+                "longer hold at rest"
             )
         return "\n".join(lines)
 

@@ -67,11 +67,12 @@ class _Announcer(Listener):
     def __init__(self) -> None:
         self.depth = 0
         self.bar: ProgressBar | None = None
+        self.silent = False
 
     def on_start(self, event: Event) -> None:
         job = _jobs.get(event.data["dispatcher"].py_func)
         if job is not None and job.seconds >= LONG_S:
-            if job.message not in _announced:
+            if job.message not in _announced and not self.silent:
                 _announced.add(job.message)
                 print(job.message, file=sys.stderr, flush=True)
             if self.depth == 0:
@@ -111,7 +112,8 @@ class _Stopwatch(Listener, threading.local):
 
 
 _stopwatch = _Stopwatch()
-register("numba:compile", _Announcer())
+_announcer = _Announcer()
+register("numba:compile", _announcer)
 register("numba:compiler_lock", _stopwatch)
 
 
@@ -213,6 +215,11 @@ def _complain(path: str | PathLike[str], reason: object) -> None:
             f"minutes; make room in {folder}, remove what is damaged, or set NUMBA_CACHE_DIR",
             stacklevel=2,
         )
+
+
+def announce_nothing() -> None:
+    """Say no more of compilations in this process: what it prints becomes a page."""
+    _announcer.silent = True
 
 
 def compiled_once(

@@ -132,6 +132,10 @@ def test_the_table(unit: float, monkeypatch: pytest.MonkeyPatch):
     assert len(lines) == 8
     soft = [ensemble(1.0, unit, squeezed=2), ensemble(1.0, unit, squeezed=3)]
     assert seen.table(ORDERED, soft).splitlines()[8].startswith("in 5 chains a contact is so soft")
+    monkeypatch.undo()
+    narrow = seen.table(ORDERED, soft).splitlines()
+    assert max(map(len, narrow)) <= 80
+    assert "in 5 chains a contact is so soft that" in "\n".join(narrow)
 
 
 def test_the_json():
