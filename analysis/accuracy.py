@@ -1,16 +1,19 @@
-"""True and estimated errors of both engines on the paper's scenes, as a Markdown table.
+"""True and estimated errors of both engines on the paper's scenes.
+
+    python analysis/accuracy.py
 
 The reference is a Taylor series of order 32 in extended precision (`lmpchain.benchmark.reference`),
-error some 5e-16.
+error some 5e-16. Writes tables/accuracy.md, which docs/accuracy.md shows.
 """
 
-from pathlib import Path
+from collections.abc import Iterator
+
+from figures import HERE, TABLES, write_table
 
 import lmpchain
 from lmpchain.benchmark.comparison import error
 from lmpchain.benchmark.reference import reference
 
-HERE = Path(__file__).parent
 SCENES = {
     "weak, 1e-6 m/s": "weak",
     "Fig. 5 at 10 g": "fig5_10g",
@@ -21,10 +24,8 @@ SCENES = {
 RUNS = (("native", 1e-6), ("native", 1e-9), ("lammps", 1e-6))
 
 
-def main() -> None:
-    """Print the table."""
-    print("| scene, 120 beads, 100 µs | engine, tolerance | true error | estimate | integration |")
-    print("|---|---|---|---|---|")
+def measure() -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table."""
     for name, file in SCENES.items():
         scene = lmpchain.Scene.from_toml(HERE / "scenes" / f"{file}.toml")
         solution = reference(scene)
@@ -32,11 +33,9 @@ def main() -> None:
             t = lmpchain.simulate(scene, engine, tolerance)
             off = error(t, solution)
             known = f"{off:.0e}" if off > solution.error else f"below {solution.error:.0e}"
-            print(
-                f"| {name} | {engine}, {tolerance:.0e} | {known} | {t.error_estimate.total:.0e} | "
-                f"{t.cost.integration_s * 1e3:.1f} ms |"
-            )
+            yield name, f"{engine}, {tolerance:.0e}", known, f"{t.error_estimate.total:.0e}"
 
 
 if __name__ == "__main__":
-    main()
+    columns = ("scene, 120 beads, 100 µs", "engine, tolerance", "true error", "estimate")
+    write_table(TABLES / "accuracy.md", columns, measure())

@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HERE = Path(__file__).parent
+TABLES = HERE / "tables"  # which pages include
 SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # Okabe and Ito
 NATIVE, LAMMPS = (
     {"ls": "none", "marker": MARKERS[name], "ms": size, "mfc": "none", "color": COLOURS[name]}
@@ -219,6 +220,17 @@ def say(label: str, value: float, unit: str = "") -> None:
     """Print a number in the form that the tests read: label, colon, number, unit."""
     PRINTED_NUMBERS[label] = float(f"{value:.6g}")
     print(f"{label}: {value:.6g} {unit}".rstrip())
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a table in Markdown, row by row as they are known, and write it for a page."""
+    lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
+    print("\n".join(lines), flush=True)
+    for row in rows:
+        lines.append(f"| {' | '.join(map(str, row))} |")
+        print(lines[-1], flush=True)
+    with write_aside(path) as aside:
+        aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def no_answer(axes: Axes) -> None:

@@ -1,15 +1,19 @@
-"""The cost of all derivatives of an answer over that of the run, at the same step: a table.
+"""The cost of all derivatives of an answer over that of the run, at the same step.
+
+    python analysis/gradient_cost.py
 
 Every grain moves from the start, so that no run is spared what a wave has not reached. The run is
 the stepper of the native engine alone, without the companions that show its error; both are timed
 with their setting up. Times are seconds of the processor, so that others on the machine do not
-count.
+count. Writes tables/gradient_cost.md, which docs/design.md shows.
 """
 
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from figures import TABLES, write_table
 
 from lmpchain import Chain, Profile, Scene
 from lmpchain.design import Momentum
@@ -21,6 +25,7 @@ from lmpchain.integrators.stepper import NativeStepper
 
 SAMPLES = 11
 REPEATS = 9
+COLUMNS = {120: 30000, 10000: 1000}  # grains: steps
 WAVES: dict[str, tuple[float, dict[str, Any]]] = {  # velocities, m/s, and what else makes the chain
     "strong": (1e-3, {}),
     "in a loaded chain": (1e-2, {"top_load": 1.0}),
@@ -65,17 +70,24 @@ def costs(wave: str, grains: int, steps: int, integrator: str) -> tuple[float, f
     return min(bare), min(gradient)
 
 
-def main() -> None:
-    """Print the table."""
-    print("| wave | grains | integrator | steps | run | all derivatives | ratio |")
-    print("|---|---|---|---|---|---|---|")
+def measure() -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table: of each wave the ratios of all integrators."""
     for wave in WAVES | DAMPED:
-        for grains, steps in ((120, 30000), (10000, 1000)):
-            for integrator in ("verlet", "rkn4", "rkn6") if wave in WAVES else ("dop853",):
+        integrators = ("verlet", "rkn4", "rkn6") if wave in WAVES else ("dop853",)
+        cells = []
+        for grains, steps in COLUMNS.items():
+            ratios = []
+            for integrator in integrators:
                 bare, gradient = costs(wave, grains, steps, integrator)
-                print(f"| {wave} | {grains} | {integrator} | {steps} | {bare * 1e3:.1f} ms | "
-                      f"{gradient * 1e3:.1f} ms | {gradient / bare:.2f} |", flush=True)  # fmt: skip
+                ratios.append(f"{gradient / bare:.1f}")
+            ends = dict.fromkeys((min(ratios, key=float), max(ratios, key=float)))
+            cells.append(" to ".join(ends))
+        yield wave, ", ".join(integrators), *cells
 
 
 if __name__ == "__main__":
-    main()
+    write_table(
+        TABLES / "gradient_cost.md",
+        ("wave", "integrators", *(f"{grains:,} grains" for grains in COLUMNS)),
+        measure(),
+    )

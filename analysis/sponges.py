@@ -1,28 +1,35 @@
 """How the drag of an absorbing end should grow: largest reflection in the middle of the bands.
 
-    python analysis/sponges.py
+    python analysis/sponges.py [--powers]
 
-Each power has the strength that is best for it. A row a chain and a length; the last column is what
-`patterns.absorbing` takes, the best of the powers in `chain.sponge.GRADING`.
+Writes tables/sponges.md, which docs/scenes.md shows: what `patterns.absorbing` gives back, a row a
+chain and a column a length. With --powers it prints what each power would give, with the strength
+that is best for it; `patterns.absorbing` takes the best of the powers in `chain.sponge.GRADING`.
 """
 
+import argparse
 import dataclasses
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
+from figures import TABLES, write_table
 
 from lmpchain.chain import Chain, patterns, sponge
 
 PRESSED = {"gravity": 0.0, "top_load": 20.0, "bottom": "wall", "diameter": 1e-2}
 CHAINS = {
-    "uniform": Chain(grains=20, material="steel", **PRESSED),
-    "uniform, held": Chain(grains=20, material="steel", **PRESSED | {"bottom": "fixed"}),
-    "steel and PTFE": Chain(grains=20, material=["steel", "ptfe"] * 10, **PRESSED),
-    "steel and aluminium": Chain(grains=20, material=["steel", "aluminium"] * 10, **PRESSED),
-    "three diameters": Chain(
+    "uniform, to a wall": Chain(grains=20, material="steel", **PRESSED),
+    "uniform, to a held grain": Chain(grains=20, material="steel", **PRESSED | {"bottom": "fixed"}),
+    "steel and PTFE by turns": Chain(grains=20, material=["steel", "ptfe"] * 10, **PRESSED),
+    "steel and aluminium by turns": Chain(
+        grains=20, material=["steel", "aluminium"] * 10, **PRESSED
+    ),
+    "three diameters by turns": Chain(
         grains=21, material="steel", **PRESSED | {"diameter": [1e-2, 1.5e-2, 8e-3] * 7}
     ),
 }
+LENGTHS = (60, 90, 120, 200)
 POWERS = (1, 2, 3, 4, 5)
 
 
@@ -39,15 +46,23 @@ def reflected(chain: Chain, grains: int, powers: tuple[int, ...]) -> float:
     return float(np.abs(sponge.reflection(ending, drag, ending.middle)).max())
 
 
-def main() -> None:
-    """Print the table."""
-    warnings.simplefilter("ignore")
-    print(f"{'chain':20} grains " + "".join(f"     x^{power}" for power in POWERS) + "    taken")
+def measure(powers: tuple[int, ...]) -> Iterator[tuple[str, ...]]:
+    """Yield a row of amplitudes a chain, with the best of these powers."""
     for name, chain in CHAINS.items():
-        for grains in (30, 60, 90, 120, 200):
-            each = [reflected(chain, grains, (power,)) for power in POWERS]
-            row = [*each, reflected(chain, grains, sponge.GRADING.powers)]
-            print(f"{name:20} {grains:6} " + "".join(f"{value:8.0e}" for value in row))
+        yield name, *(f"{reflected(chain, grains, powers):.0e}" for grains in LENGTHS)
+
+
+def main() -> None:
+    """Write the table, or print one of each power."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--powers", action="store_true")
+    warnings.simplefilter("ignore")
+    if not parser.parse_args().powers:
+        columns = ("grains", *map(str, LENGTHS))
+        return write_table(TABLES / "sponges.md", columns, measure(sponge.GRADING.powers))
+    for power in POWERS:
+        for row in measure((power,)):
+            print(f"x^{power}", *row, sep=" | ")
 
 
 if __name__ == "__main__":

@@ -231,9 +231,15 @@ CAPTIONS = {
     "fig1": {
         "pulse at 88.4 µs": "peak moves from grain {:.2f} at 88.4",
         "pulse at 91.8 µs": "to {:.2f} at 91.8",
+        "largest ratio at contact 1": "it is {:.0f} times at contact 1",
+        "largest ratio at contact 25": "and {:.1f} times where",
         "LAMMPS and native differ by": "which agree to {:.0e}",
     },
-    "fig2": {"Eq. (6) at tau 5": "{:.0f} % at 5", "Eq. (6) at tau 10": "and {:.0f} % at 10"},
+    "fig2": {
+        "Eq. (6) at tau 1": "it is {:.1f} % off at tau",
+        "Eq. (6) at tau 5": "{:.0f} % at 5",
+        "Eq. (6) at tau 10": "and {:.0f} % at 10",
+    },
     "fig3": {
         "a, native": "hold to {:.0e} against the native",
         "a, lammps": "and to {:.0e} against LAMMPS",
@@ -242,11 +248,22 @@ CAPTIONS = {
     "fig5": {
         "linear theory at 10 g": "It is {:.0f} % off at 10 g",
         "linear theory at g": "{:.0f} % at g",
+        "linear theory at g / 10": "{:.0f} % at 0.1 g",
+        "peak at 10 g, Eq. (1)": "at grain {:.1f}, 21.5",
+        "peak at 10 g, linear": "theory has {:.1f}",
         "peak at g, Eq. (1)": "{:.1f} and 17.7",
+        "peak at g / 10, Eq. (1)": "and {:.1f} where",
+        "peak at g, linear": "{:.1f} and 12.3",
         "peak at g / 10, linear": "and {:.1f}. No wonder",
     },
     "fig6": {
+        "Eq. (22), m = 1": "({:.3f}, 0.026",
         "Eq. (22), m = 10000": "{:.3f} for m = 1",
+        "mean over columns, m = 1, largest velocity": "value is {:.3f}, 0.151",
+        "mean over columns, m = 2, largest velocity": "{:.3f}, 0.234",
+        "mean over columns, m = 5, largest velocity": "{:.3f}, 0.321",
+        "mean over columns, m = 20, largest velocity": "{:.3f}, 0.356",
+        "mean over columns, m = 100, largest velocity": "{:.3f} for m = 1, 2",
         "ordered, largest velocity": "and {:.3f} without disorder",
     },
     "fig8": {
@@ -263,7 +280,9 @@ CAPTIONS = {
     },
     "transport": {
         "peak velocity at the deepest grain, delta = 1.5": "{:.4f} of that of the strike",
+        "arrival at the deepest grain, delta = 1.5": "at tau = {:.1f}; the front",
         "its theory, delta = 1.5": "says {:.4f} and",
+        "its theory, delta = 1.5, arrival": "and {:.1f}, and what",
         "fitted exponent of the peak velocity, Hertz": "fitted power, {:.3f}",
     },
     "soliton": {
@@ -300,11 +319,13 @@ CAPTIONS = {
     "shocks": {
         "leading edge off Whitham's, in that of sound, jump 1.91": "edge is {:.3f} of the speed",
         "trailing edge off Whitham's, in that of sound, jump 1.91": "trailing edge {:.3f}, which",
+        "its error, trailing edge, jump 1.91": "as much as its error, {:.3f}",
         "leading wave over the piston, in velocity": "wave is {:.2f} times as fast",
         "steady shocks, speed off Rankine and Hugoniot's": "Hugoniot say, to {:.0e}, and",
         "thickness over Burgers's, A times sound 0.15": "to {:.2f} times as thick",
     },
     "averages": {
+        "variance off the ensemble after the longest time": "the variance to {:.1e}, both",
         "intervals that cover": "over 0.1 s {:.1f} % cover",
         "variance off the ensemble, largest in half intervals": "lies within {:.2f} half",
     },

@@ -86,7 +86,7 @@ class Lammps(TimeSteppingEngine):
         overlaps is the same chain with less round-off; auto takes it where the physical one cannot
         meet the tolerance.
     pair_style : "granular" or "gran/hertz/history"
-        The second is about 1.5 times faster, for uniform contacts of exponent 1.5.
+        The second is faster, for uniform contacts of exponent 1.5.
     keep : path, optional
         Folder that keeps the deck, the data file, LAMMPS's log and a dump of the last run (not for
         "rkn6", which no deck can carry).
