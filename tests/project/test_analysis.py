@@ -504,7 +504,7 @@ def test_the_table_of_scaling_is_of_the_stored_numbers():
         line = " | ".join([f"| {grains:,}", *cells, f"{ends} |"])
         assert " ".join(line.split()) in PAGE
     for row in kept["ensembles"]:
-        seconds = f"{row['seconds']:.3g}" if row["seconds"] > 1 else f"{row['seconds']:.2f}"
+        seconds = f"{row['seconds']:.{1 if row['seconds'] > 1 else 2}f}"
         assert f"{seconds} s" in PAGE.partition("A thousand random chains")[2][:300]
 
 
