@@ -3,6 +3,7 @@ known.
 """
 
 import json
+import math
 import re
 import runpy
 import subprocess
@@ -11,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import figures
 import numpy as np
@@ -485,6 +487,99 @@ def test_scaling(tmp_path: Path):
     assert all(row["active_grains"] == row["grains"] for row in found["throughput"])
     assert {row["active_grains"] for row in found["answers"] if row["grains"] >= 1000} == {72}
     assert {row["threads"] for row in found["ensembles"]} == {1, 2}
+
+
+def stored(name: str) -> dict[str, Any]:
+    """Return the numbers that a map is drawn from."""
+    return json.loads((ANALYSIS / "pictures" / f"stability_{name}.json").read_text("utf-8"))
+
+
+def reach(x: list[float], y: list[float], level: float) -> float:
+    """Return where a curve first comes to a level, along a line in logarithms."""
+    after = next(place for place, value in enumerate(y) if value >= level)
+    ends = slice(after - 1, after + 1)
+    return math.exp(np.interp(math.log(level), np.log(y[ends]), np.log(x[ends])))
+
+
+def said_of_linear_theory() -> str:
+    strikes = stored("linearisation")["strike number"]
+    norms = stored("linearisation")["norms"]
+    percents = [reach(strikes, norms["velocity"], level) for level in (0.01, 0.1)]
+    package = [reach(strikes, norms["package"], level) for level in (0.01, 0.1)]
+    displacement, peak = (reach(strikes, norms[norm], 0.01) for norm in ("displacement", "peak"))
+    return (
+        f"at v0* = {percents[0]:.3f} and 10 % at {percents[1]:.1f}, whatever the gravity and "
+        f"nearly whatever the time; in the package's norm at {package[0]:.3f} and "
+        f"{package[1]:.2f}, in displacements at {displacement:.2f}, "
+        f"in peak velocities at {peak:.2f}."
+    )
+
+
+def said_without_damping() -> str:
+    rates = stored("damping")["A omega"]
+    weakest = [stored("damping")["error"][grains][0] for grains in ("20", "100", "500")]
+    one, ten = ([reach(rates, errors, level) for errors in weakest] for level in (0.01, 0.1))
+    return (
+        f"with A omega of {one[0]:.2g}, {one[1]:.2g} and {one[2]:.2g} at the band edge changes 1 % "
+        f"of the answer after 20, 100 and 500 grains, and {ten[0]:.2g}, {ten[1]:.2g} and "
+        f"{ten[2]:.2g} change 10 %."
+    )
+
+
+def said_of_the_energy() -> str:
+    runs = {name: np.array(run["error"]) for name, run in stored("energy")["long"].items()}
+    largest = {name: np.abs(error).max() for name, error in runs.items()}
+    assert min(-runs["dop853"][-1], runs["gear4"][-1], -runs["rk4"][-1]) > 0
+    words = (
+        f"rkn6 keeps the energy to {largest['rkn6']:.0e} and Verlet to {largest['verlet']:.0e}, "
+        f"both without a trend at 99 % confidence; dop853 loses {largest['dop853']:.0e}, "
+        f"gear4 gains {largest['gear4']:.1e} and the classical Runge-Kutta method loses "
+        f"{largest['rk4']:.0%}"
+    )
+    return words.replace("e-0", "e-").replace("2%", "2 %")
+
+
+def said_of_steps() -> str:
+    steps = stored("steps")
+    law = np.interp(np.log(steps["numbers"]), np.log(steps["smooth"]), steps["predicted"]["verlet"])
+    off = np.abs(law / steps["native"]["verlet"] - 1).max()
+    return f"for Verlet to {100 * off:.0f} % from v0* = {steps['numbers'][0]:g} to 1e4"
+
+
+def said_of_round_off() -> str:
+    panel = next(one for one in stored("roundoff")["panels"] if one["grains"] == 50)
+    place = int(np.argmin(np.abs(np.array(stored("roundoff")["strikes"]) - 0.5)))
+    error = panel["measured"]["LAMMPS, physical diameter"][place]
+    return f"{error:.0e} at v0* = 0.5 for 50 beads".replace("e-0", "e-")
+
+
+def said_of_eq_7() -> str:
+    tau, error = stored("homogeneous")["local"]
+    return (
+        f"Eq. (7) is {100 * min(error):.0f} to {100 * max(error):.0f} % off for tau from "
+        f"{tau[0]:g} to {tau[-1]:g}."
+    )
+
+
+def said_of_periods() -> str:
+    off = max(stored("limits")["period_off"].values())
+    return f"agree with their energy integral to {off:.0e}".replace("e-0", "e-")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        said_of_linear_theory,
+        said_without_damping,
+        said_of_the_energy,
+        said_of_steps,
+        said_of_round_off,
+        said_of_eq_7,
+        said_of_periods,
+    ],
+)
+def test_the_page_says_of_the_maps_what_is_stored(words: Callable[[], str]):
+    assert words() in PAGE
 
 
 def test_the_table_of_scaling_is_of_the_stored_numbers():

