@@ -227,7 +227,8 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[obje
     lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
     print("\n".join(lines), flush=True)
     for row in rows:
-        lines.append(f"| {' | '.join(map(str, row))} |")
+        # 1e-6, as the pages have it
+        lines.append(f"| {' | '.join(map(str, row))} |".replace("e-0", "e-"))
         print(lines[-1], flush=True)
     with write_aside(path) as aside:
         aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
