@@ -744,6 +744,9 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
         assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count(
             "\npicture"
         )
+        # what is said to those who build is not for those who read
+        assert "once for this machine" not in page
+        assert "RuntimeWarning" not in page
     if program := installed():
         shown = subprocess.run(
             [
