@@ -122,13 +122,13 @@ class Front(Shown, Tabular):
             )
         values = np.abs(getattr(self, quantity))
         finite = np.isfinite(values)
-        label = f"{quantity} of the front ({unit_of(quantity, self.field)})"
+        label = f"{quantity} of the front ({_unit_of(quantity, self.field)})"
         return DepthProfile(self.grain[finite] - 0.5, values[finite], label)
 
     def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Axes:
         """Draw a quantity against depth, both logarithmic; returns the axes."""
         profile = self.against_depth(quantity)
-        return _draw(ax, *profile, unit=unit_of(quantity, self.field))
+        return _draw(ax, *profile, unit=_unit_of(quantity, self.field))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,7 +205,7 @@ class PowerLaw(Shown, Tabular):
         return ax
 
 
-def unit_of(quantity: Quantity, field: Field) -> str:
+def _unit_of(quantity: Quantity, field: Field) -> str:
     """Return the unit of a quantity of the front of a field."""
     return UNITS_OF_FRONTS.get(quantity, UNITS_OF_FIELDS[field])
 
@@ -437,7 +437,7 @@ def asymptotic(
         label=label,
         depth=depth,
         values=values,
-        unit=unit_of(quantity, front.field),
+        unit=_unit_of(quantity, front.field),
         order=order,
         error=(fit.interval + fit.shift) * [1, factor, 1],
         exponent=power,
