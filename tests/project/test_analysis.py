@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from functools import cache
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -212,6 +213,15 @@ def test_figure(script: str, command: Command):
     if script == "asymmetry":
         assert found["fall / rise of the displacement at grain 10"] > 30
         assert found["fall / rise of the velocity at grain 10"] < 1
+
+
+def test_no_script_bears_the_name_of_a_library():
+    """Which would be imported in its place: the folder of a script comes first."""
+    names = {path.stem for path in ANALYSIS.glob("*.py")}
+    others = (name for package in packages_distributions() for name in package.split("."))
+    assert names.isdisjoint(others)
+    assert names.isdisjoint(sys.stdlib_module_names)
+    assert "coverage" not in names, "numba imports it where it is"
 
 
 def test_every_script_has_its_picture_on_the_page():

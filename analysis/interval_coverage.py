@@ -1,6 +1,6 @@
 """How often intervals of averages cover what they should: beads between walls, struck at random.
 
-    python analysis/coverage.py
+    python analysis/interval_coverage.py
 
 The kinetic energy of one bead is on average its share of that of the ensemble of constant energy,
 as in `averages.py`, whose chains these are, and which draws those of 24 beads. Writes
