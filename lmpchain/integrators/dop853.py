@@ -63,8 +63,8 @@ class DormandPrince:
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
-        from .kernels.dop853 import march, march_by_step
+        from .kernels.dop853 import make_work, march, march_by_step
 
         openings = shorten_steps(self.order, batch, schedules)
         method = self.tables, openings, schedules[0].adaptive, batch.dissipation
-        return March(march, method, by_step=march_by_step)
+        return March(march, make_work, method, by_step=march_by_step)

@@ -49,6 +49,6 @@ class Gear:
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
-        from .kernels.gear import march
+        from .kernels.gear import make_work, march
 
-        return March(march, (np.array(self.corrections),), history=3)
+        return March(march, make_work, (np.array(self.corrections),), history=3)

@@ -39,6 +39,6 @@ class LaggedVerlet:
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
-        from .kernels.lagged import march
+        from .kernels.lagged import make_work, march
 
-        return March(march, (batch.dissipation,), history=1)
+        return March(march, make_work, (batch.dissipation,), history=1)

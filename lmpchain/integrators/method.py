@@ -20,6 +20,8 @@ class March(NamedTuple):
     ----------
     run : function
         See `kernels.sample_loop`.
+    make_work : function
+        Returns what a thread works in, of its chains and the method.
     method : tuple
         Coefficients, and what depends on schedules and chains, as `run` takes them.
     history : int
@@ -31,6 +33,7 @@ class March(NamedTuple):
     """
 
     run: Callable[..., int]
+    make_work: Callable[..., tuple[Any, ...]]
     method: tuple[Any, ...]
     history: int = 0
     shared: bool = False

@@ -48,15 +48,23 @@ def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[StepSchedul
     steps = OPENING_STEPS
     # a step across an opening is wrong by its length to the power delta + 1
     falls = 1 / (batch.opening_power + 1)
-    ratios = np.array([schedule.ratio for schedule in schedules])
     shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened
     weight, reach = batch.openings
+    power = (order + 1) * falls
+    least = steps.least_crossing * EPSILON**falls
+
+    def nearness(reach: float, least: float) -> float:
+        """Return that of the step that crosses an opening, omega h of others being `reach`."""
+        crosses = max(steps.crossing * reach**power, least)
+        return (shortened * reach / crosses) ** (14 / 9)
+
+    # of numbers of Python, whose powers have the same bits on every processor
+    omegas = batch.omega.tolist()
+    nearest = [[nearness(s.step * omega, least * s.ratio) for omega in omegas] for s in schedules]
     return Shortening(
         shortened=shortened,
         close=shortened ** (-14 / 3),
-        factor=steps.crossing,
-        power=(order + 1) * falls,
-        least=steps.least_crossing * EPSILON**falls * ratios,
+        nearest=np.array(nearest),
         weight=weight,
         reach=reach,
     )

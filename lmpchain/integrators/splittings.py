@@ -62,7 +62,7 @@ class Splitting:
 
     @cached_property
     def _stages(self) -> Stages:
-        return Stages(np.array(self.kicks), np.array(self.drifts))
+        return Stages(np.array(self.kicks), np.array(self.drifts), np.cumsum(self.drifts))
 
     @cached_property
     def reach(self) -> tuple[float, ...]:
@@ -98,11 +98,13 @@ class Splitting:
         schedule = schedules[0]
         # samples between steps are interpolated by the adaptive march alone
         if not (schedule.adaptive or schedule.dense > 0):
-            return March(splitting.march, self._stages, shared=True)
+            return March(splitting.march, splitting.make_work, self._stages, shared=True)
         assert not (schedule.dense and batch.imposed.acts), "see kernels.dense_output"
         openings = shorten_steps(self.order, batch, schedules)
         history = DENSE_ROWS if schedule.dense else 0
-        return March(adaptive_splitting.march, (self._stages, openings), history, shared=True)
+        method = self._stages, openings
+        march = adaptive_splitting.march
+        return March(march, adaptive_splitting.make_work, method, history, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

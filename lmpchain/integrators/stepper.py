@@ -40,6 +40,8 @@ class Work(NamedTuple):
     chains : Chains
     method : tuple
         Coefficients of the method, as its march takes them.
+    room : tuple
+        What the march works in.
     clocks : (F,) array of `layout.CLOCK`
     begin, end : int
         The first of the chains, and the one behind the last.
@@ -47,6 +49,7 @@ class Work(NamedTuple):
 
     chains: Chains
     method: tuple[Any, ...]
+    room: tuple[Any, ...]
     clocks: NDArray[Any]
     begin: int
     end: int
@@ -169,13 +172,21 @@ class NativeStepper:
         for thread_state, member in zip(self._states, self._teams, strict=True):
             arrays = chains.arrays(self._x, self._v, self._history, thread_state, member)
             self._work += [
-                Work(arrays, march.method, clocks, begin, end) for begin, end in pairwise(borders)
+                Work(
+                    arrays,
+                    march.method,
+                    march.make_work(arrays, march.method),
+                    clocks,
+                    begin,
+                    end,
+                )
+                for begin, end in pairwise(borders)
             ]
         # to no goal: this only compiles, so that the time of the first fill is that of steps
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
             fields = Fields(none, none, NOTHING, NOTHING, 0)
-            self._march(*self._work[0][:3], fields, Goal(0, 0, 0, 0))
+            self._march(*self._work[0][:4], fields, Goal(0, 0, 0, 0))
 
     def _check_state(self, state: NDArray[Any]) -> None:
         """Raise `ValueError` if a state does not fit: compiled loops trust its window."""
@@ -236,16 +247,16 @@ class NativeStepper:
         The method must be DOP853.
         """
         assert self._by_step
-        chains, method, clocks, begin, end = self._work[0]
+        *given, begin, end = self._work[0]
         fields = Fields(u, v, NOTHING, NOTHING, offset)
         goal = Goal(begin, end, until, noted.ends.size)
-        return self._by_step(chains, method, clocks, fields, goal, noted)
+        return self._by_step(*given, fields, goal, noted)
 
     def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
         """Move the chains of one thread."""
-        chains, method, clocks, begin, end = work
+        *given, begin, end = work
         try:
-            return self._march(chains, method, clocks, fields, Goal(begin, end, until, max_steps))
+            return self._march(*given, fields, Goal(begin, end, until, max_steps))
         except BaseException:
             self._teams[0].gate[GIVEN_UP] = 1
             raise

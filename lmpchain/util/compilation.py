@@ -254,7 +254,9 @@ def compiled_once(
             code.__class__ = _KeptCode
             code.kind = kind
             file: Any = code._cache_file
-            file._version = f"{file._version} {_sources(Path(function.__code__.co_filename))}"
+            file._version = (
+                f"{file._version} {_sources(Path(str(sys.modules[function.__module__].__file__)))}"
+            )
             file.__class__ = _KeptFile
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"

@@ -97,7 +97,7 @@ def test_findings_are_true():
     )
     assert Path(found["libmpi"]).name.startswith("libmpi.so")
     assert found["mpiexec"].startswith(mpi.launcher())
-    assert list(Path(found["numba cache"]).glob("splitting.march-*.nbi"))
+    assert list(Path(found["numba cache"]).glob("sample_loop.splitting.march-*.nbi"))
     for engine in ("native", "lammps"):
         error = re.match(r"error (\S+)", found[f"{engine} engine"])
         assert error

@@ -183,8 +183,8 @@ def untiled() -> Any:
 
     for name in ("sweep", "_advance", "_land"):
         names[name] = forces.inlined(again(names[name]))
-    names["_march"] = sample_loop.sample_loop(names["_advance"], True, names["_land"])
-    made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT)(again(kernels.march))
+    march = sample_loop.sample_loop(names["_advance"], True, names["_land"])
+    made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT, _nrt=False)(march)
     # now it is known what it takes
     NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], StepSchedule(1, 1, 1e-6, False), {})
     made.compile(kernels.march.signatures[0])

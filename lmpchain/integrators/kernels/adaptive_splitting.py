@@ -9,8 +9,8 @@ import numpy as np
 
 from .contact_forces import compiled_march, fma, inlined, pasted
 from .dense_output import Rates, fill_jerk, fill_samples, keep, passes
-from .layout import PAD, RESOLUTION, Rows
-from .openings import bound_nearness, shorten
+from .layout import PAD, RESOLUTION, Chains, Rows, Shortening, Stages, make_rows
+from .openings import shorten
 from .right_hand_side import (
     accelerate,
     ahead,
@@ -63,8 +63,8 @@ def _fill_passed(chain, rates, clock, span, out, beyond):
 @pasted
 def _advance(chain, method, work, clock, span, out):
     """Take one step."""
-    (kicks, drifts), openings = method
-    rows, reach, rates, nearest = work
+    (kicks, drifts, reach), openings = method
+    rows, rates = work
     pull = rates.pull
     y = chain.x
     w = chain.v
@@ -86,7 +86,7 @@ def _advance(chain, method, work, clock, span, out):
         ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step),
     )
     # steps of one length up to the next landing or corner, but for openings
-    h = clock.step * shorten(chain, y, w, pull, openings, nearest)
+    h = clock.step * shorten(chain, y, w, pull, openings)
     done = end_of_step(chain, span, remaining, h)
     h = done - state.done
     if clock.dense > 0:
@@ -119,29 +119,17 @@ def _advance(chain, method, work, clock, span, out):
 @pasted
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick."""
-    rates = work[2]
+    rates = work[1]
     beyond = _finish_kick(chain, method[0].drifts.size + 1, rates)
     _fill_passed(chain, rates, clock, span, out, beyond)
     hold(chain, chain.v)
 
 
-_march = sample_loop(_advance, False, _land)
+def make_work(chains: Chains, method: tuple[Stages, Shortening]) -> tuple[Rows, Rates]:
+    """Return what a thread works in."""
+    rows = make_rows(method[0].drifts.size - 1, chains.imposed.acts)
+    return rows, Rates(*np.zeros((4, chains.x.shape[1])))
 
 
-@compiled_march()
-def march(chains, method, clocks, fields, goal):
-    """Advance as `sample_loop` says by a splitting with an adaptive step size.
-
-    `method` is `layout.Stages` and `layout.Shortening`.
-    """
-    stages, openings = method
-    size = stages.drifts.size - 1
-    room = np.zeros((4, size))
-    path = room[3, : size if chains.imposed.acts else 0]
-    rows = Rows(kick=room[0], drift=room[1], carried=room[2], path=path)
-    nearest = np.empty((clocks.size, chains.omega.size))
-    bound_nearness(nearest, chains, clocks, openings)
-    bodies = np.zeros((4, chains.x.shape[1]))
-    rates = Rates(force=bodies[0], pull=bodies[1], rate=bodies[2], jerk=bodies[3])
-    work = rows, np.cumsum(stages.drifts), rates, nearest
-    return _march(chains, method, work, clocks, fields, goal)
+# `method` is `layout.Stages` and `layout.Shortening`
+march = compiled_march()(sample_loop(_advance, False, _land))

@@ -29,7 +29,8 @@ from .layout import Links, Rows
 STRICT = {"nnan", "ninf", "nsz"}
 # functions that are called from Python, and kept for later processes
 compiled_engine = partial(compiled_once, "the native engine", 15, error_model="numpy")
-compiled_march = partial(compiled_engine, nogil=True, fastmath=STRICT)
+# their arrays are Python's: they need no numba's runtime, either
+compiled_march = partial(compiled_engine, nogil=True, fastmath=STRICT, _nrt=False)
 llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
 # without numba's runtime: such functions make no arrays and count no references, which would take

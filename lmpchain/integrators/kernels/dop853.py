@@ -6,15 +6,15 @@ in which no force depends on a velocity: x' = w + d, w' = a, with the creep d = 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from .contact_forces import apart, compiled, compiled_march, inlined, pasted
-from .layout import PAD, RESOLUTION, Goal
-from .openings import bound_nearness, shorten
+from .layout import PAD, RESOLUTION, Chains, Goal
+from .openings import shorten
 from .right_hand_side import accelerate, ahead, impose, impose_velocity
 from .sample_loop import end_of_step, sample_loop
 from .window import look, rest_ahead, watch, widen
@@ -143,7 +143,7 @@ def _complete(chain, dissipation, clock, now, force, creep, reduced):
 def _advance(chain, method, work, clock, span, out):
     """Take one step of the Runge-Kutta-Nystrom form."""
     (nodes, inner, weights, rates), openings, adaptive, dissipation = method
-    force, z, slopes, reduced, nearest, weigh = work
+    force, z, reduced, slopes, weigh = work
     damped = dissipation.acts
     # creep that is nothing but a time by the slopes needs no rows of its own
     creeps = damped and not dissipation.alike
@@ -172,7 +172,7 @@ def _advance(chain, method, work, clock, span, out):
         _complete(chain, dissipation, clock, now, force, slopes[stages], reduced)
     h = span.step
     if adaptive:
-        h = clock.step * shorten(chain, z, w, slopes[0], openings, nearest)
+        h = clock.step * shorten(chain, z, w, slopes[0], openings)
     done = end_of_step(chain, span, remaining, h)
     h = done - state.done
     grains = y[window]
@@ -218,7 +218,7 @@ def _advance(chain, method, work, clock, span, out):
 @pasted
 def _land(chain, method, work, clock, span, out):
     """Make the velocities of a damped chain of the reduced ones."""
-    force, _, slopes, reduced, _, _ = work
+    force, _, reduced, slopes, _ = work
     dissipation = method[3]
     stages = method[0][0].size
     if dissipation.acts:
@@ -228,41 +228,47 @@ def _land(chain, method, work, clock, span, out):
         chain.state.pending = 0.0
 
 
-_march = sample_loop(_advance, False, _land)
+class Work(NamedTuple):
+    """What a thread works in.
+
+    Attributes
+    ----------
+    force, z, reduced : (W,) arrays
+        Forces, bodies at a stage, and reduced velocities.
+    slopes : (S, W) array
+        Accelerations of all stages and, of a damped chain, creeps behind them.
+    weigh : Weighted
+    """
+
+    force: Array
+    z: Array
+    reduced: Array
+    slopes: Array
+    weigh: Weighted
 
 
-@pasted
-def _make_work(chains, method, clocks):
-    """Return arrays to work in."""
+def make_work(chains: Chains, method: tuple[Any, ...]) -> Work:
+    """Return what a thread works in of a batch of its chains."""
     width = chains.x.shape[1]
     stages = method[0][0].size
-    # accelerations of all stages, and creeps behind them
-    slopes = np.zeros((2 * stages if method[3].acts else stages, width))
-    nearest = np.empty((clocks.size, chains.omega.size))
-    bound_nearness(nearest, chains, clocks, method[1])
     weigh = Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64))
-    return np.zeros(width), np.zeros(width), slopes, np.zeros(width), nearest, weigh
+    force, z, reduced = np.zeros((3, width))
+    slopes = np.zeros((2 * stages if method[3].acts else stages, width))
+    return Work(force, z, reduced, slopes, weigh)
+
+
+# `method` is nodes c (12,), inner weights A^2 (12, 12), weights (2, 12) of a step in displacement
+# and velocity, and inner weights A (12, 12); `layout.Shortening`; whether steps are shorter near
+# openings; and `layout.Dissipation`
+march = compiled_march()(sample_loop(_advance, False, _land))
 
 
 @compiled_march()
-def march(chains, method, clocks, fields, goal):
-    """Advance as `sample_loop` says by DOP853.
-
-    `method` is nodes c (12,), inner weights A^2 (12, 12), weights (2, 12) of a step in displacement
-    and velocity, and inner weights A (12, 12); `layout.Shortening`; whether steps are shorter near
-    openings; and `layout.Dissipation`.
-    """
-    work = _make_work(chains, method, clocks)
-    return _march(chains, method, work, clocks, fields, goal)
-
-
-@compiled_march()
-def march_by_step(chains, method, clocks, fields, goal, noted):
+def march_by_step(chains, method, work, clocks, fields, goal, noted):
     """Advance the first chain of the goal as `march` does, and fill `layout.Noted` by its steps.
 
     Returns the steps made: as many as can be noted at most.
     """
-    work = _make_work(chains, method, clocks)
     state = chains.state[goal.begin]
     one = Goal(goal.begin, goal.begin + 1, goal.until, 1)
     made = 0
@@ -273,7 +279,7 @@ def march_by_step(chains, method, clocks, fields, goal, noted):
             put(noted.states[checkpoint, 1], chains.v[goal.begin])
             noted.windows[checkpoint, 0] = state.first
             noted.windows[checkpoint, 1] = state.last
-        _march(chains, method, work, clocks, fields, one)
+        march(chains, method, work, clocks, fields, one)
         noted.ends[made] = state.done
         made += 1
     return made

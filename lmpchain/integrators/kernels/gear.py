@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from ...util.arrays import Array
 from .contact_forces import compiled, compiled_march, inlined, pasted
-from .layout import PAD, RESOLUTION
+from .layout import PAD, RESOLUTION, Chains
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
 from .window import look, watch, widen
@@ -146,17 +149,12 @@ def _advance(chain, method, work, clock, span, out):
     return 1
 
 
-_march = sample_loop(_advance, True)
+def make_work(chains: Chains, method: tuple[Any, ...]) -> tuple[Array, Array, Array]:
+    """Return what a thread works in: forces, accelerations, and bodies at another time."""
+    force, pull, third = np.zeros((3, chains.x.shape[1]))
+    return force, pull, third
 
 
-@compiled_march()
-def march(chains, method, clocks, fields, goal):
-    """Advance as `sample_loop` says by Gear's method of five values.
-
-    `method` is its coefficients (5,). `chains.history` holds the second, third and fourth
-    derivatives of the displacements, times h^k / k!.
-    """
-    width = chains.x.shape[1]
-    # forces, accelerations, and bodies a step before or after
-    work = np.zeros(width), np.zeros(width), np.zeros(width)
-    return _march(chains, method, work, clocks, fields, goal)
+# `method` is its coefficients (5,). `chains.history` holds the second, third and fourth derivatives
+# of the displacements, times h^k / k!
+march = compiled_march()(sample_loop(_advance, True))

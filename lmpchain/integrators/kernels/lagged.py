@@ -6,11 +6,14 @@ a step before: the order is 1.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from ...util.arrays import Array
 from .contact_forces import compiled_march, inlined, pasted
 from .dense_output import fill_rates
-from .layout import PAD
+from .layout import PAD, Chains
 from .right_hand_side import accelerate, hold, impose, impose_velocity
 from .sample_loop import sample_loop
 from .window import look, watch, widen
@@ -64,15 +67,11 @@ def _advance(chain, method, work, clock, span, out):
     return 1
 
 
-_march = sample_loop(_advance, True)
+def make_work(chains: Chains, method: tuple[Any, ...]) -> tuple[Array, Array, Array]:
+    """Return what a thread works in: forces, accelerations, and rates of the forces."""
+    force, pull, third = np.zeros((3, chains.x.shape[1]))
+    return force, pull, third
 
 
-@compiled_march()
-def march(chains, method, clocks, fields, goal):
-    """Advance as `sample_loop` says; `method` is `layout.Dissipation`, alone.
-
-    `chains.history` holds the accelerations.
-    """
-    width = chains.x.shape[1]
-    work = np.zeros(width), np.zeros(width), np.zeros(width)
-    return _march(chains, method, work, clocks, fields, goal)
+# `method` is `layout.Dissipation`, alone. `chains.history` holds the accelerations
+march = compiled_march()(sample_loop(_advance, True))

@@ -226,11 +226,18 @@ class Rows(NamedTuple):
     path: Array
 
 
+def make_rows(count: int, acts: bool) -> Rows:
+    """Return so many rows, and whether anything is imposed."""
+    kick, drift, carried, path = np.zeros((4, count))
+    return Rows(kick, drift, carried, path[: count if acts else 0])
+
+
 class Stages(NamedTuple):
-    """Kicks (S+1,) and drifts (S,) of a splitting, as fractions of a step."""
+    """Kicks (S+1,) and drifts (S,) of a splitting, and their sums (S,), as fractions of a step."""
 
     kicks: Array
     drifts: Array
+    reach: Array
 
 
 class Shortening(NamedTuple):
@@ -242,8 +249,9 @@ class Shortening(NamedTuple):
         h' / h of the shortened steps.
     close : float
         shortened^(-14/3), with which contacts that shorten no step are passed over.
-    factor, power, least : floats and (F,) array
-        Of the step h' that crosses an opening: omega h' = max(factor (omega h)^power, least).
+    nearest : (F, R) array
+        The largest nearness of an opening that shortens a step: that of the step that crosses it,
+        for shorter ones gain nothing.
     weight, reach : (R, W) arrays
         Of each contact the square of the acceleration that it gives over what changes the motion;
         and how near to its opening no step is shorter.
@@ -251,9 +259,7 @@ class Shortening(NamedTuple):
 
     shortened: float
     close: float
-    factor: float
-    power: float
-    least: Array
+    nearest: Array
     weight: Array
     reach: Array
 

@@ -125,20 +125,7 @@ def _find_nearness(y, rates, bends, links, near):
 
 
 @inlined
-def bound_nearness(nearest, chains, clocks, openings):
-    """Fill nearest (F, R) with the largest that shortens a step, by F schedules in R chains.
-
-    It is that of the step that crosses the opening, for shorter ones gain nothing.
-    """
-    for schedule in range(openings.least.size):
-        for real in range(chains.omega.size):
-            reach = clocks[schedule].step * chains.omega[real]
-            crosses = max(openings.factor * reach**openings.power, openings.least[schedule])
-            nearest[schedule, real] = (openings.shortened * reach / crosses) ** (14 / 9)
-
-
-@inlined
-def shorten(chain, y, w, pull, openings, nearest):
+def shorten(chain, y, w, pull, openings):
     """Return the next step over that of the schedule, for the contact that matters most.
 
     Parameters
@@ -146,8 +133,6 @@ def shorten(chain, y, w, pull, openings, nearest):
     y, w, pull : (W,) arrays
         Displacements, velocities and accelerations.
     openings : `layout.Shortening`
-    nearest : (F, R) array
-        See `bound_nearness`.
     """
     first, last = share(chain)
     bodies = slice(first - 1, last + 1)
@@ -159,7 +144,7 @@ def shorten(chain, y, w, pull, openings, nearest):
         reach=openings.reach[chain.number, near],
         close=openings.close,
         omega=chain.omega,
-        nearest=nearest[chain.schedule, chain.number],
+        nearest=openings.nearest[chain.schedule, chain.number],
     )
     nearness = _find_nearness(y[bodies], w[bodies], pull[bodies], links, contacts)
     nearness = largest(chain.team, nearness)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from .contact_forces import compiled, inlined, pasted
+from .contact_forces import inlined, pasted
 from .layout import Chain, Imposed, Links, Row, Span
 from .window import record
 
@@ -106,11 +106,10 @@ def sample_loop(
     -------
     function of (chains, method, work, clocks, fields, goal)
         Of `Chains`, what the method needs beside them, arrays to work in, clocks, `Fields` and
-        `Goal`; moves chains and returns the steps made. The `march` of a method's module, which is
-        kept for later processes, makes the arrays to work in and calls it.
+        `Goal`; moves chains and returns the steps made. It is to be compiled, and is called from
+        Python: one compiled function in another is compiled twice.
     """
 
-    @compiled
     def march(chains, method, work, clocks, fields, goal):
         done = 0
         size = goal.end - goal.begin
@@ -141,4 +140,7 @@ def sample_loop(
                     state.done = 0.0
         return done
 
+    # under the name of the method's module it is kept, until that changes
+    march.__module__ = advance.__module__
+    march.__qualname__ = f"{march.__module__.rpartition('.')[-1]}.march"
     return march

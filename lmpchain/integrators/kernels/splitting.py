@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from .contact_forces import compiled_march, inlined, pasted
-from .layout import PAD, Rows
+from .layout import PAD, Chains, Rows, Stages, make_rows
 from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
 from .sample_loop import sample_loop
 from .window import LOOKS, look, watch, widen
 
 
 @inlined
-def _fill_step(chain, method, work, row, origin, before, h):
+def _fill_step(chain, method, rows, row, origin, before, h):
     """Fill the rows of a step, from `row` on; it begins `before` steps h after `origin`.
 
     The last kick is still due then: it and the first of the next step are one.
     """
-    kicks, drifts = method
-    rows, reach = work
+    kicks, drifts, reach = method
     for stage in range(drifts.size):
         rows.kick[row + stage] = kicks[stage] * h
         rows.drift[row + stage] = drifts[stage] * h
@@ -49,8 +46,7 @@ def _advance(chain, method, work, clock, span, out):
 
     A step in which what is imposed ends is made as two, so that the order is kept.
     """
-    kicks, drifts = method
-    rows, _ = work
+    kicks, drifts, _ = method
     state = chain.state
     stages = drifts.size
     h = span.step
@@ -81,7 +77,7 @@ def _advance(chain, method, work, clock, span, out):
         # up to the next look; the step with a corner has rows for two
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
-        sweep(chain, slice_rows(rows, until_look))
+        sweep(chain, slice_rows(work, until_look))
         look(chain, clock, steps_before + end, span.begin + (made + end) * h, complete)
         step = end
     watch(chain)
@@ -92,7 +88,7 @@ def _advance(chain, method, work, clock, span, out):
 @pasted
 def _land(chain, method, work, clock, span, out):
     """Complete the last kick, where a sample lies between it and the first of the next step."""
-    rows = slice_rows(work[0], slice(0, 1))
+    rows = slice_rows(work, slice(0, 1))
     rows.kick[0] = chain.state.pending
     rows.drift[0] = 0.0
     if chain.imposed.acts:
@@ -101,14 +97,10 @@ def _land(chain, method, work, clock, span, out):
     chain.state.pending = 0.0
 
 
-_march = sample_loop(_advance, True, _land)
+def make_work(chains: Chains, method: Stages) -> Rows:
+    """Return what a thread works in."""
+    return make_rows(ROWS + 2 * method.drifts.size, chains.imposed.acts)
 
 
-@compiled_march()
-def march(chains, method, clocks, fields, goal):
-    """Advance as `sample_loop` says by a splitting; `method` is `layout.Stages`."""
-    size = ROWS + 2 * method[1].size
-    room = np.zeros((4, size))
-    path = room[3, : size if chains.imposed.acts else 0]
-    rows = Rows(kick=room[0], drift=room[1], carried=room[2], path=path)
-    return _march(chains, method, (rows, np.cumsum(method[1])), clocks, fields, goal)
+# `method` is `layout.Stages`
+march = compiled_march()(sample_loop(_advance, True, _land))
