@@ -19,7 +19,6 @@ from ..util.compilation import compiled_once
 ITERATIONS = 200  # at most; some ten are needed
 
 
-@compiled_once("the band edge", 2, error_model="numpy")
 def band_edges(diagonal: Array, coupling: Array) -> Array:
     """Return the square root of the largest eigenvalue of R dynamical matrices, (R,) rad/s.
 
@@ -28,8 +27,16 @@ def band_edges(diagonal: Array, coupling: Array) -> Array:
     diagonal, coupling : (R, M) and (R, M-1) arrays
         1/s2, as of `Chain.dynamical_matrix`.
     """
+    edges = np.zeros(len(diagonal))
+    _fill_edges(edges, diagonal, coupling)
+    return edges
+
+
+# without numba's runtime: it makes no arrays, and compiles in less time
+@compiled_once("the band edge", 2, error_model="numpy", _nrt=False)
+def _fill_edges(edges, diagonal, coupling):
+    """Fill the square roots of the largest eigenvalues, see `band_edges`."""
     count, size = diagonal.shape
-    edges = np.zeros(count)
     for row in range(count):
         d = diagonal[row]
         e = coupling[row]
@@ -71,4 +78,3 @@ def band_edges(diagonal: Array, coupling: Array) -> Array:
             top -= step
             previous_step = step
         edges[row] = math.sqrt(top * bound)
-    return edges

@@ -13,6 +13,7 @@ from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
 from ..scene.strike import first_overlaps
 from ..util.arrays import Array
+from .kernels import waveform
 from .kernels.contact_forces import FORMS, ROOTS, Form, addresses
 from .kernels.layout import ALONE, PAD, WAVE, Chains, Dissipation, Imposed, Links, Team
 from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
@@ -169,7 +170,9 @@ class ChainBatch:
             # the last body that is acted on lies before the first
             none = np.array([[PAD - 1 + self.grains, PAD]] * size)
             knots = np.zeros((size, 0))
-            return Imposed(False, none, np.zeros(size, WAVE), knots, np.zeros((size, 4, 0)))
+            pieces = np.zeros((size, 4, 0))
+            nowhere = np.zeros(2, np.int64)
+            return Imposed(False, none, np.zeros(size, WAVE), knots, pieces, nowhere)
         reach = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck]))
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
@@ -189,7 +192,8 @@ class ChainBatch:
             if spline is not None:
                 knots[real, :count] = spline.x
                 pieces[real, :, : count - 1] = spline.c
-        return Imposed(True, reach + (PAD - 1), table, knots, pieces)
+        laws = np.array(waveform.addresses())
+        return Imposed(True, reach + (PAD - 1), table, knots, pieces, laws)
 
     @cached_property
     def openings(self) -> tuple[Array, Array]:

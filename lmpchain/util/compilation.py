@@ -18,6 +18,8 @@ from typing import Any, NamedTuple
 import numba
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.event import Event, Listener, register
 from numba.core.runtime import rtsys
 
@@ -139,6 +141,39 @@ def _sources(module: Path) -> str:
             names = BESIDE.findall(sources[path].decode())
             waiting += (path.with_name(f"{name}.py") for name in names)
     return sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()
+
+
+class _Unplaced:
+    """In the place of memory for compiled code, where there is to be none."""
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Leave out what a function would find of Python."""
+
+
+class _Ingredients(JITCodeLibrary):
+    """Compiled code that is put into other code, with which LLVM optimises and emits it."""
+
+    codegen = _Unplaced()
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return that it lies nowhere in memory."""
+        return 0
+
+
+class Ingredient(Compiler):
+    """A compiler of functions that are called by compiled ones alone, for `numba.njit`.
+
+    numba would optimise and emit each of them for itself, which took a third of the time of all.
+    """
+
+    def __init__(self, typing: Any, target: Any, _library: Any, *rest: Any):
+        super().__init__(typing, target, _Ingredients(target.codegen(), "ingredient"), *rest)
 
 
 class _KeptFile(IndexDataCacheFile):

@@ -181,9 +181,9 @@ def untiled() -> Any:
     def again(function: Any) -> FunctionType:
         return FunctionType(function.py_func.__code__, names)
 
-    for name in ("sweep", "_advance", "_land"):
+    for name in ("sweep", "_land", "_advance"):
         names[name] = forces.inlined(again(names[name]))
-    march = sample_loop.sample_loop(names["_advance"], True, names["_land"])
+    march = sample_loop.sample_loop(names["_advance"], True)
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT, _nrt=False)(march)
     # now it is known what it takes
     NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], StepSchedule(1, 1, 1e-6, False), {})
@@ -232,6 +232,10 @@ def packed(assembly: str, operation: str) -> int:
     return len(re.findall(rf"\n\s+(?:{operation}pd\s|v{operation}\w*pd\s.*[yz]mm)", assembly))
 
 
+# what is put into other functions has no instructions of its own
+alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
+
+
 @x86
 @pytest.mark.parametrize(
     ("form", "operation"),
@@ -246,12 +250,12 @@ def packed(assembly: str, operation: str) -> int:
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     _, kept = forces.LOOPS[form]
     # what is kept for later processes cannot be read; the same compiled anew can
-    loop = forces.compiled(kept.py_func)
+    loop = alone(kept.py_func)
     loop.compile(forces.SWEEP)
     assert packed(next(iter(loop.inspect_asm().values())), operation) > 0
 
 
-@forces.compiled
+@alone
 def watch_first(chains):
     window.watch(sample_loop.chain_of(chains, 0, 0))
 
@@ -266,12 +270,12 @@ def test_other_loops_do_several_at_a_time():
     links = numba.typeof(links_of(alike, alike, Form.CORRECTED, 1.0, 1.5))
     near = numba.typeof(Near(alike, alike, 1.0, 1.0, 1.0))
     for loop, takes, operation in (
-        (_find_nearness, (row, row, row, links, near), "sqrt"),
+        (alone(_find_nearness.py_func), (row, row, row, links, near), "sqrt"),
         (watch_first, (numba.typeof(chains),), "mul"),
     ):
         loop.compile(takes)
         assert packed(loop.inspect_asm(takes), operation) > 0
-    loop = forces.compiled(forces.LOOPS[Form.CORRECTED][0].py_func)
+    loop = alone(forces.LOOPS[Form.CORRECTED][0].py_func)
     loop.compile(forces.FORCES)
     assert packed(next(iter(loop.inspect_asm().values())), "sqrt") > 0
 

@@ -61,8 +61,8 @@ def _fill_passed(chain, rates, clock, span, out, beyond):
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out):
-    """Take one step."""
+def _advance(chain, method, work, clock, span, out, landed):
+    """Complete the last kick, and take one step."""
     (kicks, drifts, reach), openings = method
     rows, rates = work
     pull = rates.pull
@@ -71,11 +71,15 @@ def _advance(chain, method, work, clock, span, out):
     state = chain.state
     stages = drifts.size
     t = span.begin + state.done
-    recall(chain, t)
-    # before the forces, like all that is imposed
-    impose_velocity(chain, w, PAD, t)
+    if not landed:
+        recall(chain, t)
+        # before the forces, like all that is imposed
+        impose_velocity(chain, w, PAD, t)
     beyond = _finish_kick(chain, stages + 1, rates)
     filled = _fill_passed(chain, rates, clock, span, out, beyond)
+    if landed:
+        hold(chain, w)
+        return 0
     watch(chain)
     look(chain, clock, state.steps, t, 1.0)
     first, last = share(chain)
@@ -116,15 +120,6 @@ def _advance(chain, method, work, clock, span, out):
     return 1
 
 
-@pasted
-def _land(chain, method, work, clock, span, out):
-    """Complete the last kick."""
-    rates = work[1]
-    beyond = _finish_kick(chain, method[0].drifts.size + 1, rates)
-    _fill_passed(chain, rates, clock, span, out, beyond)
-    hold(chain, chain.v)
-
-
 def make_work(chains: Chains, method: tuple[Stages, Shortening]) -> tuple[Rows, Rates]:
     """Return what a thread works in."""
     rows = make_rows(method[0].drifts.size - 1, chains.imposed.acts)
@@ -132,4 +127,4 @@ def make_work(chains: Chains, method: tuple[Stages, Shortening]) -> tuple[Rows, 
 
 
 # `method` is `layout.Stages` and `layout.Shortening`
-march = compiled_march()(sample_loop(_advance, False, _land))
+march = compiled_march()(sample_loop(_advance, False))

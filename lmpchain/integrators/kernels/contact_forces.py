@@ -21,7 +21,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ...util.compilation import compiled_once
+from ...util.compilation import Ingredient, compiled_once
 from .layout import Links, Rows
 
 # no reordering and no contraction but the explicit fma: every blocking of the loops gives the same
@@ -29,8 +29,9 @@ from .layout import Links, Rows
 STRICT = {"nnan", "ninf", "nsz"}
 # functions that are called from Python, and kept for later processes
 compiled_engine = partial(compiled_once, "the native engine", 15, error_model="numpy")
-# their arrays are Python's: they need no numba's runtime, either
-compiled_march = partial(compiled_engine, nogil=True, fastmath=STRICT, _nrt=False)
+# these make no arrays, either: Python does
+compiled_filler = partial(compiled_engine, _nrt=False)
+compiled_march = partial(compiled_filler, nogil=True, fastmath=STRICT)
 llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
 # without numba's runtime: such functions make no arrays and count no references, which would take
@@ -41,6 +42,9 @@ _OPTIONS: dict[str, Any] = {
     "_nrt": False,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
+    "pipeline_class": Ingredient
+    if not __import__("os").environ.get("NOING")
+    else __import__("numba.core.compiler").core.compiler.Compiler,
 }
 compiled = numba.njit(**_OPTIONS)
 # inlined functions take records of arrays for nothing, of which a call would copy every field; LLVM
@@ -262,7 +266,7 @@ def _loops(form: int, force: Callable[..., Any]) -> tuple[Any, Any]:
     They are compiled when a scene needs the form, apart from the marches, which call them where
     `addresses` says.
     """
-    kept = compiled_engine(fastmath=STRICT, _nrt=False, kind=str(int(form)))
+    kept = compiled_filler(fastmath=STRICT, kind=str(int(form)))
 
     @kept
     def forces(out, x, links):
@@ -341,15 +345,18 @@ LOOPS = {form: _loops(form, force) for form, (_, force) in FORMS.items()}
 @cache
 def addresses(form: int) -> tuple[int, ...]:
     """Return where the two loops of a form lie in memory, once they are compiled."""
-    places = []
-    for loop, signature in zip(LOOPS[form], (FORCES, SWEEP), strict=True):
-        loop.compile(signature)
-        code = loop.overloads[signature.args]
-        places.append(code.library.get_pointer_to_function(code.fndesc.llvm_func_name))
-    return tuple(places)
+    forces, sweep_rows = LOOPS[form]
+    return address_of(forces, FORCES), address_of(sweep_rows, SWEEP)
 
 
-def _caller(signature: Any) -> Any:
+def address_of(function: Any, signature: Any) -> int:
+    """Return where a function lies in memory, once it is compiled for this signature."""
+    function.compile(signature)
+    code = function.overloads[signature.args]
+    return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
+
+
+def caller(signature: Any) -> Any:
     """Make the function that calls a compiled one of this signature at an address."""
 
     @llvm
@@ -362,18 +369,19 @@ def _caller(signature: Any) -> Any:
                     cgutils.unpack_tuple(builder, args[1]), arguments, signature.args, strict=True
                 )
             ]
-            function = convention.get_function_type(types.none, signature.args)
+            returned = signature.return_type
+            function = convention.get_function_type(returned, signature.args)
             place = builder.inttoptr(args[0], function.as_pointer())
-            convention.call_function(builder, place, types.none, signature.args, values)
-            return context.get_dummy_value()
+            _, result = convention.call_function(builder, place, returned, signature.args, values)
+            return result
 
-        return types.void(types.int64, arguments), generate
+        return signature.return_type(types.int64, arguments), generate
 
     return call
 
 
-_call_forces = _caller(FORCES)
-_call_sweep = _caller(SWEEP)
+_call_forces = caller(FORCES)
+_call_sweep = caller(SWEEP)
 
 
 @inlined

@@ -139,8 +139,18 @@ def _complete(chain, dissipation, clock, now, force, creep, reduced):
     look(chain, clock, state.steps, now, 1.0)
 
 
+@inlined
+def _land(chain, dissipation, work, clock, span, stages):
+    """Make the velocities of a damped chain of the reduced ones."""
+    force, _, reduced, slopes, _ = work
+    # a sample needs the forces where the step has ended
+    accelerate(chain, chain.x, chain.state.first, chain.state.last, force, slopes[0])
+    _complete(chain, dissipation, clock, span.end, force, slopes[stages], reduced)
+    chain.state.pending = 0.0
+
+
 @pasted
-def _advance(chain, method, work, clock, span, out):
+def _advance(chain, method, work, clock, span, out, landed):
     """Take one step of the Runge-Kutta-Nystrom form."""
     (nodes, inner, weights, rates), openings, adaptive, dissipation = method
     force, z, reduced, slopes, weigh = work
@@ -152,6 +162,10 @@ def _advance(chain, method, work, clock, span, out):
     w = chain.v
     state = chain.state
     stages = nodes.size
+    if landed:
+        if damped:
+            _land(chain, dissipation, work, clock, span, stages)
+        return 0
     widen(chain, stages + 2)
     first = state.first
     last = state.last
@@ -215,19 +229,6 @@ def _advance(chain, method, work, clock, span, out):
     return 1
 
 
-@pasted
-def _land(chain, method, work, clock, span, out):
-    """Make the velocities of a damped chain of the reduced ones."""
-    force, _, reduced, slopes, _ = work
-    dissipation = method[3]
-    stages = method[0][0].size
-    if dissipation.acts:
-        # a sample needs the forces where the step has ended
-        accelerate(chain, chain.x, chain.state.first, chain.state.last, force, slopes[0])
-        _complete(chain, dissipation, clock, span.end, force, slopes[stages], reduced)
-        chain.state.pending = 0.0
-
-
 class Work(NamedTuple):
     """What a thread works in.
 
@@ -260,7 +261,7 @@ def make_work(chains: Chains, method: tuple[Any, ...]) -> Work:
 # `method` is nodes c (12,), inner weights A^2 (12, 12), weights (2, 12) of a step in displacement
 # and velocity, and inner weights A (12, 12); `layout.Shortening`; whether steps are shorter near
 # openings; and `layout.Dissipation`
-march = compiled_march()(sample_loop(_advance, False, _land))
+march = compiled_march()(sample_loop(_advance, False))
 
 
 @compiled_march()

@@ -125,8 +125,10 @@ def _step(chain, corrections, work, now, then, h):
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out):
+def _advance(chain, method, work, clock, span, out, landed):
     """Take one step, or two where what is imposed ends within it, and begin anew there."""
+    if landed:
+        return 0
     (corrections,) = method
     state = chain.state
     h = span.step

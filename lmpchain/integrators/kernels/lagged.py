@@ -39,8 +39,10 @@ def _accelerate(chain, dissipation, work, t):
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out):
+def _advance(chain, method, work, clock, span, out, landed):
     """Take one step: half a kick, a drift, the forces at the velocities of then, half a kick."""
+    if landed:
+        return 0
     (dissipation,) = method
     state = chain.state
     x = chain.x

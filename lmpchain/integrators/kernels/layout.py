@@ -147,6 +147,8 @@ class Imposed(NamedTuple):
     wave : (R,) array of WAVE
     knots, pieces : (R, P) and (R, 4, P-1) arrays
         Times, s, and coefficients of a spline.
+    laws : (2,) array
+        Where the functions that know them lie in memory, see `waveform.addresses`.
     """
 
     acts: bool
@@ -154,6 +156,7 @@ class Imposed(NamedTuple):
     wave: Any
     knots: Array
     pieces: Array
+    laws: NDArray[np.int64]
 
 
 class Chains(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import MAGNITUDE, Array
-from .contact_forces import bits, compiled_engine, number
+from .contact_forces import bits, compiled_filler, number
 
 SOUND, TOO_FAST, NOT_A_NUMBER = range(3)
 _in_order = numba.njit(error_model="numpy")
@@ -48,6 +48,15 @@ def _farthest(a, b):
     return number(largest)
 
 
+@_in_order
+def _largest(a):
+    """Return the largest size of a number; no number if any is none, see `_farthest`."""
+    largest = 0
+    for n in range(a.size):
+        largest = max(bits(a[n]) & MAGNITUDE, largest)
+    return number(largest)
+
+
 @_in_any_order
 def _kinetic(v, masses):
     """Return twice the kinetic energy, J."""
@@ -57,7 +66,7 @@ def _kinetic(v, masses):
     return total
 
 
-@compiled_engine(nogil=True)
+@compiled_filler(nogil=True)
 def compare(
     u: Array,
     v: Array,
@@ -93,7 +102,6 @@ def compare(
         displacement or velocity is none; the last of these.
     """
     final = differences.shape[1] - 1
-    rest = np.zeros(u.shape[2])
     verdict = SOUND
     for real in range(u.shape[0]):
         for index in range(u.shape[1]):
@@ -101,7 +109,7 @@ def compare(
             x = u[real, index]
             w = v[real, index]
             energy = _kinetic(w, masses[real])
-            farthest = _farthest(x, rest)
+            farthest = _largest(x)
             if not (np.isfinite(energy) and np.isfinite(farthest)):
                 verdict = NOT_A_NUMBER
                 continue
@@ -109,7 +117,7 @@ def compare(
             if energy > allowed[real]:
                 verdict = max(verdict, TOO_FAST)
             peaks[real, 0] = max(peaks[real, 0], farthest)
-            peaks[real, 1] = max(peaks[real, 1], _farthest(w, rest))
+            peaks[real, 1] = max(peaks[real, 1], _largest(w))
             for run in range(runs.against.size):
                 # all begin alike, and some pass over samples
                 if sample == 0 or (sample % runs.strides[run] and sample < final):

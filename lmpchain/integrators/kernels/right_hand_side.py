@@ -7,10 +7,6 @@ and `imposed` for every row of a `sweep`.
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 from .contact_forces import (
     apart,
     compiled,
@@ -22,6 +18,7 @@ from .contact_forces import (
 )
 from .layout import PAD, RESOLUTION, Links, Rows
 from .team import meet, share
+from .waveform import call_corner, call_course
 
 # evaluations of the force between two updates of the window, for long chains and methods of one
 # stage
@@ -29,48 +26,23 @@ ROWS = 64
 TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over them
 
 
-@compiled
+@inlined
 def _course(chain, t, order, inside):
     """Return the imposed motion or force at time t, or its rate (order 1), by the law at `inside`.
 
-    It is a sine, also one with an envelope, or a cubic spline.
+    Something must be imposed.
     """
-    wave = chain.imposed.wave
-    if wave.knots == 0:
-        size = wave.amplitude
-        omega = wave.omega
-        envelope = wave.envelope
-        if inside >= wave.end:
-            return 0.0
-        if envelope == 0.0:
-            return size * math.sin(omega * t) if order == 0 else size * omega * math.cos(omega * t)
-        window = math.sin(envelope * t)
-        if order == 0:
-            return size * math.sin(omega * t) * (window * window)
-        slope = 2.0 * envelope * math.cos(envelope * t) * math.sin(omega * t)
-        return size * window * (omega * math.cos(omega * t) * window + slope)
-    knots = chain.imposed.knots[: wave.knots]
-    pieces = chain.imposed.pieces
-    piece = min(max(np.searchsorted(knots, t, "right") - 1, 0), knots.size - 2)
-    s = t - knots[piece]
-    a = pieces[0, piece]
-    b = pieces[1, piece]
-    c = pieces[2, piece]
-    d = pieces[3, piece]
-    return ((a * s + b) * s + c) * s + d if order == 0 else (3 * a * s + 2 * b) * s + c
+    imposed = chain.imposed
+    given = imposed.wave, imposed.knots, imposed.pieces, t, order, inside
+    return call_course(imposed.laws[0], given)
 
 
-@compiled
+@inlined
 def ahead(chain, t, end, resolution):
     """Return the time to the next corner of what is imposed before `end`, else infinity."""
-    wave = chain.imposed.wave
-    if chain.imposed.acts and wave.knots > 0:
-        knots = chain.imposed.knots[: wave.knots]
-        following = np.searchsorted(knots, t + resolution, "right")
-        if following < knots.size and knots[following] < end - resolution:
-            return knots[following] - t
-    elif chain.imposed.acts and t + resolution < wave.end < end - resolution:
-        return wave.end - t
+    imposed = chain.imposed
+    if imposed.acts:
+        return call_corner(imposed.laws[1], (imposed.wave, imposed.knots, t, end, resolution))
     # infinity would be none under the flags of the compiler
     return 1e300
 

@@ -46,6 +46,7 @@ def chain_of(chains, real, schedule):
             wave=imposed.wave[real],
             knots=imposed.knots[real],
             pieces=imposed.pieces[real],
+            laws=imposed.laws,
         ),
         scale=chains.scale[real],
         omega=chains.omega[real],
@@ -65,11 +66,6 @@ def _row(fields, real, schedule):
     )
 
 
-@pasted
-def _leave(chain, method, work, clock, span, out):
-    """Leave a landing as it is, where displacements and velocities are complete."""
-
-
 @inlined
 def end_of_step(chain, span, remaining, step):
     """Return `state.done` after a step of at most this length, one of equal ones in the time left.
@@ -85,9 +81,7 @@ def end_of_step(chain, span, remaining, step):
     return span.length if lands else done + remaining / steps
 
 
-def sample_loop(
-    advance: Callable[..., int], counted: bool, land: Callable[..., None] = _leave
-) -> Callable[..., int]:
+def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int]:
     """Make the march of a method from its steps.
 
     The march moves chains by every schedule to a sample, or stops when some number of steps is made
@@ -95,12 +89,11 @@ def sample_loop(
 
     Parameters
     ----------
-    advance : function of (chain, method, work, clock, span, out)
-        Takes one step or a burst of them, updates `state.done` and returns how many.
+    advance : function of (chain, method, work, clock, span, out, landed)
+        Takes one step or a burst of them, updates `state.done` and returns how many; if the chain
+        has landed on a sample, it completes displacements and velocities there and returns 0.
     counted : bool
         Whether `state.done` counts steps, else seconds since the last landing.
-    land : function of (chain, method, work, clock, span, out)
-        Completes positions and velocities at a landing.
 
     Returns
     -------
@@ -129,12 +122,14 @@ def sample_loop(
                     sample * clock.interval, landing * clock.interval, length, steps, length / steps
                 )
                 end = float(steps) if counted else length
-                while state.done < end and done < goal.steps:
-                    steps_made = advance(chain, method, work, clock, span, out)
+                landed = False
+                # in one place, for LLVM puts it in every place where it is called
+                while not landed and (state.done == end or done < goal.steps):
+                    landed = state.done == end
+                    steps_made = advance(chain, method, work, clock, span, out, landed)
                     state.steps += steps_made
                     done += steps_made
-                if state.done == end:
-                    land(chain, method, work, clock, span, out)
+                if landed:
                     record(chain, span.end, out.u[landing - out.first], out.v[landing - out.first])
                     state.sample = landing
                     state.done = 0.0

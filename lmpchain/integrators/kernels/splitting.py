@@ -40,12 +40,27 @@ def _burst(chain, span, stages):
     return min(span.steps - int(state.done), steps)
 
 
+@inlined
+def _land(chain, work, span):
+    """Complete the last kick, where a sample lies between it and the first of the next step."""
+    rows = slice_rows(work, slice(0, 1))
+    rows.kick[0] = chain.state.pending
+    rows.drift[0] = 0.0
+    if chain.imposed.acts:
+        rows.path[0] = imposed(chain, span.end)
+    sweep(chain, rows)
+    chain.state.pending = 0.0
+
+
 @pasted
-def _advance(chain, method, work, clock, span, out):
+def _advance(chain, method, work, clock, span, out, landed):
     """Take a burst of steps; the last kick of a step and the first of the next are one.
 
     A step in which what is imposed ends is made as two, so that the order is kept.
     """
+    if landed:
+        _land(chain, work, span)
+        return 0
     kicks, drifts, _ = method
     state = chain.state
     stages = drifts.size
@@ -85,22 +100,10 @@ def _advance(chain, method, work, clock, span, out):
     return burst
 
 
-@pasted
-def _land(chain, method, work, clock, span, out):
-    """Complete the last kick, where a sample lies between it and the first of the next step."""
-    rows = slice_rows(work, slice(0, 1))
-    rows.kick[0] = chain.state.pending
-    rows.drift[0] = 0.0
-    if chain.imposed.acts:
-        rows.path[0] = imposed(chain, span.end)
-    sweep(chain, rows)
-    chain.state.pending = 0.0
-
-
 def make_work(chains: Chains, method: Stages) -> Rows:
     """Return what a thread works in."""
     return make_rows(ROWS + 2 * method.drifts.size, chains.imposed.acts)
 
 
 # `method` is `layout.Stages`
-march = compiled_march()(sample_loop(_advance, True, _land))
+march = compiled_march()(sample_loop(_advance, True))

@@ -5,25 +5,23 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from .contact_forces import compiled_engine
+from .contact_forces import compiled_filler
 from .layout import PAD, STATE, Links
 
 UNBOUNDED = 1e300  # J, where nothing bounds the energy
-_compiled = numba.njit(error_model="numpy")
 
 
-@_compiled
-def _rows(count: int, grains: int) -> Array:
-    """Return (count, W) zeros of which every row begins at a cache line."""
+def _rows(kinds: int, count: int, grains: int) -> Array:
+    """Return (kinds, count, W) zeros of which every row begins at a cache line."""
     width = (2 * PAD + grains + PAD - 1) // PAD * PAD
-    memory = np.zeros(count * width + PAD)
+    size = kinds * count * width
+    memory = np.zeros(size + PAD)
     skip = -(memory.ctypes.data // memory.itemsize) % PAD
-    return memory[skip : skip + count * width].reshape((count, width))
+    return memory[skip : skip + size].reshape((kinds, count, width))
 
 
 class AtRest(NamedTuple):
@@ -62,7 +60,6 @@ class Layout(NamedTuple):
     allowed: Array
 
 
-@compiled_engine()
 def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int]) -> Layout:
     """Lay R chains out.
 
@@ -82,16 +79,25 @@ def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int
     Layout
     """
     batch, grains = masses.shape
+    uncompressed, omega, allowed = np.zeros((3, batch))
+    scale, units = np.empty((2, batch, 2))
+    inverse_length, strength, inverse_mass = _rows(3, batch, grains)
+    layout = Layout(
+        inverse_length, strength, inverse_mass, uncompressed, omega, scale, units, allowed
+    )
+    _fill_layout(layout, at_rest, masses, strikes, free)
+    return layout
+
+
+@compiled_filler()
+def _fill_layout(layout, at_rest, masses, strikes, free):
+    """Fill a layout, see `lay_out`."""
+    inverse_length, strength, inverse_mass, uncompressed, omega, scale, units, allowed = layout
     overlap, force, constant, stiffness, compressed = at_rest
     first, stop = free
-    inverse_length, strength, inverse_mass = _rows(3 * batch, grains).reshape((3, batch, -1))
+    batch, grains = masses.shape
     # the force of a contact in units of that at rest; where nothing is pressed, of K and 1 m
     carried = force if compressed else constant
-    uncompressed = np.zeros(batch)
-    omega = np.empty(batch)
-    scale = np.empty((batch, 2))
-    units = np.empty((batch, 2))
-    allowed = np.zeros(batch)
     for real in range(batch):
         for n in range(grains + 1):
             length = overlap[real, n] if compressed else 1.0
@@ -118,12 +124,8 @@ def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int
         units[real, 1] = unit
         # half as much again may be rounded, and slow motion that nothing puts in
         allowed[real] = min(3.0 * energy + weight * (1e-3 * unit) ** 2, UNBOUNDED)
-    return Layout(
-        inverse_length, strength, inverse_mass, uncompressed, omega, scale, units, allowed
-    )
 
 
-@compiled_engine()
 def place_bodies(
     u: Array,
     v: Array,
@@ -158,10 +160,17 @@ def place_bodies(
     state : (copies R,) array of `layout.STATE`
         At sample 0.
     """
-    sources, batch, grains = u.shape
-    x = _rows(copies * batch, grains)
-    w = _rows(copies * batch, grains)
+    batch, grains = u.shape[1:]
+    x, w = _rows(2, copies * batch, grains)
     state = np.zeros(copies * batch, STATE)
+    _fill_places(x, w, state, u, v, driven, reach, links, longest)
+    return x, w, state
+
+
+@compiled_filler()
+def _fill_places(x, w, state, u, v, driven, reach, links, longest):
+    """Fill rows and state of bodies, see `place_bodies`."""
+    sources, batch, grains = u.shape
     width = x.shape[1]
     for row in range(len(x)):
         copy = row // batch % sources
@@ -190,10 +199,8 @@ def place_bodies(
         # the smallest r / eps at rest: -1 where a contact is open
         closed = links.precompressed > 0.0 and links.uncompressed[real] == 0.0
         state[row].least_strain = 0.0 if closed else -1.0
-    return x, w, state
 
 
-@compiled_engine()
 def opening_weights(
     links: Links, inverse_mass: Array, omega: Array, scale: Array
 ) -> tuple[Array, Array]:
@@ -210,9 +217,15 @@ def opening_weights(
         The square of that effect, and how near to it no step is shorter; see
         `adaptive_splitting._may_matter`.
     """
+    weight, reach = np.zeros((2, *inverse_mass.shape))
+    _fill_weights(weight, reach, links, inverse_mass, omega, scale)
+    return weight, reach
+
+
+@compiled_filler()
+def _fill_weights(weight, reach, links, inverse_mass, omega, scale):
+    """Fill the weights of contacts, see `opening_weights`."""
     batch, width = inverse_mass.shape
-    weight = np.zeros((batch, width))
-    reach = np.zeros((batch, width))
     for real in range(batch):
         changes = omega[real] ** 2.5 * scale[real, 1] + 1e-300
         slow = math.sqrt(2.0) * (2.0 * omega[real]) ** 3
@@ -223,4 +236,3 @@ def opening_weights(
             pull = links.strength[real, n] + touching
             weight[real, n] = min(pull * mobility / changes, 1e150) ** 2
             reach[real, n] = np.cbrt(weight[real, n]) / slow
-    return weight, reach

@@ -1,0 +1,73 @@
+"""What is imposed on a chain over time, compiled where anything is, apart from the marches."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numba
+import numpy as np
+from numba import types
+
+from .contact_forces import STRICT, address_of, caller, compiled_filler
+from .layout import WAVE
+
+_WAVE = numba.from_dtype(WAVE)
+_KNOTS = types.float64[::1]
+_PIECES = types.float64[:, ::1]
+_COURSE = types.float64(_WAVE, _KNOTS, _PIECES, types.float64, types.int64, types.float64)
+_CORNER = types.float64(_WAVE, _KNOTS, types.float64, types.float64, types.float64)
+_kept = compiled_filler(fastmath=STRICT)
+
+
+@_kept
+def _course(wave, knots, pieces, t, order, inside):
+    """Return the imposed motion or force at time t, or its rate (order 1), by the law at `inside`.
+
+    It is a sine, also one with an envelope, or a cubic spline.
+    """
+    if wave.knots == 0:
+        size = wave.amplitude
+        omega = wave.omega
+        envelope = wave.envelope
+        if inside >= wave.end:
+            return 0.0
+        if envelope == 0.0:
+            return size * math.sin(omega * t) if order == 0 else size * omega * math.cos(omega * t)
+        window = math.sin(envelope * t)
+        if order == 0:
+            return size * math.sin(omega * t) * (window * window)
+        slope = 2.0 * envelope * math.cos(envelope * t) * math.sin(omega * t)
+        return size * window * (omega * math.cos(omega * t) * window + slope)
+    knots = knots[: wave.knots]
+    piece = min(max(np.searchsorted(knots, t, "right") - 1, 0), knots.size - 2)
+    s = t - knots[piece]
+    a = pieces[0, piece]
+    b = pieces[1, piece]
+    c = pieces[2, piece]
+    d = pieces[3, piece]
+    return ((a * s + b) * s + c) * s + d if order == 0 else (3 * a * s + 2 * b) * s + c
+
+
+@_kept
+def _corner(wave, knots, t, end, resolution):
+    """Return the time to the next corner before `end`, else infinity."""
+    if wave.knots > 0:
+        knots = knots[: wave.knots]
+        following = np.searchsorted(knots, t + resolution, "right")
+        if following < knots.size and knots[following] < end - resolution:
+            return knots[following] - t
+    elif t + resolution < wave.end < end - resolution:
+        return wave.end - t
+    # infinity would be none under the flags of the compiler
+    return 1e300
+
+
+@cache
+def addresses() -> tuple[int, ...]:
+    """Return where these two lie in memory, once they are compiled."""
+    return address_of(_course, _COURSE), address_of(_corner, _CORNER)
+
+
+call_course = caller(_COURSE)
+call_corner = caller(_CORNER)
