@@ -28,7 +28,7 @@ from .layout import Links, Rows
 # bits
 STRICT = {"nnan", "ninf", "nsz"}
 # functions that are called from Python, and kept for later processes
-compiled_engine = partial(compiled_once, "the native engine", 15, error_model="numpy")
+compiled_engine = partial(compiled_once, "the native engine", 10, error_model="numpy")
 # these make no arrays, either: Python does
 compiled_filler = partial(compiled_engine, _nrt=False)
 compiled_march = partial(compiled_filler, nogil=True, fastmath=STRICT)
