@@ -38,6 +38,9 @@ class DigitGrowth:
         A last digit, relative to the largest motion: a few units in the last place of a double.
     changes : tuple of float
         Changes at t = 0 that are tried, in last digits: what becomes of one alone scatters by ten.
+    repeats : tuple of float
+        Changes, in units of the last place of 1, of the runs that show the rounding of an answer:
+        they round in other ways, while the changes themselves count for less.
     reach : float
         omega h of these runs with velocity Verlet: growth asks for stable steps, not for accurate
         ones.
@@ -58,11 +61,12 @@ class DigitGrowth:
 
     digit: float = 1e-15
     changes: tuple[float, ...] = (1.0, -1.0, 0.5)
+    repeats: tuple[float, ...] = (1.0, -1.0, 0.5, -0.5)
     reach: float = 0.2
     shorter: float = 4.0
     rate: float = 0.06
     broken: float = 4.0
-    safety: float = 4.0
+    safety: float = 2.0
     pessimism: float = 1e3
 
 
@@ -169,7 +173,7 @@ def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:
     They begin a last digit apart, and round in other ways from there on. They take several times
     the time of the answer.
     """
-    changes = GROWTH.digit * np.array(GROWTH.changes)
+    changes = EPSILON * np.array(GROWTH.repeats)
     schedule = candidate.sampled.schedule()
     distances = separate(scene, changes.tolist(), BY_NAME[candidate.integrator], schedule)
     return GROWTH.safety * distances.max(0)

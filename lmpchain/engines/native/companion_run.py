@@ -23,12 +23,12 @@ from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper, Stepper, room_for
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
-from ...util.arrays import Array, as_slice
+from ...util.arrays import EPSILON, Array, as_slice
 from ...util.compilation import clock
 from ..base import Candidate, ErrorBudget, Run
 from .amplification import GROWTH, amplify_rounding, could_grow, repeat_rounding
 from .companions import OPENINGS, Companions
-from .round_off import interpolation_loss, native_floor, plain_loss, rounded_energy
+from .round_off import drift, interpolation_loss, native_floor, plain_loss, rounded_energy
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
@@ -387,7 +387,8 @@ class CompanionRun(Run):
             return ErrorBudget(0.0, 0.0, self.method.order)
         order = companions.order(opens, scene.excitation.smooth_until(scene.duration))
         truncation = companions.truncation(real, distances[self._twin :], order, opens)
-        roundoff = self._round(real, motion, opens)
+        flights = self._free_flights(real, motion) if opens else 0.0
+        roundoff = self._round(real, motion, flights)
         amplified = np.zeros(0)
         if self._twin:
             # the distance from the twin is measured round-off, amplification and all
@@ -397,9 +398,16 @@ class CompanionRun(Run):
         elif self._may_amplify(real, motion, truncation + roundoff):
             began = clock()
             amplified = amplify_rounding(scene, motion.evaluations)
-            tolerance = self.candidate.solver_error
-            if tolerance / 2 < amplified.max() < GROWTH.pessimism * tolerance:
-                amplified = np.fmin(amplified, repeat_rounding(scene, self.candidate))
+            half = self.candidate.solver_error / 2
+            touching = self._round(real, motion, 0.0)
+            bound = max(roundoff, float(amplified.max()))
+            if touching < half < bound < 2 * GROWTH.pessimism * half:
+                repeated = repeat_rounding(scene, self.candidate)
+                amplified = np.fmin(amplified, repeated)
+                # to one side all of these drift alike; not so the companions, at other steps
+                one_sided = EPSILON * drift(motion.evaluations, flights)
+                least = touching + min(one_sided, float(distances[0].max()))
+                roundoff = max(least, min(roundoff, float(repeated.max())))
             roundoff = max(roundoff, float(amplified.max()))
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
@@ -444,19 +452,25 @@ class CompanionRun(Run):
             return error
         return error._replace(roundoff=max(error.roundoff, largest), amplified=amplified)
 
-    def _round(self, real: int, motion: Motion, opens: bool) -> float:
-        """Return the round-off that the scene does not amplify."""
+    def _flights(self, real: int, motion: Motion) -> float:
+        """Return how far the fastest grain would come in the whole run, over all that it moves."""
+        return motion.velocity * self._scenes[real].duration / motion.displacement
+
+    def _free_flights(self, real: int, motion: Motion) -> float:
+        """Return the same where contacts open: none turns faster than the fastest motion."""
+        radians = self._scenes[real].highest_frequency * self._scenes[real].duration
+        return max(min(self._flights(real, motion), radians), 1.0)
+
+    def _round(self, real: int, motion: Motion, flights: float) -> float:
+        """Return the round-off that the scene does not amplify, of grains that fly freely or not."""
         scene = self._scenes[real]
         radians = scene.highest_frequency * scene.duration
-        flights = motion.velocity * scene.duration / motion.displacement
-        # grains in contact fly nowhere, and none turns faster than the fastest motion
-        free_flights = max(min(flights, radians), 1.0) if opens else 0.0
-        roundoff = native_floor(motion.evaluations, radians, free_flights)
+        roundoff = native_floor(motion.evaluations, radians, flights)
         steps = max(motion.evaluations / self._rounded_in_step, 1.0)
         if self._chains.plain[real]:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
         if self.candidate.stride > 1:
-            roundoff += interpolation_loss(steps, flights)
+            roundoff += interpolation_loss(steps, self._flights(real, motion))
         return roundoff
 
     def _may_amplify(self, real: int, motion: Motion, estimate: float) -> bool:

@@ -56,7 +56,12 @@ def accumulate(evaluations: float, flights: float = 0.0) -> float:
     """
     if not flights:
         return math.sqrt(evaluations)
-    return max(math.sqrt(evaluations * flights), ROUNDING.drift * evaluations / flights)
+    return max(math.sqrt(evaluations * flights), drift(evaluations, flights))
+
+
+def drift(evaluations: float, flights: float) -> float:
+    """Return the last digits that steps of one length lose to one side; see `accumulate`."""
+    return ROUNDING.drift * evaluations / flights if flights else 0.0
 
 
 def native_floor(evaluations: float, radians: float, flights: float = 0.0) -> float:
