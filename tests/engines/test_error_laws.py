@@ -479,6 +479,17 @@ def test_runs_with_the_steps_of_an_answer_show_what_the_scene_makes_of_its_round
 
 
 @pytest.mark.parametrize(
+    ("family", "seed"), [("acted", 31887), ("acted", 30469), ("native", 40056), ("native", 41292)]
+)
+def test_rounding_of_free_flights_is_measured_where_bounds_would_refuse(family: str, seed: int):
+    """Bounds were 5 to 20 times the truth, and refused tolerances that were met."""
+    scene, engine, tolerance, options = draw(family, seed)
+    answer = simulate(scene, engine, tolerance, **options)
+    error = reference(scene, 1e-20)[0].error(answer.displacement, answer.velocity)
+    assert error <= answer.error_estimate.solver <= tolerance
+
+
+@pytest.mark.parametrize(
     ("exponent", "integrator", "place", "steps"),
     [(1.5, "rkn6", 0, 1), (1.5, "rkn6", 5, 2), (1.5, "kahan-li6", 10, 1), (1.0, "rkn6", 7, 1)],
 )

@@ -462,7 +462,7 @@ class CompanionRun(Run):
         return max(min(self._flights(real, motion), radians), 1.0)
 
     def _round(self, real: int, motion: Motion, flights: float) -> float:
-        """Return the round-off that the scene does not amplify, of grains that fly freely or not."""
+        """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
         radians = scene.highest_frequency * scene.duration
         roundoff = native_floor(motion.evaluations, radians, flights)

@@ -30,8 +30,8 @@ n, w(n)   rounding    evaluations of the force, and the last digits that they lo
 k         flights     how far the fastest grain would fly, over the largest displacement
 omega T   radians     phase of the fastest motion in the duration
 A         amplified   what the scene makes of one last digit, see `amplification`; near the
-                      tolerance eps w(n) and eps w(n) A are 2 times the distance of runs with the steps
-                      of the answer that begin a last digit apart
+                      tolerance it and the rounding of free flights are 2 times the distance of runs
+                      with the steps of the answer that begin a last digit apart
 ========  ==========  =========================================================================
 
 Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; the
