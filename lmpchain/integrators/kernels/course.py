@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
+from ...util.compilation import Ingredient, compiled_once
 
 # multiplications and additions may be fused: unlike those of a run, bits of derivatives need not
 # agree between loops that share a chain out in other ways. Without numba's runtime, see
@@ -24,7 +24,7 @@ OPTIONS: dict[str, Any] = {
     "fastmath": {"nnan", "ninf", "nsz", "contract"},
     "_nrt": False,
 }
-loop = numba.njit(**OPTIONS)
+loop = numba.njit(**OPTIONS, pipeline_class=Ingredient)
 compiled_gradient = partial(
     compiled_once, "gradients of the native engine", 30, nogil=True, **OPTIONS
 )

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
+from ...util.compilation import Ingredient, compiled_once
 
-compiled = compiled_once("the phase error of linear theory", 3)
+compiled = compiled_once("the phase error of linear theory", 2)
+joined = numba.njit(pipeline_class=Ingredient)
 
 
 class Sums(NamedTuple):
@@ -130,7 +132,7 @@ def start() -> NDArray[np.void]:
     return state
 
 
-@compiled
+@joined
 def _largest(x):
     """Return the largest |x| of an array in one dimension."""
     largest = 0.0
@@ -139,7 +141,7 @@ def _largest(x):
     return largest
 
 
-@compiled
+@joined
 def _fill(bodies, i, links, solution, imposed):
     """Fill displacement, velocity and acceleration, (3, n+2), of the grains that move at time i.
 
@@ -163,7 +165,7 @@ def _fill(bodies, i, links, solution, imposed):
         a[imposed.grain - first + 1] += imposed.acceleration[i]
 
 
-@compiled
+@joined
 def _strain(bodies, inverse_overlap, law):
     """Return the strain of largest size, and the first contact that opens, -1 if none does."""
     x, v, a = bodies
@@ -184,7 +186,7 @@ def _strain(bodies, inverse_overlap, law):
     return largest, opened
 
 
-@compiled
+@joined
 def _pull(x, links, first):
     """Return the largest acceleration of a grain by contacts that are open, m/s2."""
     largest = 0.0

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import MAGNITUDE, Array
+from ...util.compilation import Ingredient
 from .contact_forces import bits, compiled_filler, number
 
 SOUND, TOO_FAST, NOT_A_NUMBER = range(3)
-_in_order = numba.njit(error_model="numpy")
+_in_order = numba.njit(error_model="numpy", pipeline_class=Ingredient)
 # a sum of many numbers in any order, that is several at a time
-_in_any_order = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
+_in_any_order = numba.njit(
+    error_model="numpy", fastmath={"nsz", "reassoc"}, pipeline_class=Ingredient
+)
 
 
 class Runs(NamedTuple):

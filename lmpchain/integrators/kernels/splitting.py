@@ -79,9 +79,9 @@ def _advance(chain, method, work, clock, span, out, landed):
         corner = cut(chain, begin, h) if stages > 1 else 0.0
         if corner > 0.0:
             halved = step
-            _fill_step(chain, method, work, filled, begin, 0, corner)
+            _fill_step(chain, method, work, filled, begin, 0.0, corner)
             filled += stages
-            _fill_step(chain, method, work, filled, begin + corner, 0, h - corner)
+            _fill_step(chain, method, work, filled, begin + corner, 0.0, h - corner)
         else:
             _fill_step(chain, method, work, filled, span.begin, made + step, h)
         filled += stages
