@@ -1,12 +1,14 @@
 """What a user waits for before anything is computed: compiling, once for a machine, and commands.
 
 Processor time of whole processes, s, the least of repeats; what is compiled goes into a cache of
-its own, which is empty for each repeat. Writes tables/start_up.md, which docs/speed.md shows.
+its own, which is empty for each repeat. Writes tables/start_up.md and, of the stages of a run with
+the native engine, tables/stages.md, both of which docs/speed.md shows.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import resource
 import subprocess
@@ -14,13 +16,69 @@ import sys
 import tempfile
 from pathlib import Path
 
-TABLE = Path(__file__).parent / "tables" / "start_up.md"
+TABLES = Path(__file__).parent / "tables"
 SCENE = Path(__file__).parent / "scenes" / "fig5_1g.toml"
 COMMANDS = {
     "`lmpchain run`, native": ["run", str(SCENE), "--engine", "native", "-o", "run.nc"],
     "`lmpchain compare`, all engines": ["compare", str(SCENE), "-o", "compare.png"],
     "`lmpchain plan`": ["plan", str(SCENE)],
 }
+# what a process does that imports libraries one by one, and simulates the paper's scene
+STAGES = f"""
+import json
+import time
+import warnings
+warnings.simplefilter("ignore")
+began = time.process_time()
+import numba
+numba_s = time.process_time() - began
+import pydantic
+from lmpchain.scene.scene import Scene
+scenes_s = time.process_time() - began - numba_s
+
+from numba.core import codegen, event
+
+class Stopwatch(event.Listener):
+    depth = 0
+    seconds = 0.0
+    def on_start(self, event):
+        if self.depth == 0:
+            self.began = time.process_time()
+        self.depth += 1
+    def on_end(self, event):
+        self.depth -= 1
+        if self.depth == 0:
+            self.seconds += time.process_time() - self.began
+
+def timed(library, name, stopwatch):
+    work = getattr(library, name)
+    def work_timed(*arguments):
+        stopwatch.on_start(None)
+        try:
+            return work(*arguments)
+        finally:
+            stopwatch.on_end(None)
+    setattr(library, name, work_timed)
+
+kept = Stopwatch()
+event.register("numba:compiler_lock", kept)
+llvm = Stopwatch()
+timed(codegen.CPUCodeLibrary, "add_llvm_module", llvm)
+timed(codegen.CPUCodeLibrary, "_optimize_final_module", llvm)
+timed(codegen.JITCodeLibrary, "_finalize_specific", llvm)
+from lmpchain.cli import main
+try:
+    main(["run", {str(SCENE)!r}, "--engine", "native", "-o", "run.nc"])
+finally:
+    print(json.dumps([numba_s, scenes_s, llvm.seconds, kept.seconds, time.process_time() - began]))
+"""
+ROWS = (
+    "numba, before it compiles anything",
+    "models of scenes (Pydantic)",
+    "LLVM",
+    "the rest of numba's compilation, or reading what it has kept",
+    "all else",
+)
 
 
 def processor_time(arguments: list[str], cache: Path) -> float:
@@ -41,8 +99,30 @@ def processor_time(arguments: list[str], cache: Path) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+def stages(cache: Path) -> list[float]:
+    """Return what the rows of the table of stages take, s, of a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run(
+            [sys.executable, "-c", STAGES],
+            cwd=folder,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+    numba_s, scenes_s, llvm_s, kept_s, all_s = json.loads(done.stdout.splitlines()[-1])
+    return [numba_s, scenes_s, llvm_s, kept_s - llvm_s, all_s - numba_s - scenes_s - kept_s]
+
+
+def write(name: str, lines: list[str]) -> None:
+    """Print a table and write it."""
+    text = "\n".join(lines)
+    print(text)
+    (TABLES / name).write_text(text + "\n", encoding="utf-8")
+
+
 def main() -> None:
-    """Measure and print the table."""
+    """Measure and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=3, help="repeats of what compiles")
     parser.add_argument("--warm", type=int, default=10, help="repeats of what has been compiled")
@@ -57,9 +137,22 @@ def main() -> None:
             processor_time(arguments, Path(cache))
             later = [processor_time(arguments, Path(cache)) for _ in range(given.warm)]
         lines.append(f"| {name} | {min(first):.1f} | {min(later):.2f} |")
-    text = "\n".join(lines)
-    print(text)
-    TABLE.write_text(text + "\n", encoding="utf-8")
+    write("start_up.md", lines)
+    lines = [
+        "| stage of a run, native: processor time, s | first on a machine | later |",
+        "|---|---|---|",
+    ]
+    first = []
+    later = []
+    for _ in range(given.first):
+        with tempfile.TemporaryDirectory() as cache:
+            first.append(stages(Path(cache)))
+            later += [stages(Path(cache)) for _ in range(given.warm)]
+    # of whole processes, so that stages add up
+    columns = [min(repeats, key=sum) for repeats in (first, later)]
+    for stage, *spent_s in zip(ROWS, *columns, strict=True):
+        lines.append(f"| {stage} | {spent_s[0]:.2f} | {spent_s[1]:.2f} |")
+    write("stages.md", lines)
 
 
 if __name__ == "__main__":
