@@ -140,13 +140,30 @@ def _complete(chain, dissipation, clock, now, force, creep, reduced):
 
 
 @inlined
+def _weigh(weigh, twice, once, h, lag, creeps):
+    """Note the rows that move bodies by a step h, with weights (S,) of h^2 and h; return how many.
+
+    Rows of accelerations count with their lag; those of creeps, if there are any, begin at the
+    number `creeps`.
+    """
+    count = 0
+    for stage in range(twice.size):
+        along = once[stage] * h
+        count = note(weigh, count, twice[stage] * h * h + lag * along, stage)
+        if creeps > 0:
+            count = note(weigh, count, along, creeps + stage)
+    return count
+
+
+@inlined
 def _land(chain, dissipation, work, clock, span, stages):
-    """Make the velocities of a damped chain of the reduced ones."""
+    """Make the velocities of a chain, if it is damped, of the reduced ones."""
     force, _, reduced, slopes, _ = work
-    # a sample needs the forces where the step has ended
-    accelerate(chain, chain.x, chain.state.first, chain.state.last, force, slopes[0])
-    _complete(chain, dissipation, clock, span.end, force, slopes[stages], reduced)
-    chain.state.pending = 0.0
+    if dissipation.acts:
+        # a sample needs the forces where the step has ended
+        accelerate(chain, chain.x, chain.state.first, chain.state.last, force, slopes[0])
+        _complete(chain, dissipation, clock, span.end, force, slopes[stages], reduced)
+        chain.state.pending = 0.0
 
 
 @pasted
@@ -155,16 +172,15 @@ def _advance(chain, method, work, clock, span, out, landed):
     (nodes, inner, weights, rates), openings, adaptive, dissipation = method
     force, z, reduced, slopes, weigh = work
     damped = dissipation.acts
-    # creep that is nothing but a time by the slopes needs no rows of its own
-    creeps = damped and not dissipation.alike
     lag = dissipation.viscosity[chain.number, PAD] if damped and dissipation.alike else 0.0
     y = chain.x
     w = chain.v
     state = chain.state
     stages = nodes.size
+    # creep that is nothing but a time by the slopes needs no rows of its own
+    creeps = stages if damped and not dissipation.alike else 0
     if landed:
-        if damped:
-            _land(chain, dissipation, work, clock, span, stages)
+        _land(chain, dissipation, work, clock, span, stages)
         return 0
     widen(chain, stages + 2)
     first = state.first
@@ -194,24 +210,14 @@ def _advance(chain, method, work, clock, span, out, landed):
     stage_grains = z[window]
     for stage in range(1, stages):
         _drift(stage_grains, grains, nodes[stage] * h, speeds)
-        count = 0
-        for earlier in range(stage):
-            along = rates[stage, earlier] * h
-            count = note(weigh, count, inner[stage, earlier] * h * h + lag * along, earlier)
-            if creeps:
-                count = note(weigh, count, along, stages + earlier)
+        count = _weigh(weigh, inner[stage, :stage], rates[stage, :stage], h, lag, creeps)
         add_rows(stage_grains, weigh, count, slopes, window)
         impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
-        if creeps:
+        if creeps > 0:
             fill_creep(chain, dissipation, z, force, slopes[stages + stage])
     _add_one(grains, h, speeds)
-    count = 0
-    for stage in range(stages):
-        along = weights[1, stage] * h
-        count = note(weigh, count, weights[0, stage] * h * h + lag * along, stage)
-        if creeps:
-            count = note(weigh, count, along, stages + stage)
+    count = _weigh(weigh, weights[0], weights[1], h, lag, creeps)
     add_rows(grains, weigh, count, slopes, window)
     count = 0
     for stage in range(stages):
