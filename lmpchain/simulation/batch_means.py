@@ -37,7 +37,7 @@ class Batching:
     """
 
     stretches: int = 256
-    cosines: tuple[int, ...] = (16, 8)
+    cosines: tuple[int, ...] = (16, 8, 4)
     finer: int = 8
     resemblance: float = 0.5
 

@@ -440,7 +440,7 @@ def averages(
     Notes
     -----
     Intervals follow from the means of 256 batches a copy (`lmpchain.simulation.batch_means`):
-    Student's t with the amplitudes of 16 or 8 slow cosines in them, the slower, the longer a
+    Student's t with the amplitudes of 16, 8 or 4 slow cosines in them, the slower, the longer a
     quantity remembers. They are wider by the energy error e: an average may shift by e times the
     larger of its distance from rest and the standard deviation, a variance by 2 e of itself, for
     neither grows faster than with the first and second power of the energy. An average gets twice

@@ -110,3 +110,15 @@ def test_what_walks_with_something_known_is_not_counted():
     assert free.batches == 16
     assert free.error == pytest.approx(1 / 16, rel=0.4)
     assert free.mean == pytest.approx(float((noise + 3.0 * walk).mean()), rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stretches", "share"), [(3, 0.9), (5, 0.7)])
+def test_few_cosines_cover_memories_of_several_stretches(stretches: int, share: float):
+    """Of those with an interval, the shorter memories by chance, a few cover less."""
+    rng = np.random.default_rng(9)
+    memory = np.exp(-1 / (8 * stretches))
+    averages = [estimate(sequences(memory, 1, 8, rng).mean(-1)) for _ in range(4000)]
+    known = [average for average in averages if average.batches]
+    assert len(known) / len(averages) > share
+    assert 0.92 <= np.mean([abs(average.mean) <= average.half_width for average in known]) <= 0.96
