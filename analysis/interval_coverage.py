@@ -3,16 +3,21 @@
     python analysis/interval_coverage.py
 
 The kinetic energy of one bead is on average its share of that of the ensemble of constant energy,
-as in `averages.py`, whose chains these are, and which draws those of 24 beads. Writes
-tables/coverage.md, which docs/averages.md shows.
+as in `averages.py`, whose chains these are, and which draws those of 24 beads; energies of the
+whole chain follow Beta's distribution, and directions of the velocities are all alike. Writes
+tables/coverage.md and tables/coverage_of_quantities.md, which docs/averages.md shows.
 """
 
 import math
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
-from averages import NAME, average, beads
+from averages import NAME, average, beads, ensemble
 from figures import TABLES, write_table
+from scipy import stats
+
+from lmpchain import averages
 
 CASES = (  # beads; time of motion, s
     (10, 0.1),
@@ -26,6 +31,10 @@ CASES = (  # beads; time of motion, s
 )
 CHAINS = 1000
 BEAD = 3
+# of the table of quantities
+BEADS = 38
+TOLERANCES = (1e-3, 2e-5)
+FEWER = 300
 
 
 def cover(grains: int, time: float) -> tuple[float, float]:
@@ -47,6 +56,52 @@ def measure() -> Iterator[tuple[str, ...]]:
         yield str(grains), f"{1e3 * time:g} ms", f"{covering:.1f}", f"{known:.1f}"
 
 
+def laws(grains: int) -> dict[str, tuple[float, float]]:
+    """Return mean and variance of quantities in the ensemble, energies over that of the chain."""
+    whole = ensemble(grains)
+    bead = stats.beta(0.5, grains / 2 - 0.5 + grains / 2.5)
+    # of the fourth powers of a direction that is drawn at random
+    square = (105 + 9 * (grains - 1)) / ((grains + 2) * (grains + 4) * (grains + 6))
+    return {
+        NAME: (whole.mean(), whole.var()),
+        "potential_energy": (1 - whole.mean(), whole.var()),
+        f"{NAME}:{BEAD}": (bead.mean(), bead.var()),
+        "equipartition": (1.0, ((grains + 2) / 3) ** 2 * square - 1),
+    }
+
+
+def measure_quantities() -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table of quantities."""
+    exact = laws(BEADS)
+    for tolerance in TOLERANCES:
+        answers = []
+        for seed in range(FEWER):
+            scene = beads(BEADS, seed)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                answer = averages(scene, list(exact), time=0.1, tolerance=tolerance)
+            answers.append((scene.energy, answer))
+        for name, (mean, variance) in exact.items():
+            covers = []
+            for energy, answer in answers:
+                unit = 1.0 if name == "equipartition" else energy
+                low, high = answer.interval[name]
+                least, most = answer.variance_interval[name]
+                if math.isfinite(high - low + most):
+                    covers.append((low < mean * unit < high, least < variance * unit**2 < most))
+            rates = 100 * np.mean(covers, axis=0)
+            known = 100 * len(covers) / FEWER
+            yield name, f"{tolerance:g}", *(f"{rate:.1f}" for rate in (*rates, known))
+
+
 if __name__ == "__main__":
     columns = ("beads", "time", "intervals that cover, %", "chains that have an interval, %")
     write_table(TABLES / "coverage.md", columns, measure())
+    columns = (
+        "quantity",
+        "tolerance",
+        "means that are covered, %",
+        "variances, %",
+        "chains that have both intervals, %",
+    )
+    write_table(TABLES / "coverage_of_quantities.md", columns, measure_quantities())
