@@ -278,10 +278,13 @@ def compiled_once(
         For `numba.njit`.
     """
 
+    # nothing passes them on as C functions
+    compiler: Any = partial(numba.njit, no_cfunc_wrapper=True, **options)
+
     def decorate(function: Callable) -> Any:
         when = "once for this machine"
         try:
-            dispatcher = numba.njit(cache=True, **options)(function)
+            dispatcher = compiler(cache=True)(function)
             # numba checks only the source of this module, but a function may call modules beside
             # it. The version is looked at before the rest of the file is read, which may name
             # records that are no longer there.
@@ -295,7 +298,7 @@ def compiled_once(
             file.__class__ = _KeptFile
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
-            dispatcher = numba.njit(**options)(function)
+            dispatcher = compiler()(function)
         _jobs[function] = _Job(f"compiling {what}, {when}: about {seconds} s", seconds)
         return dispatcher
 

@@ -42,9 +42,7 @@ _OPTIONS: dict[str, Any] = {
     "_nrt": False,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": Ingredient
-    if not __import__("os").environ.get("NOING")
-    else __import__("numba.core.compiler").core.compiler.Compiler,
+    "pipeline_class": Ingredient,
 }
 compiled = numba.njit(**_OPTIONS)
 # inlined functions take records of arrays for nothing, of which a call would copy every field; LLVM
