@@ -54,7 +54,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", action="store_true", help="print steps, too")
     steps = parser.parse_args().steps
-    head = " | ".join(f"A omega = {viscous:g}" for viscous in VISCOUS)
+    head = " | ".join(f"Aω = {viscous:g}" for viscous in VISCOUS)
     print(f"| strike number | tolerance | without, ms | {head} |")
     print("|---|---|---|" + "---|" * len(VISCOUS))
     for strike in STRIKES:

@@ -59,6 +59,7 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # s
 nb_merge_streams = True
 
+smartquotes_action = "qe"  # quotes and three dots; the two dashes of an option stay two
 default_role = "py:obj"  # what docstrings put between single backquotes
 autosummary_generate = True
 # a summary ends with its sentence, not within it

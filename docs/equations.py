@@ -1,8 +1,9 @@
-"""Equations on the pages: typeset when they are built, and cited by links.
+"""Equations and numbers on the pages: typeset when they are built, equations cited by links.
 
 Mathematics becomes MathML, which browsers draw without a script. Wherever a page or a docstring
 cites an equation of the paper by its number, "Eq. (3)", the number leads to the page "Model and
-equations", which writes it out.
+equations", which writes it out. A number as 1e-6 stays on its line, which a browser would end
+behind the sign.
 """
 
 import re
@@ -16,8 +17,9 @@ from sphinx.writers.html5 import HTML5Translator
 PAGE = "model"
 CITED = re.compile(r"Eqs?\.\s\(\d+\)(?:(?:,|,? and| to|, or| or)\s\(\d+\))*")
 NUMBER = re.compile(r"\((\d+)\)")
-# a link within a link is none; code and headings stay as they are
-PLAIN = (nodes.literal, nodes.literal_block, nodes.reference, nodes.title, nodes.raw)
+DECIMAL = re.compile(r"[-−]?\d+(?:\.\d+)?e-\d+")
+# code, formulas and headings stay as they are
+PLAIN = (nodes.literal, nodes.literal_block, nodes.math, nodes.math_block, nodes.title, nodes.raw)
 
 
 def write_inline(writer: HTML5Translator, node: nodes.math) -> None:
@@ -43,11 +45,48 @@ def link_equations(app: Sphinx, document: nodes.document, page: str) -> None:
         return
     target = "" if page == PAGE else app.builder.get_relative_uri(page, PAGE)
     for text in list(document.findall(nodes.Text)):
-        enclosing = text.parent
-        while enclosing is not None and not isinstance(enclosing, PLAIN):
-            enclosing = enclosing.parent
-        if enclosing is None and CITED.search(text):
-            text.parent.replace(text, list(linked(str(text), target)))
+        # a link within a link is none
+        if CITED.search(text) and not within(text, (*PLAIN, nodes.reference)):
+            text.parent.replace(text, linked(str(text), target))
+
+
+def keep_decimals(app: Sphinx, document: nodes.document, page: str) -> None:
+    """Let numbers with an exponent of ten stay on their lines."""
+    if app.builder.format != "html":
+        return
+    for text in list(document.findall(nodes.Text)):
+        if DECIMAL.search(text) and not within(text, PLAIN):
+            text.parent.replace(text, kept(str(text)))
+
+
+def within(text: nodes.Text, kinds: tuple[type[nodes.Node], ...]) -> bool:
+    """Say whether a text stands in a node of one of these kinds."""
+    enclosing = text.parent
+    while enclosing is not None and not isinstance(enclosing, kinds):
+        enclosing = enclosing.parent
+    return enclosing is not None
+
+
+def kept(text: str) -> list[nodes.Node]:
+    """Return a text as nodes, in which its numbers with an exponent are not broken."""
+    pieces: list[nodes.Node] = []
+    start = 0
+    for number in DECIMAL.finditer(text):
+        pieces.append(nodes.Text(text[start : number.start()]))
+        pieces.append(nodes.inline("", number[0], classes=["decimal"]))
+        start = number.end()
+    pieces.append(nodes.Text(text[start:]))
+    return pieces
+
+
+def trim_code(app: Sphinx, document: nodes.document) -> None:
+    """Take away the empty line that ends an example in Python, for doctest."""
+    for block in document.findall(nodes.literal_block):
+        code = block.astext()
+        # Sphinx colours code whose source is its text
+        if code.endswith("\n") and block.rawsource == code:
+            block.rawsource = code.rstrip("\n")
+            block[:] = [nodes.Text(block.rawsource)]
 
 
 def linked(text: str, target: str) -> list[nodes.Node]:
@@ -67,5 +106,7 @@ def linked(text: str, target: str) -> list[nodes.Node]:
 def setup(app: Sphinx) -> dict[str, Any]:
     """Tell Sphinx how mathematics is written, and what is done with a page before it is."""
     app.add_html_math_renderer("mathml", (write_inline, None), (write_block, None))
+    app.connect("doctree-read", trim_code)
     app.connect("doctree-resolved", link_equations)
+    app.connect("doctree-resolved", keep_decimals)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

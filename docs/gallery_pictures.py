@@ -2,6 +2,7 @@
 once; and the live figure of what its name `live` holds.
 """
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,8 @@ def _live(names: dict[str, Any], conf: dict[str, Any]) -> str:
     script = Path(names["src_file"])
     folder = Path(conf["src_dir"]) / "measurements" / "live"
     folder.mkdir(parents=True, exist_ok=True)
+    # a figure names the command that wrote it, not the folder in which the pages were built
+    sys.argv = [script.name]
     lmpchain.explore(source, folder / f"{script.stem}.html")
     title = script.read_text(encoding="utf-8").splitlines()[1]
     element = live_figures.frame(script.stem, f"{title}: live figure", "../")

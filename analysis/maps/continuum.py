@@ -116,7 +116,7 @@ def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
         plane.text(right, 1.15 * tau[0], f"{100 * level:.0f} %", color="white")
     plane.set(xlim=(width[0], width[-1]), ylim=(tau[0], tau[-1]))
     plane.set(xlabel="width of a strike spread over the top (grains)", ylabel="time τ")
-    plane.set_title("Eq. (27): measured (white) and law (dashed)", loc="left", fontsize="medium")
+    plane.set_title("Eq. (27): measured (solid) and law (dashed)", loc="left", fontsize="medium")
 
 
 def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:

@@ -96,5 +96,5 @@ def draw(data: dict[str, Any]) -> Figure:
     panels[0].set_ylabel("strike number v0*")
     label = "error of the lossless model"
     picture.colorbar(shades, ax=list(panels), label=label, extend="both")
-    picture.suptitle("White: measured, 1 % and 10 %; dashed: the law", fontsize="medium")
+    picture.suptitle("Solid: measured, 1 % and 10 %; dashed: the law", fontsize="medium")
     return picture

@@ -75,7 +75,7 @@ def draw(data: dict[str, Any]) -> Figure:
     )
     draw_boundaries(plane, grains[0], grains[-1])
     plane.set_title(
-        "Eq. (6), one κ for all grains: white, measured; dashed, law",
+        "Eq. (6), one κ for all grains: solid, measured; dashed, law",
         loc="left",
         fontsize="medium",
     )

@@ -90,7 +90,7 @@ def draw(data: dict[str, Any]) -> Figure:
     plane.set(ylim=(data["v0"][0], data["v0"][-1]))
     plane.text(300, 3e-8, "linear", color="white", ha="center")
     plane.text(3e-2, 5e-2, "as in the sonic vacuum")
-    plane.set_title("Linear theory: measured (white), law (dashed)", loc="left", fontsize="medium")
+    plane.set_title("Linear theory: measured (solid), law (dashed)", loc="left", fontsize="medium")
     _draw_norms(norms, data)
     _draw_own(own, data)
     for axes in (norms, own):

@@ -31,7 +31,7 @@ axes.legend(frameon=False)
 print(t.provenance["damping"])
 
 # %%
-# The restitution of two steel balls of 10 mm falls with their speed, by A v^(1/5):
+# The restitution of two steel balls of 10 mm falls with their speed, by :math:`A v^{1/5}`:
 speed = np.geomspace(1e-3, 10, 40)
 picture_of_rebound = figure(6.5, 4)
 plane = picture_of_rebound.subplots()

@@ -8,14 +8,14 @@ from typing import Any
 from ..errors import InputError
 from .common import check_outputs, gather, keep
 
-# option of the command, and parameter
+# option of the command, parameter and what it is
 UNCERTAIN = {
-    "diameter": "diameters",
-    "youngs-modulus": "youngs_modulus",
-    "mass": "masses",
-    "constant": "contact_constants",
-    "viscoelastic": "damping.viscoelastic",
-    "drag": "damping.drag",
+    "diameter": ("diameters", "diameter"),
+    "youngs-modulus": ("youngs_modulus", "Young's modulus"),
+    "mass": ("masses", "mass"),
+    "constant": ("contact_constants", "constant of a contact"),
+    "viscoelastic": ("damping.viscoelastic", "viscous time of a contact"),
+    "drag": ("damping.drag", "rate of drag"),
 }
 
 
@@ -29,7 +29,7 @@ def sensitivity(arguments: argparse.Namespace) -> int:
         lambda: sensitivities.objective(arguments.of),
     )
     uncertainties = {
-        field: getattr(arguments, key.replace("-", "_")) for key, field in UNCERTAIN.items()
+        field: getattr(arguments, key.replace("-", "_")) for key, (field, _) in UNCERTAIN.items()
     }
     shares = {field: share for field, share in uncertainties.items() if share is not None}
     result = sensitivities.sensitivity(scene, arguments.of, shares, arguments.tolerance)

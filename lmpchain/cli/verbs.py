@@ -301,9 +301,9 @@ VERBS = {
                     f"--{name}",
                     metavar="PART",
                     type=float,
-                    help=f"uncertainty of each {name}, as a part of it",
+                    help=f"relative uncertainty of each {quantity}, 0.01 for 1 %%",
                 )
-                for name in UNCERTAIN
+                for name, (_, quantity) in UNCERTAIN.items()
             ),
             _argument(
                 "--tolerance",

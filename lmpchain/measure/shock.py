@@ -152,8 +152,8 @@ class Shock(Shown, Tabular):
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         ax.set(xlabel="contact, from the top", ylabel="overlap")
         set_title(ax, f"{self.kind} after {prefixed(self.time, 's', 3)}")
-        # it may lie on the lines of the edges
-        legend(ax, frameon=True, framealpha=0.9, edgecolor="none")
+        # within the axes it would lie on the lines of the edges
+        legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.18))
         return ax
 
     def plot_map(self, ax: Axes | None = None) -> Axes:

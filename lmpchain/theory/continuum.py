@@ -1,8 +1,9 @@
-"""Eq. (27), phi_tautau = (h^xi phi_h)_h, the column as a continuum: modes, packets, responses.
+"""Eq. (27), the column as a continuum: modes, packets, responses.
 
-Grain n sits at the depth h = n - 1/2. In the travel time chi from the top, Eq. (27) is the
-Euler-Poisson-Darboux equation ``phi_tautau = phi_chichi + (xi / eta) phi_chi / chi``; the light
-cone is tau = chi. The symbols of the paper:
+Grain n sits at the depth h = n - 1/2, and Eq. (27) is ``phi_tautau = (h^xi phi_h)_h``. In the
+travel time chi from the top it is the Euler-Poisson-Darboux equation
+``phi_tautau = phi_chichi + (xi / eta) phi_chi / chi``; the light cone is tau = chi. The symbols
+of the paper:
 
 ========= ==================== ==================================================================
 symbol    variable             meaning

@@ -248,7 +248,7 @@ CAPTIONS = {
         "LAMMPS and native differ by": "which agree to {:.0e}",
     },
     "fig2": {
-        "Eq. (6) at tau 1": "it is {:.1f} % off at tau",
+        "Eq. (6) at tau 1": "it is {:.1f} % off at τ",
         "Eq. (6) at tau 5": "{:.0f} % at 5",
         "Eq. (6) at tau 10": "and {:.0f} % at 10",
     },
@@ -292,7 +292,7 @@ CAPTIONS = {
     },
     "transport": {
         "peak velocity at the deepest grain, delta = 1.5": "{:.4f} of that of the strike",
-        "arrival at the deepest grain, delta = 1.5": "at tau = {:.1f}; the front",
+        "arrival at the deepest grain, delta = 1.5": "at τ = {:.1f}; the front",
         "its theory, delta = 1.5": "says {:.4f} and",
         "its theory, delta = 1.5, arrival": "and {:.1f}, and what",
         "fitted exponent of the peak velocity, Hertz": "fitted power, {:.3f}",
@@ -518,7 +518,7 @@ def said_of_linear_theory() -> str:
     package = [reach(strikes, norms["package"], level) for level in (0.01, 0.1)]
     displacement, peak = (reach(strikes, norms[norm], 0.01) for norm in ("displacement", "peak"))
     return (
-        f"at v0* = {percents[0]:.3f} and 10 % at {percents[1]:.1f}, whatever the gravity and "
+        f"at $v_0^*$ = {percents[0]:.3f} and 10 % at {percents[1]:.1f}, whatever the gravity and "
         f"nearly whatever the time; in the package's norm at {package[0]:.3f} and "
         f"{package[1]:.2f}, in displacements at {displacement:.2f}, "
         f"in peak velocities at {peak:.2f}."
@@ -530,7 +530,7 @@ def said_without_damping() -> str:
     weakest = [stored("damping")["error"][grains][0] for grains in ("20", "100", "500")]
     one, ten = ([reach(rates, errors, level) for errors in weakest] for level in (0.01, 0.1))
     return (
-        f"with A omega of {one[0]:.2g}, {one[1]:.2g} and {one[2]:.2g} at the band edge changes 1 % "
+        f"with Aω of {one[0]:.2g}, {one[1]:.2g} and {one[2]:.2g} at the band edge changes 1 % "
         f"of the answer after 20, 100 and 500 grains, and {ten[0]:.2g}, {ten[1]:.2g} and "
         f"{ten[2]:.2g} change 10 %."
     )
@@ -553,20 +553,20 @@ def said_of_steps() -> str:
     steps = stored("steps")
     law = np.interp(np.log(steps["numbers"]), np.log(steps["smooth"]), steps["predicted"]["verlet"])
     off = np.abs(law / steps["native"]["verlet"] - 1).max()
-    return f"for Verlet to {100 * off:.0f} % from v0* = {steps['numbers'][0]:g} to 1e4"
+    return f"for Verlet to {100 * off:.0f} % from $v_0^*$ = {steps['numbers'][0]:g} to 10⁴"
 
 
 def said_of_round_off() -> str:
     panel = next(one for one in stored("roundoff")["panels"] if one["grains"] == 50)
     place = int(np.argmin(np.abs(np.array(stored("roundoff")["strikes"]) - 0.5)))
     error = panel["measured"]["LAMMPS, physical diameter"][place]
-    return f"{error:.0e} at v0* = 0.5 for 50 beads".replace("e-0", "e-")
+    return f"{error:.0e} at $v_0^*$ = 0.5 for 50 beads".replace("e-0", "e-")
 
 
 def said_of_eq_7() -> str:
     tau, error = stored("homogeneous")["local"]
     return (
-        f"Eq. (7) is {100 * min(error):.0f} to {100 * max(error):.0f} % off for tau from "
+        f"Eq. (7) is {100 * min(error):.0f} to {100 * max(error):.0f} % off for τ from "
         f"{tau[0]:g} to {tau[-1]:g}."
     )
 
