@@ -1,9 +1,10 @@
-"""Equations and numbers on the pages: typeset when they are built, equations cited by links.
+"""Equations, numbers and names on the pages: how they are typeset, and how equations are cited.
 
 Mathematics becomes MathML, which browsers draw without a script. Wherever a page or a docstring
 cites an equation of the paper by its number, "Eq. (3)", the number leads to the page "Model and
 equations", which writes it out. A number as 1e-6 stays on its line, which a browser would end
-behind the sign.
+behind the sign; a long name in a table may end a line behind its dots, so that it leaves room for
+what is said of it.
 """
 
 import re
@@ -18,6 +19,7 @@ PAGE = "model"
 CITED = re.compile(r"Eqs?\.\s\(\d+\)(?:(?:,|,? and| to|, or| or)\s\(\d+\))*")
 NUMBER = re.compile(r"\((\d+)\)")
 DECIMAL = re.compile(r"[-−]?\d+(?:\.\d+)?e-\d+")
+JOINT = re.compile(r"(?<=[./_:,])(?=\w)")
 # code, formulas and headings stay as they are
 PLAIN = (nodes.literal, nodes.literal_block, nodes.math, nodes.math_block, nodes.title, nodes.raw)
 
@@ -59,9 +61,21 @@ def keep_decimals(app: Sphinx, document: nodes.document, page: str) -> None:
             text.parent.replace(text, kept(str(text)))
 
 
-def within(text: nodes.Text, kinds: tuple[type[nodes.Node], ...]) -> bool:
-    """Say whether a text stands in a node of one of these kinds."""
-    enclosing = text.parent
+def break_names(app: Sphinx, document: nodes.document, page: str) -> None:
+    """Let lines end within the names of files, modules and functions in tables."""
+    if app.builder.format != "html":
+        return
+    for name in document.findall(nodes.literal):
+        if within(name, (nodes.entry,)):
+            first, *others = JOINT.split(name.astext())
+            name[:] = [nodes.Text(first)]
+            for piece in others:
+                name += [nodes.raw("", "<wbr>", format="html"), nodes.Text(piece)]
+
+
+def within(node: nodes.Node, kinds: tuple[type[nodes.Node], ...]) -> bool:
+    """Say whether a node stands in one of these kinds."""
+    enclosing = node.parent
     while enclosing is not None and not isinstance(enclosing, kinds):
         enclosing = enclosing.parent
     return enclosing is not None
@@ -109,4 +123,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("doctree-read", trim_code)
     app.connect("doctree-resolved", link_equations)
     app.connect("doctree-resolved", keep_decimals)
+    app.connect("doctree-resolved", break_names)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
