@@ -512,10 +512,10 @@ QUANTITIES = {
     "time of a column of a sweep": r"(0\.\d+ to 0\.\d+) ms of a core",
     "error of Eq. (7)": r"off by (\d+ to \d+) %, for the top|Eq\. \(7\) is (\d+ to \d+) % off",
     "shift at 1.05 times sound beside Toda's law": (
-        r"from Toda's by (\d+) % at 1\.05|differ by [-−](\d+)% at 1\.05"
+        r"from Toda's by (\d+) % at 1\.05|differ by [-−](\d+) % at 1\.05"
     ),
     "shift at 1.0125 times sound beside Toda's law": (
-        r"and by (\d+) % at 1\.0125|and by [-−](\d+)% at 1\.0125"
+        r"and by (\d+) % at 1\.0125|and by [-−](\d+) % at 1\.0125"
     ),
     "mean kinetic energy of 38 beads off the ensemble": (
         r"mean to (\d\.\de-\d), variance|the mean to (\d\.\de-\d) and|mean comes to (\d\.\de-\d)"
