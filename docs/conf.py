@@ -6,8 +6,10 @@ import sys
 import warnings
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
 import sphinx.ext.autosummary
+from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # for what Sphinx keeps by name, as equations
@@ -64,7 +66,11 @@ default_role = "py:obj"  # what docstrings put between single backquotes
 autosummary_generate = True
 # a summary ends with its sentence, not within it
 sphinx.ext.autosummary.WELL_KNOWN_ABBREVIATIONS += ("Eq.", "Eqs.", "Fig.", "Phys.")
-autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_default_options = {
+    "members": True,
+    "member-order": "bysource",
+    "exclude-members": "model_config",  # of Pydantic, and no word about the class
+}
 autodoc_typehints = "none"  # numpydoc's sections name the types
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
@@ -87,3 +93,13 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "write_computation_times": False,
 }
+
+
+def leave_out(app: Sphinx, what: str, name: str, member: Any, skip: bool, options: Any) -> bool:
+    """Leave out the fields of a named tuple, of which Python says their number alone."""
+    return skip or str(getattr(member, "__doc__", "")).startswith("Alias for field number")
+
+
+def setup(app: Sphinx) -> None:
+    """Tell Sphinx what the reference leaves out."""
+    app.connect("autodoc-skip-member", leave_out)
