@@ -10,7 +10,14 @@ import pytest
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels import dense_output, right_hand_side, sample_loop, team, window
+from lmpchain.integrators.kernels import (
+    dense_output,
+    right_hand_side,
+    sample_loop,
+    team,
+    waveform,
+    window,
+)
 from lmpchain.integrators.kernels.layout import (
     LEAST_SHARE,
     PAD,
@@ -25,6 +32,7 @@ from lmpchain.integrators.stepper import NativeStepper
 share = team.share.py_func
 widen = window.widen.py_func
 ahead = right_hand_side.ahead.py_func
+corner = waveform._corner.py_func
 cut = right_hand_side.cut.py_func
 passes = dense_output.passes.py_func
 end_of_step = sample_loop.end_of_step.py_func
@@ -107,10 +115,10 @@ def acting(end: float = np.inf, knots: Any = ()) -> Any:
 
 
 def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
-    burst = acting(3.0)
-    spline = acting(knots=(0.0, 1.0, 2.0, 4.0))
-    assert ahead(burst, 1.0, 5.0, 1e-9) == 2.0
-    assert ahead(burst, 3.0 - 2e-9, 5.0, 1e-9) == pytest.approx(2e-9, rel=1e-6)
+    burst = acting(3.0).imposed
+    spline = acting(knots=(0.0, 1.0, 2.0, 4.0)).imposed
+    assert corner(burst.wave, burst.knots, 1.0, 5.0, 1e-9) == 2.0
+    assert corner(burst.wave, burst.knots, 3.0 - 2e-9, 5.0, 1e-9) == pytest.approx(2e-9, rel=1e-6)
     for t, end in (
         (3.0, 5.0),
         (4.0, 5.0),
@@ -119,13 +127,15 @@ def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
         (1.0, 2.0),
         (1.0, 3.0 + 0.5e-9),
     ):
-        assert ahead(burst, t, end, 1e-9) > 1e200
-    assert ahead(spline, 0.0, 9.0, 1e-9) == 1.0
-    assert ahead(spline, 1.0, 9.0, 1e-9) == 1.0
-    assert ahead(spline, 1.0 - 0.5e-9, 9.0, 1e-9) == pytest.approx(1.0, rel=1e-8)
-    assert ahead(spline, 2.5, 9.0, 1e-9) == 1.5
+        assert corner(burst.wave, burst.knots, t, end, 1e-9) > 1e200
+    assert corner(spline.wave, spline.knots, 0.0, 9.0, 1e-9) == 1.0
+    assert corner(spline.wave, spline.knots, 1.0, 9.0, 1e-9) == 1.0
+    assert corner(spline.wave, spline.knots, 1.0 - 0.5e-9, 9.0, 1e-9) == pytest.approx(
+        1.0, rel=1e-8
+    )
+    assert corner(spline.wave, spline.knots, 2.5, 9.0, 1e-9) == 1.5
     for t, end in ((2.5, 4.0), (4.0, 9.0), (0.2, 0.9), (5.0, 9.0)):
-        assert ahead(spline, t, end, 1e-9) > 1e200
+        assert corner(spline.wave, spline.knots, t, end, 1e-9) > 1e200
     still = acting(3.0)
     still.imposed.acts = False
     assert ahead(still, 1.0, 5.0, 1e-9) > 1e200
