@@ -62,11 +62,13 @@ def keep_decimals(app: Sphinx, document: nodes.document, page: str) -> None:
 
 
 def break_names(app: Sphinx, document: nodes.document, page: str) -> None:
-    """Let lines end within the names of files, modules and functions in tables."""
+    """Let lines end within the names of files, modules and functions in tables and titles."""
     if app.builder.format != "html":
         return
-    for name in document.findall(nodes.literal):
-        if within(name, (nodes.entry,)):
+    names = [name for name in document.findall(nodes.literal) if within(name, (nodes.entry,))]
+    titles = [title for title in document.findall(nodes.title) if " " not in title.astext()]
+    for name in names + titles:
+        if JOINT.search(name.astext()):
             first, *others = JOINT.split(name.astext())
             name[:] = [nodes.Text(first)]
             for piece in others:
