@@ -132,7 +132,7 @@ def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
         law = np.array([linear_law(v, norm, grain=19) for v in fine])
         axes.plot(fine, law, color=colour, lw=1.3)
         one = strike_number_at(0.01, norm, grain=19)
-        label = f"{NAMES[norm]}: 1 % at v0* = {one:.2g}"
+        label = f"{NAMES[norm]}: law 1 % at v0* = {one:.2g}"
         axes.plot(data["strike number"], error, "o", ms=4.5, mfc="none", color=colour, label=label)
     for level in (0.01, 0.1):
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
