@@ -251,7 +251,7 @@ def test_local_exponents_and_a_power_law():
     assert bars == pytest.approx(np.array([[-0.4, -0.2], [-0.4, 0.0], [-0.55, 0.05]]), abs=1e-12)
     assert axes.get_ylabel() == "local exponent of the speed"
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
-    law = PowerLaw("what (m)", depth, np.array([3.0, 2, 1]), 0.5, error, -0.75, 4.0, 0.25)
+    law = PowerLaw("what", depth, np.array([3.0, 2, 1]), "m", 0.5, error, -0.75, 4.0, 0.25)
     curve = 4 * depth**-0.75 * (1 + 0.25 / depth**0.5)
     axes = law.plot()
     assert_lines(axes, (depth, law.values), (depth, curve))
@@ -303,7 +303,9 @@ def test_the_continuum_and_the_law_of_the_front():
 
 def test_the_exponents_less_those_of_a_weak_wave():
     laws = {
-        name: PowerLaw(name, np.ones(1), np.ones(1), 1.0, np.array([error, 1, 1]), power, 1.0, 0.0)
+        name: PowerLaw(
+            name, np.ones(1), np.ones(1), "", 1.0, np.array([error, 1, 1]), power, 1.0, 0.0
+        )
         for name, power, error in (("velocity", -0.25, 0.01), ("time", 0.8, 0.02))
     }
     depth = np.array([20.0, 40.0])
