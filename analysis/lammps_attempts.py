@@ -10,14 +10,15 @@ docs/speed.md shows.
 import argparse
 import time
 import warnings
+from collections.abc import Iterator
 
+from figures import TABLES, write_table
 from lost_attempts import agitated
-from start_up import SCENE, TABLES
+from start_up import SCENE
 
 from lmpchain import Scene, simulate
 from lmpchain.engines import Lammps
 
-TABLE = TABLES / "lammps_attempts.md"
 COLUMNS = ("scene", "tolerance", "native trials, s", "all, s", "trials / all", "attempts in LAMMPS")
 
 
@@ -48,12 +49,8 @@ def spend(scene: Scene, tolerance: float) -> tuple[float, float, int]:
     return engine.trials_s, time.process_time() - began, engine.started
 
 
-def main() -> None:
-    """Print and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=3)
-    given = parser.parse_args()
-    warnings.simplefilter("ignore")
+def measure(count: int) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table, of so many repeats."""
     paper = Scene.from_toml(SCENE)
     cases = [
         ("the paper's", paper, 1e-3),
@@ -61,17 +58,21 @@ def main() -> None:
         ("300 grains that all move, 0.5 ms", agitated(300).replace(duration=5e-4), 1e-3),
     ]
     spend(paper, 1e-3)  # compiles, and loads LAMMPS
-    lines = [" | ".join(("", *COLUMNS, "")).strip(), "|---" * len(COLUMNS) + "|"]
     for name, scene, tolerance in cases:
-        repeats = [spend(scene, tolerance) for _ in range(given.repeats)]
+        repeats = [spend(scene, tolerance) for _ in range(count)]
         trials_s = min(repeat[0] for repeat in repeats)
         all_s = min(repeat[1] for repeat in repeats)
-        lines.append(
-            f"| {name} | {tolerance:.0e} | {trials_s:.2g} | {all_s:.2g} "
-            f"| {trials_s / all_s:.3f} | {repeats[0][2]} |"
-        )
-        print(lines[-1])
-    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        spent = f"{trials_s:.2g}", f"{all_s:.2g}", f"{trials_s / all_s:.3f}"
+        yield name, f"{tolerance:.0e}", *spent, str(repeats[0][2])
+
+
+def main() -> None:
+    """Print and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=3)
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    write_table(TABLES / "lammps_attempts.md", COLUMNS, measure(given.repeats))
 
 
 if __name__ == "__main__":

@@ -11,17 +11,17 @@ tables/unpredictable.md, which docs/speed.md shows.
 import argparse
 import time
 import warnings
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from figures import TABLES, write_table
 from lost_attempts import TOLERANCE, agitated, springs
-from start_up import TABLES
 
 from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Native
 from lmpchain.engines.native import companion_run
 from lmpchain.engines.native.companion_run import Looks
 
-TABLE = TABLES / "unpredictable.md"
 NEARER = 1.03  # time of a look over that of the one before
 COLUMNS = (
     "scene",
@@ -77,12 +77,8 @@ def end(scene: Scene) -> Ending:
     return Ending(predictable, ended, verdict_s, all_s)
 
 
-def main() -> None:
-    """Print and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=2)
-    given = parser.parse_args()
-    warnings.simplefilter("ignore")
+def measure(count: int) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table, of so many repeats."""
     strike = Impulse(velocity=0.1)
     column = Chain(grains=300, diameter=1e-3)
     scenes = {
@@ -95,10 +91,9 @@ def main() -> None:
     }
     usual = companion_run.LOOKS
     end(springs())  # compiles
-    lines = [" | ".join(("", *COLUMNS, "")).strip(), "|---" * len(COLUMNS) + "|"]
     for name, scene in scenes.items():
         endings: dict[Looks, list[Ending]] = {usual: [], Looks(apart=NEARER): []}
-        for _ in range(given.repeats):
+        for _ in range(count):
             for looks, repeats in endings.items():
                 companion_run.LOOKS = looks  # type: ignore[misc]
                 repeats.append(end(scene))
@@ -107,13 +102,18 @@ def main() -> None:
         first, nearer = (repeats[0] for repeats in endings.values())
         verdict_s = min(ending.verdict_s for ending in endings[usual])
         times = [min(ending.all_s for ending in repeats) for repeats in endings.values()]
-        lines.append(
-            f"| {name} | {1e3 * first.predictable:.3g} | {first.ended / first.predictable:.2f} "
-            f"| {nearer.ended / nearer.predictable:.2f} | {verdict_s:.2g} "
-            f"| {times[0]:.3g} | {times[1]:.3g} |"
-        )
-        print(lines[-1])
-    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        late = (f"{each.ended / each.predictable:.2f}" for each in (first, nearer))
+        spent = (f"{verdict_s:.2g}", *(f"{all_s:.3g}" for all_s in times))
+        yield name, f"{1e3 * first.predictable:.3g}", *late, *spent
+
+
+def main() -> None:
+    """Print and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=2)
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    write_table(TABLES / "unpredictable.md", COLUMNS, measure(given.repeats))
 
 
 if __name__ == "__main__":

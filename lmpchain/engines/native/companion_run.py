@@ -387,6 +387,7 @@ class CompanionRun(Run):
             return ErrorBudget(0.0, 0.0, self.method.order)
         order = companions.order(opens, scene.excitation.smooth_until(scene.duration))
         truncation = companions.truncation(real, distances[self._twin :], order, opens)
+        # grains in contact fly nowhere
         flights = self._free_flights(real, motion) if opens else 0.0
         roundoff = self._round(real, motion, flights)
         amplified = np.zeros(0)
@@ -398,10 +399,10 @@ class CompanionRun(Run):
         elif self._may_amplify(real, motion, truncation + roundoff):
             began = clock()
             amplified = amplify_rounding(scene, motion.evaluations)
-            half = self.candidate.solver_error / 2
+            tolerance = self.candidate.solver_error
             touching = self._round(real, motion, 0.0)
             bound = max(roundoff, float(amplified.max()))
-            if touching < half < bound < 2 * GROWTH.pessimism * half:
+            if touching < tolerance / 2 < bound < GROWTH.pessimism * tolerance:
                 repeated = repeat_rounding(scene, self.candidate)
                 amplified = np.fmin(amplified, repeated)
                 # to one side all of these drift alike; not so the companions, at other steps
