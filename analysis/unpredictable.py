@@ -1,10 +1,10 @@
-"""Where runs end that cannot be predicted to their end, and what they take until then.
+"""What a scene takes that cannot be predicted to its end, beside its predictable beginning alone.
 
-    python analysis/unpredictable.py [--repeats 2]
+    python analysis/unpredictable.py [--repeats 3]
 
-Processor time of `simulate` with the native engine at 1e-6, the least of some repeats: up to the
-verdict that no step helps, and of all, with the answer as long as it is predictable and its
-estimate. The same with looks nearer to each other, in turn in one process. Writes
+Processor time of `simulate` with the native engine at 1e-6, the least of some repeats, in turn in
+one process: up to the verdict that no step helps; of all, with the answer as long as it is
+predictable and its estimate; and of a scene that is recorded no longer than that. Writes
 tables/unpredictable.md, which docs/speed.md shows.
 """
 
@@ -19,41 +19,35 @@ from lost_attempts import TOLERANCE, agitated, springs
 
 from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Native
-from lmpchain.engines.native import companion_run
-from lmpchain.engines.native.companion_run import Looks
 
-NEARER = 1.03  # time of a look over that of the one before
 COLUMNS = (
     "scene",
+    "recorded, ms",
     "predictable for, ms",
-    "ends at, over that",
-    f"the same, looks {100 * (NEARER - 1):.0f} % apart",
     "up to the verdict, s",
     "all, s",
-    f"all, looks {100 * (NEARER - 1):.0f} % apart, s",
+    "recorded so long alone, s",
+    "all over alone",
 )
 
 
 class Watched(Native):
-    """The native engine, with the scenes and runs that it began, and when, s."""
+    """The native engine, with the times at which it began runs, s."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.begun: list[tuple[float, Any, Any]] = []
+        self.begun: list[float] = []
 
-    def start(self, scenes, *arguments):
+    def start(self, *arguments: Any) -> Any:
         """Start a run."""
-        began = time.process_time()
-        run = super().start(scenes, *arguments)
-        self.begun.append((began, scenes[0], run))
-        return run
+        self.begun.append(time.process_time())
+        return super().start(*arguments)
 
 
 class Ending(NamedTuple):
-    """Until when a scene is predictable and when its run ended, s; and times as in the table, s."""
+    """The answer to a scene as long as it can be predicted; and times as in the table, s."""
 
-    predictable: float
-    ended: float
+    answer: Any  # a trajectory
     verdict_s: float
     all_s: float
 
@@ -65,52 +59,49 @@ def end(scene: Scene) -> Ending:
     try:
         simulate(scene, engine, TOLERANCE)
     except ToleranceNotMet as missed:
-        predictable = float(missed.trajectory.time[-1])
-    else:
-        raise ValueError("this scene can be predicted to its end")
-    all_s = time.process_time() - began
-    whole = [n for n, (_, part, _) in enumerate(engine.begun) if part.duration == scene.duration]
-    start_s, _, run = engine.begun[whole[-1]]
-    # the next run is that of the beginning
-    verdict_s = engine.begun[whole[-1] + 1][0] - start_s
-    ended = int(run.state()["sample"]) * scene.duration / (scene.samples - 1)
-    return Ending(predictable, ended, verdict_s, all_s)
+        all_s = time.process_time() - began
+        answer = missed.trajectory
+    # the second run is that of the beginning
+    return Ending(answer, engine.begun[1] - began, all_s)
+
+
+def time_alone(scene: Scene) -> float:
+    """Return the time of a scene that can be predicted to its end, s."""
+    began = time.process_time()
+    simulate(scene, "native", TOLERANCE)
+    return time.process_time() - began
 
 
 def measure(count: int) -> Iterator[tuple[str, ...]]:
     """Yield the rows of the table, of so many repeats."""
-    strike = Impulse(velocity=0.1)
     column = Chain(grains=300, diameter=1e-3)
     scenes = {
         "near springs": springs(),
         "300 grains, struck at 0.1 m/s": Scene(
-            chain=column, excitation=strike, duration=0.02, samples=1001
+            chain=column, excitation=Impulse(velocity=0.1), duration=0.02, samples=1001
         ),
         "300 grains that all move": agitated(300).replace(duration=4e-3),
         "1000 grains that all move": agitated(1000).replace(duration=4e-3),
     }
-    usual = companion_run.LOOKS
     end(springs())  # compiles
     for name, scene in scenes.items():
-        endings: dict[Looks, list[Ending]] = {usual: [], Looks(apart=NEARER): []}
+        endings = []
+        alone_s = []
         for _ in range(count):
-            for looks, repeats in endings.items():
-                companion_run.LOOKS = looks  # type: ignore[misc]
-                repeats.append(end(scene))
-        companion_run.LOOKS = usual  # type: ignore[misc]
-        # when a run ends is the same in all repeats
-        first, nearer = (repeats[0] for repeats in endings.values())
-        verdict_s = min(ending.verdict_s for ending in endings[usual])
-        times = [min(ending.all_s for ending in repeats) for repeats in endings.values()]
-        late = (f"{each.ended / each.predictable:.2f}" for each in (first, nearer))
-        spent = (f"{verdict_s:.2g}", *(f"{all_s:.3g}" for all_s in times))
-        yield name, f"{1e3 * first.predictable:.3g}", *late, *spent
+            endings.append(end(scene))
+            alone_s.append(time_alone(endings[0].answer.scene))
+        predictable = endings[0].answer.scene.duration
+        verdict_s = min(ending.verdict_s for ending in endings)
+        all_s = min(ending.all_s for ending in endings)
+        times = (f"{each:.2g}" for each in (verdict_s, all_s, min(alone_s)))
+        lengths = (f"{1e3 * each:.3g}" for each in (scene.duration, predictable))
+        yield name, *lengths, *times, f"{all_s / min(alone_s):.2f}"
 
 
 def main() -> None:
     """Print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=3)
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     write_table(TABLES / "unpredictable.md", COLUMNS, measure(given.repeats))

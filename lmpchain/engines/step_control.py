@@ -36,6 +36,9 @@ class Patience:
         to this share of what it was: one alone may be erratic, where contacts open.
     lost : float
         Error over the tolerance on the way at which an attempt is lost; analysis/lost_attempts.py.
+    known : float
+        Share of the tolerance that amplified rounding takes where the answer to a scene ends that
+        cannot be predicted further: the shorter steps that it may need round more often.
     """
 
     attempts: int = 12
@@ -43,6 +46,7 @@ class Patience:
     stalls: int = 3
     stalled: float = 0.7
     lost: float = 2.0
+    known: float = 0.25
 
 
 PATIENCE = Patience()
@@ -271,10 +275,13 @@ def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: R
     """
     error = _worst(run.errors())
     tolerance = attempt.tolerance
-    if attempt.repeats or error.solver <= PATIENCE.lost * tolerance:
+    on_course = error.solver <= PATIENCE.lost * tolerance
+    if attempt.repeats or (on_course and patient):
         return
     expected = _worst(run.outlook())
     known_s = _known_until(expected, tolerance, scene)
+    if on_course and known_s == math.inf:
+        return
     helps = engine.refine(attempt.candidate, expected, tolerance)
     if known_s < math.inf and not (helps or patient):
         so_far = expected._replace(truncation=error.truncation)
@@ -408,8 +415,8 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
 
 
 def _known_until(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
-    """Return when amplified round-off takes half the tolerance, s; infinite if it never does."""
+    """Return until when amplified round-off leaves room for other errors, s; infinite if always."""
     if error.amplified.max(initial=0.0) <= tolerance:
         return math.inf
     # from the beginning on it is rounding as it is, and no later time is to be named
-    return error.last_known(tolerance / 2, scene.time) or math.inf
+    return error.last_known(PATIENCE.known * tolerance, scene.time) or math.inf

@@ -78,6 +78,30 @@ def test_a_lost_attempt_ends_and_tells_the_next_its_step(early, monkeypatch):
     assert all(done < 1 and error > PATIENCE.lost * 1e-8 for done, error in ends)
 
 
+def test_what_cannot_be_predicted_is_hardly_begun(monkeypatch):
+    """Runs a last digit apart tell before an error is large; steps would be short from there on."""
+    ends = []
+    judge = lmpchain.engines.step_control._judge
+
+    def watch(engine, scene, attempt, patient, run):
+        try:
+            judge(engine, scene, attempt, patient, run)
+        except ToleranceNotMet:
+            ends.append((run.progress, run.errors()[0].solver))
+            raise
+
+    monkeypatch.setattr("lmpchain.engines.step_control._judge", watch)
+    for scene in (springs(1e-2), agitated(12, 2e-3)):
+        with pytest.raises(ToleranceNotMet, match="amplifies round-off") as missed:
+            simulate(scene, "native", 1e-6)
+        kept = missed.value.trajectory
+        assert kept.error_estimate.solver <= 1e-6
+        truth, doubt = taylor_series.reference(kept.scene, 1e-17)
+        assert truth.error(kept.displacement, kept.velocity) + doubt <= kept.error_estimate.solver
+    assert len(ends) == 2
+    assert all(done < 0.05 and error < 1e-6 for done, error in ends)
+
+
 def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
     """In whichever attempt it is stopped; the beginning of what is unpredictable, too."""
     for name, scene in {"agitated": agitated(12, 4e-4), "springs": springs(4e-3)}.items():
@@ -129,6 +153,13 @@ def test_who_wants_the_best_answer_gets_all_of_it(early):
     with pytest.warns(UserWarning, match="amplifies round-off"):
         answer = simulate(scene, "native", 1e-6, on_miss="warn")
     assert answer.time[-1] == scene.duration
+    with pytest.raises(ToleranceNotMet) as missed:
+        simulate(scene, "native", 1e-6)
+    kept = missed.value.trajectory
+    assert answer.cost.step_s < kept.cost.step_s
+    # no less right as long as it can be
+    apart = answer.velocity[: kept.time.size] - kept.velocity
+    assert np.abs(apart).max() <= 2e-6 * np.abs(kept.velocity).max()
 
 
 def test_a_scene_ends_before_a_time():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from .round_off import accumulate
 
 BLOCK_BYTES = 2**24  # of samples held at a time
 PIECES = 50  # into which a scene is cut that need not be followed to its end
+KEPT = 16  # scenes whose growth is kept, for each look and attempt asks for it
 BURST = 10**6  # steps between two opportunities to stop
 
 
@@ -149,22 +151,27 @@ def amplify_rounding(scene: Scene, evaluations: float, enough: float = math.inf)
     """Return the amplified rounding of so many evaluations of the force at each sample, (T,).
 
     Relative to the largest motion. The runs that show it take a fraction of the time of an answer;
-    they end soon after it is more than `enough`.
+    where it is more than `enough`, it is not followed further.
     """
+    return _digits(evaluations) * _grow_digit(scene, enough)
+
+
+@lru_cache(maxsize=KEPT)
+def _grow_digit(scene: Scene, enough: float) -> Array:
+    """Return what becomes of a last digit at each sample, (T,), followed until it is `enough`."""
     changes = (GROWTH.digit * np.array(GROWTH.changes)).tolist()
     interval = scene.duration / (scene.samples - 1)
     method = methods_of(scene.chain.damped)["verlet"]
-    digits = _digits(evaluations)
     for reach in (GROWTH.reach, GROWTH.reach / GROWTH.shorter):
         steps = math.ceil(interval * scene.highest_frequency / reach)
         schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
-        distances = separate(scene, changes, method, schedule, enough / digits)
+        distances = separate(scene, changes, method, schedule, enough)
         # steps too long for contacts that are pressed so much stiffer show no growth but their own
         if distances.max() <= GROWTH.broken:
             break
     # a run that broke down says nothing of the growth in the others
     followed = distances.max(1) <= GROWTH.broken
-    return digits * distances.max(0, where=followed[:, None], initial=0.0)
+    return distances.max(0, where=followed[:, None], initial=0.0)
 
 
 def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:

@@ -169,7 +169,7 @@ class CompanionRun(Run):
         self._sample_s = candidate.cost_s * self.realisations / samples
         # with a twin, heights round by as much however little has moved, and the motion may grow
         # yet: a share of it says nothing of the end, and a native trial was judged before
-        self._looks = place_looks(0.0 if twin else work_s, samples - 1, self._together)
+        self._looks = frozenset() if twin else self._place_looks(work_s)
         # the fields of the companions, with sample 0 in the first block
         self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
@@ -181,6 +181,17 @@ class CompanionRun(Run):
             self._done_before = self._done
         self._compared_s = 0.0
         self._setup_s = clock() - began
+
+    def _place_looks(self, work_s: float) -> frozenset[int]:
+        """Return samples where the run is judged that takes so long, s.
+
+        The first one follows at once where it may turn out that the scene cannot be predicted.
+        """
+        samples = self.scene.samples
+        looks = place_looks(work_s, samples - 1, self._together)
+        evaluations = self.candidate.steps(samples) * self._rounded_in_step
+        soon = any(self._may_be_hopeless(real, evaluations) for real in range(self.realisations))
+        return looks | {self._together} if soon and self._together < samples - 1 else looks
 
     def _make_steppers(self, make: MakeStepper, state: Mapping[str, Array] | None) -> None:
         """Make the stepper of the answer, and of the native runs beside it."""
@@ -398,11 +409,11 @@ class CompanionRun(Run):
             amplified = (self._differences[0, :, real] / scale).max(-1)
         elif self._may_amplify(real, motion, truncation + roundoff):
             began = clock()
-            amplified = amplify_rounding(scene, motion.evaluations)
+            amplified = self._amplify(scene, motion.evaluations)
             tolerance = self.candidate.solver_error
             touching = self._round(real, motion, 0.0)
             bound = max(roundoff, float(amplified.max()))
-            if touching < tolerance / 2 < bound < GROWTH.pessimism * tolerance:
+            if touching < tolerance / 2 < bound < self._hopeless:
                 repeated = repeat_rounding(scene, self.candidate)
                 amplified = np.fmin(amplified, repeated)
                 # to one side all of these drift alike; not so the companions, at other steps
@@ -412,6 +423,18 @@ class CompanionRun(Run):
             roundoff = max(roundoff, float(amplified.max()))
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
+
+    def _amplify(self, scene: Scene, evaluations: float) -> Array:
+        """Return the amplified rounding of the answer at each sample, (T,)."""
+        amplified = amplify_rounding(scene, evaluations, self._hopeless)
+        if amplified.max() <= self._hopeless:
+            return amplified
+        return amplify_rounding(scene, evaluations)
+
+    @property
+    def _hopeless(self) -> float:
+        """Amplified rounding, relative, that is far beyond the tolerance, whatever the steps."""
+        return GROWTH.pessimism * self.candidate.solver_error
 
     def outlook(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation that is expected at the end.
@@ -428,7 +451,7 @@ class CompanionRun(Run):
         field = late.argmax(1)[:, None]
         grown = np.take_along_axis(np.fmax(late, TINY) / np.fmax(early, TINY), field, 1)[:, 0]
         power = np.clip(np.log(grown) / math.log(LOOKS.window), 0.0, LOOKS.steepest)
-        remaining = self.scene.samples / samples
+        remaining = (self.scene.samples - 1) / self._sample
         budgets = []
         for real, error in enumerate(self.errors()):
             truncation = error.truncation * remaining ** float(power[real])
@@ -444,14 +467,18 @@ class CompanionRun(Run):
         """Return an estimate with amplified rounding, where no step can make up for that."""
         scene = self._scenes[real]
         evaluations = float(self.native.steps[real]) * self._rounded_in_step * remaining
-        hopeless = GROWTH.pessimism * self.candidate.solver_error
-        if not self._companions.recurrent[real] or could_grow(scene, evaluations) < hopeless:
+        if not self._may_be_hopeless(real, evaluations):
             return error
-        amplified = amplify_rounding(scene, evaluations, hopeless)
+        amplified = amplify_rounding(scene, evaluations, self._hopeless)
         largest = float(amplified.max())
-        if largest < hopeless:
+        if largest < self._hopeless:
             return error
         return error._replace(roundoff=max(error.roundoff, largest), amplified=amplified)
+
+    def _may_be_hopeless(self, real: int, evaluations: float) -> bool:
+        """Say whether rounding could be amplified so far that no step makes up for it."""
+        recurs = self._companions.recurrent[real]
+        return bool(recurs) and could_grow(self._scenes[real], evaluations) > self._hopeless
 
     def _flights(self, real: int, motion: Motion) -> float:
         """Return how far the fastest grain would come in the whole run, over all that it moves."""
