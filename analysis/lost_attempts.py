@@ -1,4 +1,4 @@
-"""What attempts cost that miss their tolerance, and runs that cannot be predicted to their end.
+"""What attempts cost that miss their tolerance.
 
     python analysis/lost_attempts.py [--repeats 3] [--grains 5000]
 
@@ -12,23 +12,23 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from figures import TABLES, write_table
 
-from lmpchain import Chain, Impulse, Profile, Scene, ToleranceNotMet, simulate
+from lmpchain import Chain, Impulse, Profile, Scene, simulate
 from lmpchain.engines import Native
 from lmpchain.engines.native import companion_run
 from lmpchain.engines.native.companion_run import Looks
 
-TABLE = Path(__file__).parent / "tables" / "lost_attempts.md"
 COLUMNS = (
     "scene",
+    "first attempt lost at, of the way",
     "with looks, s",
     "every attempt to its end, s",
     "the last attempt alone, s",
     "with looks / last",
-    "answered to, ms",
 )
 TOLERANCE = 1e-6
 
@@ -59,14 +59,36 @@ def unseen() -> Iterator[None]:
         companion_run.LOOKS = looks  # type: ignore[misc]
 
 
-def spend(scene: Scene) -> tuple[float, float, float]:
-    """Return the processor time of an answer, s, its last step, s, and when it ends, s."""
+class Watched(Native):
+    """The native engine, with the runs that it began, and when, s."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.runs: list[Any] = []
+        self.begun: list[float] = []
+
+    def start(self, *arguments: Any) -> Any:
+        """Start a run."""
+        self.begun.append(time.process_time())
+        self.runs.append(super().start(*arguments))
+        return self.runs[-1]
+
+
+class Spent(NamedTuple):
+    """Processor time of an answer, s, its last step, s, and where its first attempt ended."""
+
+    answer_s: float
+    step_s: float
+    first: float
+
+
+def spend(scene: Scene) -> Spent:
+    """Answer a scene."""
+    engine = Watched()
     began = time.process_time()
-    try:
-        answer = simulate(scene, "native", TOLERANCE)
-    except ToleranceNotMet as missed:
-        answer = missed.trajectory
-    return time.process_time() - began, answer.cost.step_s, float(answer.time[-1])
+    answer = simulate(scene, engine, TOLERANCE)
+    answer_s = time.process_time() - began
+    return Spent(answer_s, answer.cost.step_s, engine.runs[0].progress)
 
 
 def spend_last(scene: Scene, step_s: float) -> float:
@@ -83,6 +105,21 @@ def spend_last(scene: Scene, step_s: float) -> float:
     return time.process_time() - began
 
 
+def measure(scene: Scene, count: int) -> tuple[str, ...]:
+    """Return a row of the table, of so many repeats."""
+    looked = []
+    to_the_end = []
+    last = []
+    for _ in range(count):
+        looked.append(spend(scene))
+        with unseen():
+            to_the_end.append(spend(scene).answer_s)
+        last.append(spend_last(scene, looked[0].step_s))
+    answer_s = min(spent.answer_s for spent in looked)
+    times = (f"{each:.3g}" for each in (answer_s, min(to_the_end), min(last)))
+    return f"{looked[0].first:.0%}", *times, f"{answer_s / min(last):.2f}"
+
+
 def main() -> None:
     """Print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -90,28 +127,10 @@ def main() -> None:
     parser.add_argument("--grains", type=int, default=5000)
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    scenes = {f"{given.grains} grains that all move": agitated(given.grains)}
-    scenes["near springs"] = springs()
-    for scene in (agitated(100), springs()):
-        spend(scene)  # compiles
-    lines = [" | ".join(("", *COLUMNS, "")).strip(), "|---" * len(COLUMNS) + "|"]
-    for name, scene in scenes.items():
-        looked = []
-        to_the_end = []
-        last = []
-        for _ in range(given.repeats):
-            spent_s, step_s, end_s = spend(scene)
-            looked.append(spent_s)
-            with unseen():
-                to_the_end.append(spend(scene)[0])
-            if end_s == scene.duration:
-                last.append(spend_last(scene, step_s))
-        least = min(looked)
-        alone = f"{min(last):.3g} | {least / min(last):.2f}" if last else "- | -"
-        answered = f"{1e3 * end_s:.3g} of {1e3 * scene.duration:.3g}"
-        lines.append(f"| {name} | {least:.3g} | {min(to_the_end):.3g} | {alone} | {answered} |")
-        print(lines[-1])
-    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    spend(agitated(100))  # compiles
+    row = measure(agitated(given.grains), given.repeats)
+    name = f"{given.grains} grains that all move"
+    write_table(TABLES / "lost_attempts.md", COLUMNS, [(name, *row)])
 
 
 if __name__ == "__main__":

@@ -14,9 +14,11 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
-TABLES = Path(__file__).parent / "tables"
+from figures import TABLES, write_table
+
 SCENE = Path(__file__).parent / "scenes" / "fig5_1g.toml"
 COMMANDS = {
     "`lmpchain run`, native": ["run", str(SCENE), "--engine", "native", "-o", "run.nc"],
@@ -114,11 +116,31 @@ def stages(cache: Path) -> list[float]:
     return [numba_s, scenes_s, llvm_s, kept_s - llvm_s, all_s - numba_s - scenes_s - kept_s]
 
 
-def write(name: str, lines: list[str]) -> None:
-    """Print a table and write it."""
-    text = "\n".join(lines)
-    print(text)
-    (TABLES / name).write_text(text + "\n", encoding="utf-8")
+def time_commands(first: int, warm: int) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table of commands, of so many repeats."""
+    for name, arguments in COMMANDS.items():
+        compiled_s = []
+        for _ in range(first):
+            with tempfile.TemporaryDirectory() as cache:
+                compiled_s.append(processor_time(arguments, Path(cache)))
+        with tempfile.TemporaryDirectory() as cache:
+            processor_time(arguments, Path(cache))
+            later_s = [processor_time(arguments, Path(cache)) for _ in range(warm)]
+        yield name, f"{min(compiled_s):.1f}", f"{min(later_s):.2f}"
+
+
+def time_stages(first: int, warm: int) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table of stages."""
+    compiled_s = []
+    later_s = []
+    for _ in range(first):
+        with tempfile.TemporaryDirectory() as cache:
+            compiled_s.append(stages(Path(cache)))
+            later_s += [stages(Path(cache)) for _ in range(warm)]
+    # of whole processes, so that stages add up
+    columns = [min(repeats, key=sum) for repeats in (compiled_s, later_s)]
+    for stage, *spent_s in zip(ROWS, *columns, strict=True):
+        yield stage, *(f"{each:.2f}" for each in spent_s)
 
 
 def main() -> None:
@@ -127,32 +149,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=3, help="repeats of what compiles")
     parser.add_argument("--warm", type=int, default=10, help="repeats of what has been compiled")
     given = parser.parse_args()
-    lines = ["| processor time, s | first on a machine | later |", "|---|---|---|"]
-    for name, arguments in COMMANDS.items():
-        first = []
-        for _ in range(given.first):
-            with tempfile.TemporaryDirectory() as cache:
-                first.append(processor_time(arguments, Path(cache)))
-        with tempfile.TemporaryDirectory() as cache:
-            processor_time(arguments, Path(cache))
-            later = [processor_time(arguments, Path(cache)) for _ in range(given.warm)]
-        lines.append(f"| {name} | {min(first):.1f} | {min(later):.2f} |")
-    write("start_up.md", lines)
-    lines = [
-        "| stage of a run, native: processor time, s | first on a machine | later |",
-        "|---|---|---|",
-    ]
-    first = []
-    later = []
-    for _ in range(given.first):
-        with tempfile.TemporaryDirectory() as cache:
-            first.append(stages(Path(cache)))
-            later += [stages(Path(cache)) for _ in range(given.warm)]
-    # of whole processes, so that stages add up
-    columns = [min(repeats, key=sum) for repeats in (first, later)]
-    for stage, *spent_s in zip(ROWS, *columns, strict=True):
-        lines.append(f"| {stage} | {spent_s[0]:.2f} | {spent_s[1]:.2f} |")
-    write("stages.md", lines)
+    repeats = given.first, given.warm
+    columns = "first on a machine", "later"
+    commands = time_commands(*repeats)
+    write_table(TABLES / "start_up.md", ("processor time, s", *columns), commands)
+    what = "stage of a run, native: processor time, s"
+    write_table(TABLES / "stages.md", (what, *columns), time_stages(*repeats))
 
 
 if __name__ == "__main__":

@@ -15,10 +15,9 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from figures import TABLES, write_table
-from lost_attempts import TOLERANCE, agitated, springs
+from lost_attempts import TOLERANCE, Watched, agitated, springs
 
 from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, simulate
-from lmpchain.engines import Native
 
 COLUMNS = (
     "scene",
@@ -29,19 +28,6 @@ COLUMNS = (
     "recorded so long alone, s",
     "all over alone",
 )
-
-
-class Watched(Native):
-    """The native engine, with the times at which it began runs, s."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.begun: list[float] = []
-
-    def start(self, *arguments: Any) -> Any:
-        """Start a run."""
-        self.begun.append(time.process_time())
-        return super().start(*arguments)
 
 
 class Ending(NamedTuple):
