@@ -18,10 +18,9 @@ picture = found.plot()
 
 # %%
 # A light grain in a uniform chain has a mode above the band, over a grain or two.
-light = lmpchain.Chain(
-    grains=41, diameter=1e-3, **level, impurity=[{"grain": 20, "diameter": 0.7e-3}]
-)
-picture_of_mode = bands.gap_modes(light, lmpchain.Chain(grains=2, diameter=1e-3, **level)).plot()
+uniform = lmpchain.Chain(grains=41, diameter=1e-2, **level)
+light = uniform.replace(impurity=[{"grain": 20, "diameter": 7e-3}])
+picture_of_mode = bands.gap_modes(light, uniform.replace(grains=2)).plot()
 
 # %%
 # With damping, waves of all frequencies are attenuated; in the gap they are without it, too.

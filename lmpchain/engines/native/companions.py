@@ -242,8 +242,12 @@ def recurs(scene: Scene) -> bool:
 
     Where the force has a kink at an opening, once is enough.
     """
-    # what acts all along, or on many grains, opens contacts again without a reflection
-    crossed = scene.chain.grains if scene.excitation.kind in STRIKES else 1
+    crossed = 1  # what acts all along, or on many grains, opens contacts again without a reflection
+    if scene.excitation.kind in STRIKES:
+        above = scene.excitation.grain - 1
+        below = scene.chain.grains - scene.excitation.grain
+        # a wave that runs from one end has the whole chain before it
+        crossed = min(above, below) or scene.chain.grains
     returns = scene.highest_frequency * scene.duration > OPENINGS.returning * crossed
     opens = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
     return opens and (returns or OPENINGS.kinks(scene.chain.exponent))
