@@ -33,7 +33,6 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
     """
     if expected_seconds(scene) <= LONGEST_S:
         return reference(scene)
-    tight = max(tolerance / 100, TIGHTEST)
     # errors are relative to the largest motion of any grain, so that all must be recorded
     all_grains = Scene(
         chain=scene.chain,
@@ -41,15 +40,22 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
         duration=scene.duration,
         samples=scene.samples,
     )
-    try:
-        run = simulate(all_grains, "native", tight, progress=progress)
-    except ToleranceNotMet as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
+    run, tight = _solve_tightly(all_grains, tolerance, progress)
     reason = "the scene is too long for the independent integrator"
     method = f"the native engine at a tolerance of {tight:g} ({reason})"
     return Reference(run.time, run.displacement, run.velocity, run.error_estimate.total, method)
+
+
+def _solve_tightly(scene: Scene, tolerance: float, progress: bool) -> tuple[Trajectory, float]:
+    """Return the answer to a hundredth of a tolerance, or to all of it, and which it is."""
+    tight = max(tolerance / 100, TIGHTEST)
+    try:
+        return simulate(scene, "native", tight, progress=progress), tight
+    except ToleranceNotMet as error:
+        # the answer to the beginning of what cannot be predicted is none to the whole
+        if error.trajectory and error.trajectory.scene == scene:
+            return error.trajectory, tight
+    return simulate(scene, "native", tolerance, progress=progress), tolerance
 
 
 def as_trajectory(scene: Scene, solution: Reference) -> Trajectory:

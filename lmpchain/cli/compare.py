@@ -59,6 +59,11 @@ def compare(arguments: argparse.Namespace) -> int:
     if not engines_of_scene:
         raise InputError(refusals)
     trajectories, failures = _solve(scene, engines_of_scene, arguments.tolerance)
+    beginning = min((each.scene for each in trajectories), key=_count_samples, default=scene)
+    if beginning.samples < scene.samples:
+        # of what cannot be predicted to its end the beginning is compared
+        scene = scene.replace(duration=beginning.duration, samples=beginning.samples)
+        trajectories, _ = _solve(scene, [each.engine for each in trajectories], arguments.tolerance)
     if trajectories:
         solution = truth(scene, arguments.tolerance, progress=on_terminal())
         lossless = _lossless(scene, arguments.tolerance)
@@ -71,6 +76,10 @@ def compare(arguments: argparse.Namespace) -> int:
     for failure in failures:
         complain(failure)
     return 1 if failures else 0
+
+
+def _count_samples(scene: Scene) -> int:
+    return scene.samples
 
 
 def _names(given: str | None) -> list[str]:
@@ -128,9 +137,7 @@ def _lossless(scene: Scene, tolerance: float) -> Trajectory | None:
     try:
         with warnings_aside():
             return simulate(conservative, "native", tolerance)
-    except ToleranceNotMet as error:
-        return error.trajectory
-    except RunFailed:
+    except (ToleranceNotMet, RunFailed):
         return None
 
 

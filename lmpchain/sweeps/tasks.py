@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import engines
 from ..engines.base import Engine
+from ..engines.native.engine import Native
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
 from ..measure.motion import motion_of
 from ..scene.scene import Scene
@@ -63,7 +64,7 @@ class Beginning(NamedTuple):
     known : Trajectory
         Up to the time up to which it can.
     whole : Trajectory
-        The best answer there is to all of it.
+        A run to its end, of which the rest is as likely as others.
     reason : str
         Why the whole is not within the tolerance.
     """
@@ -231,15 +232,16 @@ def _answer_beginning(
 ) -> Beginning | None:
     """Simulate a scene while it can be predicted; None if nothing that is kept is known then."""
     keep = [name for name in plan.keep if is_extreme(name)]
-    # a long run stopped there: how much its rest would change is not known
-    stopped = missed.trajectory and missed.trajectory.scene.samples < scene.samples
-    if missed.known_until == math.inf or not keep or stopped:
+    if missed.known_until == math.inf or not keep:
         return None
     # a little earlier, for the error of all runs together is to be within the tolerance there
     beginning = scene.replace(duration=KNOWN * missed.known_until, samples=2)
     beginning = with_gathered(beginning, keep, engine.moves_grains)
     try:
         known = simulate(beginning, engine, plan.tolerance)
+        # one run of the many that are as likely, at equal steps: it shows what may still change
+        steady = Native(known.cost.integrator, step=known.cost.step_s)
+        whole = simulate(scene, steady)
     except LmpchainError:
         return None
-    return Beginning(known, missed.trajectory, str(missed))
+    return Beginning(known, whole, str(missed))

@@ -18,7 +18,16 @@ import tomli_w
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.command_output import SCENE, keys, names
 
-from lmpchain import EngineUnavailable, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
+from lmpchain import (
+    Chain,
+    EngineUnavailable,
+    Impulse,
+    RunFailed,
+    Scene,
+    ToleranceNotMet,
+    Trajectory,
+    simulate,
+)
 from lmpchain.cli.command_line import main
 
 
@@ -374,6 +383,24 @@ def test_compare_some_engines_without_files(scene: Path, capsys: pytest.CaptureF
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines].count("native") == 1
     assert names(scene.parent) == ["scene.toml"]
+
+
+def test_of_what_cannot_be_predicted_the_beginning_is_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    chain = Chain(grains=12, diameter=1e-3, exponent=1.05)
+    strong = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=4e-3, samples=201)
+    path = tmp_path / "strong.toml"
+    strong.to_toml(path)
+    numbers = tmp_path / "c.json"
+    options = ["--engines", "native,modes", "--json", str(numbers)]
+    assert main(["compare", str(path), *options]) == 1
+    said = capsys.readouterr().err
+    assert "error: native: the error is estimated at" in said
+    assert "amplifies round-off, which may exceed the tolerance at t = " in said
+    native, modes = json.loads(numbers.read_text())["rows"]
+    assert native["error"] <= 1e-6
+    assert modes["error"] > 0.1
 
 
 @pytest.mark.parametrize("engines", ["native,abacus", "", ","])

@@ -413,7 +413,7 @@ class CompanionRun(Run):
             tolerance = self.candidate.solver_error
             touching = self._round(real, motion, 0.0)
             bound = max(roundoff, float(amplified.max()))
-            # neither where the tolerance is met without it, nor where shorter steps are needed anyway
+            # not where the tolerance is met without, nor where shorter steps are needed anyway
             decides = max(truncation, tolerance - truncation) < bound < self._hopeless
             if decides and touching < tolerance / 2:
                 repeated = repeat_rounding(scene, self.candidate)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...integrators.method import Method
 from ...integrators.step_schedule import MANY_STEPS, StepSchedule
+from ...scene.excitation import Displacement, Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ..base import Candidate
@@ -84,7 +85,7 @@ class Openings:
 
 
 OPENINGS = Openings()
-STRIKES = ("impulse", "displacement")  # of one grain
+STRIKES = (Impulse, Displacement)  # of one grain
 LONGER = (2.0, 4.0)  # steps of companions over those of the answer
 DIVIDING = (2.0, 3.0, 4.0)  # the same where each is to land on every sample
 # exponent of the decay between two samples from which on companions land on each
@@ -243,7 +244,7 @@ def recurs(scene: Scene) -> bool:
     Where the force has a kink at an opening, once is enough.
     """
     crossed = 1  # what acts all along, or on many grains, opens contacts again without a reflection
-    if scene.excitation.kind in STRIKES:
+    if isinstance(scene.excitation, STRIKES):
         above = scene.excitation.grain - 1
         below = scene.chain.grains - scene.excitation.grain
         # a wave that runs from one end has the whole chain before it
