@@ -39,6 +39,9 @@ class Patience:
     known : float
         Share of the tolerance that amplified rounding takes where the answer to a scene ends that
         cannot be predicted further: the shorter steps that it may need round more often.
+    beginning : int
+        Attempts at such an answer after which it ends at half the time: what amplifies rounding
+        amplifies errors of steps alike, which must be as small for it to last so long.
     """
 
     attempts: int = 12
@@ -47,6 +50,7 @@ class Patience:
     stalled: float = 0.7
     lost: float = 2.0
     known: float = 0.25
+    beginning: int = 3
 
 
 PATIENCE = Patience()
@@ -204,7 +208,8 @@ def solve_to_tolerance(
     RunFailed
         If the run breaks down, at a given step or again and again.
     ToleranceNotMet
-        If it is clear on the way that the scene cannot be predicted to its end, unless `patient`.
+        If it is clear on the way that the scene cannot be predicted to its end, unless `patient`;
+        or that the beginning of one takes too long.
     """
     compiled = compiled_s() - attempt.compiled_s
     while True:
@@ -242,6 +247,8 @@ def solve_to_tolerance(
             )
             missed, known_s = _conclude(engine, scenes[0], attempt, error, missed)
             return Outcome(collected, attempt, errors, error, cost, missed, known_s)
+        if len(following.truncations) == PATIENCE.beginning and following.known_until < math.inf:
+            raise ToleranceNotMet(attempt.refusal, known_until=attempt.known_until / 2)
         run_s = cost.integration_s + cost.estimate_s
         planned_s = attempt.planned_s + clock() - began - run_s
         attempt = following._replace(planned_s=planned_s, spent_s=attempt.spent_s + run_s)

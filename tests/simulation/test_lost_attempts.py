@@ -102,6 +102,25 @@ def test_what_cannot_be_predicted_is_hardly_begun(monkeypatch):
     assert all(done < 0.05 and error < 1e-6 for done, error in ends)
 
 
+def test_a_beginning_that_takes_ever_shorter_steps_ends_at_half_the_time(tmp_path):
+    """Its errors grow as rounding does: right for twice as long they must be squared."""
+    chain = Chain(grains=12, diameter=1e-3, bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=0.02, samples=501)
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off") as missed:
+        simulate(scene, "native", 1e-2)
+    said = float(missed.value.reason.split("at t = ")[1].split()[0])
+    assert missed.value.known_until == pytest.approx(said / 2, rel=1e-3, abs=0)
+    kept = missed.value.trajectory
+    assert kept.scene == scene.until(missed.value.known_until)
+    truth, doubt = taylor_series.reference(kept.scene, 1e-12)
+    assert truth.error(kept.displacement, kept.velocity) + doubt <= kept.error_estimate.solver
+    assert kept.error_estimate.solver <= 1e-2
+    with pytest.raises(ToleranceNotMet):
+        simulate(scene, "native", 1e-2, folder=tmp_path / "run")
+    disk = lmpchain.Trajectory.load(tmp_path / "run")
+    assert np.array_equal(disk.velocity[:], kept.velocity)
+
+
 def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
     """In whichever attempt it is stopped; the beginning of what is unpredictable, too."""
     for name, scene in {"agitated": agitated(12, 4e-4), "springs": springs(4e-3)}.items():
