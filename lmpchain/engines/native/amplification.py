@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from .round_off import accumulate
 
 BLOCK_BYTES = 2**24  # of samples held at a time
 PIECES = 50  # into which a scene is cut that need not be followed to its end
-KEPT = 16  # scenes whose growth is kept, for each look and attempt asks for it
 BURST = 10**6  # steps between two opportunities to stop
 
 
@@ -143,21 +141,19 @@ def separate(
 def could_grow(scene: Scene, evaluations: float) -> float:
     """Return a bound on `amplify_rounding`, from the phase of the fastest motion alone."""
     exponent = GROWTH.rate * scene.highest_frequency * scene.duration
-    digits = _digits(evaluations)
+    digits = count_digits(evaluations)
     return GROWTH.digit * digits * math.exp(min(exponent, 99.0))  # more than any scene has room for
 
 
-def amplify_rounding(scene: Scene, evaluations: float, enough: float = math.inf) -> Array:
+def amplify_rounding(scene: Scene, evaluations: float) -> Array:
     """Return the amplified rounding of so many evaluations of the force at each sample, (T,).
 
-    Relative to the largest motion. The runs that show it take a fraction of the time of an answer;
-    where it is more than `enough`, it is not followed further.
+    Relative to the largest motion. The runs that show it take a fraction of the time of an answer.
     """
-    return _digits(evaluations) * _grow_digit(scene, enough)
+    return count_digits(evaluations) * grow_digit(scene)
 
 
-@lru_cache(maxsize=KEPT)
-def _grow_digit(scene: Scene, enough: float) -> Array:
+def grow_digit(scene: Scene, enough: float = math.inf) -> Array:
     """Return what becomes of a last digit at each sample, (T,), followed until it is `enough`."""
     changes = (GROWTH.digit * np.array(GROWTH.changes)).tolist()
     interval = scene.duration / (scene.samples - 1)
@@ -186,6 +182,6 @@ def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:
     return GROWTH.safety * distances.max(0)
 
 
-def _digits(evaluations: float) -> float:
+def count_digits(evaluations: float) -> float:
     """Return the rounding of so many evaluations of the force in last digits, at least one."""
     return max(1.0, EPSILON / GROWTH.digit * accumulate(evaluations))

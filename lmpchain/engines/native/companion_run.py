@@ -26,7 +26,14 @@ from ...trajectory.record import Block, Cost
 from ...util.arrays import EPSILON, Array, as_slice
 from ...util.compilation import clock
 from ..base import Candidate, ErrorBudget, Run
-from .amplification import GROWTH, amplify_rounding, could_grow, repeat_rounding
+from .amplification import (
+    GROWTH,
+    amplify_rounding,
+    could_grow,
+    count_digits,
+    grow_digit,
+    repeat_rounding,
+)
 from .companions import OPENINGS, Companions
 from .round_off import drift, interpolation_loss, native_floor, plain_loss, rounded_energy
 
@@ -159,6 +166,7 @@ class CompanionRun(Run):
         self._chains: ChainBatch = self.native.chains
         self._closest_allowed = self._bound_approach()
         self._lost: NDArray[np.bool_] | None = None  # realisations that companions have lost
+        self._growth: dict[int, Array] = {}  # of a last digit, by realisation
         runs = len(self._companions.against)
         samples = self.scene.samples
         grains = self.scene.chain.grains
@@ -409,7 +417,9 @@ class CompanionRun(Run):
             amplified = (self._differences[0, :, real] / scale).max(-1)
         elif self._may_amplify(real, motion, truncation + roundoff):
             began = clock()
-            amplified = self._amplify(scene, motion.evaluations)
+            amplified = self._amplify(real, motion.evaluations)
+            if amplified.max() > self._hopeless:
+                amplified = amplify_rounding(scene, motion.evaluations)
             tolerance = self.candidate.solver_error
             touching = self._round(real, motion, 0.0)
             bound = max(roundoff, float(amplified.max()))
@@ -426,12 +436,11 @@ class CompanionRun(Run):
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
 
-    def _amplify(self, scene: Scene, evaluations: float) -> Array:
-        """Return the amplified rounding of the answer at each sample, (T,)."""
-        amplified = amplify_rounding(scene, evaluations, self._hopeless)
-        if amplified.max() <= self._hopeless:
-            return amplified
-        return amplify_rounding(scene, evaluations)
+    def _amplify(self, real: int, evaluations: float) -> Array:
+        """Return the amplified rounding at each sample, (T,), followed until it is hopeless."""
+        if real not in self._growth:
+            self._growth[real] = grow_digit(self._scenes[real], self._hopeless)
+        return count_digits(evaluations) * self._growth[real]
 
     @property
     def _hopeless(self) -> float:
@@ -467,11 +476,10 @@ class CompanionRun(Run):
 
     def _foresee_chaos(self, real: int, error: ErrorBudget, remaining: float) -> ErrorBudget:
         """Return an estimate with amplified rounding, where no step can make up for that."""
-        scene = self._scenes[real]
         evaluations = float(self.native.steps[real]) * self._rounded_in_step * remaining
         if not self._may_be_hopeless(real, evaluations):
             return error
-        amplified = amplify_rounding(scene, evaluations, self._hopeless)
+        amplified = self._amplify(real, evaluations)
         largest = float(amplified.max())
         if largest < self._hopeless:
             return error
