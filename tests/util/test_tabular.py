@@ -41,7 +41,7 @@ def test_a_trajectory_is_a_table_to_the_last_digit(run, tmp_path: Path):
     assert frame.shape == (161, 25)
     assert columns(run)[:3] == ["time [s]", "displacement_1 [m]", "displacement_2 [m]"]
     np.testing.assert_array_equal(frame["velocity_7 [m/s]"], run.velocity[:, 6])
-    again = pandas.read_csv(tmp_path / "run.csv")
+    again = pandas.read_csv(tmp_path / "run.csv", float_precision="round_trip")
     pandas.testing.assert_frame_equal(again, frame, check_exact=True)
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
 
@@ -156,7 +156,7 @@ def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[
     chosen = ["--force", "10,wall", "--velocity", "5", "--displacement", "5", "--energy"]
     assert main([*command, *chosen]) == 0
     assert capsys.readouterr().out == f"traces: {path}\n"
-    frame = pandas.read_csv(path)
+    frame = pandas.read_csv(path, float_precision="round_trip")
     assert list(frame.columns)[:5] == [
         "time [s]",
         "force_10 [N]",
