@@ -96,6 +96,7 @@ def explore(
 
     Examples
     --------
+    >>> from tempfile import TemporaryDirectory
     >>> import lmpchain
     >>> scene = lmpchain.Scene(
     ...     chain=lmpchain.Chain(grains=20, diameter=1e-3),
@@ -103,7 +104,8 @@ def explore(
     ...     duration=40e-6,
     ... )
     >>> over = {"excitation.velocity": [1e-5, 1e-3, 1e-1]}
-    >>> lmpchain.explore({"scene": scene, "over": over}, "page.html")
+    >>> with TemporaryDirectory() as folder:
+    ...     lmpchain.explore({"scene": scene, "over": over}, f"{folder}/page.html")
     """
     plan, axes = _read(source)
     grid = _make_grid(plan)

@@ -13,7 +13,6 @@ import numpy as np
 
 from .. import engines
 from ..engines.base import Engine
-from ..engines.native.engine import Native
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
 from ..measure.motion import motion_of
 from ..scene.scene import Scene
@@ -240,7 +239,7 @@ def _answer_beginning(
     try:
         known = simulate(beginning, engine, plan.tolerance)
         # one run of the many that are as likely, at equal steps: it shows what may still change
-        steady = Native(known.cost.integrator, step=known.cost.step_s)
+        steady = engines.Native(known.cost.integrator, step=known.cost.step_s)
         whole = simulate(scene, steady)
     except LmpchainError:
         return None

@@ -177,7 +177,7 @@ class CompanionRun(Run):
         self._sample_s = candidate.cost_s * self.realisations / samples
         # with a twin, heights round by as much however little has moved, and the motion may grow
         # yet: a share of it says nothing of the end, and a native trial was judged before
-        self._looks = frozenset() if twin else self._place_looks(work_s)
+        self._looks = frozenset() if twin else self._choose_looks(work_s)
         # the fields of the companions, with sample 0 in the first block
         self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
@@ -190,7 +190,7 @@ class CompanionRun(Run):
         self._compared_s = 0.0
         self._setup_s = clock() - began
 
-    def _place_looks(self, work_s: float) -> frozenset[int]:
+    def _choose_looks(self, work_s: float) -> frozenset[int]:
         """Return samples where the run is judged that takes so long, s.
 
         The first one follows at once where it may turn out that the scene cannot be predicted.
@@ -198,8 +198,10 @@ class CompanionRun(Run):
         samples = self.scene.samples
         looks = place_looks(work_s, samples - 1, self._together)
         evaluations = self.candidate.steps(samples) * self._rounded_in_step
-        soon = any(self._may_be_hopeless(real, evaluations) for real in range(self.realisations))
-        return looks | {self._together} if soon and self._together < samples - 1 else looks
+        chaotic = any(
+            self._may_grow(real, evaluations, self._hopeless) for real in range(self.realisations)
+        )
+        return looks | {self._together} if chaotic and self._together < samples - 1 else looks
 
     def _make_steppers(self, make: MakeStepper, state: Mapping[str, Array] | None) -> None:
         """Make the stepper of the answer, and of the native runs beside it."""
@@ -477,7 +479,7 @@ class CompanionRun(Run):
     def _foresee_chaos(self, real: int, error: ErrorBudget, remaining: float) -> ErrorBudget:
         """Return an estimate with amplified rounding, where no step can make up for that."""
         evaluations = float(self.native.steps[real]) * self._rounded_in_step * remaining
-        if not self._may_be_hopeless(real, evaluations):
+        if not self._may_grow(real, evaluations, self._hopeless):
             return error
         amplified = self._amplify(real, evaluations)
         largest = float(amplified.max())
@@ -485,10 +487,14 @@ class CompanionRun(Run):
             return error
         return error._replace(roundoff=max(error.roundoff, largest), amplified=amplified)
 
-    def _may_be_hopeless(self, real: int, evaluations: float) -> bool:
-        """Say whether rounding could be amplified so far that no step makes up for it."""
+    def _may_grow(self, real: int, evaluations: float, size: float) -> bool:
+        """Say whether rounding could be amplified beyond a size, relative to the motion.
+
+        Contacts may open, waves must return to them, and there must be time for it to grow.
+        """
+        # where none opens after all, forces are no less nonlinear
         recurs = self._companions.recurrent[real]
-        return bool(recurs) and could_grow(self._scenes[real], evaluations) > self._hopeless
+        return recurs and could_grow(self._scenes[real], evaluations) > size
 
     def _flights(self, real: int, motion: Motion) -> float:
         """Return how far the fastest grain would come in the whole run, over all that it moves."""
@@ -512,16 +518,11 @@ class CompanionRun(Run):
         return roundoff
 
     def _may_amplify(self, real: int, motion: Motion, estimate: float) -> bool:
-        """Say whether amplified rounding can count.
-
-        Contacts may open, waves must return to them, and there must be time for it to grow.
-        """
+        """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self._sample == self.scene.samples - 1
-        # where none opens after all, forces are no less nonlinear
-        recurs = self._companions.recurrent[real]
         counts = min(estimate, self.candidate.solver_error)
-        return complete and recurs and could_grow(self._scenes[real], motion.evaluations) > counts
+        return complete and self._may_grow(real, motion.evaluations, counts)
 
     def cost(self) -> Cost:
         """Return the cost so far.
