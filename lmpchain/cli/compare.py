@@ -155,8 +155,11 @@ def workprec(arguments: argparse.Namespace) -> int:
     json = arguments.json or (arguments.output and beside(arguments.output, ".json"))
     scene, picture, numbers = gather(
         lambda: read(arguments.scene),
-        lambda: arguments.output and output(arguments.output, arguments.scene, PICTURES),
-        lambda: json and output(json, arguments.scene),
+        lambda: (
+            arguments.output
+            and output(arguments.output, arguments.scene, PICTURES, force=arguments.force)
+        ),
+        lambda: json and output(json, arguments.scene, force=arguments.force),
     )
     from ..benchmark.bench import work_precision
 
@@ -192,7 +195,7 @@ def _show_finding(finding: Finding) -> None:
 
 def doctor(arguments: argparse.Namespace) -> int:
     """Check the installation and print finding by finding; a fault sets the exit code."""
-    path = arguments.json and output(arguments.json, "")
+    path = arguments.json and output(arguments.json, "", force=arguments.force)
     from ..doctor import compile_all, diagnose
 
     if arguments.compile:

@@ -134,7 +134,7 @@ def _new_folder(name: str, force: bool) -> Path:
 
 def _new_file(name: str, scene: str, force: bool) -> Path:
     """Return the path of a file to write; an earlier run is replaced only by force."""
-    path = output(name, scene)
+    path = output(name, scene, force=True)
     if path.exists() and not force:
         raise InputError.at(
             name, "is there already: replace it with --force, or name another file with -o"
@@ -162,7 +162,7 @@ def _report(
         trajectory = error.trajectory
         missed = error.reason
     if save:
-        trajectory.save(path)
+        trajectory.save(path, overwrite=True)
     print(_summary(trajectory, tolerance, path))
     if missed:
         complain(missed)
@@ -213,6 +213,7 @@ def deck(arguments: argparse.Namespace) -> int:
         pair_style=arguments.pair_style,
         template=arguments.template,
         include=arguments.include,
+        overwrite=arguments.force,
     )
     print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
     print(f"  cd {quote(str(folder))} && lmp -in in.column")

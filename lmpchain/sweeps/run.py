@@ -182,7 +182,7 @@ def _check_index(path: Path) -> None:
 
 def _write(path: Path, text: str) -> None:
     if path.is_symlink() or not path.is_file() or path.read_text(encoding="utf-8") != text:
-        with write_aside(path) as aside:
+        with write_aside(path, overwrite=True) as aside:
             aside.write_text(text, encoding="utf-8")
 
 

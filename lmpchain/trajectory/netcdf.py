@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import h5py
 
 
-def write(record: Record, path: str | PathLike[str]) -> None:
+def write(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
     # xarray writes the same, but its import takes longer than most runs
     import h5netcdf
@@ -34,7 +34,7 @@ def write(record: Record, path: str | PathLike[str]) -> None:
         file.attrs.update(record.attributes() | {"history": f"{now()} {command()}"})
         for name, (dimensions, values, attributes) in record.variables().items():
             file.create_variable(name, dimensions, data=values).attrs.update(attributes)
-    with write_aside(path) as aside, open(aside, "wb") as opened:
+    with write_aside(path, overwrite) as aside, open(aside, "wb") as opened:
         opened.writelines((memory.getbuffer(), seal(memory.getbuffer())))
 
 

@@ -314,6 +314,7 @@ class Lammps(TimeSteppingEngine):
         log = "none"
         if self.keep is not None:
             log = word(self.keep / "log.lammps")
+            deck.check_folder(self.keep)
             make_folder(self.keep)
         communicator = gather(self.ranks, log)
         if self.log:
@@ -387,23 +388,24 @@ class Lammps(TimeSteppingEngine):
         diameter = "physical" if driven else candidate.choices["diameter"]
         try:
             engine = Lammps(integrator, step, diameter, self.pair_style)
-            engine.write_deck(scene, tolerance, folder / DECK)
+            engine.write_deck(scene, tolerance, folder / DECK, overwrite=False)
         except LmpchainError as error:
             warn(f"{folder}: there is no deck: {error}", stacklevel=2)
 
-    def write_deck(self, scene: Scene, tolerance: float, folder: Path) -> Path:
+    def write_deck(self, scene: Scene, tolerance: float, folder: Path, overwrite: bool) -> Path:
         """Write a deck that runs by itself, and its data file; return the deck.
 
         Where round-off in heights keeps the tolerance out of reach, it is written for the error
         that can be had.
         """
-        path = folder / "in.column"
-        deck.check_replaceable(path)
+        if not overwrite:
+            deck.check_folder(folder)
         candidate, _, refusal = loosen(partial(self.candidate, self.part(scene)), tolerance)
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
         column = self.column(scene, candidate, remark)
         make_folder(folder)
         deck.write_data(column, folder / "column.data")
+        path = folder / "in.column"
         return deck.write_deck(column, path, candidate.step, self.splitting(scene))
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
