@@ -118,8 +118,8 @@ def check_tree(folder: Path) -> None:
 def is_foreign(path: Path) -> bool:
     """Return whether a file exists that lmpchain did not write, or that was changed since.
 
-    A link is foreign, because a user made it; an empty file is not, as nothing is lost. Where the file system stores no extended attributes,
-    only files with a seal are recognised.
+    A link is foreign, because a user made it. An empty file is not, because nothing is lost. Where
+    the file system stores no extended attributes, only files with a seal are recognised.
     """
     if not os.path.lexists(path):
         return False
