@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -222,7 +221,7 @@ def deck(arguments: argparse.Namespace) -> int:
 
 def sweep(arguments: argparse.Namespace) -> int:
     """Solve the missing scenes of a sweep, and print how many failed."""
-    from ..sweeps.run import dask, sweep
+    from ..sweeps.run import sweep
 
     if mpi.count_idle():
         raise InputError.at(
@@ -232,10 +231,13 @@ def sweep(arguments: argparse.Namespace) -> int:
     # a queue may leave this process fewer cores than the machine has
     cores = len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
-    with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
-        results = sweep(
-            arguments.sweep, folder, workers=workers, executor=executor, progress=on_terminal()
-        )
+    results = sweep(
+        arguments.sweep,
+        folder,
+        workers=workers,
+        scheduler=arguments.scheduler,
+        progress=on_terminal(),
+    )
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
     total = results["reason"].size
     print(f"{total - len(reasons)} of {total} scenes are answered in {folder}")
