@@ -42,7 +42,7 @@ from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json
-from ..util.locks import take_lock
+from ..util.locks import describe_holder, take_lock
 from ..util.provenance import now
 from ..util.remarks import warn
 from ..util.tables import finite
@@ -192,7 +192,7 @@ class RunFolder:
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
         if not lock:
-            raise InputError.at(self.name, tasks.AT_WORK)
+            raise InputError.at(self.name, tasks.AT_WORK.format(holder=describe_holder(self.path)))
         return lock
 
     @property

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, RunFailed, short, shown
+from ..errors import InputError, LmpchainError, RunFailed, short, shown
 from ..util.files import check_tree, make_folder, read_sealed_json, sealed_json, write_aside
-from ..util.locks import take_lock
+from ..util.locks import describe_holder, take_lock
 from ..util.progress import ProgressBar
 from ..util.remarks import warn, warnings_aside
 from .executors import Here, Processes, end_if_imported
@@ -157,7 +157,13 @@ def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, Layout, np.nd
     (results / PARTS).mkdir(parents=True, exist_ok=True)
     if not intact(results):
         swept = {axis.name: len(axis) for axis in plan.axes}
-        create(results, layout, _coordinates(plan, labels), swept)
+        try:
+            create(results, layout, _coordinates(plan, labels), swept)
+        except (IsADirectoryError, NotADirectoryError, FileExistsError) as error:
+            cause = f"{short(error.filename2 or error.filename)}: {error.strerror}"
+            raise InputError.at(
+                str(results), f"is damaged ({cause}): remove it, and sweep again"
+            ) from None
     if not (results / NAME).exists():
         for earlier in list_earlier(folder, results):
             take_over(plan, layout, results, earlier)
@@ -226,7 +232,9 @@ def _lock(folder: Path) -> Iterator[None]:
     """Lock the folder of a sweep."""
     lock = take_lock(folder)
     if lock is None:
-        raise InputError.at(str(folder), "another process sweeps into this folder; wait for it")
+        raise InputError.at(
+            str(folder), f"{describe_holder(folder)} sweeps into this folder; wait for it"
+        )
     try:
         yield
     finally:
@@ -303,7 +311,7 @@ class _Work:
                     self._submit(executor, task, pending)
                 if not pending:
                     return faults
-                done = wait(pending, TASKS.scheduler_s, FIRST_COMPLETED).done
+                done = wait(pending, timeout=TASKS.scheduler_s, return_when=FIRST_COMPLETED).done
                 if not is_connected(executor):
                     raise RunFailed(LOST)
                 for future in done:
@@ -358,4 +366,6 @@ def _describe(error: Exception) -> str:
     """Return a fault of the machine or the cluster, not of a scene, in words."""
     if isinstance(error, BrokenExecutor):
         return f"the process that was at it died {TASKS.deaths} times"
+    if isinstance(error, LmpchainError):
+        return str(error)
     return f"{type(error).__name__} {error}".strip()
