@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import atexit
 import gc
+import io
 import os
 import signal
 import sys
@@ -49,6 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         Arguments without the name of the program; those of the process by default.
     """
     gc.set_threshold(OBJECTS_BETWEEN_LOOKS)
+    # A file name may have letters that the encoding of the output lacks.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     atexit.register(gc.freeze)
     os.environ.setdefault(*BRIEF_WAITING)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):
@@ -143,6 +148,9 @@ def _main(argv: Sequence[str] | None) -> int:
         raise
     except OSError as error:
         complain(str(error))
+        return 1
+    except MemoryError:
+        complain("memory ran out: record fewer grains or samples, or use a shorter chain")
         return 1
     except KeyboardInterrupt:
         print(f"stopped by Ctrl-C; {_describe_rest(arguments)}", file=sys.stderr)
