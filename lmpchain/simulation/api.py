@@ -20,6 +20,7 @@ from ..scene.scene import LightCone, Scene, check_scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
+from ..util.memory import free_memory
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
 from .gathering import GatheringRun, of_engine
@@ -303,7 +304,12 @@ class _Memory:
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Start at the beginning."""
-        self._scene = self._task.scene.until(attempt.known_until)
+        self._scene = scene = self._task.scene.until(attempt.known_until)
+        # Pages of grains that the wave does not reach are never written.
+        cone = scene.light_cone
+        moving = (scene.recorded if cone is None else scene.recorded[cone.columns]).size
+        if 16 * scene.samples * moving > free_memory():
+            raise _too_large(scene.samples, moving)
         return None
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
@@ -321,12 +327,7 @@ class _Memory:
                 try:
                     u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
                 except (MemoryError, ValueError, OSError):
-                    size = 16e-9 * shape[0] * shape[1]
-                    raise InputError.at(
-                        "samples",
-                        f"{size:.3g} GB do not fit: record fewer samples or grains, or let a run "
-                        "folder hold them on the disk",
-                    ) from None
+                    raise _too_large(*shape) from None
             u[block.samples, block.columns] = block.displacement[0]
             v[block.samples, block.columns] = block.velocity[0]
         return u, v
@@ -351,6 +352,15 @@ class _Memory:
             provenance=record(engine, scene, outcome.attempt.candidate, self._task.tolerance),
             gathered=gathered,
         )
+
+
+def _too_large(samples: int, grains: int) -> InputError:
+    """Return the error of a trajectory that does not fit into the memory."""
+    return InputError.at(
+        "samples",
+        f"{16e-9 * samples * grains:.3g} GB of samples do not fit into {free_memory() / 1e9:.3g} GB "
+        "of free memory: record fewer samples or grains, or use a run folder (-o FOLDER/)",
+    )
 
 
 def _zeros(shape: tuple[int, int], moving: int) -> Array:
