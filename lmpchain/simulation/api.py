@@ -358,8 +358,8 @@ def _too_large(samples: int, grains: int) -> InputError:
     """Return the error of a trajectory that does not fit into the memory."""
     return InputError.at(
         "samples",
-        f"{16e-9 * samples * grains:.3g} GB of samples do not fit into {free_memory() / 1e9:.3g} GB "
-        "of free memory: record fewer samples or grains, or use a run folder (-o FOLDER/)",
+        f"{16e-9 * samples * grains:.3g} GB of samples do not fit into "
+        f"{free_memory() / 1e9:.3g} GB of free memory: record fewer samples or grains, or use a run folder (-o FOLDER/)",
     )
 
 
