@@ -359,7 +359,8 @@ def _too_large(samples: int, grains: int) -> InputError:
     return InputError.at(
         "samples",
         f"{16e-9 * samples * grains:.3g} GB of samples do not fit into "
-        f"{free_memory() / 1e9:.3g} GB of free memory: record fewer samples or grains, or use a run folder (-o FOLDER/)",
+        f"{free_memory() / 1e9:.3g} GB of free memory: record fewer samples or grains, or use a "
+        "run folder (-o FOLDER/)",
     )
 
 
