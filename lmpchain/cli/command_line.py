@@ -11,6 +11,7 @@ import atexit
 import gc
 import io
 import os
+import resource
 import signal
 import sys
 import threading
@@ -32,6 +33,11 @@ OBJECTS_BETWEEN_LOOKS = 20_000
 # NumPy's threads wait busily for work, for 2^26 cycles, before they sleep: a twentieth of that time
 # on each core.
 BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
+
+
+# Under a limit on memory, as of `ulimit -v`, OpenBLAS asks for the memory of its threads for ever.
+SMALL_MEMORY = 2**32  # bytes
+ONE_THREAD = "OPENBLAS_NUM_THREADS", "1"
 
 
 class _Terminated(BaseException):
@@ -56,6 +62,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     atexit.register(gc.freeze)
     os.environ.setdefault(*BRIEF_WAITING)
+    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < SMALL_MEMORY:
+        os.environ.setdefault(*ONE_THREAD)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):
         if mpi.is_launched() and not mpi.is_first():
             # the first one does it all
@@ -149,7 +157,9 @@ def _main(argv: Sequence[str] | None) -> int:
     except OSError as error:
         complain(str(error))
         return 1
-    except MemoryError:
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "start new thread" not in str(error):
+            raise
         complain("memory ran out: record fewer grains or samples, or use a shorter chain")
         return 1
     except KeyboardInterrupt:

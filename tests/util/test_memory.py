@@ -1,8 +1,13 @@
 """How much memory is free, and a limit on what a piece of work takes."""
 
 import resource
+import subprocess
+import sys
+import tomllib
 
 import pytest
+import tomli_w
+from helpers.command_output import SCENE
 
 from lmpchain.cli.command_line import main
 from lmpchain.util.memory import free_memory, memory_limit
@@ -26,3 +31,18 @@ def test_a_command_says_in_one_line_that_memory_ran_out(monkeypatch, capsys):
     monkeypatch.setattr("lmpchain.scene.scene.Scene.from_toml", run_out)
     assert main(["run", "scene.toml"]) == 1
     assert capsys.readouterr().err.startswith("error: memory ran out: ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kilobytes", [400_000, 600_000, 800_000, 1_000_000])
+def test_a_sweep_with_little_memory_ends(kilobytes, tmp_path):
+    """It is answered, or refused in one line."""
+    scenes = {"scene": tomllib.loads(SCENE), "grid": {"chain.gravity": [1.0, 2.0]}}
+    source = tmp_path / "sweep.toml"
+    source.write_text(tomli_w.dumps(scenes | {"keep": ["wall_force"]}))
+    line = [sys.executable, "-m", "lmpchain.cli", "sweep", source, "-o", tmp_path / "out"]
+    limited = ["sh", "-c", f'ulimit -v {kilobytes}; exec "$@"', "sh", *line, "--workers", "2"]
+    done = subprocess.run(limited, capture_output=True, text=True)
+    assert done.returncode in (0, 1)
+    assert "Traceback" not in done.stderr
+    assert done.stdout or done.stderr.startswith("error: ")
