@@ -46,9 +46,13 @@ AUTHORS = {
     "kdv": "Korteweg and de Vries",
     "burgers": "Burgers",
 }
-CREST = 1.05  # of the jump of the overlap, that the leading crest of a dispersive shock exceeds
-LASTING = 0.2  # of the largest change of the overlap near the source, that must be left of it
-STEADY_PUSH = 0.1  # by how much that may change from the third quarter of the time to the fourth
+# The leading crest of a dispersive shock is at least this many jumps of the overlap high.
+CREST = 1.05
+# A push is steady if at least the first share of the largest change of the overlap near the source
+# is left at the end, and if it changes by less than the second one from the third quarter of the
+# time to the fourth.
+LASTING = 0.2
+STEADY_PUSH = 0.1
 STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
 
 
@@ -369,10 +373,12 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _Wave:
     still &= velocity[0, -2] == 0
     start, until = _undisturbed(scene.excitation, time, overlap, source, bool(still), gas)
     last = int(np.searchsorted(time, until))
-    change = np.abs(overlap - overlap[0, -1])[:last]
+    change = (overlap - overlap[0, -1])[:last]
     near = change[:, source + 1 : source + 3].mean(1)
+    change = np.abs(change)
     # the crest of a shock is higher than half of anything that it has left near the source
-    highest = np.maximum(np.maximum.accumulate(near), near.max(initial=0.0) / 100)
+    highest = np.maximum.accumulate(np.abs(near))
+    highest = np.maximum(highest, highest.max(initial=0.0) / 100)
     ended = np.flatnonzero((change[:, -END_CONTACTS:] > highest[:, None] / 2).any(1))
     last = int(ended[0]) if ended.size else len(change)
     way = "up" if upward else "down"
@@ -447,7 +453,7 @@ def _undisturbed(
 
 
 def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> None:
-    """Raise `InputError` unless the overlap near the source, off that ahead, has become steady."""
+    """Raise `InputError` unless the overlap near the source, less that ahead, becomes steady."""
     if not near.any():
         raise InputError.at("excitation", f"sends no wave {way}")
     used = f"the {time[-1]:.3g} s of the run before waves from its ends matter"
@@ -458,7 +464,8 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
     quarter = len(time) // 4
     before = near[-2 * quarter : -quarter].mean()
     after = near[-quarter:].mean()
-    if after < LASTING * near.max() or abs(after - before) > STEADY_PUSH * after:
+    left = abs(after) / np.abs(near).max()
+    if left < LASTING or abs(after - before) > STEADY_PUSH * abs(after):
         cure = "use a step (Riemann), or a piston (Drive) or a force that soon stays constant"
         raise InputError.at("excitation", f"does not push steadily in {used}: {cure}")
 
