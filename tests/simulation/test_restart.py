@@ -287,21 +287,24 @@ def test_ten_stops_at_random_on_random_ranks(
     seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     rng = random.Random(seed)
+
     # A session computes one block of at most 40 samples, however slow the machine is.
-    length = lambda fit, *_: 4 * (10 if fit else rng.randint(1, 10))  # noqa: E731
-    monkeypatch.setattr(companion_run, "fit_block", length)
+    def block(fit: int, *_: int) -> int:
+        return 40 if fit else 4 * rng.randint(1, 10)
+
+    monkeypatch.setattr(companion_run, "fit_block", block)
     monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(sample_s=math.inf))
     grains = rng.randint(30, 61)
     strike = Impulse(velocity=rng.choice([-0.1, 0.1]), grain=rng.randint(1, grains - 1))
     scene = Scene(
         chain=CROSSING.chain.replace(grains=grains),
         excitation=rng.choice([strike, strike, Drive(amplitude=1e-5, frequency=2e3)]),
-        duration=4e-3,
+        duration=1e-3,
         samples=401,
     )
     engine = engines.Lammps(
         rng.choice(engines.Lammps.integrators),
-        step=1e-6,
+        step=2.5e-6,
         diameter=rng.choice(["physical", "gauge"]),
     )
     right = simulate(scene, engine)
