@@ -85,7 +85,7 @@ class Lammps(TimeSteppingEngine):
     diameter : "auto", "physical" or "gauge"
         How large the grains are drawn. Only overlaps enter the force, so a gauge diameter of a few
         overlaps is the same chain with less round-off; auto takes it where the physical one cannot
-        meet the tolerance.
+        meet the tolerance, or if its round-off exceeds the error of a given step.
     pair_style : "granular" or "gran/hertz/history"
         The second is faster, for uniform contacts of exponent 1.5.
     keep : path, optional
