@@ -171,6 +171,7 @@ def _report(
 
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return a summary of the run: engine, steps, error and cost."""
+    from ..simulation.policy import GIVEN_STEP
     from ..trajectory.gathered import in_words
 
     cost = trajectory.cost
@@ -180,11 +181,13 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     # Eq. (1) is solved without a model error
     shares = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
+    fixed = trajectory.provenance.get("tolerance") == GIVEN_STEP
+    asked = "no tolerance: the step is given" if fixed else f"tolerance {tolerance:g}"
     lines = {
         "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation}){ranks}",
         "scene": f"{grains}, {scene.samples} samples over {scene.duration:g} s",
         "integrator": f"{cost.integrator}, {cost.steps_over(scene.duration)}",
-        "estimated error": f"{error.total:.2g}{shares} (tolerance {tolerance:g})",
+        "estimated error": f"{error.total:.2g}{shares} ({asked}){error.remark}",
         **({"damping": scene.damping_remark} if scene.chain.damped else {}),
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error "
         f"estimate, {cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",

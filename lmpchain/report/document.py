@@ -179,7 +179,8 @@ def _cards(
     yield "Engine", trajectory.engine, f"solves Eq. ({trajectory.equation}) {cost.integrator}"
     tolerance = trajectory.provenance.get("tolerance", "not recorded")
     yield "Tolerance", tolerance, "largest relative error asked for"
-    estimate = f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
+    shares = f"{error.model:.2g} (equation) + {error.solver:.2g} (solver)"
+    estimate = f"estimated: {shares}{error.remark}"
     yield "Error", f"{error.total:.2g}", estimate
     if scene.chain.damped:
         yield "Without damping", f"{scene.damping_effect:.2g}", scene.damping_remark

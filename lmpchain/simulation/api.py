@@ -14,10 +14,10 @@ import numpy as np
 
 from ..engines.base import Engine, Run
 from ..engines.cost_model import announce
-from ..engines.step_control import AVERAGES, Attempt, Outcome, solve_to_tolerance
+from ..engines.step_control import AVERAGES, PATIENCE, Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import LightCone, Scene, check_scene
-from ..trajectory.record import Block
+from ..trajectory.record import LARGEST_ERROR, Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
 from ..util.memory import free_memory
@@ -268,15 +268,19 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
     if "redone" in trajectory.provenance:
         warn(trajectory.provenance["redone"], stacklevel=3)
     model = trajectory.error_estimate.model
-    bound = outcome.error.model_bound
+    bound = min(outcome.error.model_bound, LARGEST_ERROR)
     if model > task.tolerance:
         limit = f" (at most {bound:.2g})" if bound > model else ""
-        error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the solution{limit}"
+        size = f"about {model:.2g} of the solution{limit}"
+        if model == LARGEST_ERROR:
+            size = f"all of the solution, an error of {LARGEST_ERROR:g}"
+        error = f"Eq. ({trajectory.equation}) leaves out {size}"
         remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
         warn(remark.rstrip(". "), stacklevel=3)
     if not outcome.missed and outcome.known_until < math.inf:
-        cannot = f"this scene amplifies round-off, beyond {task.tolerance:g} from about"
-        time_s = f"t = {outcome.known_until:.4g} s on"
+        # a step was given, and so there is no tolerance to name
+        cannot = f"this scene amplifies round-off, beyond {PATIENCE.visible:g} of the motion"
+        time_s = f"from about t = {outcome.known_until:.4g} s on"
         warn(f"{cannot} {time_s}, where no step predicts it: take {AVERAGES}", stacklevel=3)
     if outcome.missed:
         if not task.best_effort:
@@ -386,5 +390,5 @@ def _show_progress(run: Run, name: str, samples: int, done: int) -> Generator[Bl
             yield block
             bar.reach(max(block.samples.stop, run.progress * samples))
             if time.monotonic() > estimated + ESTIMATE_S:
-                bar.remark(f"error {run.errors()[0].total:.1g}")
+                bar.remark(f"error {run.errors()[0].estimate.total:.1g}")
                 estimated = time.monotonic()

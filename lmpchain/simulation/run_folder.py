@@ -306,7 +306,7 @@ class RunFolder:
         began = time.monotonic()
         self._writer.flush()
         error = run.errors()[0]
-        self._estimate = error.total
+        self._estimate = error.estimate.total
         # the samples are on the disk before the checkpoint says so
         self._writer.note(error.estimate)
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
@@ -334,7 +334,7 @@ class RunFolder:
         """Write the end of the run; return the answer, which stays on the disk."""
         spent: Any = self._spent(outcome.cost)
         cost = outcome.cost._replace(**{key: spent[key] for key in SPENT})
-        self._estimate = outcome.error.total
+        self._estimate = outcome.error.estimate.total
         self._writer.conclude(outcome.error.estimate, cost, gathered)
         write_sums(self.path, finished=True)
         self._write_status("finished", outcome.missed)

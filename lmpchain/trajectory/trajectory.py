@@ -72,7 +72,8 @@ class Trajectory(Shown, Record, Tabular):
         )
         yield (
             "error estimate",
-            f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)",
+            f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)"
+            f"{error.remark}",
         )
         if scene.chain.damped:
             yield "damping", scene.damping_remark

@@ -22,8 +22,8 @@ from ...integrators.method import Method
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper, Stepper, room_for
 from ...scene.scene import Scene
-from ...trajectory.record import Block, Cost
-from ...util.arrays import EPSILON, Array, as_slice
+from ...trajectory.record import LARGEST_ERROR, Block, Cost
+from ...util.arrays import EPSILON, SMALLEST, Array, as_slice, last_digit
 from ...util.compilation import clock
 from ..base import Candidate, ErrorBudget, Run
 from .amplification import (
@@ -225,7 +225,9 @@ class CompanionRun(Run):
 
     def _bound_approach(self) -> Array:
         """Return how much closer than at rest grains can come, (R,) m, unless a run is unstable."""
-        bound = self._chains.contacts.overlap_bound(self._allowed[:, None]).max(1)
+        # the energy of the weakest motions underflows
+        energy = np.maximum(self._allowed, np.finfo(float).tiny)
+        bound = self._chains.contacts.overlap_bound(energy[:, None]).max(1)
         if self._chains.imposed.acts:
             # no energy bounds what is driven; a million times its length no column survives
             lengths = [scene.chain.diameters.sum() for scene in self._scenes]
@@ -422,12 +424,9 @@ class CompanionRun(Run):
             amplified = self._amplify(real, motion.evaluations)
             if amplified.max() > self._hopeless:
                 amplified = amplify_rounding(scene, motion.evaluations)
-            tolerance = self.candidate.solver_error
             touching = self._round(real, motion, 0.0)
             bound = max(roundoff, float(amplified.max()))
-            # not where the tolerance is met without, nor where shorter steps are needed anyway
-            decides = max(truncation, tolerance - truncation) < bound < self._hopeless
-            if decides and touching < tolerance / 2:
+            if self._shall_repeat(truncation, touching, bound, motion.evaluations):
                 repeated = repeat_rounding(scene, self.candidate)
                 amplified = np.fmin(amplified, repeated)
                 # to one side all of these drift alike; not so the companions, at other steps
@@ -438,6 +437,23 @@ class CompanionRun(Run):
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
 
+    def _shall_repeat(
+        self, truncation: float, touching: float, bound: float, evaluations: float
+    ) -> bool:
+        """Say whether to measure the rounding error by runs that take several times as long.
+
+        `touching` is the part of the rounding error that these runs cannot reduce, and `bound` is
+        the estimate without them.
+        """
+        tolerance = self.candidate.tolerance
+        if tolerance == math.inf:
+            # rounding is measured if it may be the larger part of the error, but not if a single
+            # digit grows as large as the motion
+            return max(truncation, 2 * touching) < bound < count_digits(evaluations)
+        # not if the tolerance is met without, nor if shorter steps are needed anyway
+        decides = max(truncation, tolerance - truncation) < bound < self._hopeless
+        return decides and touching < tolerance / 2
+
     def _amplify(self, real: int, evaluations: float) -> Array:
         """Return the amplified rounding at each sample, (T,), followed until it is hopeless."""
         if real not in self._growth:
@@ -447,7 +463,7 @@ class CompanionRun(Run):
     @property
     def _hopeless(self) -> float:
         """Amplified rounding, relative, that is far beyond the tolerance, whatever the steps."""
-        return GROWTH.pessimism * self.candidate.solver_error
+        return GROWTH.pessimism * min(self.candidate.tolerance, LARGEST_ERROR)
 
     def outlook(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation that is expected at the end.
@@ -509,7 +525,10 @@ class CompanionRun(Run):
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
         radians = scene.highest_frequency * scene.duration
-        roundoff = native_floor(motion.evaluations, radians, flights)
+        # what moves at all moves by more than the smallest double
+        path = max(motion.velocity * scene.duration, SMALLEST)
+        digit = last_digit(min(motion.displacement, motion.velocity, path))
+        roundoff = digit / EPSILON * native_floor(motion.evaluations, radians, flights)
         steps = max(motion.evaluations / self._rounded_in_step, 1.0)
         if self._chains.plain[real]:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
@@ -521,7 +540,7 @@ class CompanionRun(Run):
         """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self._sample == self.scene.samples - 1
-        counts = min(estimate, self.candidate.solver_error)
+        counts = min(estimate, self.candidate.tolerance)
         return complete and self._may_grow(real, motion.evaluations, counts)
 
     def cost(self) -> Cost:
