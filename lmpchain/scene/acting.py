@@ -239,7 +239,7 @@ class Drive(_Acting):
     def _arrays(cls, file: TraceFile) -> tuple[Reading, dict[str, Array]]:
         reading, arrays = super()._arrays(file)
         # an instrument shows distances from somewhere
-        if not {"trigger", "baseline", "offset"}.isdisjoint(file.given()):
+        if not {"trigger", "baseline", "offset", "lowpass"}.isdisjoint(file.given()):
             begin = arrays["displacement"][0]
             arrays["displacement"] = arrays["displacement"] - begin
             text = f"{reading.text}; less {begin:.6g} m, where it is at t = 0"
