@@ -129,7 +129,7 @@ FILES: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "a remark behind a unit, below it, and none": (
         "Time,Hammer (Trigger),Count\n(us),[mV],-\n" + rows(TIME * 1e6, VOLTS * 1e3, OTHER),
-        {"columns": [1, 2], "scale": 2.0},
+        {"columns": ["Time", "Hammer (Trigger)"], "scale": 2.0},
     ),
     "a remark behind a unit": (
         "Time in us (Trigger),Hammer [mV] (Trigger)\n" + rows(TIME * 1e6, VOLTS * 1e3),
