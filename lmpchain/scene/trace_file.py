@@ -275,6 +275,10 @@ class TraceFile(TableFile):
                 if place is not None:
                     fault += f": {table.describe(place)} counts the samples, and has no unit"
                 raise InputError.at("time_scale", f"{fault}: {cure}")
+            if place is None and len(set(np.diff(table.numbers))) > 1:
+                after = table.numbers[int(np.argmax(np.diff(table.numbers)))]
+                fault = f"{self.file}, line {after + 1}: is empty, where lines count the samples"
+                raise InputError.at("file", f"{fault}: fill it in, or take it out")
             factor = time_factor(table, values[0])
             begin = table.fact(values[0], *BEGINS)
             if begin is None:
