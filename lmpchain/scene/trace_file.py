@@ -111,7 +111,7 @@ class TableFile(Checked):
     ----------
     file : path
         Text: delimiter, decimal comma, lines above the table and units in its header are
-        recognised.
+        recognised. Or arrays of NumPy, MATLAB, HDF5, Excel, or of a universal file (dataset 58).
     columns : list of int or str, or mapping, optional
         Numbers, from 1, or names of the columns, in the order of the quantities, or by their names;
         needed where headers do not tell.
@@ -194,7 +194,7 @@ class TraceFile(TableFile):
     ----------
     time_scale : float, optional
         s for each unit of the column of times, by default what its header says, or 1; between two
-        samples where there is no such column.
+        samples where there is no such column, or it counts the samples.
     baseline : (2,) sequence, optional
         Times of the file, s, between which the mean is taken off, in place of an offset.
     trigger : float, optional
