@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.instrument_files import ARRAYS, FILES, push
 from helpers.standalone_lammps import lmp
-from scene.test_instrument_channels import ARRAYS, FILES, push
 
 from lmpchain import Force, InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.engines.lammps.export import write_deck
