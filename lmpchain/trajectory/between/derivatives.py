@@ -194,12 +194,15 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
     corners = np.array(wave.corners)
     corner = np.diff(np.searchsorted(corners, time, side="right")) > 0
     jump, kink = np.abs(np.diff(jumps))
-    if wave.spline:
-        # the rate may change back and forth at several corners between two samples
-        inside = corners[(corners > time[0]) & (corners < time[-1])]
-        before = np.searchsorted(time, inside) - 1
-        np.maximum.at(kink, before, np.abs(share * wave.at(inside, order + 1) - jumps[1, before]))
     bound = OPENINGS.kink * step * kink + (0.0 if wave.spline else jump)
+    inside = corners[(corners > time[0]) & (corners < time[-1])]
+    if wave.spline and inside.size:
+        from scipy.interpolate import CubicHermiteSpline
+
+        # several corners may lie between two samples, whose slopes show none of them
+        between = CubicHermiteSpline(time, *jumps)
+        off = np.abs(share * wave.at(inside, order) - between(inside))
+        np.maximum.at(bound, np.searchsorted(time, inside) - 1, off)
     doubt[:-1] = np.where(corner, bound, 0.0)
     return Imposed(wall, acceleration, doubt, grain, driven)
 
