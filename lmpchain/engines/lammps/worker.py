@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -187,7 +189,13 @@ class Worker:
         """Run velocity Verlet, stopped only where a drive goes on with its next cubic piece."""
         done = self._done
         last = self._done + steps
-        for index, (end, _) in enumerate(self._plan.pieces):
+        pieces = self._plan.pieces
+        # a trace of an instrument may have a million pieces
+        first = bisect_right(pieces, done * self._plan.step, key=itemgetter(0))
+        for index in range(first, len(pieces)):
+            if done == last:
+                break
+            end, _ = pieces[index]
             until = min(last, int(end / self._plan.step))
             if until > done:
                 self._use_piece(index)
