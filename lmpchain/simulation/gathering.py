@@ -118,7 +118,9 @@ class GatheringRun(Run):
 
 def at_samples(scene: Scene, energies: Mapping[str, Array]) -> dict[str, Array]:
     """Return energies at the samples of a scene of those at the fine times of `Scene.fine`."""
-    return {name: values[:: scene.finer] if values.ndim else values for name, values in energies.items()}
+    return {
+        name: values[:: scene.finer] if values.ndim else values for name, values in energies.items()
+    }
 
 
 def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:

@@ -471,9 +471,10 @@ class CompanionRun(Run):
         for real, (scene, budget) in enumerate(zip(self._scenes, self.errors(), strict=True)):
             chain = scene.chain
             lost, work = balance[0, real].T.copy()
-            if scene.excitation.driven:
+            wave = scene.excitation.waveform
+            if wave and scene.excitation.driven:
                 # what is driven takes a force for its own inertia, too
-                speed = scene.excitation.motion(scene.time)[1]
+                speed = wave.at(scene.time, 1)
                 work += chain.masses[0] / 2 * (speed**2 - speed[0] ** 2)
             put_in = float(chain.excess_energy(*scene.excitation.initial(chain)))
             scale = max(put_in, np.abs(lost).max(), np.abs(work).max()) or 1.0
