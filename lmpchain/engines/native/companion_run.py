@@ -67,6 +67,8 @@ class Looks:
 
 LOOKS = Looks()
 TINY = 1e-300
+# factor on the error of an energy: a single number may agree by chance where motions differ
+SUMMED = 4.0
 TOO_CLOSE = "a contact overlaps more than the total energy allows: the run is unstable"
 WRONG = {
     TOO_FAST: "the kinetic energy exceeds the total energy: the run is unstable",
@@ -482,7 +484,7 @@ class CompanionRun(Run):
             distances[np.isnan(distances)] = np.inf
             opens = bool(lowest[real] <= OPENINGS.near)
             order = companions.order(opens, scene.excitation.smooth_until(scene.duration))
-            truncation = companions.truncation(real, distances, order, opens)
+            truncation = SUMMED * companions.truncation(real, distances, order, opens)
             # by Cauchy and Schwarz, with the lightest grain as the fastest
             spread = math.sqrt(chain.masses.sum() / chain.masses[: chain.movable].min())
             error = np.array(scale * (truncation + 2 * spread * budget.roundoff))
