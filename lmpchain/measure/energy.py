@@ -566,23 +566,23 @@ def _forces(chain: Chain, closer: Array, closing: Array, off: float, fast: float
     stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
     rate = np.where(overlap > 0, stiffness * closing, 0.0)
 
-    def viscous(nearer: float, faster: float) -> Array:
-        if not chain.damped:
-            return np.zeros(closer.shape)
-        moved = overlap + nearer, closing + faster
-        return viscous_force(contacts, chain.contact_viscosity, *moved)
-
     elastic = contacts.force_change(closer)
-    own = viscous(0.0, 0.0)
-    doubt, power_doubt = np.zeros((2, *closer.shape))
     ends = [contacts.force_change(closer + nearer) for nearer in (-off, off)]
-    for (nearer, end), faster in product(zip((-off, off), ends, strict=True), (-fast, fast)):
-        other = viscous(nearer, faster)
-        doubt = np.maximum(doubt, np.abs(end + other - elastic - own))
-        distance = np.abs(other * (closing + faster) - own * closing)
-        power_doubt = np.maximum(power_doubt, distance)
     largest = np.maximum(*map(np.abs, ends))
-    return _Forces(elastic + own, rate, largest, doubt, own * closing, power_doubt)
+    doubt = np.maximum(*(np.abs(end - elastic) for end in ends))
+    if not chain.damped:
+        nothing = np.broadcast_to(0.0, closer.shape)
+        return _Forces(elastic, rate, largest, doubt, nothing, nothing)
+    viscous = viscous_force(contacts, chain.contact_viscosity, overlap, closing)
+    power = viscous * closing
+    force = elastic + viscous
+    power_doubt = np.zeros(closer.shape)
+    for (nearer, end), faster in product(zip((-off, off), ends, strict=True), (-fast, fast)):
+        moved = overlap + nearer, closing + faster
+        other = viscous_force(contacts, chain.contact_viscosity, *moved)
+        doubt = np.maximum(doubt, np.abs(end + other - force))
+        power_doubt = np.maximum(power_doubt, np.abs(other * moved[1] - power))
+    return _Forces(force, rate, largest, doubt, power, power_doubt)
 
 
 def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> _Pieces:
