@@ -188,6 +188,13 @@ class Run(ABC):
         """Return the estimate for every realisation that is expected at the end."""
         return self.errors()
 
+    def energies(self) -> list[dict[str, Array]]:
+        """Return the energies that every realisation has summed up along the run, by name.
+
+        The names are those of `trajectory.gathered.ENERGIES`. By default none are summed up.
+        """
+        return []
+
     @abstractmethod
     def cost(self) -> Cost:
         """Return the cost so far."""

@@ -23,7 +23,7 @@ from ..util.arrays import Array, check_flags
 from ..util.memory import free_memory
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
-from .gathering import GatheringRun, of_engine
+from .gathering import GatheringRun, at_samples, of_engine
 from .policy import policy_for, record
 from .task import Task
 
@@ -232,6 +232,7 @@ def _solve(
     cone = None if engine.whole or scene.quantities else scene.light_cone
     state: Mapping[str, Array] = {}
     gathering: GatheringRun | None = None
+    solved: Run | None = None
 
     def begin(attempt: Attempt) -> Mapping[str, Array] | None:
         nonlocal state
@@ -239,7 +240,8 @@ def _solve(
         return of_engine(state) or None
 
     def collect(run: Run) -> Any:
-        nonlocal gathering
+        nonlocal gathering, solved
+        solved = run
         if scene.quantities:
             run = gathering = GatheringRun(run, engine, [scene], [scene_part], state)
         if not progress:
@@ -248,7 +250,10 @@ def _solve(
             return output.collect(run, _expand(blocks, cone))
 
     outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, task.best_effort)
-    return outcome, gathering.results([outcome.error.total])[0] if gathering else {}
+    gathered = gathering.results([outcome.error.total])[0] if gathering else {}
+    for energies in solved.energies() if solved else []:
+        gathered |= at_samples(scene, energies)
+    return outcome, gathered
 
 
 def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:

@@ -51,7 +51,7 @@ def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
     with h5py.File(path, "r") as file:
         attributes = {name: _attribute(file, name) for name in ATTRIBUTES}
         scene = read_scene(attributes)
-        arrays = {name: _array(file, name, shape) for name, shape in shapes(scene).items()}
+        arrays = {name: _array(file, name, shape) for name, shape in shapes(scene, file).items()}
         return attributes, scene, arrays
 
 

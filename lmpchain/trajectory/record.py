@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_type_hints
 
@@ -223,12 +223,18 @@ def read_scene(attributes: Mapping[str, Any]) -> Scene:
     return Scene.from_text(attributes["scene"])
 
 
-def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays of a scene, by name, without making one of them."""
+def shapes(scene: Scene, present: Collection[str]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays of a scene, by name, without making one of them.
+
+    Energies are among them if a file has them: their names are then `present`.
+    """
     samples = scene.samples
     grains = scene.count(scene.chain)
+    optional = gathered.energies(scene).keys() - set(present)
     extra = {
-        gathered.file_name(name): layout.shape for name, layout in gathered.arrays(scene).items()
+        gathered.file_name(name): layout.shape
+        for name, layout in gathered.arrays(scene).items()
+        if name not in optional
     }
     return {
         "time": (samples,),

@@ -47,7 +47,9 @@ class Trajectory(Shown, Record, Tabular):
         Choices that shaped the solution, and versions.
     gathered : dict
         The `quantities` of the scene by name, and their errors, by name with "_error":
-        (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,).
+        (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,). Of a chain
+        with damping, runs that move by steps add "dissipated" and, with a force or drive, "drive",
+        (T,) J: see `measure.energy.ledger`.
     """
 
     _units: ClassVar[dict[str, str]] = {"time": "s", "displacement": "m", "velocity": "m/s"}

@@ -67,6 +67,8 @@ class Looks:
 
 LOOKS = Looks()
 TINY = 1e-300
+# factor on the error of an energy: a single number may agree by chance where motions differ
+SUMMED = 4.0
 TOO_CLOSE = "a contact overlaps more than the total energy allows: the run is unstable"
 WRONG = {
     TOO_FAST: "the kinetic energy exceeds the total energy: the run is unstable",
@@ -181,6 +183,9 @@ class CompanionRun(Run):
         # the fields of the companions, with sample 0 in the first block
         self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
+        if self._chains.dissipation.acts:
+            schedules = 1 + len(self._companions.schedules)
+            self.native.balance = np.zeros((schedules, self.realisations, samples, 2))
         self._peaks = np.zeros((self.realisations, 2))
         self._sample = -1
         if state is not None:
@@ -244,6 +249,10 @@ class CompanionRun(Run):
         fits = differences.shape == self._differences.shape and peaks.shape == self._peaks.shape
         if apart or not fits:
             raise ValueError("the state that was kept does not fit")
+        if self.native.balance.size:
+            if state["balance"].shape != self.native.balance.shape:
+                raise ValueError("the state that was kept does not fit")
+            self.native.balance[:] = state["balance"]
         self._differences = differences
         self._peaks = peaks
 
@@ -465,6 +474,42 @@ class CompanionRun(Run):
         """Amplified rounding, relative, that is far beyond the tolerance, whatever the steps."""
         return GROWTH.pessimism * min(self.candidate.tolerance, LARGEST_ERROR)
 
+    def energies(self) -> list[dict[str, Array]]:
+        """Return what damping has taken and what was put in, with their errors.
+
+        Those of an answer that is not native are of its twin.
+        """
+        balance = self.native.balance
+        if not balance.size:
+            return []
+        companions = self._companions
+        lowest = self.native.watched["least_strain"].reshape(-1, self.realisations).min(0)
+        differences = companions.compare_energies(balance)
+        results = []
+        for real, (scene, budget) in enumerate(zip(self._scenes, self.errors(), strict=True)):
+            chain = scene.chain
+            lost, work = balance[0, real].T.copy()
+            wave = scene.excitation.waveform
+            if wave and scene.excitation.driven:
+                # what is driven takes a force for its own inertia, too
+                speed = wave.at(scene.time, 1)
+                work += chain.masses[0] / 2 * (speed**2 - speed[0] ** 2)
+            put_in = float(chain.excess_energy(*scene.excitation.initial(chain)))
+            scale = max(put_in, np.abs(lost).max(), np.abs(work).max()) or 1.0
+            distances = differences[:, real] / scale
+            distances[np.isnan(distances)] = np.inf
+            opens = bool(lowest[real] <= OPENINGS.near)
+            order = companions.order(opens, scene.excitation.smooth_until(scene.duration))
+            truncation = SUMMED * companions.truncation(real, distances, order, opens)
+            # by Cauchy and Schwarz, with the lightest grain as the fastest
+            spread = math.sqrt(chain.masses.sum() / chain.masses[: chain.movable].min())
+            error = np.array(scale * (truncation + 2 * spread * budget.roundoff))
+            energies = {"dissipated": lost, "dissipated_error": error}
+            if scene.excitation.does_work:
+                energies |= {"drive": work, "drive_error": error}
+            results.append(energies)
+        return results
+
     def outlook(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation that is expected at the end.
 
@@ -571,6 +616,8 @@ class CompanionRun(Run):
             "differences": self._differences,
             "peaks": self.peaks,
         }
+        if self.native.balance.size:
+            state["balance"] = self.native.balance
         for mover in self._movers:
             name = "native" if mover.stepper is self.native else "answer"
             state |= {f"{name}.{key}": array for key, array in mover.stepper.state().items()}
