@@ -44,16 +44,18 @@ def trial_scene(
             continue
 
 
-def damped(rng: np.random.Generator, scene: Scene, alike: bool = False) -> Scene:
+def damped(
+    rng: np.random.Generator, scene: Scene, alike: bool = False, most: float = 2.0
+) -> Scene:
     """Return the scene with viscous contacts, a drag or both, from hardly any to overdamped.
 
-    LAMMPS knows a drag that is alike for all grains.
+    A omega and gamma / omega are at most `most`. LAMMPS knows a drag that is alike for all grains.
     """
     omega = scene.highest_frequency
     grains = scene.chain.grains
     while True:
-        viscosity = _log(rng, 1e-4, 2) / omega * (rng.random() < 0.8)
-        drag = _log(rng, 1e-4, 2) * omega * (rng.random() < 0.5)
+        viscosity = _log(rng, 1e-4, most) / omega * (rng.random() < 0.8)
+        drag = _log(rng, 1e-4, most) * omega * (rng.random() < 0.5)
         if viscosity + drag > 0:
             break
     damping: dict[str, Any] = {"viscoelastic": viscosity, "drag": drag}

@@ -35,7 +35,14 @@ from .amplification import (
     repeat_rounding,
 )
 from .companions import OPENINGS, Companions
-from .round_off import drift, interpolation_loss, native_floor, plain_loss, rounded_energy
+from .round_off import (
+    drift,
+    interpolation_loss,
+    native_floor,
+    plain_loss,
+    reduced_loss,
+    rounded_energy,
+)
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
@@ -515,6 +522,9 @@ class CompanionRun(Run):
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
         if self.candidate.stride > 1:
             roundoff += interpolation_loss(steps, self._flights(real, motion))
+        if scene.chain.damped:
+            closer = float(self.closest[real])
+            roundoff += reduced_loss(scene, motion.displacement, closer) / motion.velocity
         return roundoff
 
     def _may_amplify(self, real: int, motion: Motion, estimate: float) -> bool:
