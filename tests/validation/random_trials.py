@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from helpers.taylor_series import FINEST, Reference, Unresolved, reference, solve
-from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
+from helpers.trial_scenes import acted_trial_scene, damped, short_damped_scene, trial_scene
 
 from lmpchain import InputError, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.engines.native import Native
@@ -114,20 +114,15 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
         case "acted":
             engine = rng.choice(["auto", "native"]).item()
             scene = acted_trial_scene(rng, work=work)
-        case "damped" | "damped-short":
+        case "damped":
             engine = rng.choice(["auto", "native"]).item()
-            short = family == "damped-short"
-            if short:
-                engine = "native"
-                tolerance = float(10 ** rng.uniform(-11, -3))
-                work = 10 ** rng.uniform(1.5, 3.5)
-            drawer = acted_trial_scene if rng.random() < 0.5 else trial_scene
-            scene = drawer(rng, work=work)
-            while short and scene.chain.grains > 12:
-                scene = drawer(rng, work=work)
-            if short:
-                scene = scene.replace(samples=min(scene.samples, int(rng.integers(2, 30))))
-            scene = damped(rng, scene, most=10.0 if short else 2.0)
+            acted = rng.random() < 0.5
+            scene = acted_trial_scene(rng, work=work) if acted else trial_scene(rng, work=work)
+            scene = damped(rng, scene)
+        case "damped-short":
+            engine = "native"
+            tolerance = float(10 ** rng.uniform(-11, -3))
+            scene = short_damped_scene(rng)
         case "damped-lammps":
             engine = "lammps"
             tolerance = float(10 ** rng.uniform(-4, -1.5))

@@ -523,8 +523,10 @@ class CompanionRun(Run):
         if self.candidate.stride > 1:
             roundoff += interpolation_loss(steps, self._flights(real, motion))
         if scene.chain.damped:
-            closer = float(self.closest[real])
-            roundoff += reduced_loss(scene, motion.displacement, closer) / motion.velocity
+            # Row 0 is the answer, or its twin: companions may have broken down.
+            closer = float(self.native.closest()[0, real])
+            displacement = float(self.peaks[real, 0])
+            roundoff += reduced_loss(scene, displacement, closer) / motion.velocity
         return roundoff
 
     def _may_amplify(self, real: int, motion: Motion, estimate: float) -> bool:
