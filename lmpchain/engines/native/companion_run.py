@@ -35,7 +35,14 @@ from .amplification import (
     repeat_rounding,
 )
 from .companions import OPENINGS, Companions
-from .round_off import drift, interpolation_loss, native_floor, plain_loss, rounded_energy
+from .round_off import (
+    drift,
+    interpolation_loss,
+    native_floor,
+    plain_loss,
+    reduced_loss,
+    rounded_energy,
+)
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
@@ -579,6 +586,11 @@ class CompanionRun(Run):
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
         if self.candidate.stride > 1:
             roundoff += interpolation_loss(steps, self._flights(real, motion))
+        if scene.chain.damped:
+            # Row 0 is the answer, or its twin: companions may have broken down.
+            closer = float(self.native.closest()[0, real])
+            displacement = float(self.peaks[real, 0])
+            roundoff += reduced_loss(scene, displacement, closer) / motion.velocity
         return roundoff
 
     def _may_amplify(self, real: int, motion: Motion, estimate: float) -> bool:
