@@ -111,7 +111,17 @@ def _chain(rng: np.random.Generator, exponents: tuple[float, ...]) -> Chain:
 
 def _loose_chain(rng: np.random.Generator) -> Chain:
     """Draw a chain with contacts that only touch, springs, or one that is pressed."""
-    exponents = (1.0, 1.25, 1.5, 1.5, 2.0, 2.5, 3.0, 1 + _log(rng, 1e-3, 0.1), *rng.uniform(1, 3, 4))
+    exponents = (
+        1.0,
+        1.25,
+        1.5,
+        1.5,
+        2.0,
+        2.5,
+        3.0,
+        1 + _log(rng, 1e-3, 0.1),
+        *rng.uniform(1, 3, 4),
+    )
     kind = rng.choice(["striker"] * 4 + ["loose"] + ["free"] * 3 + ["springs"] * 2 + ["pressed"])
     grains = int(_log(rng, 3, 30 if rng.random() < 0.85 else 1000))
     fields: dict[str, Any] = {"grains": grains, "exponent": float(rng.choice(exponents))}
@@ -175,9 +185,7 @@ def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
     return alike
 
 
-def _struck(
-    rng: np.random.Generator, chain: Chain, work: float, weakest: float = 1e-12
-) -> Scene:
+def _struck(rng: np.random.Generator, chain: Chain, work: float, weakest: float = 1e-12) -> Scene:
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
     number = _log(rng, weakest, 1e4)
     # a contact that only touches has no length of its own

@@ -11,7 +11,7 @@ import pytest
 from helpers import plain_methods as plain
 from helpers.plain_methods import WIDE, Motion
 
-from lmpchain import Chain, Drive, Force, Profile, Scene
+from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene, simulate
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.held_steps import adaptive_steps
 from lmpchain.integrators.methods import METHODS
@@ -252,3 +252,15 @@ def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride
     for order in (0, 1):
         error = np.abs(fields[order, 0] - true[order, 0])[between].max() / scale[order]
         assert error < 1e-9
+
+
+@pytest.mark.parametrize("exponent", [1.75, 2.5])
+def test_steps_in_the_vacuum_do_not_depend_on_the_unit_of_length(exponent: float):
+    """A strike at another speed is the same motion in other units."""
+    chain = Chain(grains=4, diameter=1e-3, exponent=exponent, gravity=0.0, bottom="wall")
+    steps = set()
+    for speed in (1e-4, 0.1):
+        scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-6, samples=2)
+        scene = scene.replace(duration=30 / scene.highest_frequency)
+        steps.add(simulate(scene, "native", 1e-8).cost.steps)
+    assert len(steps) == 1
