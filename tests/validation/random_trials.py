@@ -42,7 +42,7 @@ ROUND = 2.3e-16  # two answers in double precision may differ by so much
 SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
 FAMILIES = (
     *("native", "step", "auto", "linear", "lammps", "acted"),
-    *("damped", "damped-lammps", "damped-short", "loose"),
+    *("damped", "damped-lammps", "loose", "damped-short"),
 )
 # least tolerance that makes sense
 LOOSE = {
