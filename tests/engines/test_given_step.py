@@ -18,10 +18,14 @@ from lmpchain import (
 )
 from lmpchain.trajectory.record import ErrorEstimate
 
-TOLERANCES = (1e-2, 1e-6, 1e-12)
+TOLERANCES = (1e-2, 1e-12)
 GLASS = {"material": "glass", "diameter": 1e-3, "gravity": 0.0}
 BETWEEN_WALLS = Chain(grains=4, top_load=1e-3, top="wall", bottom="wall", **GLASS)
 STRUCK = Scene(chain=BETWEEN_WALLS, excitation=Impulse(velocity=0.02), duration=4e-4, samples=21)
+# the error of short steps is below that of rounding, which the openings of contacts amplify
+ROUNDED = STRUCK.replace(
+    chain=BETWEEN_WALLS.replace(exponent=3.0), excitation=Impulse(velocity=0.3), duration=6.97e-3
+)
 FREE = Chain(grains=4, top="free", bottom="free", **GLASS)
 
 
@@ -34,27 +38,33 @@ def at(tolerance: float, scene: Scene, engine: str, **options) -> tuple[Trajecto
 
 
 @pytest.mark.parametrize(
-    ("engine", "options", "duration", "known"),
+    ("engine", "options", "scene", "known"),
     [
-        ("native", {"integrator": "rkn6", "step": 2e-8}, 4e-4, True),
-        ("native", {"integrator": "verlet", "step": 4e-8}, 2e-3, False),
-        ("lammps", {"step": 2e-7}, 1e-4, True),
+        pytest.param(
+            "native",
+            {"integrator": "kahan-li8", "step": 5.8e-8},
+            ROUNDED,
+            True,
+            marks=pytest.mark.slow,
+        ),
+        ("native", {"integrator": "verlet", "step": 4e-8}, STRUCK.replace(duration=2e-3), False),
+        ("lammps", {"step": 2e-7}, STRUCK.replace(duration=1e-4), True),
     ],
 )
-def test_no_tolerance_changes_a_run_with_a_given_step(engine, options, duration, known):
+def test_no_tolerance_changes_a_run_with_a_given_step(engine, options, scene, known):
     """Rounding was measured only if a tolerance needed it, and the diameter in LAMMPS followed."""
-    scene = STRUCK.replace(duration=duration)
-    (first, said), *others = [at(tolerance, scene, engine, **options) for tolerance in TOLERANCES]
-    for other, also_said in others:
-        np.testing.assert_array_equal(other.velocity, first.velocity)
-        assert other.error_estimate == first.error_estimate
-        assert also_said == said
+    (first, said), (other, also_said) = [
+        at(tolerance, scene, engine, **options) for tolerance in TOLERANCES
+    ]
+    np.testing.assert_array_equal(other.velocity, first.velocity)
+    assert other.error_estimate == first.error_estimate
+    assert also_said == said
     assert [("beyond 0.1 of the motion" in remark) for remark in said] == [True] * (not known)
     if known:
         true, doubt = reference(scene, 1e-18)
         error = true.error(first.displacement, first.velocity)
         assert doubt < error / 10
-        assert error <= first.error_estimate.solver < 30 * error
+        assert error <= first.error_estimate.solver < 10 * error
     else:
         assert 1 < first.error_estimate.solver <= 2
 

@@ -15,6 +15,7 @@ from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
 from lmpchain.engines.linear import model_error
 from lmpchain.engines.linear.resonance import Resonance
 from lmpchain.theory.modes import eigenmodes
+from lmpchain.trajectory.record import LARGEST_ERROR
 from lmpchain.util.arrays import EPSILON
 
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
@@ -449,7 +450,9 @@ def test_the_model_error_of_a_closed_form_is_that_of_the_linear_chain_and_its_ow
     formula = simulate(scene, made, 0.999, on_miss="warn")
     exact = simulate(scene, "chebyshev", 0.9)
     own = relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
-    assert formula.error_estimate.model - exact.error_estimate.model == pytest.approx(own, rel=1e-3)
+    # the continuum is 2.5 times the true motion off, of which 2 says that nothing is known
+    stated = min(own + exact.error_estimate.model, LARGEST_ERROR)
+    assert formula.error_estimate.model == pytest.approx(stated, rel=1e-3)
     cost = formula.cost
     assert (cost.force_evaluations, cost.integrator, cost.active_grains) == (0, made.name, 60)
     assert cost.integration_s > 0
