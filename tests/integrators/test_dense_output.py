@@ -68,7 +68,13 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
         clock = np.array([(h / 24, 24, 1, h, 24, True, 1)], CLOCK)[0]
         span = Span(0.0, h, h, 1, h)
         u, v = np.zeros((2, 25, 1))
-        fill(ends, clock, span, Rates(rows[0], rows[2], rows[0], rows[3]), Row(u, v, 0))
+        fill(
+            ends,
+            clock,
+            span,
+            Rates(rows[0], rows[2], rows[0], rows[3]),
+            Row(u, v, 0, np.zeros((0, 2))),
+        )
         time = 0.8 - h / 2 + np.arange(1, 24) * h / 24
         errors.append(
             [np.abs(u[1:24, 0] - np.sin(time)).max(), np.abs(v[1:24, 0] - np.cos(time)).max()]

@@ -244,6 +244,21 @@ def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
     assert largest(found["drive"] - t.gathered["drive"]) <= found["drive_error"]
 
 
+def test_files_without_energies_are_read(tmp_path: Path):
+    """Files of engines that sum up none."""
+    scene = Scene(
+        chain=Chain(**WALLS, damping=DAMPING),
+        excitation=Impulse(velocity=1e-9),
+        duration=6e-5,
+        samples=5,
+    )
+    t = simulate(scene, "modes", folder=tmp_path / "run")
+    assert not t.gathered
+    t.save(tmp_path / "run.nc")
+    assert Trajectory.load(tmp_path / "run.nc") == t
+    assert energy.ledger(t).balanced == ("dissipated", "impulse")
+
+
 def test_what_no_wave_reaches_changes_no_energy():
     """The light cone of a long chain has the energies of the whole, and of a shorter chain."""
     found = []
@@ -266,7 +281,9 @@ def test_stated_errors_hold_in_random_scenes(seed: int, acts: bool):
     while scene.chain.grains > 100:
         scene = draw(rng, work=1e3)
     scene = damped(rng, scene).replace(grains="all")
-    true, _ = reference(scene, 1e-16)
+    true, off = reference(scene, 1e-18)
+    if off > 1e-12:
+        pytest.skip("the reference is not sure enough")
     wall = scene.excitation.wall
     top = wall.at(scene.time, 0) if wall else None
     total = scene.chain.excess_energy(true.displacement, true.velocity, top)
