@@ -182,7 +182,10 @@ def _find_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[
     """Return the places of time and quantities by the header, or because there are no others."""
     places = find_columns(table, quantities, None)
     if places[0] is None:
-        places[0] = _time_place(table)
+        counters = [place for place in table.numeric if _is_named_counter(table, place)]
+        alone = counters[0] if len(counters) == 1 else None
+        time = _time_place(table)
+        places[0] = alone if time is None else time
     missing = [k for k, place in enumerate(places) if place is None]
     rest = [place for place in table.numeric if place not in places]
     if places[0] is not None:
