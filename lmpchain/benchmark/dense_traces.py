@@ -7,9 +7,11 @@ import math
 import numpy as np
 
 from ..errors import InputError, LmpchainError
+from ..scene.excitation import Drive, Force
 from ..scene.scene import Scene
 from ..scene.trace_file import smoothed
 from ..simulation.api import simulate
+from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.remarks import warnings_aside
 
@@ -32,13 +34,15 @@ def thinned(scene: Scene, tolerance: float) -> tuple[Scene, str]:
         Of the two native runs that show how much the answer changes.
     """
     excitation = scene.excitation
-    times = getattr(excitation, "times", None)
-    points = 0 if times is None else int(np.searchsorted(times, scene.duration)) + 1
+    if not isinstance(excitation, Drive | Force) or excitation.times is None:
+        return scene, ""
+    times = excitation.times
+    points = int(np.searchsorted(times, scene.duration)) + 1
     every = math.ceil(points / MOST_POINTS)
     if every <= 1:
         return scene, ""
     name = excitation.strength[1]
-    values = getattr(excitation, name)
+    values: Array = getattr(excitation, name)
     lowpass = 0.25 * (times.size - 1) / (every * (times[-1] - times[0]))
     options = f"every={every}, lowpass={lowpass:.3g}"
     try:

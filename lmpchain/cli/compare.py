@@ -72,15 +72,21 @@ def compare(arguments: argparse.Namespace) -> int:
         lossless = _lossless(scene, arguments.tolerance)
         result = comparison.compare(trajectories, solution, lossless)
         print(result.table())
-    for line in wrap(remark) if remark else ():
-        print(line)
-    for key, reason in refusals:
-        print(f"left out: {reason} ({key})")
+    _print_lines(
+        *wrap(*filter(None, [remark])),
+        *(f"left out: {reason} ({key})" for key, reason in refusals),
+    )
     if trajectories:
         keep(result, numbers, picture)
     for failure in failures:
         complain(failure)
     return 1 if failures else 0
+
+
+def _print_lines(*lines: str) -> None:
+    """Print lines, if there are any."""
+    for line in lines:
+        print(line)
 
 
 def _count_samples(scene: Scene) -> int:

@@ -148,15 +148,7 @@ def _own_times(table: NumberTable, values: Sequence[int]) -> int | None:
     InputError
         If the columns have times of their own, which differ.
     """
-    others = [place for place in table.numeric if place not in values]
-    times = [
-        place
-        for place in others
-        if table.columns[place].name.lower() in TIMES
-        and (_in_seconds(table, place) or not unit_of(table.columns[place].unit))
-    ]
-    times = times or [place for place in others if _in_seconds(table, place)]
-    times = times or [place for place in others if _on_grid(table, place)]
+    times = _times_among(table, [place for place in table.numeric if place not in values])
     nearest = [max((t for t in times if t < place), default=None) for place in values]
     if len(times) > 1 and len({*nearest}) > 1:
         used = table.values([t for t in nearest if t is not None])
@@ -164,6 +156,21 @@ def _own_times(table: NumberTable, values: Sequence[int]) -> int | None:
             fault = f"{table.path}: these columns have times of their own"
             raise InputError.at("columns", f"{fault}: read them one by one, or name one for all")
     return nearest[0] if nearest[0] is not None else next(iter(times), None)
+
+
+def _times_among(table: NumberTable, places: Sequence[int]) -> list[int]:
+    """Return the columns of times among these: by name, else by unit, else by their numbers."""
+    for kind in (_named_times, _in_seconds, _on_grid):
+        if times := [place for place in places if kind(table, place)]:
+            return times
+    return []
+
+
+def _named_times(table: NumberTable, place: int) -> bool:
+    """Return whether a column has a name of times, and no unit of anything else."""
+    column = table.columns[place]
+    fits = _in_seconds(table, place) or not unit_of(column.unit)
+    return fits and column.name.lower() in TIMES
 
 
 def _on_grid(table: NumberTable, place: int) -> bool:
@@ -221,12 +228,13 @@ def _by_name(table: NumberTable, *names: str) -> int | None:
 
 
 def _time_place(table: NumberTable) -> int | None:
-    """Return the place of the only column of times, by its name or its unit."""
+    """Return the place of the only column of times, by its name or its unit, or that counts."""
     named = _by_name(table, *TIMES)
     if named is not None:
         return named
     units = [(place, unit_of(table.columns[place].unit)) for place in table.numeric]
     timed = [place for place, unit in units if unit and unit.base == "s"]
+    timed = timed or [place for place in table.numeric if _is_named_counter(table, place)]
     return timed[0] if len(timed) == 1 else None
 
 

@@ -268,25 +268,7 @@ class TraceFile(TableFile):
             samples = table.values([place])[:, 0]
         # a column with a factor of its own is one of times, unless its header says that it counts
         if place is None or is_counter(table, place):
-            step = scale or _step(table, values)
-            if step is None:
-                cure = "give the column of the times by columns, or the interval as time_scale"
-                fault = f"{self.file} has no times"
-                if place is not None:
-                    fault += f": {table.describe(place)} counts the samples, and has no unit"
-                raise InputError.at("time_scale", f"{fault}: {cure}")
-            if place is None and len(set(np.diff(table.numbers))) > 1:
-                after = table.numbers[int(np.argmax(np.diff(table.numbers)))]
-                fault = f"{self.file}, line {after + 1}: is empty, where lines count the samples"
-                raise InputError.at("file", f"{fault}: fill it in, or take it out")
-            factor = time_factor(table, values[0])
-            begin = table.fact(values[0], *BEGINS)
-            if begin is None:
-                begin = 0.0 - step * (table.fact(values[0], *TRIGGER_POINTS) or 0.0)
-            else:
-                begin *= factor
-            time = begin + step * samples
-            word = f"time: from {time[0]:g} s by intervals of {step:g} s"
+            time, word = self._counted_times(table, place, values, samples, scale)
         else:
             factor = self._time_unit(table, place, scale)
             time = factor * samples
@@ -300,6 +282,35 @@ class TraceFile(TableFile):
             cure = "sort the lines, or save the times with more digits, and one trace a file"
             raise InputError.at("file", f"{self.file}, line {line}: time does not increase: {cure}")
         return time, word
+
+    def _counted_times(
+        self,
+        table: NumberTable,
+        place: int | None,
+        values: Sequence[int],
+        samples: Array,
+        scale: float | None,
+    ) -> tuple[Array, str]:
+        """Return the times of counted samples, s, by the interval of these columns, and words."""
+        step = scale or _step(table, values)
+        if step is None:
+            cure = "give the column of the times by columns, or the interval as time_scale"
+            fault = f"{self.file} has no times"
+            if place is not None:
+                fault += f": {table.describe(place)} counts the samples, and has no unit"
+            raise InputError.at("time_scale", f"{fault}: {cure}")
+        if place is None and len(set(np.diff(table.numbers))) > 1:
+            after = table.numbers[int(np.argmax(np.diff(table.numbers)))]
+            fault = f"{self.file}, line {after + 1}: is empty, where lines count the samples"
+            raise InputError.at("file", f"{fault}: fill it in, or take it out")
+        factor = time_factor(table, values[0])
+        begin = table.fact(values[0], *BEGINS)
+        if begin is None:
+            begin = 0.0 - step * (table.fact(values[0], *TRIGGER_POINTS) or 0.0)
+        else:
+            begin *= factor
+        time = begin + step * samples
+        return time, f"time: from {time[0]:g} s by intervals of {step:g} s"
 
     def _names_times(self, values: int) -> bool:
         """Return whether `columns` names the column of the times, or leaves all to the header."""

@@ -246,14 +246,10 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
         first = _first_row(path, lines, layout, numeric)
         above = [line for _, line in lines[max(first - 2, 0) : first]][::-1]
         header = _header(path, above, layout, numeric, len(layout.cells(lines[first][1])))
-        facts: Facts = {}
-        for _, line in lines[:first]:
-            _note_above(facts, layout.cells(line), numeric)
-        # beside the first rows, where Tektronix writes them
-        for _, line in lines[first : first + SAMPLED_LINES]:
-            _note_beside(facts, layout.cells(line), numeric)
+        cells = [layout.cells(line) for _, line in lines[: first + SAMPLED_LINES]]
     except csv.Error as error:
         raise InputError.at("file", f"{path} cannot be read as a table: {error}") from None
+    facts = _facts(cells[:first], cells[first:], numeric)
     if names := facts.get("tracename"):
         # Yokogawa has no header directly above the numbers
         traces = [names.get(place, "") for place in range(numeric[-1] + 1)]
@@ -436,6 +432,18 @@ def _header_cells(line: str, layout: Layout, width: int) -> list[str]:
     return []
 
 
+def _facts(
+    above: Sequence[Sequence[str]], beside: Sequence[Sequence[str]], numeric: Sequence[int]
+) -> Facts:
+    """Return what lines above a table say, and what Tektronix writes beside its first rows."""
+    facts: Facts = {}
+    for cells in above:
+        _note_above(facts, cells, numeric)
+    for cells in beside:
+        _note_beside(facts, cells, numeric)
+    return facts
+
+
 def _note_above(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
     """Note what a line above a table says: a name and a value, or a value for each column.
 
@@ -472,18 +480,20 @@ def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[
         return [Column("", "")] * width
     cells = list(header[0][:width])
     units = [cell.strip("()[] ") for cell in cells]
-    # a line of units below that of the names, with a dash or nothing for a number without one
-    marks = [cells[place] for place in numeric]
-    if all(_is_unit(mark) for mark in marks) or (
-        len(header) == 2
-        and any(map(_is_unit, marks))
-        and all(_is_unit(mark) or mark in NO_UNIT for mark in marks)
-    ):
+    # a line of units below that of the names
+    if _are_units([cells[place] for place in numeric], len(header) == 2):
         names = header[1][:width] if len(header) == 2 else [""] * width
         units = ["" if unit in NO_UNIT else unit for unit in units]
         # the name may have a unit, too, or a remark in brackets
         return [Column(n, unit, n) for n, unit in zip(names, units, strict=True)]
     return [Column(*split_unit(cell), cell) for cell in cells]
+
+
+def _are_units(cells: Sequence[str], below: bool) -> bool:
+    """Return whether cells hold units: below names also a dash, or nothing, but not all of them."""
+    if not below:
+        return all(map(_is_unit, cells))
+    return any(map(_is_unit, cells)) and all(_is_unit(cell) or cell in NO_UNIT for cell in cells)
 
 
 def _is_unit(cell: str) -> bool:

@@ -158,6 +158,11 @@ FILES: dict[str, tuple[str, dict[str, Any]]] = {
         "Sample #,F\n" + "".join(f"{n - 20},{f:.9e}\n" for n, f in enumerate(push(TIME))),
         {"columns": ["F"], "time_scale": 1e-6},
     ),
+    "a counter beside an interval": (
+        "Sampling interval: 1e-6\nSample #,F (N)\n"
+        + "".join(f"{n - 20},{f:.9e}\n" for n, f in enumerate(push(TIME))),
+        {},
+    ),
     "a rate": (
         "Sample Rate: 1000000\nt0: -2e-5\nForce (N),A\n" + rows(push(TIME), OTHER),
         {"columns": [1]},
