@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cached_property
 from operator import index
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -12,6 +11,7 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
+from ..util.caching import cached_property
 from ..util.tables import counted
 from ..util.validation import (
     NOT_GIVEN,

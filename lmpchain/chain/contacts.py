@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
+from ..util.caching import cached_property
 
 # grains of a chain: up to here all contacts are known sooner than those of some parts
 FEW_GRAINS = 10**4

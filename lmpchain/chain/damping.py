@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
@@ -32,6 +32,7 @@ from pydantic import BeforeValidator
 
 from ..errors import InputError, shown
 from ..util.arrays import Array, read_only
+from ..util.caching import cached_property
 from ..util.validation import Checked, check_positive, non_negative
 from .contacts import Contacts, hertz_constant, pair_value
 from .materials import Material, one_material

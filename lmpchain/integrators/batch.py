@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
 from ..scene.strike import first_overlaps
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from .kernels import waveform
 from .kernels.contact_forces import FORMS, ROOTS, Form, addresses
 from .kernels.layout import ALONE, PAD, WAVE, Chains, Dissipation, Imposed, Links, Team

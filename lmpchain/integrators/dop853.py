@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from .method import March, first_growth
 from .openings import shorten_steps
 from .step_schedule import StepSchedule

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.interpolate import PPoly
 from ..scene.acting import Drive, Force
 from ..scene.waveform import curve_through
 from ..util.arrays import Array
+from ..util.caching import cached_property
 
 
 class ImposedCourse:

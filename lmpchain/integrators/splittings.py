@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from .kernels.layout import Stages
 from .method import March
 from .openings import shorten_steps

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +31,7 @@ from ..trajectory.between.maxima import (
 )
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from ..util.lazy import listed
 from .recorded import Field, check_field, columns
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from ..errors import InputError, shown
 from ..scene.excitation import Drive, Force, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
+from ..util.caching import cached_property
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
 from ..util.tabular import NamedColumn, Tabular

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -14,6 +13,7 @@ from pydantic import Field
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
 from .base import Excitation, Number, OneGrain, Push
 from .file_columns import Quantity

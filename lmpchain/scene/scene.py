@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -19,6 +18,7 @@ from ..chain.picture import DETAILED_GRAINS, DRAWN_POINTS
 from ..chain.plausible import LIMITS
 from ..errors import InputError, shown
 from ..util.arrays import Array, as_slice
+from ..util.caching import cached_property
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
 from ..util.tables import counted

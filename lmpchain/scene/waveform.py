@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from ..util.arrays import EPSILON, Array, numbers
+from ..util.caching import cached_property
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

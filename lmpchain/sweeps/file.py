@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from ..errors import InputError, check_tolerance, short, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from ..util.files import check_readable, expanded
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole

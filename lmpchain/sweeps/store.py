@@ -20,7 +20,6 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -30,6 +29,7 @@ import numpy as np
 from ..errors import InputError, short
 from ..trajectory.gathered import file_name
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from ..util.files import replacing, unpack_one
 from . import seals
 from .file import Sweep

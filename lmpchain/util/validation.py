@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property
 from inspect import Parameter, Signature
 from typing import Annotated, Any, ClassVar, NoReturn, Self, TypeVar
 
@@ -14,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from ..errors import InputError, shown
 from .arrays import Array, numbers, objection, plain, read_only
+from .caching import cached_property
 from .notebook import Shown
 from .remarks import warn
 from .suggestions import did_you_mean

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from ...errors import InputError
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from ...util.caching import cached_property
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128

@@ -9,13 +9,13 @@ for as long as they do.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from ...util.caching import cached_property
 
 if TYPE_CHECKING:
     from ...theory.modes import Modes
