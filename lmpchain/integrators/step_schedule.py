@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
+from ..util.arrays import Array
+
 # steps between two samples from which on companions land on each, too: there a landing changes
 # their steps by little, and few samples may miss a collision;
 # analysis/calibration/richardson_estimate.py
@@ -75,6 +79,17 @@ class StepSchedule(NamedTuple):
         """Return the steps from sample 0 to the sample of this number, if all are equal."""
         landings, remaining = divmod(samples, self.stride)
         return landings * self.steps - (-self.steps * remaining // self.stride)
+
+    def longest_between(self, begin: Array, end: Array) -> Array:
+        """Return the longest step between two corners, (C,) s, on which steps end as on landings.
+
+        The steps between corner and landing are equal, and as few as their length allows.
+        """
+        landing = self.steps * self.step
+        first = np.minimum(np.ceil(begin / landing) * landing, end)
+        last = np.maximum(np.floor(end / landing) * landing, first)
+        lengths = np.array([first - begin, last - first, end - last])
+        return (lengths / np.maximum(np.ceil(lengths / self.step - 1e-9), 1)).max(0)
 
     @property
     def halved(self) -> StepSchedule:

@@ -62,16 +62,23 @@ def loose_trial_scene(rng: np.random.Generator, work: float = 1e4) -> Scene:
             continue
 
 
-def damped(rng: np.random.Generator, scene: Scene, alike: bool = False) -> Scene:
+def damped(
+    rng: np.random.Generator,
+    scene: Scene,
+    alike: bool = False,
+    least: float = 1e-4,
+    most: float = 2.0,
+) -> Scene:
     """Return the scene with viscous contacts, a drag or both, from hardly any to overdamped.
 
-    LAMMPS knows a drag that is alike for all grains.
+    A omega and gamma / omega are `least` to `most`. LAMMPS knows a drag that is alike for all
+    grains.
     """
     omega = scene.highest_frequency
     grains = scene.chain.grains
     while True:
-        viscosity = _log(rng, 1e-4, 2) / omega * (rng.random() < 0.8)
-        drag = _log(rng, 1e-4, 2) * omega * (rng.random() < 0.5)
+        viscosity = _log(rng, least, most) / omega * (rng.random() < 0.8)
+        drag = _log(rng, least, most) * omega * (rng.random() < 0.5)
         if viscosity + drag > 0:
             break
     damping: dict[str, Any] = {"viscoelastic": viscosity, "drag": drag}
@@ -80,6 +87,21 @@ def damped(rng: np.random.Generator, scene: Scene, alike: bool = False) -> Scene
     if rng.random() < 0.3 and not alike:
         damping["drag"] = drag * (rng.random(grains) < 0.5)
     return scene.replace(chain=scene.chain.replace(damping=damping))
+
+
+def short_damped_scene(rng: np.random.Generator) -> Scene:
+    """Draw a damped scene of at most 12 grains and few radians from one sample to the next.
+
+    It takes a few steps a sample, so that thousands of trials are cheap.
+    """
+    drawer = acted_trial_scene if rng.random() < 0.5 else trial_scene
+    while True:
+        scene = drawer(rng, work=10 ** rng.uniform(2, 3.5))
+        if scene.chain.grains <= 12:
+            break
+    scene = damped(rng, scene, least=0.05, most=10.0)
+    intervals = scene.highest_frequency * scene.duration / _log(rng, 1, 6)
+    return scene.replace(samples=1 + int(np.clip(intervals, 1, 60)))
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:

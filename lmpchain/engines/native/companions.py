@@ -136,12 +136,28 @@ class Companions:
             self.answer, tuple(longer), self._nearby, twin, scenes[0].samples - 1
         )
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
+        self._least_ratio = [self._ratio_between_corners(scene) for scene in scenes]
 
     def order(self, opens: bool, smooth_excitation: bool) -> float:
         """Return the order of the method that is trusted; less where contacts open or nearly so."""
         # adaptive steps end on the knots of an excitation, equal ones pass over them
         regular = not opens and (self._candidate.adaptive or smooth_excitation)
         return self._method.order if regular else self._order_at_openings
+
+    def compare_energies(self, balance: Array) -> Array:
+        """Return the largest differences between energies of the runs, (S, R, 2) J.
+
+        `balance` has those of the answer, or of its twin, and of the companions, (S + 1, R, T, 2).
+        """
+        against = [*range(len(self.schedules) - self._nearby), *[0] * self._nearby]
+        final = balance.shape[2] - 1
+        differences = []
+        for run, (schedule, other) in enumerate(zip(self.schedules, against, strict=True), 1):
+            # where both have landed
+            samples = np.append(np.arange(0, final, schedule.filled), final)
+            apart = np.abs(balance[run][:, samples] - balance[other][:, samples])
+            differences.append(apart.max(1))
+        return np.array(differences)
 
     def truncation(self, real: int, distances: Array, order: float, opens: bool) -> float:
         """Return the truncation error of a realisation from the distances between its runs.
@@ -171,9 +187,26 @@ class Companions:
                 nearby=sum(field[proper:]) / gain if self.recurrent[real] else 0.0,
                 settled=settled,
                 slow_order=slow_order,
+                least_ratio=self._least_ratio[real],
             )
             for field in distances.T.tolist()
         )
+
+    def _ratio_between_corners(self, scene: Scene) -> float:
+        """Return the smallest ratio of steps of the first companion between two corners of a force.
+
+        All runs end steps on corners, so that between these the ratio of steps is that of two
+        whole numbers.
+        """
+        waveform = scene.excitation.waveform
+        corners = waveform.corners if waveform and self._candidate.adaptive else ()
+        inside = [t for t in corners if 0.0 < t < scene.duration]
+        times = np.array([0.0, *inside, scene.duration])
+        # A piece that is shorter than a step of a companion is the last one, and has few steps.
+        long = np.diff(times) >= LONGER[-1] * self.answer.step
+        pieces = times[:-1][long], times[1:][long]
+        steps = self.schedules[0].longest_between(*pieces) / self.answer.longest_between(*pieces)
+        return float(steps.min(initial=self.ratios[0])) if inside else self.ratios[0]
 
     def _orders(self, real: int, order: float, opens: bool) -> tuple[float, float]:
         """Return by which orders differences are divided: of the error, and of its slowest part.
@@ -216,7 +249,8 @@ def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[flo
     """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
 
     None where these are unstable or too few. Where damping ends a motion within a few samples its
-    error is there in the first of them alone, and companions must land on each: then 3 serves, too.
+    error is there in the first of them alone, and companions must land on each: then 3 serves, too,
+    but there must be two.
     """
     if candidate.steps(scene.samples) < FEWEST_STEPS:
         return []
@@ -226,7 +260,10 @@ def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[flo
         ratios = [ratio for ratio in DIVIDING if steps % ratio == 0][:2]
     else:
         ratios = list(LONGER)
-    return [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
+    stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
+    # Motions that die within a step or two show no order: one companion at longer steps may be
+    # right by chance.
+    return stable if len(stable) > 1 or not dies(scene) else []
 
 
 def dies(scene: Scene) -> bool:

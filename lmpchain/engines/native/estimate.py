@@ -23,7 +23,8 @@ r1, r2    ratios      steps of the companions over h
 p         order       order that is trusted, see `Companions.truncation`
 g         gain        error at steps r1 h over that at h, as observed:
                       (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
-                      of twice the length
+                      of twice the length; g^(ln r / ln r1) where corners of a force cut steps
+r           least_ratio smallest ratio of steps of the first companion between two corners
 s         share       (r1^p - g) / (r1^p - r1^2), the part of d12 that falls with h^2, at most 1
 eps       EPSILON     unit of the last place of 1
 n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n), or
@@ -31,9 +32,12 @@ n, w(n)   rounding    evaluations of the force, and the last digits that they lo
 k         flights     how far the fastest grain would fly, over the largest displacement
 omega T   radians     phase of the fastest motion in the duration
 A         amplified   what the scene makes of one last digit, see `amplification`; near the
-                      tolerance it and the rounding of free flights are 2 times the distance of runs
-                      with the steps of the answer that begin a last digit apart
+                      tolerance, or with a given step if they exceed the truncation error, it and
+                      the rounding of free flights are 2 times the distance of runs with the
+                      steps of the answer that begin a last digit apart
 ========  ==========  =========================================================================
+
+The estimate of a trajectory is e or 2, see `ErrorEstimate`. Step control uses e, however large.
 
 Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; the
 observed rate is that of Roache, Annu. Rev. Fluid Mech. 29, 123 (1997).
@@ -78,6 +82,7 @@ def estimate_truncation(
     nearby: float = 0.0,
     settled: bool = False,
     slow_order: float = math.inf,
+    least_ratio: float = 0.0,
 ) -> float:
     """Return the truncation error of an answer by Richardson's extrapolation at the observed rate.
 
@@ -95,6 +100,8 @@ def estimate_truncation(
         Whether the force is a smooth function of time, so that the order is sure.
     slow_order : float
         Lowest order that a part of the error may have.
+    least_ratio : float
+        Ratio r of steps that the first companion has at least everywhere; 0: ratios[0].
     """
     fine = distances[0]
     if not math.isfinite(fine):
@@ -108,6 +115,8 @@ def estimate_truncation(
     coarse = distances[1]
     first, second = ratios
     gain = observe_gain(fine, coarse, first, second, order)
+    if 1 < least_ratio < first:
+        gain **= math.log(least_ratio) / math.log(first)
     extrapolated = TRUST.safety * fine / (gain - 1)
     if slow_order < order and first > 1:
         steep = first**order

@@ -26,12 +26,16 @@ class Rounding:
         Of the force at rest, a step: the plain form of the force subtracts it.
     interpolated : float
         Of a displacement, a mean step: velocities between steps are differences of displacements.
+    reduced : float
+        Of the velocity at which damping alone would move displacements: that of a damped chain is a
+        sum of it and of the reduced one.
     """
 
     phase: float = 1.5
     drift: float = 0.125
     plain: float = 0.9
     interpolated: float = 8.0
+    reduced: float = 8.0
 
 
 ROUNDING = Rounding()
@@ -96,6 +100,27 @@ def interpolation_loss(steps: float, flights: float = 1.0) -> float:
     displacement.
     """
     return ROUNDING.interpolated * EPSILON * steps / flights
+
+
+def reduced_loss(scene: Scene, displacement: float, closer: float) -> float:
+    """Return the velocity that a damped chain loses by cancellation, m/s.
+
+    Its velocity is v = w + b(x) - gamma x, see `chain.damping`. In a slow motion v is small, and
+    the rounding errors of w, b and gamma x are not.
+
+    Parameters
+    ----------
+    scene : Scene
+    displacement : float
+        Largest displacement, m.
+    closer : float
+        Largest approach of two grains beyond that at rest, m.
+    """
+    chain = scene.chain
+    stiffness = chain.contacts.stiffness_at(chain.contacts.overlap + max(closer, 0.0))
+    viscous = chain.contact_viscosity * stiffness
+    rates = (viscous[:-1] + viscous[1:]) / chain.masses + chain.drag
+    return ROUNDING.reduced * EPSILON * float(rates[: chain.movable].max()) * displacement
 
 
 def rounded_energy(scene: Scene, evaluations: float) -> float:

@@ -222,8 +222,8 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     reach = expected_reach(scene, method, tolerance, shortens)
     phase = scene.highest_frequency * scene.duration / (scene.samples - 1)  # of an interval
     steps = math.ceil(phase / reach)
-    # companions land on every sample, by a half or a third of its steps
-    if 1 < steps < MANY_STEPS and math.gcd(steps, 6) == 1 and dies(scene):
+    # Two companions land on every sample, by halves, thirds or quarters of its steps.
+    while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and dies(scene):
         steps += 1
     coarse = False
     if shortens and not OPENINGS.kinks(scene.chain.exponent):
