@@ -230,7 +230,6 @@ def _returning(count: int, quick: bool) -> list[Row]:
         returning,
         field(OPENINGS, "nearby", ratios, late, rattles),
         field(OPENINGS, "nearby_kinked", ratios, sprung, "adaptive runs of springs"),
-        field(TRUST, "nearby", (0.1, 0.3, 0.5, 1.0), late, rattles),
     ]
 
 

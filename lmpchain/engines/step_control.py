@@ -360,12 +360,13 @@ def _shorten(
     """Return shorter steps, for the tolerance or the best that rounding leaves; None if none help.
 
     Where rounding alone is too much, a patient user gets what is right as long as round-off allows,
-    and others an error that is no more than twice that of rounding.
+    and others an error that is no more than three times that of rounding: distances of runs, which
+    count twice, are themselves as large as rounding there.
     """
     candidate = attempt.candidate
     tolerance = attempt.tolerance
     better = engine.refine(candidate, error, tolerance)
-    floor = tolerance if patient else max(tolerance, error.roundoff)
+    floor = tolerance if patient else max(tolerance, 2 * error.roundoff)
     if better is None and error.truncation > floor:
         better = engine.refine(candidate, error._replace(roundoff=0.0), floor)
     return better
