@@ -194,7 +194,6 @@ def main(quick: bool = False) -> list[Row]:
         field(OPENINGS, "equal_order", (1, 1.5, 2.5, 3, 4), equal, "equal steps through openings"),
         field(OPENINGS, "scattered_order", (0.8, 1.25, 1.5, 2, 3), equal, "the same"),
         field(OPENINGS, "kinked_below", (1.0, 1.05, 1.15, 1.4, 1.6), [*sprung, *open_ones], "all"),
-        field(OPENINGS, "kinked_order", (1, 2, 4, 6), sprung, "adaptive runs of springs"),
         *_returning(count, quick),
         _fewest(count),
         _landings((hard + springy)[:: 3 if quick else 2]),
@@ -231,7 +230,6 @@ def _returning(count: int, quick: bool) -> list[Row]:
         returning,
         field(OPENINGS, "nearby", ratios, late, rattles),
         field(OPENINGS, "nearby_kinked", ratios, sprung, "adaptive runs of springs"),
-        field(TRUST, "nearby", (0.1, 0.3, 0.5, 1.0), late, rattles),
     ]
 
 

@@ -93,12 +93,12 @@ class ChainBatch:
         self.initial = initial or self._initial()
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = together([scene.chain.contacts for scene in scenes])
-        overlap, force_at_rest = _with_touching(self.contacts, self._loose)
+        overlap, force_at_rest, stiffness = _with_touching(self.contacts, self._loose)
         at_rest = AtRest(
             overlap=overlap,
             force=force_at_rest,
             constant=self.contacts.constant,
-            stiffness=self.contacts.stiffness,
+            stiffness=stiffness,
             compressed=chain.compressed,
         )
         strikes = np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes])
@@ -218,19 +218,22 @@ class ChainBatch:
         return Dissipation(acts, viscosity, drag, acts and one_each and not pushed)
 
 
-def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array]:
-    """Return overlap and force at rest, (R, N+1) m and N, with a trace of them in loose contacts.
+def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array, Array]:
+    """Return overlap, m, force, N, and stiffness, N/m, at rest, (R, N+1) arrays each.
 
-    The compiled forms of the force need a length: with that of `TOUCHING` they are Hertz's law
-    without load but for less than their rounding.
+    Loose contacts have a trace of overlap and force, and no stiffness, springs either. The compiled
+    forms of the force need a length: with that of `TOUCHING` they are Hertz's law without load but
+    for less than their rounding.
     """
     if not loose:
-        return contacts.overlap, contacts.force
+        return contacts.overlap, contacts.force, contacts.stiffness
     overlap = contacts.overlap.copy()
     force = contacts.force.copy()
+    stiffness = contacts.stiffness.copy()
+    stiffness[:, 1 : loose + 1] = 0.0
     overlap[:, 1 : loose + 1] = TOUCHING
     force[:, 1 : loose + 1] = contacts.constant[:, 1 : loose + 1] * TOUCHING**contacts.exponent
-    return overlap, force
+    return overlap, force, stiffness
 
 
 @cache

@@ -28,7 +28,8 @@ class OpeningSteps:
     coarse : float
         The same of coarse ones, where samples hold steps short and that does not matter.
     crossing : float
-        omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening.
+        omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening, for
+        delta = 1.5; for other exponents the step that leaves the same error.
     least_crossing : float
         omega h' over the (delta + 1)th root of EPSILON: what a shorter step would gain is
         round-off.
@@ -51,11 +52,12 @@ def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[StepSchedul
     shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened
     weight, reach = batch.openings
     power = (order + 1) * falls
+    crossing = steps.crossing ** (2.5 * falls)
     least = steps.least_crossing * EPSILON**falls
 
     def nearness(reach: float, least: float) -> float:
         """Return that of the step that crosses an opening, omega h of others being `reach`."""
-        crosses = max(steps.crossing * reach**power, least)
+        crosses = max(crossing * reach**power, least)
         return (shortened * reach / crosses) ** (14 / 9)
 
     # of numbers of Python, whose powers have the same bits on every processor

@@ -8,7 +8,7 @@ import pytest
 from helpers import taylor_series
 
 import lmpchain
-from lmpchain import Chain, Impulse, Scene, simulate
+from lmpchain import Chain, Displacement, Impulse, Scene, simulate
 from lmpchain.errors import InputError
 
 PTFE = {
@@ -62,6 +62,14 @@ def test_native_agrees_with_taylor_series(name):
     true, _ = taylor_series.reference(struck, 1e-14)
     answer = simulate(struck, engine="native", tolerance=1e-9)
     assert true.error(answer.displacement, answer.velocity) < 1e-9
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_a_lifted_striker_stays_where_it_is(exponent):
+    lifted = Displacement(displacement=-1e-5)
+    answer = simulate(scene({"exponent": exponent}, lifted), "native", 1e-9)
+    assert answer.displacement[:, 0] == pytest.approx(-1e-5, rel=1e-15)
+    assert np.abs(answer.displacement[:, 1:]).max() < 1e-25
 
 
 @pytest.mark.parametrize("name", ["striker of another material", "weight above the load"])

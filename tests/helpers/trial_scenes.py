@@ -44,6 +44,24 @@ def trial_scene(
             continue
 
 
+def loose_trial_scene(rng: np.random.Generator, work: float = 1e4) -> Scene:
+    """Draw a scene whose contacts open and close: a striker, a chain that nothing presses, springs
+    of unequal masses, or a strong strike. A third of the scenes are forced all along.
+    """
+    while True:
+        try:
+            chain = _loose_chain(rng)
+            scene = _struck(rng, chain, work, weakest=0.1)
+            if rng.random() < 0.3:
+                scene = scene.replace(excitation=_acting(rng, chain, scene.duration, weakest=0.1))
+            scene = scene.replace(samples=2 if rng.random() < 0.4 else int(_log(rng, 2, 101.5)))
+            angle = scene.highest_frequency * scene.duration
+            if scene.largest_strain > 0.3 and angle < 2 * max(np.sqrt(work), work / chain.grains):
+                return scene
+        except InputError:
+            continue
+
+
 def damped(
     rng: np.random.Generator,
     scene: Scene,
@@ -113,6 +131,37 @@ def _chain(rng: np.random.Generator, exponents: tuple[float, ...]) -> Chain:
     return Chain(**fields)
 
 
+def _loose_chain(rng: np.random.Generator) -> Chain:
+    """Draw a chain with contacts that only touch, springs, or one that is pressed."""
+    exponents = (
+        1.0,
+        1.25,
+        1.5,
+        1.5,
+        2.0,
+        2.5,
+        3.0,
+        1 + _log(rng, 1e-3, 0.1),
+        *rng.uniform(1, 3, 4),
+    )
+    kind = rng.choice(["striker"] * 4 + ["loose"] + ["free"] * 3 + ["springs"] * 2 + ["pressed"])
+    grains = int(_log(rng, 3, 30 if rng.random() < 0.85 else 1000))
+    fields: dict[str, Any] = {"grains": grains, "exponent": float(rng.choice(exponents))}
+    fields["top"] = "wall" if rng.random() < 0.3 else "free"
+    fields["bottom"] = rng.choice(["fixed", "wall", *["free"] * 4 * (kind == "free")]).item()
+    fields |= _grains(rng, grains)
+    fields["gravity"] = 0.0
+    if kind != "free":
+        fields["top_load"] = _log(rng, 1e-4, 30)
+    if kind in ("striker", "loose"):
+        fields["load_grain"] = 2 if kind == "striker" else int(rng.integers(2, grains))
+    if kind in ("springs", "pressed") and rng.random() < 0.5:
+        fields |= {"top_load": 0.0, "gravity": _log(rng, 1e-1, 1e2)}
+    if kind == "springs":
+        fields |= {"exponent": 1.0, "masses": 1e-6 * _log(rng, 1, 1e4) ** rng.random(grains)}
+    return Chain(**fields)
+
+
 def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
     """Draw the grains: alike, with impurities, tapered, periodic, disordered, or
     masses and constants of their own.
@@ -158,10 +207,11 @@ def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
     return alike
 
 
-def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
+def _struck(rng: np.random.Generator, chain: Chain, work: float, weakest: float = 1e-12) -> Scene:
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
-    number = _log(rng, 1e-12, 1e4)
-    contact = min(grain, chain.grains - 1) - 1
+    number = _log(rng, weakest, 1e4)
+    # a contact that only touches has no length of its own
+    contact = min(max(grain, 1 + chain.loose_grains), chain.grains - 1) - 1
     mass = chain.masses[grain - 1]
     constant = chain.contact_constants[contact]
     if chain.compressed:
@@ -259,19 +309,23 @@ def acted_trial_scene(
             continue
 
 
-def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | Drive | Packet:
+def _acting(
+    rng: np.random.Generator, chain: Chain, duration: float, weakest: float = 1e-10
+) -> Force | Drive | Packet:
     """Draw what acts on a chain for so long: strengths over that at rest 1e-10 to 100."""
     grain = 1 if rng.random() < 0.4 else int(rng.integers(1, chain.movable + 1))
     kinds = ["force"] * 4 + ["wall"] * 3 * (chain.top == "wall") + ["drive"] * (chain.top == "free")
     kind = rng.choice(kinds + ["packet"] * 3 * chain.compressed)
     contact = max(grain - 1, int(chain.top == "free")) if kind == "force" else int(kind == "drive")
-    if kind == "force" and chain.compressed and chain.contacts.force[contact] == 0.0:
+    while (kind == "force" or chain.loose_grains) and (
+        chain.compressed and chain.contacts.force[contact] == 0.0
+    ):
         # a wall that nothing presses against grain 1: its contact below holds it
         contact += 1
     constant = chain.contacts.constant[contact]
     mass = chain.masses[max(contact - 1, 0)]
     held = chain.contacts.force[contact] if chain.compressed else _log(rng, 1e-6, 10)
-    size = float(rng.choice([-1.0, 1.0])) * held * _log(rng, 1e-10, 1e2)
+    size = float(rng.choice([-1.0, 1.0])) * held * _log(rng, weakest, 1e2)
     length = abs(size) / chain.contacts.stiffness[contact] if chain.compressed else 0.0
     length = (
         max(length, (abs(size) / constant) ** (1 / chain.exponent)) if abs(size) > held else length

@@ -11,7 +11,7 @@ import pytest
 from helpers import plain_methods as plain
 from helpers.plain_methods import WIDE, Motion
 
-from lmpchain import Chain, Drive, Force, Profile, Scene
+from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene, simulate
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.held_steps import adaptive_steps
 from lmpchain.integrators.methods import METHODS
@@ -88,8 +88,8 @@ def time_to_opening(gap: float, rate: float, bend: float) -> float:
 
 
 def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -> float:
-    """Return the largest of all contacts: (weight)^2 |rate^2 - 2 gap
-    bend|^(3/2) / (omega distance)^9.
+    """Return the largest of all contacts: (weight)^2 size^(3/2) / (omega distance)^9, where size is
+    |rate^2 - 2 gap bend|, but at least that of a double root.
     """
     chain = scene.chain
     batch = ChainBatch([scene])
@@ -120,10 +120,14 @@ def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -
         gap = float(r[n] / length) + pressed
         rate = float(rates[n] / length)
         bend = float(bends[n] / length)
-        weight = ((force if pressed else constant) * mobility[n] / (omega**2.5 * speed)) ** 2
-        size = abs(rate**2 - 2 * gap * bend)
+        typical = (speed / (omega * length)) ** (chain.exponent - 1.5)
+        pull = (force if pressed else constant) * typical
+        weight = (pull * mobility[n] / (omega**2.5 * speed)) ** 2
         distance = time_to_opening(gap, rate, bend)
-        near = min(cap, 1 / (omega * distance) if distance else np.inf)
+        fast = 2 * abs(gap) / distance if distance else 2 * max(rate, 0.0)
+        fast = max(fast, abs(bend) / (2 * omega * cap)) if gap >= 0 else fast
+        size = max(abs(rate**2 - 2 * gap * bend), fast**2 / 32)
+        near = min(cap, fast / (2 * omega * abs(gap)) if gap else np.inf * bool(fast))
         largest = max(largest, weight * size**1.5 * near**9)
     return largest
 
@@ -144,7 +148,8 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
     longest = scene.duration / LOOKS / each
     omega = scene.highest_frequency
     falls = 1 / (scene.chain.exponent + 1)
-    crosses = OPENING_STEPS.crossing * (omega * longest) ** ((method.order + 1) * falls)
+    crossing = OPENING_STEPS.crossing ** (2.5 * falls)
+    crosses = crossing * (omega * longest) ** ((method.order + 1) * falls)
     crosses = max(crosses, OPENING_STEPS.least_crossing * EPSILON**falls)
     shortened = OPENING_STEPS.shortened
     cap = (shortened * omega * longest / crosses) ** (14 / 9)
@@ -247,3 +252,15 @@ def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride
     for order in (0, 1):
         error = np.abs(fields[order, 0] - true[order, 0])[between].max() / scale[order]
         assert error < 1e-9
+
+
+@pytest.mark.parametrize("exponent", [1.75, 2.5])
+def test_steps_in_the_vacuum_do_not_depend_on_the_unit_of_length(exponent: float):
+    """A strike at another speed is the same motion in other units."""
+    chain = Chain(grains=4, diameter=1e-3, exponent=exponent, gravity=0.0, bottom="wall")
+    steps = set()
+    for speed in (1e-4, 0.1):
+        scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-6, samples=2)
+        scene = scene.replace(duration=30 / scene.highest_frequency)
+        steps.add(simulate(scene, "native", 1e-8).cost.steps)
+    assert len(steps) == 1

@@ -205,9 +205,10 @@ def test_contacts_that_are_open_at_rest_are_known(ends: str):
     assert (state["least_strain"] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
 
 
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.2])
 @pytest.mark.parametrize("ends", ENDS)
-def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(ends: str):
-    made = chains(**ENDS[ends])
+def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(ends, exponent):
+    made = chains(**ENDS[ends], exponent=exponent)
     laid = batch(*made)
     weight, reach = laid.openings
     for real, chain in enumerate(made):
@@ -219,6 +220,10 @@ def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(e
         mobility = np.maximum(lightest[:-1], lightest[1:])
         pull = (contacts.constant if "vacuum" in ends else contacts.force).copy()
         pull[0] = contacts.constant[0] if ends == "touching" else pull[0]
+        length = np.ones(N + 1) if "vacuum" in ends else contacts.overlap.copy()
+        length[0] = 1.0 if ends == "touching" else length[0]
+        strain = np.divide(laid.scale[real, 0], length, out=np.ones(N + 1), where=length > 0)
+        pull = pull * strain ** (exponent - 1.5)
         expected = (pull * mobility / (omega**2.5 * laid.scale[real, 1])) ** 2
         assert weight[real, PAD - 1 : PAD + N] == pytest.approx(expected, rel=1e-13)
         assert not np.delete(weight[real], np.arange(PAD - 1, PAD + N)).any()

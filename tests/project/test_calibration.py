@@ -42,7 +42,7 @@ SHOWN = {
     ],
     "richardson_estimate": [
         *("TRUST.safety", "TRUST.least_gain", "TRUST.settled", "OPENINGS.near"),
-        *("OPENINGS.equal_order", "OPENINGS.kinked_order", "FEWEST_STEPS", "MANY_STEPS"),
+        *("OPENINGS.equal_order", "FEWEST_STEPS", "MANY_STEPS"),
     ],
     "roundoff": [
         *("native_floor", "ROUNDING.phase", "ROUNDING.drift", "ROUNDING.plain", "STRONG"),

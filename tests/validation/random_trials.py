@@ -25,7 +25,13 @@ from typing import Any
 
 import numpy as np
 from helpers.taylor_series import FINEST, Reference, Unresolved, reference, solve
-from helpers.trial_scenes import acted_trial_scene, damped, short_damped_scene, trial_scene
+from helpers.trial_scenes import (
+    acted_trial_scene,
+    damped,
+    loose_trial_scene,
+    short_damped_scene,
+    trial_scene,
+)
 
 from lmpchain import InputError, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.engines.native import Native
@@ -36,7 +42,7 @@ ROUND = 2.3e-16  # two answers in double precision may differ by so much
 SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
 FAMILIES = (
     *("native", "step", "auto", "linear", "lammps", "acted"),
-    *("damped", "damped-lammps", "damped-short"),
+    *("damped", "damped-lammps", "loose", "damped-short"),
 )
 # least tolerance that makes sense
 LOOSE = {
@@ -123,6 +129,10 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
             engine = "native"
             tolerance = float(10 ** rng.uniform(-11, -3))
             scene = short_damped_scene(rng)
+        case "loose":
+            engine = rng.choice(["auto", "native"]).item()
+            tolerance = float(10 ** rng.uniform(-11, -3))
+            scene = loose_trial_scene(rng, 10 ** rng.uniform(2.3, 4.3))
         case "damped-lammps":
             engine = "lammps"
             tolerance = float(10 ** rng.uniform(-4, -1.5))

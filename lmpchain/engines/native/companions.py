@@ -2,7 +2,8 @@
 
 They run at 2h and 4h, for the rate at which differences shrink gives the error; where 4h is too
 long there is one at 2h, and where that is, one at h/2. Where contacts open again and again errors
-scatter, and two runs may agree by chance: there runs one more, at about 1.5h.
+scatter, and two runs may agree by chance: there runs one more, at about 1.5h. So it does where
+contacts only touch at rest.
 """
 
 from __future__ import annotations
@@ -49,8 +50,6 @@ class Openings:
         Strain from which a contact that is pressed by equal steps began as good as open.
     kinked_below : float
         Exponent below which the force has a kink at an opening.
-    kinked_order : float
-        That is trusted there.
     returning : float
         Phase of the fastest motion, in radians a grain, after which waves come back to contacts
         that opened: errors scatter from there on.
@@ -66,7 +65,6 @@ class Openings:
     scattered_order: float = 1.0
     far: float = 10.0
     kinked_below: float = 1.25
-    kinked_order: float = 3.0
     returning: float = 10.0
     nearby: float = 1.5
     nearby_kinked: float = 1.75
@@ -75,12 +73,10 @@ class Openings:
         """Say whether the force of contacts of this exponent has a kink at an opening."""
         return exponent < self.kinked_below
 
-    def trusted_order(self, exponent: float, candidate: Candidate) -> float:
+    def trusted_order(self, candidate: Candidate) -> float:
         """Return the highest order that is trusted where contacts open, or nearly so."""
         if not candidate.adaptive:
             return self.equal_order
-        if self.kinks(exponent):
-            return self.kinked_order
         return self.coarse_order if candidate.coarse_openings else self.order
 
 
@@ -127,7 +123,7 @@ class Companions:
         self._method = method
         self._candidate = candidate
         exponent = scenes[0].chain.exponent
-        self._order_at_openings = min(method.order, OPENINGS.trusted_order(exponent, candidate))
+        self._order_at_openings = min(method.order, OPENINGS.trusted_order(candidate))
         longer = longer_steps(method, scenes[0], candidate)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._far = [scene.largest_strain > OPENINGS.far for scene in scenes]
@@ -164,7 +160,8 @@ class Companions:
             Whether contacts open or nearly so.
         """
         proper = len(self.schedules) - self._nearby
-        scatters = opens and self.recurrent[real]
+        # errors scatter where contacts open; elsewhere this distance, too, has the order
+        gain = 1.0 if opens else self.ratios[-1] ** order - 1
         order, slow_order = self._orders(real, order, opens)
         settled = not self._candidate.adaptive and slow_order == self._method.order
         return max(
@@ -172,7 +169,7 @@ class Companions:
                 field[:proper],
                 self.ratios[:proper],
                 order,
-                nearby=sum(field[proper:]) if scatters else 0.0,
+                nearby=sum(field[proper:]) / gain if self.recurrent[real] else 0.0,
                 settled=settled,
                 slow_order=slow_order,
                 least_ratio=self._least_ratio[real],
@@ -266,9 +263,10 @@ def dies(scene: Scene) -> bool:
 
 
 def recurs(scene: Scene) -> bool:
-    """Say whether contacts may open again and again, by reflections or a drive.
+    """Say whether contacts may open so often that errors scatter, by reflections or a drive.
 
-    Where the force has a kink at an opening, once is enough.
+    Where the force has a kink at an opening, once is enough. Contacts that only touch at rest open
+    and close from the beginning.
     """
     crossed = 1  # what acts all along, or on many grains, opens contacts again without a reflection
     if isinstance(scene.excitation, STRIKES):
@@ -278,4 +276,5 @@ def recurs(scene: Scene) -> bool:
         crossed = min(above, below) or scene.chain.grains
     returns = scene.highest_frequency * scene.duration > OPENINGS.returning * crossed
     opens = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
-    return opens and (returns or OPENINGS.kinks(scene.chain.exponent))
+    chain = scene.chain
+    return opens and (returns or OPENINGS.kinks(chain.exponent) or not chain.linearisable)

@@ -5,7 +5,7 @@ The estimate of the largest relative error of an answer at steps h is
     e = max(2 d12 / (g - 1),  b)                                 truncation
         + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      round-off, as it is or amplified
 
-with b = dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
+with b = 2 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
 at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
 nothing opens and steps are equal. Where equal steps press contacts to far beyond their overlap at
 rest, these began as good as open: a part of the error falls with h^2 alone, and with the share s of
@@ -17,7 +17,8 @@ symbol    variable    meaning
 d12       fine        distance of the answer from a companion at steps r1 h = 2 h, over the
                       largest motion
 d24       coarse      distance of that companion from one at steps r2 h = 4 h
-dn        nearby      distance of the answer from one at 1.5 h, which runs where errors scatter
+dn        nearby      distance of the answer from one at 1.5 h, which runs where errors may scatter;
+                      over 1.5^p - 1 if no contact opened
 r1, r2    ratios      steps of the companions over h
 p         order       order that is trusted, see `Companions.truncation`
 g         gain        error at steps r1 h over that at h, as observed:
@@ -55,12 +56,9 @@ class Trust:
     Attributes
     ----------
     safety : float
-        Factor on the extrapolated error.
+        Factor on the extrapolated error, and on the distance from a companion at 1.5 h.
     least_gain : float
         Of steps of twice the length: differences that shrink by less show no order at all.
-    nearby : float
-        Share of the distance from a companion at 1.5 h that the error is at least, where errors
-        scatter.
     settled : float
         Difference up to which two runs alone show the error: phases that are far off lose the
         order.
@@ -68,7 +66,6 @@ class Trust:
 
     safety: float = 2.0
     least_gain: float = 1.5
-    nearby: float = 1.0
     settled: float = 0.01
 
 
@@ -95,7 +92,7 @@ def estimate_truncation(
     order : float
         That is trusted.
     nearby : float
-        Relative distance dn from the companion at 1.5 h; 0 where there is none.
+        dn; 0 where there is no companion at 1.5 h.
     settled : bool
         Whether the force is a smooth function of time, so that the order is sure.
     slow_order : float
@@ -125,7 +122,7 @@ def estimate_truncation(
         mean = (1 - share) / (steep - 1) + share / (flat - 1)
         extrapolated = max(extrapolated, TRUST.safety * fine * mean)
     # one more companion confirms the rate; without it, the coarse difference alone is a bound, too
-    bound = TRUST.nearby * nearby if nearby > 0 else coarse / (second**order - first**order)
+    bound = TRUST.safety * nearby if nearby > 0 else coarse / (second**order - first**order)
     return max(extrapolated, bound)
 
 

@@ -60,6 +60,13 @@ def _score(gap, rate, bend, weight, omega, nearest):
     fast = towards + root if inside > 0.0 else modulus
     comes = gap if gap > inside else inside
     fast = fast if comes > 0.0 else 0.0
+    # grains that touch at rest: the overlap grows like t^2, and they were never nearer than this
+    least = abs(bend) / (2.0 * omega * nearest)
+    fast = least if fast < least and gap >= 0.0 else fast
+    # roots closer together than their distance act like one double root there
+    double = fast * fast / 32.0
+    size = double if size < double else size
+    root = math.sqrt(size)
     # 1e-300: an overlap of nothing gives the nearest, not no number
     near = fast / (2.0 * omega * (abs(gap) + 1e-300))
     near = near if near > 0.0 else 0.0

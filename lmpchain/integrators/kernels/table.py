@@ -118,6 +118,9 @@ def _fill_layout(layout, at_rest, masses, strikes, free):
         scale[real, 1] = speed
         # a single grain has a contact with the wall above it, or one with that below
         below = 1 if constant[0, 1] > 0.0 else 0
+        # a contact that only touches has no unit
+        while compressed and stiffness[real, below] == 0.0 and below < grains:
+            below += 1
         length = overlap[real, below]
         unit = length * math.sqrt(stiffness[real, below] / masses[real, 0])
         units[real, 0] = length
@@ -226,13 +229,19 @@ def opening_weights(
 def _fill_weights(weight, reach, links, inverse_mass, omega, scale):
     """Fill the weights of contacts, see `opening_weights`."""
     batch, width = inverse_mass.shape
+    # steps are those for a force that goes as t^(3/2): of one that goes as t^delta, the size of
+    # the force at a typical overlap counts
+    power = links.coefficients[-1] - 1.5
     for real in range(batch):
         changes = omega[real] ** 2.5 * scale[real, 1] + 1e-300
+        typical = scale[real, 0] + 1e-300
         slow = math.sqrt(2.0) * (2.0 * omega[real]) ** 3
         for n in range(width):
             below = inverse_mass[real, n + 1] if n + 1 < width else 0.0
             mobility = max(inverse_mass[real, n], below)
             touching = links.uncompressed[real] if n == PAD - 1 else 0.0
-            pull = links.strength[real, n] + touching
+            inverse_length = links.inverse_length[real, n]
+            strain = typical * (inverse_length if inverse_length > 0.0 else 1.0)
+            pull = (links.strength[real, n] + touching) * strain**power
             weight[real, n] = min(pull * mobility / changes, 1e150) ** 2
             reach[real, n] = np.cbrt(weight[real, n]) / slow
