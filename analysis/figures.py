@@ -156,7 +156,7 @@ def finish(picture: Figure, path: Path) -> None:
     """
     restyle(picture)
     about = {"Commit": commit(), "Command": command(), "Numbers": json.dumps(PRINTED_NUMBERS)}
-    with write_aside(path) as aside:
+    with write_aside(path, overwrite=True) as aside:
         picture.savefig(aside, dpi=110, format="png", metadata=about, pil_kwargs={"optimize": True})
     if SVG in sys.argv:
         save_for_print(picture, path.with_suffix(".svg"))
@@ -171,7 +171,7 @@ def save_for_print(picture: Figure, path: Path) -> None:
     for cells in picture.findobj(QuadMesh):
         cells.set_rasterized(True)
     # the same picture gives the same file
-    with rc_context({"svg.hashsalt": "lmpchain"}), write_aside(path) as aside:
+    with rc_context({"svg.hashsalt": "lmpchain"}), write_aside(path, overwrite=True) as aside:
         picture.savefig(aside, dpi=PRINT_DPI, format="svg", metadata={"Date": None})
 
 
@@ -230,7 +230,7 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[obje
         # 1e-6, as the pages have it
         lines.append(f"| {' | '.join(map(str, row))} |".replace("e-0", "e-"))
         print(lines[-1], flush=True)
-    with write_aside(path) as aside:
+    with write_aside(path, overwrite=True) as aside:
         aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

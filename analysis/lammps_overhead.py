@@ -133,7 +133,7 @@ def main() -> None:
     for grains, steps in COLUMNS.items():
         rows.append(measure(grains, steps, given.runs))
         print(line(rows[-1]), flush=True)
-    with write_aside(KEPT) as aside:
+    with write_aside(KEPT, overwrite=True) as aside:
         load = os.getloadavg()[0]
         kept = {"machine": f"{machine()}, load {load:.1f}", "rows": rows}
         aside.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")

@@ -189,7 +189,7 @@ def main() -> None:
         numbers = json.loads(stored.read_text(encoding="utf-8"))
     else:
         numbers = {"machine": machine()} | measure(given.quick)
-        with write_aside(stored) as aside:
+        with write_aside(stored, overwrite=True) as aside:
             aside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     print(tables(numbers))
     finish(draw(numbers), given.output)

@@ -54,7 +54,7 @@ def main() -> None:
             numbers = json.loads(kept.read_text(encoding="utf-8"))
         else:
             numbers = _short(module.measure(given.quick))
-            with write_aside(kept) as aside:
+            with write_aside(kept, overwrite=True) as aside:
                 aside.write_text(json.dumps(numbers) + "\n", encoding="utf-8")
         finish(module.draw(numbers), folder / f"stability_{name}.png")
 

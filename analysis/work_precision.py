@@ -95,7 +95,7 @@ def main() -> None:
             reached[row["code"]].append((row["seconds"], row["error"]))
         print(f"{name}\n{result.table(reached)}")
         if not given.draw:
-            with write_aside(kept) as aside:
+            with write_aside(kept, overwrite=True) as aside:
                 aside.write_text(json.dumps(result.to_json()) + "\n", encoding="utf-8")
         finish(draw(result, others=measured).figure.figure, kept.with_suffix(".png"))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .util.lammps_import import load_mpi_before_lammps
 from .util.lazy import attributes, listed
 
 # type checkers and editors read these lines, which never run
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from .sweeps.results import load_sweep as load_sweep
     from .sweeps.run import sweep as sweep
     from .trajectory.trajectory import Trajectory as Trajectory
+    from .util.version import __version__ as __version__
 
 # imported at the first use of a name: all of them together would take a second, and a command needs
 # few
@@ -107,5 +109,6 @@ _PACKAGES = (
     "trajectory",
 )
 __all__ = [*_PACKAGES, *" ".join(_MODULES.values()).split()]
-__getattr__ = attributes(__name__, _PACKAGES, _MODULES)
+__getattr__ = attributes(__name__, _PACKAGES, _MODULES | {"util.version": "__version__"})
 __dir__ = listed(__name__)
+load_mpi_before_lammps()

@@ -232,7 +232,7 @@ def main() -> None:
             result = measure(scene, others)
     except lmpchain.InputError as faults:
         parser.error(str(faults))
-    with write_aside(path) as aside:
+    with write_aside(path, overwrite=True) as aside:
         aside.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(f"\n{given.scene.stem}: {result['machine']}; {result['versions']}")
     print(f"The reference is known to {result['reference_error']:.0e}.\n\n{table(result)}")

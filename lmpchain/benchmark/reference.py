@@ -160,6 +160,8 @@ def expected_seconds(scene: Scene) -> float:
     # a strong damping shortens the steps
     duration *= float(scene.chain.damping.fastest_rate(1 / float(motion.time)) * motion.time)
     steps = duration / (COST.smooth if scene.strike_number < 1 else COST.broken) + 1
+    # steps end at the points of what acts
+    steps += np.count_nonzero(motion.knots < motion.instants[-1])
     return 2 * steps * (COST.step_s + COST.grain_s * float(grains))
 
 

@@ -34,6 +34,6 @@ def averages(arguments: argparse.Namespace) -> int:
         panels = pages.subplots(len(result.mean), squeeze=False)[:, 0]
         for ax, name in zip(panels, result.mean, strict=True):
             result.plot(ax, of=name)
-        save(pages, picture)
+        save(pages, picture, overwrite=True)
         print(f"picture: {picture}")
     return 0

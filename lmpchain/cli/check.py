@@ -15,7 +15,10 @@ def check(arguments: argparse.Namespace) -> int:
         raise InputError.at("run", "name one: a dump or a saved run, or else --deck FOLDER")
     scene, numbers, _ = gather(
         lambda: arguments.scene and read(arguments.scene),
-        lambda: arguments.json and output(arguments.json, arguments.scene or subject),
+        lambda: (
+            arguments.json
+            and output(arguments.json, arguments.scene or subject, force=arguments.force)
+        ),
         lambda: check_tolerance(0.5 if arguments.tolerance is None else arguments.tolerance),
     )
     from ..benchmark.own_run import check, check_deck

@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import atexit
 import gc
+import io
 import os
+import resource
 import signal
 import sys
 import threading
@@ -33,6 +35,11 @@ OBJECTS_BETWEEN_LOOKS = 20_000
 BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 
 
+# Under a limit on memory, as of `ulimit -v`, OpenBLAS asks for the memory of its threads for ever.
+SMALL_MEMORY = 2**32  # bytes
+ONE_THREAD = "OPENBLAS_NUM_THREADS", "1"
+
+
 class _Terminated(BaseException):
     """SIGTERM arrived; no `Exception`, so that no handler of faults catches it."""
 
@@ -49,8 +56,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         Arguments without the name of the program; those of the process by default.
     """
     gc.set_threshold(OBJECTS_BETWEEN_LOOKS)
+    # A file name may have letters that the encoding of the output lacks.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     atexit.register(gc.freeze)
     os.environ.setdefault(*BRIEF_WAITING)
+    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < SMALL_MEMORY:
+        os.environ.setdefault(*ONE_THREAD)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):
         if mpi.is_launched() and not mpi.is_first():
             # the first one does it all
@@ -143,6 +156,11 @@ def _main(argv: Sequence[str] | None) -> int:
         raise
     except OSError as error:
         complain(str(error))
+        return 1
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "start new thread" not in str(error):
+            raise
+        complain("memory ran out: record fewer grains or samples, or use a shorter chain")
         return 1
     except KeyboardInterrupt:
         print(f"stopped by Ctrl-C; {_describe_rest(arguments)}", file=sys.stderr)

@@ -68,9 +68,12 @@ def read(path: str) -> Scene:
     return Scene.from_toml(path)
 
 
-def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
-    """Return the path of a file to write, after checking that it can be written."""
-    from ..util.files import expanded
+def output(name: str, scene: str, suffixes: Sequence[str] = (), *, force: bool = False) -> Path:
+    """Return the path of a file to write, after checking that it can be written.
+
+    A file that lmpchain did not write may be replaced only by `force`.
+    """
+    from ..util.files import expanded, is_foreign
 
     path = expanded(name)
     if path.is_dir() or name.endswith(("/", os.sep)):
@@ -90,14 +93,21 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
     writable = os.access(path.parent, os.W_OK | os.X_OK)
     if not writable or (path.exists() and not os.access(path, os.W_OK)):
         raise InputError.at(name, "you may not write there; choose another place")
+    if not force and is_foreign(path):
+        raise InputError.at(
+            name,
+            "is a file that lmpchain did not write: name another file, or replace it with --force",
+        )
     return path
 
 
 def check_outputs(arguments: Any, source: str) -> tuple[Callable[[], Any], Callable[[], Any]]:
     """Return the checks for `gather` of the paths of picture and numbers; None if not asked for."""
     return (
-        lambda: arguments.output and output(arguments.output, source, PICTURES),
-        lambda: arguments.json and output(arguments.json, source),
+        lambda: (
+            arguments.output and output(arguments.output, source, PICTURES, force=arguments.force)
+        ),
+        lambda: arguments.json and output(arguments.json, source, force=arguments.force),
     )
 
 
@@ -107,17 +117,17 @@ def beside(path: str, suffix: str) -> str:
 
 
 def write_json(data: dict[str, Any], path: Path) -> None:
-    """Write numbers as JSON."""
+    """Write numbers as JSON to a path that `output` has checked."""
     import json
 
     from ..util.files import write_aside
 
-    with write_aside(path) as aside:
+    with write_aside(path, overwrite=True) as aside:
         aside.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: Any) -> None:
-    """Write numbers and picture of a result, where they are asked for."""
+    """Write numbers and picture of a result to paths that `output` has checked, if any."""
     if numbers:
         write_json(result.to_json(*arguments), numbers)
         print(f"numbers: {numbers}")
@@ -128,5 +138,5 @@ def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: An
 
         # a command opens no window
         matplotlib.use("agg")
-        save(result.plot(*arguments), picture)
+        save(result.plot(*arguments), picture, overwrite=True)
         print(f"picture: {picture}")

@@ -17,6 +17,7 @@ from ..errors import (
     shown,
 )
 from ..util.remarks import warnings_aside
+from ..util.tables import wrap
 from .common import (
     PICTURES,
     beside,
@@ -51,6 +52,7 @@ def compare(arguments: argparse.Namespace) -> int:
     )
     from .. import engines
     from ..benchmark import comparison
+    from ..benchmark.dense_traces import thinned
     from ..benchmark.truth import truth
 
     reasons = {name: engines.get(name).obstacles(scene) for name in names}
@@ -58,6 +60,7 @@ def compare(arguments: argparse.Namespace) -> int:
     engines_of_scene = [name for name in names if not reasons[name]]
     if not engines_of_scene:
         raise InputError(refusals)
+    scene, remark = thinned(scene, arguments.tolerance)
     trajectories, failures = _solve(scene, engines_of_scene, arguments.tolerance)
     beginning = min((each.scene for each in trajectories), key=_count_samples, default=scene)
     if beginning.samples < scene.samples:
@@ -69,6 +72,8 @@ def compare(arguments: argparse.Namespace) -> int:
         lossless = _lossless(scene, arguments.tolerance)
         result = comparison.compare(trajectories, solution, lossless)
         print(result.table())
+    for line in wrap(remark) if remark else ():
+        print(line)
     for key, reason in refusals:
         print(f"left out: {reason} ({key})")
     if trajectories:
@@ -155,8 +160,11 @@ def workprec(arguments: argparse.Namespace) -> int:
     json = arguments.json or (arguments.output and beside(arguments.output, ".json"))
     scene, picture, numbers = gather(
         lambda: read(arguments.scene),
-        lambda: arguments.output and output(arguments.output, arguments.scene, PICTURES),
-        lambda: json and output(json, arguments.scene),
+        lambda: (
+            arguments.output
+            and output(arguments.output, arguments.scene, PICTURES, force=arguments.force)
+        ),
+        lambda: json and output(json, arguments.scene, force=arguments.force),
     )
     from ..benchmark.bench import work_precision
 
@@ -192,7 +200,7 @@ def _show_finding(finding: Finding) -> None:
 
 def doctor(arguments: argparse.Namespace) -> int:
     """Check the installation and print finding by finding; a fault sets the exit code."""
-    path = arguments.json and output(arguments.json, "")
+    path = arguments.json and output(arguments.json, "", force=arguments.force)
     from ..doctor import compile_all, diagnose
 
     if arguments.compile:

@@ -18,7 +18,7 @@ def explore(arguments: argparse.Namespace) -> int:
     """Write a page with sliders that go through runs of a scene."""
     _, path, *axes = gather(
         lambda: read(arguments.scene),
-        lambda: output(arguments.output, arguments.scene, PAGES),
+        lambda: output(arguments.output, arguments.scene, PAGES, force=arguments.force),
         *((lambda text=text: read_axis(text)) for text in arguments.over),
     )
     from ..report.exploration import explore
@@ -28,7 +28,7 @@ def explore(arguments: argparse.Namespace) -> int:
         raise InputError.at(twice[0], "has two sliders: name each key once")
     # the file and not the scene, as a key may stand for what the file leaves out
     source = {"scene": arguments.scene, "over": dict(axes), "tolerance": arguments.tolerance}
-    explore(source, path, progress=on_terminal())
+    explore(source, path, progress=on_terminal(), overwrite=True)
     runs = math.prod(len(values) for _, values in axes)
     size = path.stat().st_size
     print(f"page: {path} ({runs} runs, {size / 1e6:.2g} MB)")

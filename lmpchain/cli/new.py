@@ -22,7 +22,7 @@ EXAMPLES = {
 def new(arguments: argparse.Namespace) -> int:
     """Write a commented scene."""
     name = arguments.scene
-    path = output(name, "", (".toml",))
+    path = output(name, "", (".toml",), force=True)
     if path.exists() and not arguments.force:
         raise InputError.at(name, "is there already: name another file, or add --force")
     # it stands in comments, which a line break would end
@@ -34,7 +34,7 @@ def new(arguments: argparse.Namespace) -> int:
     quoted = shlex.quote(name)
     stem = shlex.quote(beside(name, ""))
     text = render(f"examples/{arguments.example}.toml", scene=quoted, stem=stem)
-    with write_aside(path) as aside:
+    with write_aside(path, overwrite=True) as aside:
         aside.write_text(text, encoding="utf-8")
     print(f"scene: {path} ({EXAMPLES[arguments.example]})")
     print(f"next: lmpchain compare {quoted} -o {shlex.quote(beside(name, '.png'))}")

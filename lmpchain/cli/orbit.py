@@ -35,7 +35,7 @@ def orbit(arguments: argparse.Namespace) -> int:
     if picture:
         from ..util.plotting import save
 
-        save(_picture(family, arguments.of), picture)
+        save(_picture(family, arguments.of), picture, overwrite=True)
         print(f"picture: {picture}")
     return 0 if family.reached else 1
 

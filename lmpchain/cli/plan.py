@@ -17,7 +17,9 @@ def plan(arguments: argparse.Namespace) -> int:
         raise InputError.at("json", "goes with a scene file; name one")
     scene, numbers, _ = gather(
         lambda: arguments.scene and read(arguments.scene),
-        lambda: arguments.json and output(arguments.json, arguments.scene or ""),
+        lambda: (
+            arguments.json and output(arguments.json, arguments.scene or "", force=arguments.force)
+        ),
         lambda: check_tolerance(arguments.tolerance),
     )
     # first, so that the proposals below rest on the new speeds

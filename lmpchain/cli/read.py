@@ -39,8 +39,8 @@ def export(arguments: argparse.Namespace) -> int:
     """Write traces of a run as a CSV file."""
     run, path, force, velocity, displacement = gather(
         lambda: _run_or_dump(arguments),
-        lambda: output(arguments.output, arguments.run, TABLES),
-        lambda: _places(arguments.force, "force", ("wall", "top", "bottom")),
+        lambda: output(arguments.output, arguments.run, TABLES, force=arguments.force),
+        lambda: _places(arguments.contact_force, "contact-force", ("wall", "top", "bottom")),
         lambda: _places(arguments.velocity, "velocity"),
         lambda: _places(arguments.displacement, "displacement"),
     )
@@ -54,10 +54,10 @@ def export(arguments: argparse.Namespace) -> int:
             displacement=displacement,
             energy=arguments.energy,
             above_rest=arguments.above_rest,
-        ).to_csv(path)
+        ).to_csv(path, overwrite=True)
     else:
         # all that was recorded
-        run.to_csv(path)
+        run.to_csv(path, overwrite=True)
     print(f"traces: {path}")
     return 0
 
@@ -77,7 +77,10 @@ def fit(arguments: argparse.Namespace) -> int:
     """Fit the theory to a saved run or a LAMMPS dump."""
     trajectory, path = gather(
         lambda: _run_or_dump(arguments),
-        lambda: arguments.json and output(arguments.json, arguments.scene or arguments.run),
+        lambda: (
+            arguments.json
+            and output(arguments.json, arguments.scene or arguments.run, force=arguments.force)
+        ),
     )
     if path and path.exists() and path.samefile(arguments.run):
         raise InputError.at(arguments.json, "is the run itself; name another file")
@@ -125,11 +128,12 @@ def report(arguments: argparse.Namespace) -> int:
     """Write an HTML page about a saved run or a LAMMPS dump."""
     page = arguments.output or beside(arguments.run, ".html")
     trajectory, path = gather(
-        lambda: _run_or_dump(arguments), lambda: output(page, arguments.run, PAGES)
+        lambda: _run_or_dump(arguments),
+        lambda: output(page, arguments.run, PAGES, force=arguments.force),
     )
     from ..report import write
     from ..report.origin import origin
 
-    write(trajectory, path, progress=on_terminal(), origin=origin(arguments.run))
+    write(trajectory, path, progress=on_terminal(), origin=origin(arguments.run), overwrite=True)
     print(f"page: {path}")
     return 0

@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -134,7 +133,7 @@ def _new_folder(name: str, force: bool) -> Path:
 
 def _new_file(name: str, scene: str, force: bool) -> Path:
     """Return the path of a file to write; an earlier run is replaced only by force."""
-    path = output(name, scene)
+    path = output(name, scene, force=True)
     if path.exists() and not force:
         raise InputError.at(
             name, "is there already: replace it with --force, or name another file with -o"
@@ -162,15 +161,17 @@ def _report(
         trajectory = error.trajectory
         missed = error.reason
     if save:
-        trajectory.save(path)
+        trajectory.save(path, overwrite=True)
     print(_summary(trajectory, tolerance, path))
     if missed:
         complain(missed)
-    return 1 if missed else 0
+    # A named engine that solves another equation than Eq. (1) has warned of its model error.
+    return int(bool(missed) or trajectory.error_estimate.model > tolerance)
 
 
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return a summary of the run: engine, steps, error and cost."""
+    from ..simulation.policy import GIVEN_STEP
     from ..trajectory.gathered import in_words
 
     cost = trajectory.cost
@@ -180,11 +181,13 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     # Eq. (1) is solved without a model error
     shares = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
+    fixed = trajectory.provenance.get("tolerance") == GIVEN_STEP
+    asked = "no tolerance: the step is given" if fixed else f"tolerance {tolerance:g}"
     lines = {
         "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation}){ranks}",
         "scene": f"{grains}, {scene.samples} samples over {scene.duration:g} s",
         "integrator": f"{cost.integrator}, {cost.steps_over(scene.duration)}",
-        "estimated error": f"{error.total:.2g}{shares} (tolerance {tolerance:g})",
+        "estimated error": f"{error.total:.2g}{shares} ({asked}){error.remark}",
         **({"damping": scene.damping_remark} if scene.chain.damped else {}),
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error "
         f"estimate, {cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
@@ -213,6 +216,7 @@ def deck(arguments: argparse.Namespace) -> int:
         pair_style=arguments.pair_style,
         template=arguments.template,
         include=arguments.include,
+        overwrite=arguments.force,
     )
     print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
     print(f"  cd {quote(str(folder))} && lmp -in in.column")
@@ -221,7 +225,7 @@ def deck(arguments: argparse.Namespace) -> int:
 
 def sweep(arguments: argparse.Namespace) -> int:
     """Solve the missing scenes of a sweep, and print how many failed."""
-    from ..sweeps.run import dask, sweep
+    from ..sweeps.run import sweep
 
     if mpi.count_idle():
         raise InputError.at(
@@ -231,10 +235,13 @@ def sweep(arguments: argparse.Namespace) -> int:
     # a queue may leave this process fewer cores than the machine has
     cores = len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
-    with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
-        results = sweep(
-            arguments.sweep, folder, workers=workers, executor=executor, progress=on_terminal()
-        )
+    results = sweep(
+        arguments.sweep,
+        folder,
+        workers=workers,
+        scheduler=arguments.scheduler,
+        progress=on_terminal(),
+    )
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
     total = results["reason"].size
     print(f"{total - len(reasons)} of {total} scenes are answered in {folder}")

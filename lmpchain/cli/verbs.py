@@ -66,6 +66,7 @@ PICTURE = _argument(
     "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
 )
 NUMBERS = _argument("--json", metavar="FILE", help="file for the numbers")
+FORCE = _argument("--force", action="store_true", help="replace files that lmpchain did not write")
 RANKS = _argument(
     "--ranks",
     metavar="P",
@@ -190,6 +191,7 @@ VERBS = {
             TOLERANCE,
             PICTURE,
             NUMBERS,
+            FORCE,
         ),
     ),
     "plan": Verb(
@@ -206,6 +208,7 @@ VERBS = {
                 "integrators (default: all engines)",
             ),
             NUMBERS,
+            FORCE,
             _argument(
                 "--calibrate",
                 action="store_true",
@@ -256,6 +259,7 @@ VERBS = {
             ),
             PICTURE,
             NUMBERS,
+            FORCE,
         ),
     ),
     "orbit": Verb(
@@ -280,6 +284,7 @@ VERBS = {
             ),
             PICTURE,
             NUMBERS,
+            FORCE,
         ),
     ),
     "sensitivity": Verb(
@@ -314,6 +319,7 @@ VERBS = {
             ),
             PICTURE,
             NUMBERS,
+            FORCE,
         ),
     ),
     "deck": Verb(
@@ -341,6 +347,7 @@ VERBS = {
             _argument(
                 "--pair-style", choices=["granular", "gran/hertz/history"], default="granular"
             ),
+            FORCE,
             *TEMPLATES,
         ),
     ),
@@ -372,17 +379,19 @@ VERBS = {
             ),
             PICTURE,
             NUMBERS,
+            FORCE,
         ),
     ),
     "export": Verb(
         export,
         "write traces of a saved run as a CSV file: forces, velocities, energies",
-        "export run.nc -o traces.csv --force 10,wall --velocity 1",
+        "export run.nc -o traces.csv --contact-force 10,wall --velocity 1",
         (
             *RUN,
             _argument("-o", "--output", metavar="TRACE.csv", required=True, help="file to write"),
+            FORCE,
             _argument(
-                "--force",
+                "--contact-force",
                 metavar="N,wall",
                 help="force that a sensor in each of these grains shows, the mean of its two "
                 "contacts, and of walls: wall (the bottom one, if there is one), top, bottom",
@@ -429,13 +438,14 @@ VERBS = {
                 help="exit code 1 if the error is above it (default: none is)",
             ),
             NUMBERS,
+            FORCE,
         ),
     ),
     "fit": Verb(
         fit,
         "fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front",
         "fit run.nc",
-        (*RUN, NUMBERS),
+        (*RUN, NUMBERS, FORCE),
     ),
     "report": Verb(
         report,
@@ -449,6 +459,7 @@ VERBS = {
                 metavar="REPORT.html",
                 help="file to write (default: RUN.html beside the run)",
             ),
+            FORCE,
         ),
     ),
     "explore": Verb(
@@ -468,6 +479,7 @@ VERBS = {
             _argument(
                 "-o", "--output", metavar="PAGE.html", required=True, help="page to write, to 2 MB"
             ),
+            FORCE,
             TOLERANCE,
         ),
     ),
@@ -491,13 +503,14 @@ VERBS = {
                 help="picture to write (.png, .pdf or .svg), with its numbers beside it",
             ),
             _argument("--json", metavar="FILE", help="file for the numbers (default: CHART.json)"),
+            FORCE,
         ),
     ),
     "stability": Verb(
         stability,
         "find where methods fail on a scene: steps, round-off, chaos, theories",
         "stability scene.toml -o stability.png",
-        (SCENE, PICTURE, NUMBERS),
+        (SCENE, PICTURE, NUMBERS, FORCE),
     ),
     "sweep": Verb(
         sweep,
@@ -529,6 +542,7 @@ VERBS = {
         "doctor",
         (
             _argument("--json", metavar="FILE", help="file for the findings"),
+            FORCE,
             _argument(
                 "--compile",
                 action="store_true",

@@ -104,7 +104,8 @@ class Traces(Shown, Tabular):
             Columns that `lmpchain export` names after them, such as force_10, are known by it.
         options
             Those of `Traces`, and those of `TraceFile`: columns, skip, time_scale, scale, offset or
-            baseline, trigger. Of both `offset` and `trigger`, True is a number to be fitted.
+            baseline, trigger, lowpass, every. Of both `offset` and `trigger`, True is a number to
+            be fitted.
 
         Raises
         ------

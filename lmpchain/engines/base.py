@@ -21,7 +21,7 @@ import numpy as np
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
-from ..trajectory.record import Block, Cost, ErrorEstimate
+from ..trajectory.record import LARGEST_ERROR, Block, Cost, ErrorEstimate
 from ..util.arrays import Array
 
 
@@ -39,6 +39,9 @@ class Candidate(NamedTuple):
         estimated).
     cost_s : float
         Expected time, s.
+    tolerance : float
+        Tolerance for which the steps were chosen; infinite if no tolerance chose them, as with a
+        given step.
     steps_per_landing : int
         Time steps from one recorded time on which one ends to the next.
     stride : int
@@ -60,6 +63,7 @@ class Candidate(NamedTuple):
     model_error: float
     solver_error: float
     cost_s: float
+    tolerance: float = math.inf
     steps_per_landing: int = 1
     stride: int = 1
     fixed: bool = False
@@ -144,8 +148,8 @@ class ErrorBudget(NamedTuple):
 
     @property
     def estimate(self) -> ErrorEstimate:
-        """Estimate that goes with a trajectory."""
-        return ErrorEstimate(self.model, self.solver)
+        """Estimate that goes with a trajectory, at most `LARGEST_ERROR`."""
+        return ErrorEstimate(min(self.model, LARGEST_ERROR), min(self.solver, LARGEST_ERROR))
 
     def last_known(self, tolerance: float, time: Array) -> float:
         """Return the first time at which amplified round-off exceeds the tolerance, s, or infinity.
@@ -183,6 +187,13 @@ class Run(ABC):
     def outlook(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation that is expected at the end."""
         return self.errors()
+
+    def energies(self) -> list[dict[str, Array]]:
+        """Return the energies that every realisation has summed up along the run, by name.
+
+        The names are those of `trajectory.gathered.ENERGIES`. By default none are summed up.
+        """
+        return []
 
     @abstractmethod
     def cost(self) -> Cost:

@@ -14,7 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from ..errors import RunFailed, ToleranceNotMet
 from ..scene.scene import Scene
-from ..trajectory.record import Cost
+from ..trajectory.record import LARGEST_ERROR, Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
 from .base import Candidate, Engine, ErrorBudget, Run
@@ -39,6 +39,9 @@ class Patience:
     known : float
         Share of the tolerance that amplified rounding takes where the answer to a scene ends that
         cannot be predicted further: the shorter steps that it may need round more often.
+    visible : float
+        Amplified rounding, relative to the motion, beyond which a run with a given step, which has
+        no tolerance, is said to be unpredictable.
     beginning : int
         Attempts at such an answer after which it ends at half the time: what amplifies rounding
         amplifies errors of steps alike, which must be as small for it to last so long.
@@ -50,6 +53,7 @@ class Patience:
     stalled: float = 0.7
     lost: float = 2.0
     known: float = 0.25
+    visible: float = 0.1
     beginning: int = 3
 
 
@@ -262,7 +266,9 @@ def _conclude(
     if missed and engine.suspect:
         missed = f"{engine.suspect}; {missed}"
     known_s = math.inf
-    if missed or attempt.candidate.fixed:
+    if attempt.candidate.fixed:
+        known_s = _known_until(error, PATIENCE.visible, scene)
+    elif missed:
         known_s = _known_until(error, attempt.tolerance, scene)
     return missed, min(known_s, attempt.known_until)
 
@@ -354,12 +360,13 @@ def _shorten(
     """Return shorter steps, for the tolerance or the best that rounding leaves; None if none help.
 
     Where rounding alone is too much, a patient user gets what is right as long as round-off allows,
-    and others an error that is no more than twice that of rounding.
+    and others an error that is no more than three times that of rounding: distances of runs, which
+    count twice, are themselves as large as rounding there.
     """
     candidate = attempt.candidate
     tolerance = attempt.tolerance
     better = engine.refine(candidate, error, tolerance)
-    floor = tolerance if patient else max(tolerance, error.roundoff)
+    floor = tolerance if patient else max(tolerance, 2 * error.roundoff)
     if better is None and error.truncation > floor:
         better = engine.refine(candidate, error._replace(roundoff=0.0), floor)
     return better
@@ -405,13 +412,16 @@ def _stalls(attempt: Attempt) -> bool:
 def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     """Return why an attempt missed its tolerance, and the cure."""
     tolerance = attempt.tolerance
-    reason = f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}"
+    solver = error.estimate.solver
+    unknown = " (nothing is known)" if solver == LARGEST_ERROR else ""
+    above = f"{unknown}, above the tolerance of {tolerance:.2g}"
+    reason = f"the error is estimated at {solver:.2g}{above}"
     if len(attempt.truncations) == PATIENCE.attempts:
         reason += f", after {PATIENCE.attempts} attempts at ever shorter steps"
     elif _stalls(attempt):
         reason += f", and steps shorter than {attempt.candidate.step:.2g} s do not help"
     if error.roundoff > tolerance / 2:
-        reason += f", for round-off alone may make {error.roundoff:.2g}"
+        reason += f", for round-off alone may make {min(error.roundoff, LARGEST_ERROR):.2g}"
     time_s = _known_until(error, tolerance, scene)
     if time_s == math.inf:
         return f"{reason}: ask for less"

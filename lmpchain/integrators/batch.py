@@ -207,15 +207,18 @@ class ChainBatch:
         acts = any(chain.damped for chain in chains)
         viscosity = np.zeros((len(chains), self.inverse_mass.shape[1] if acts else 0))
         drag = np.zeros_like(viscosity)
+        mass = np.zeros_like(viscosity)
         if acts:
             viscosity[:, PAD - 1 : PAD + self.grains] = [c.contact_viscosity for c in chains]
             drag[:, PAD : PAD + self.grains] = [c.drag for c in chains]
             # what is held or driven moves as it is told
             drag[self.inverse_mass == 0.0] = 0.0
+            mass[:, PAD : PAD + self.grains] = self.masses
+            mass[self.inverse_mass == 0.0] = 0.0
         of_contacts = viscosity[:, PAD - 1 : PAD + self.grains]
         pushed = self.imposed.acts and bool((self.imposed.wave["body"] < 0).any())
         one_each = bool((of_contacts == of_contacts[:, :1]).all()) and not drag.any()
-        return Dissipation(acts, viscosity, drag, acts and one_each and not pushed)
+        return Dissipation(acts, viscosity, drag, acts and one_each and not pushed, mass)
 
 
 def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array, Array]:

@@ -109,6 +109,12 @@ class NativeStepper:
         Empty, or what `state` returned.
     threads : int
     companions : sequence of S StepSchedule
+
+    Attributes
+    ----------
+    balance : (S + 1, R, T, 2) array
+        Takes the energy lost and the work at the samples, J, see `layout.STATE`, if it is put in
+        the place of that for no samples.
     """
 
     ranks = 1
@@ -162,6 +168,7 @@ class NativeStepper:
         # the thread that asks is one of them
         others = shares * len(self._teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
+        self.balance = np.zeros((count, self._size, 0, 2))
         self._history = np.zeros((count * self._size, march.history, self._x.shape[1]))
         if state:
             if state["history"].shape != self._history.shape:
@@ -185,7 +192,7 @@ class NativeStepper:
         # to no goal: this only compiles, so that the time of the first fill is that of steps
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
-            fields = Fields(none, none, NOTHING, NOTHING, 0)
+            fields = Fields(none, none, NOTHING, NOTHING, 0, self.balance)
             self._march(*self._work[0][:4], fields, Goal(0, 0, 0, 0))
 
     def _check_state(self, state: NDArray[Any]) -> None:
@@ -214,7 +221,7 @@ class NativeStepper:
         Samples from `offset` on go into u, v, those of the companions into the arrays beside, (S,
         R, B, N).
         """
-        fields = Fields(u, v, *beside, offset)
+        fields = Fields(u, v, *beside, offset, self.balance)
         if not self._pool:
             return self._move(self._work[0], fields, until, max_steps)
         for state in self._states[1:]:
@@ -248,7 +255,7 @@ class NativeStepper:
         """
         assert self._by_step
         *given, begin, end = self._work[0]
-        fields = Fields(u, v, NOTHING, NOTHING, offset)
+        fields = Fields(u, v, NOTHING, NOTHING, offset, self.balance)
         goal = Goal(begin, end, until, noted.ends.size)
         return self._by_step(*given, fields, goal, noted)
 

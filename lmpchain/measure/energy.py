@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
-from ..chain.contacts import Contacts
 from ..chain.damping import viscous_force
 from ..errors import InputError
+from ..trajectory.gathered import ENERGIES
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
@@ -62,16 +63,23 @@ class EnergyLedger(Shown, Tabular):
         Work of a force, or of a driver beyond that of the load, since t = 0: the integral of (drive
         force - top load) times the velocity of the grain or wall that it acts on.
     dissipated : (T,) array
-        Energy that viscous contacts and drag have taken since t = 0; see `losses` for each.
+        Energy that viscous contacts and drag have taken since t = 0; see `losses` for each. With
+        the native engine and LAMMPS, `dissipated` and the work in a chain with damping are summed
+        up at every step of the run.
     momentum : (T,) array
         Of all grains, positive downward.
     impulse : (T,) array
         What force, driver, walls, a held grain and drag have given since t = 0 beyond the impulses
         that balance at rest.
     drive_error, impulse_error, dissipated_error : float
-        Their uncertainty, as the contact forces are known at samples only: the shift when
-        every second sample is used, J and N s; infinite for fewer than three samples. Where forces
-        are smooth and well sampled, the true error is about 1/15 of it.
+        Their uncertainty, J and N s, with that by the error of the trajectory if that is known. Of
+        an integral over samples it is the shift when every second sample is used; infinite for
+        fewer than three samples. Where forces are smooth and well sampled, the true error is about
+        1/15 of that shift.
+    balanced : tuple of str
+        Those of `drive`, `dissipated` and `impulse` that follow from the balance of energy or
+        momentum itself, because that is surer than the integral over the samples: the drift of
+        their balance then is 0, and no check of the trajectory.
     """
 
     _units: ClassVar[dict[str, str]] = {
@@ -100,15 +108,22 @@ class EnergyLedger(Shown, Tabular):
     drive_error: float
     impulse_error: float
     dissipated_error: float
+    balanced: tuple[str, ...] = ()
 
     @property
     def drift(self) -> Array:
-        """Energy change beyond work done and dissipation, (T,) J; 0 for the exact motion."""
+        """Energy change beyond work done and dissipation, (T,) J; 0 for the exact motion.
+
+        If `balanced` has one of these two, it is 0 for any motion.
+        """
         return self.total - self.total[0] - self.drive + self.dissipated
 
     @property
     def momentum_drift(self) -> Array:
-        """Momentum change not explained by external forces, (T,) N s; 0 for the exact motion."""
+        """Momentum change not explained by external forces, (T,) N s; 0 for the exact motion.
+
+        If `balanced` has the impulse, it is 0 for any motion.
+        """
         return self.momentum - self.momentum[0] - self.impulse
 
     def virial_ratio(self, start: float = 0.0, end: float | None = None) -> float:
@@ -159,13 +174,19 @@ class EnergyLosses(Shown, Tabular):
         The integral of m gamma v^2; that of a driven grain is left out.
     error : float
         Uncertainty of the sum, as the powers are known at samples only: the shift when every
-        second sample is used; infinite for fewer than three samples.
+        second sample is used, with what the error of the trajectory does to it, and at least the
+        distance from `EnergyLedger.dissipated`; infinite for fewer than three samples.
     """
 
     time: Array
     of_contact: Array
     of_grain: Array
     error: float
+
+    @property
+    def total(self) -> Array:
+        """The sum over all contacts and grains, (T,) J."""
+        return self.of_contact.sum(1) + self.of_grain.sum(1)
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)
@@ -301,6 +322,29 @@ class _Pieces(NamedTuple):
     top: Array
 
 
+class _Forces(NamedTuple):
+    """Forces of contacts at samples, (T, N+1) arrays, and what the error of the trajectory does.
+
+    Attributes
+    ----------
+    force, rate : arrays
+        Force less that at rest, N, and the rate of the elastic part, N/s.
+    largest : array
+        Largest size of the elastic part within the error, N.
+    doubt : array
+        Error of the force, N.
+    power, power_doubt : arrays
+        Power that a viscous contact takes, and its error, W.
+    """
+
+    force: Array
+    rate: Array
+    largest: Array
+    doubt: Array
+    power: Array
+    power_doubt: Array
+
+
 def _share_out(
     chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
 ) -> Array:
@@ -344,11 +388,17 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     time = trajectory.time
     top, top_speed = _motion_of_wall(scene, time)
     closer = chain.contacts.closer(u, top)
-    closing = chain.contacts.closer(v, top_speed)
-    overlap = chain.contacts.overlap + closer
-    force, rate = _contact_forces(chain.contacts, closer, closing)
-    dissipated = np.zeros(time.size)
-    dissipated_error = 0.0
+    known = motion_of(trajectory)
+    off = known.known_error("displacement")
+    fast = known.known_error("velocity")
+    contacts = _forces(chain, closer, chain.contacts.closer(v, top_speed), 2 * off, 2 * fast)
+    force, rate, doubt = contacts.force, contacts.rate, contacts.doubt
+    losses = _sum_losses(scene, time, contacts, v, fast)
+    elastic = chain.contacts.energy(closer).sum(1)
+    total = (chain.masses * v**2).sum(1) / 2 + elastic  # as Chain.excess_energy
+    # what the error of the trajectory does to it
+    total_error = chain.masses * fast * (np.abs(v) + fast / 2)
+    total_error = total_error.sum(1) + 2 * off * np.abs(contacts.largest).sum(1)
 
     def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
         # the rates of viscous forces follow from no sample
@@ -358,48 +408,84 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
     if chain.damped:
-        viscous = viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
-        lost = _integrate_losses(scene, time, viscous * closing, v)
-        dissipated = lost.of_contact.sum(1) + lost.of_grain.sum(1)
-        dissipated_error = lost.error
-        force = force + viscous
         impulse, impulse_error = _integral(time, -(v @ _drag(scene)))
+        impulse_error += _area(time, fast * _drag(scene).sum())
     push = scene.excitation.push(chain, time, force, rate, v)
     pieces = _known_pieces(scene, time, push, u, v) if push else None
     if chain.top == "wall":
         given, error = integral(force[:, 0], rate[:, 0], pieces.top if pieces else None)
         impulse = impulse + given
-        impulse_error += error
+        impulse_error += error + _area(time, doubt[:, 0])
     if push and pieces:
         speed = push.speed
         power = push.force * speed
         change = push.rate * speed + push.force * push.acceleration
         work, drive_error = integral(power, change, pieces.work)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
+        # a force is known, and so is the speed of what is driven
+        driven = doubt[:, :2].sum(1) if scene.excitation.driven else doubt[:, 0]
+        moves = bool(scene.excitation.driven or scene.excitation.wall)
+        drive_error += _area(time, np.abs(speed) * driven if moves else np.abs(push.force) * fast)
         if push.on_grain:
             push_impulse, error = integral(push.force, push.rate, pieces.push)
             impulse = impulse + push_impulse + push.inertia * (speed - speed[0])
-            impulse_error += error
+            impulse_error += error + _area(time, driven if moves else 0.0)
     if chain.bottom != "free":
         bottom, error = integral(force[:, chain.movable], rate[:, chain.movable])
         impulse = impulse - bottom
-        impulse_error += error
-    elastic = chain.contacts.energy(closer).sum(1)
+        impulse_error += error + _area(time, doubt[:, chain.movable])
+    terms = {
+        "drive": (drive, drive_error),
+        "dissipated": (losses.total, losses.error),
+        "impulse": (impulse, impulse_error),
+    }
+    summed = _summed(trajectory)
+    terms |= summed
+    balanced = []
+    if math.isfinite(trajectory.error_estimate.total):
+        changes = {
+            "drive": (1.0, total, total_error, "dissipated"),
+            "dissipated": (-1.0, total, total_error, "drive"),
+            "impulse": (1.0, momentum, fast * chain.masses.sum(), ""),
+        }
+        for name, (sign, value, value_error, other) in changes.items():
+            rest, rest_error = terms[other] if other else (0.0, 0.0)
+            error = float(np.max(value_error)) + rest_error
+            # nothing is put in or taken where its error is 0
+            if name not in summed and other not in balanced and error < terms[name][1]:
+                terms[name] = sign * (value - value[0]) + rest, error
+                balanced.append(name)
     return EnergyLedger(
         time=time,
         kinetic=v**2 @ chain.masses / 2,
         contact=elastic + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
         load=-_work_of_load(chain, u, top),
-        total=(chain.masses * v**2).sum(1) / 2 + elastic,  # as Chain.excess_energy
-        drive=drive,
-        dissipated=dissipated,
+        total=total,
+        drive=terms["drive"][0],
+        dissipated=terms["dissipated"][0],
         momentum=momentum,
-        impulse=impulse,
-        drive_error=drive_error,
-        impulse_error=impulse_error,
-        dissipated_error=dissipated_error,
+        impulse=terms["impulse"][0],
+        drive_error=terms["drive"][1],
+        impulse_error=terms["impulse"][1],
+        dissipated_error=terms["dissipated"][1],
+        balanced=tuple(balanced),
     )
+
+
+def _summed(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
+    """Return the energies that the run has summed up, with their errors, by name."""
+    gathered = trajectory.gathered
+    return {
+        name: (np.array(gathered[name]), float(gathered[f"{name}_error"]))
+        for name in ENERGIES
+        if name in gathered and gathered[name].shape == trajectory.time.shape
+    }
+
+
+def _area(time: Array, size: Array | float) -> float:
+    """Return the integral of an error, (T,) or a number, over the samples; 0 for a single one."""
+    return float(np.trapezoid(np.broadcast_to(size, time.shape), time))
 
 
 def _work_of_load(chain: Chain, u: Array, top: Array | None) -> Array:
@@ -439,17 +525,30 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     chain = scene.chain
     time = trajectory.time
     top, top_speed = _motion_of_wall(scene, time)
-    closing = chain.contacts.closer(v, top_speed)
-    overlap = chain.contacts.overlap + chain.contacts.closer(u, top)
-    viscous = viscous_force(chain.contacts, chain.contact_viscosity, overlap, closing)
-    return _integrate_losses(scene, time, viscous * closing, v)
+    motion = motion_of(trajectory)
+    doubts = (2 * motion.known_error(field) for field in ("displacement", "velocity"))
+    closer, closing = chain.contacts.closer(u, top), chain.contacts.closer(v, top_speed)
+    contacts = _forces(chain, closer, closing, *doubts)
+    lost = _sum_losses(scene, time, contacts, v, motion.known_error("velocity"))
+    if not chain.damped:
+        return lost
+    balance = ledger(trajectory)
+    distance = float(np.abs(lost.total - balance.dissipated).max()) + balance.dissipated_error
+    known = distance if math.isfinite(distance) else 0.0
+    return replace(lost, error=max(lost.error, known))
 
 
-def _integrate_losses(scene: Scene, time: Array, power: Array, v: Array) -> EnergyLosses:
-    """Return the losses of contacts that take this power, (T, N+1) W, and of grains by drag."""
-    taken, error = _integral(time, np.hstack((power, _drag(scene) * v**2)))
-    contacts = scene.chain.grains + 1
-    return EnergyLosses(time, taken[:, :contacts], taken[:, contacts:], error)
+def _sum_losses(
+    scene: Scene, time: Array, contacts: _Forces, v: Array, fast: float
+) -> EnergyLosses:
+    """Return the losses of contacts and of grains, whose speeds are off by `fast`, m/s."""
+    drag = _drag(scene)
+    if not scene.chain.damped:
+        return EnergyLosses(time, np.zeros(contacts.power.shape), np.zeros(v.shape), 0.0)
+    taken, error = _integral(time, np.hstack((contacts.power, drag * v**2)))
+    doubt = contacts.power_doubt.sum(1) + (drag * fast * (2 * np.abs(v) + fast)).sum(1)
+    count = scene.chain.grains + 1
+    return EnergyLosses(time, taken[:, :count], taken[:, count:], error + _area(time, doubt))
 
 
 def _drag(scene: Scene) -> Array:
@@ -459,12 +558,31 @@ def _drag(scene: Scene) -> Array:
     return drag
 
 
-def _contact_forces(contacts: Contacts, closer: Array, closing: Array) -> tuple[Array, Array]:
-    """Return the force of every contact less that at rest, N, and its rate, N/s, (T, N+1) each."""
+def _forces(chain: Chain, closer: Array, closing: Array, off: float, fast: float) -> _Forces:
+    """Return the forces of contacts whose approaches and rates are off by so much, m and m/s."""
+    contacts = chain.contacts
     overlap = contacts.overlap + closer
     # dF/dt = (dF/do) do/dt; an open contact has neither force nor rate
     stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
-    return contacts.force_change(closer), np.where(overlap > 0, stiffness * closing, 0.0)
+    rate = np.where(overlap > 0, stiffness * closing, 0.0)
+
+    elastic = contacts.force_change(closer)
+    ends = [contacts.force_change(closer + nearer) for nearer in (-off, off)]
+    largest = np.maximum(*map(np.abs, ends))
+    doubt = np.maximum(*(np.abs(end - elastic) for end in ends))
+    if not chain.damped:
+        nothing = np.broadcast_to(0.0, closer.shape)
+        return _Forces(elastic, rate, largest, doubt, nothing, nothing)
+    viscous = viscous_force(contacts, chain.contact_viscosity, overlap, closing)
+    power = viscous * closing
+    force = elastic + viscous
+    power_doubt = np.zeros(closer.shape)
+    for (nearer, end), faster in product(zip((-off, off), ends, strict=True), (-fast, fast)):
+        moved = overlap + nearer, closing + faster
+        other = viscous_force(contacts, chain.contact_viscosity, *moved)
+        doubt = np.maximum(doubt, np.abs(end + other - force))
+        power_doubt = np.maximum(power_doubt, np.abs(other * moved[1] - power))
+    return _Forces(force, rate, largest, doubt, power, power_doubt)
 
 
 def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> _Pieces:

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.lazy import listed
-from .contact import sensor
+from .contact import Signal, sensor
 
 __dir__ = listed(__name__)
 
@@ -20,6 +20,9 @@ REACH = 6  # samples on either side of a peak used to interpolate it
 # error of a height over its change with every second sample: in random signals of 3 samples a wave
 # or more, 0.06 leaves no maximum out that is the largest; of 2.6 samples, 0.25 leaves one in 40
 UNRESOLVED = 0.25
+# A signal has passed if its last sample, or the mean of its last tenth, is below this share of its
+# largest size.
+PASSED = 0.2
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,8 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     top = int(np.argmax(values))
     last = len(values) - 1
     if not 0 < top < last:
-        cure = "record for longer" if top else "there is no maximum to wait for"
+        longer = "record for longer, and end the push if it still grows"
+        cure = longer if top else "there is no maximum to wait for"
         raise InputError.at(
             "duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}"
         )
@@ -157,7 +161,8 @@ def time_of_flight(
         Grains; seconds and speed are negative if the wave comes to the second first.
     method : str
         "peak": from the largest maximum of one signal to that of the other; "correlation": the
-        shift that makes the two most alike, for which the whole of both must have been recorded.
+        shift that makes the two most alike, for which the whole of both must have been recorded:
+        it is refused while the force is still far from that at rest, as behind a piston.
 
     Returns
     -------
@@ -177,6 +182,8 @@ def time_of_flight(
         seconds = end.time - begin.time
         error = begin.error + end.error
     else:
+        for signal in (one, two):
+            _check_passed(signal)
         # imported here: it takes longer than most measures
         from scipy.signal import correlate
 
@@ -188,6 +195,17 @@ def time_of_flight(
     depths = trajectory.scene.chain.depths
     distance = abs(float(depths[second - 1] - depths[first - 1]))
     return Flight(abs(second - first), distance, seconds, error)
+
+
+def _check_passed(signal: Signal) -> None:
+    """Raise `InputError` if the force in a grain has not come back to that at rest."""
+    size = np.abs(signal.change)
+    late = min(size[-1], abs(signal.change[-1 - size.size // 10 :].mean()))
+    if size.argmax() == size.size - 1 or late > PASSED * size.max():
+        cure = 'record for longer, or use method = "peak" if the push lasts'
+        raise InputError.at(
+            "duration", f"the wave has not passed grain {signal.grain} at the end: {cure}"
+        )
 
 
 def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:

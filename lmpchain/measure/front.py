@@ -258,7 +258,9 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     passed = np.isfinite(rows[:, 0])
     if not passed.any():
         raise InputError.at(
-            "duration", f"no grain shows the {field} of a front that passes: record for longer"
+            "duration",
+            f"no grain shows the {field} of a front that passes: record for longer, and end the "
+            "push if it still grows",
         )
     _check_times(trajectory, rows[passed, 3])
     return Front(

@@ -12,8 +12,10 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from ..errors import InputError
-from ..scene.acting import Drive
+from ..scene.acting import Drive, Force
+from ..scene.base import Excitation
 from ..scene.riemann import Riemann
+from ..scene.scene import Scene
 from ..theory.shock import Edges, Medium, State
 from ..theory.soliton import solve, struck
 from ..trajectory.trajectory import Trajectory
@@ -44,6 +46,13 @@ AUTHORS = {
     "kdv": "Korteweg and de Vries",
     "burgers": "Burgers",
 }
+# The leading crest of a dispersive shock is at least this many jumps of the overlap high.
+CREST = 1.05
+# A push is steady if at least the first share of the largest change of the overlap near the source
+# is left at the end, and if it changes by less than the second one from the third quarter of the
+# time to the fourth.
+LASTING = 0.2
+STEADY_PUSH = 0.1
 STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
 
 
@@ -74,7 +83,8 @@ class Edge:
 class Shock(Shown, Tabular):
     """A shock or a rarefaction, and what theory says of it; see `lmpchain.theory.shock`.
 
-    Velocities are positive in the way of travel; overlaps are those of contacts in all.
+    Velocities are positive in the way of travel; overlaps are those of contacts in all, and 0 of
+    open contacts.
 
     Attributes
     ----------
@@ -242,7 +252,9 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     """Measure the shock or rarefaction of a piston or a step, and predict it.
 
     Of a step (`Riemann`) one wave goes down and one up. The run is used until the front is near the
-    end of the chain, or waves from the ends may have come to the step.
+    end of the chain, or waves from the ends may have come to the step; what is recorded later is
+    ignored. Open contacts have the overlap 0: a rarefaction that opens contacts has a trailing edge
+    that stays where it began, and grains fly behind it.
 
     Parameters
     ----------
@@ -260,7 +272,8 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     ------
     InputError
         If the chain is not uniform, has gravity, springs, or grains that were not recorded; if
-        there is no step, or the wave has not passed 24 contacts with enough samples.
+        nothing pushes steadily, as pulses do not, or not until later than half of the time that is
+        used; or if the wave has not passed 24 contacts with enough samples.
 
     Examples
     --------
@@ -340,42 +353,121 @@ def _medium(trajectory: Trajectory) -> Medium:
 def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _Wave:
     """Return the motion while nothing but the wave from the source matters."""
     scene = trajectory.scene
+    time = trajectory.time
     displacement = np.asarray(trajectory.displacement)
     velocity = np.asarray(trajectory.velocity)
-    closer = displacement[:, :-1] - displacement[:, 1:]
-    overlap = scene.chain.equilibrium_overlap + closer
-    excitation = scene.excitation
-    step = isinstance(excitation, Riemann)
-    source = excitation.grain - 1 if isinstance(excitation, Riemann) else 0
-    start = 0.0
-    if isinstance(excitation, Drive) and excitation.rise is not None:
-        start = excitation.rise / 2
-    contacts = overlap.shape[1]
+    rest = scene.chain.equilibrium_overlap
+    closer = rest + displacement[:, :-1] - displacement[:, 1:]
+    # an open contact passes no force, however wide its gap is
+    overlap = np.maximum(closer, 0.0)
+    source = _source(scene, upward)
     if upward:
         velocity = -velocity[:, ::-1]
         overlap = overlap[:, ::-1]
-        source = contacts - 1 - source
-    last = trajectory.time.size
-    if step:
-        # waves from both ends travel at the speed of sound
-        fastest = gas.sound(float(np.maximum(overlap[0], 0.0).max()))
-        last = int(np.searchsorted(trajectory.time, source / fastest))
-        if overlap[0, -1] != overlap[0, 0] or velocity[0, -2]:
-            way = (contacts - source) / 2
-            last = min(last, int(np.searchsorted(trajectory.time, way / fastest)))
-    change = np.abs(overlap[:last] - overlap[0, -1])
-    size = np.median(change[-(len(change) // 4) :, source + 1 : source + 3])
-    if len(change) < FEWEST or not size > 0:
-        raise InputError.at("duration", "shows no wave of which a plateau remains: record longer")
+        closer = closer[:, ::-1]
+    if closer[0, -1] < 0:
+        raise InputError.at("excitation", "opens the contacts ahead: a wave does not cross gaps")
+    contacts = overlap.shape[1]
+    still = scene.chain.bottom != "free" and not upward
+    still |= overlap[0, -1] == rest[0]
+    still &= velocity[0, -2] == 0
+    start, until = _undisturbed(scene.excitation, time, overlap, source, bool(still), gas)
+    last = int(np.searchsorted(time, until))
+    change = (overlap - overlap[0, -1])[:last]
+    near = change[:, source + 1 : source + 3].mean(1)
+    change = np.abs(change)
+    # the crest of a shock is higher than half of anything that it has left near the source
+    highest = np.maximum.accumulate(np.abs(near))
+    highest = np.maximum(highest, highest.max(initial=0.0) / 100)
+    ended = np.flatnonzero((change[:, -END_CONTACTS:] > highest[:, None] / 2).any(1))
+    last = int(ended[0]) if ended.size else len(change)
+    way = "up" if upward else "down"
+    shorter = "use a longer chain"
+    if isinstance(scene.excitation, Riemann):
+        shorter += ", with the step further from its ends"
+    cure = "record longer" if last == time.size else shorter
+    if last < FEWEST:
+        few = f"{last} are left before waves from the ends arrive, fewer than {FEWEST}"
+        raise InputError.at("samples", f"{few}: record more often, or {shorter}")
+    _check_push(scene.excitation, time[:last], near[:last], way)
+    change = change[:last]
+    size = np.median(change[-(last // 4) :, source + 1 : source + 3])
     beyond = change[:, source:] > size / 2
     front = np.where(beyond.any(1), contacts - 1 - beyond[:, ::-1].argmax(1), source)
-    ended = np.flatnonzero(front >= contacts - END_CONTACTS)
-    last = int(ended[0]) if ended.size else last
     reached = int(front[last - 1])
     if reached - source < FEWEST:
         passed = f"the wave has passed {reached - source} contacts"
-        raise InputError.at("duration", f"{passed}, fewer than {FEWEST}: record longer")
-    return _Wave(trajectory.time[:last], velocity[:last], overlap[:last], source, start, reached)
+        raise InputError.at("duration", f"{passed}, fewer than {FEWEST}: {cure}")
+    return _Wave(time[:last], velocity[:last], overlap[:last], source, start, reached)
+
+
+def _source(scene: Scene, upward: bool) -> int:
+    """Return the contact at which the wave begins, counted from 0 in its way of travel."""
+    excitation = scene.excitation
+    contacts = scene.chain.grains - 1
+    if isinstance(excitation, Riemann):
+        first = excitation.grain - 1
+    elif isinstance(excitation, Force):
+        # the contact on the far side of the grain
+        first = excitation.grain - 1 - upward
+    elif upward and isinstance(excitation, Drive):
+        raise InputError.at("direction", 'must be "down": a drive acts at the top')
+    else:
+        return 0
+    source = contacts - 1 - first if upward else first
+    if not 0 <= source < contacts - 1:
+        raise InputError.at("direction", "no grains lie there: choose the other one")
+    return source
+
+
+def _undisturbed(
+    excitation: Excitation, time: Array, overlap: Array, source: int, still: bool, gas: Medium
+) -> tuple[float, float]:
+    """Return when the wave begins, and until when waves from the ends have not met it, s.
+
+    Overlaps are in the way of travel; the chain ahead is at rest to its end where it is `still`.
+    """
+    contacts = overlap.shape[1]
+    start = 0.0
+    until = np.inf
+    if sound := gas.sound(float(overlap[0, -1])):
+        # its edge reaches the end no later than this: a shock is faster, a rarefaction as fast
+        until = (contacts - source) / sound
+    if isinstance(excitation, Drive | Force):
+        # of constant speed or force this is the time at which a sudden one would have begun
+        now = min(until, time[-1])
+        course = excitation.waveform
+        if isinstance(excitation, Drive):
+            done, rate = course.at(now), course.at(now, 1)
+        else:
+            done, rate = course.integral(now), course.at(now)
+        start = float(now - done / rate) if rate else 0.0
+        until += start
+    if source:
+        early = overlap[time * gas.sound(float(overlap[0].max())) <= source]
+        # waves from the ends are slower than sound at the largest overlap
+        if fastest := gas.sound(float(early.max())):
+            way = source if still else min(source, (contacts - source) / 2)
+            until = min(until, way / fastest)
+    return start, until
+
+
+def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> None:
+    """Raise `InputError` unless the overlap near the source, less that ahead, becomes steady."""
+    if not near.any():
+        raise InputError.at("excitation", f"sends no wave {way}")
+    used = f"the {time[-1]:.3g} s of the run before waves from its ends matter"
+    rise = excitation.rise if isinstance(excitation, Drive) else None
+    if rise is not None and rise > time[-1] / 2:
+        cure = "choose a shorter rise, or use a longer chain and record longer"
+        raise InputError.at("excitation.rise", f"{rise:g} s is more than half of {used}: {cure}")
+    quarter = len(time) // 4
+    before = near[-2 * quarter : -quarter].mean()
+    after = near[-quarter:].mean()
+    left = abs(after) / np.abs(near).max()
+    if left < LASTING or abs(after - before) > STEADY_PUSH * abs(after):
+        cure = "use a step (Riemann), or a piston (Drive) or a force that soon stays constant"
+        raise InputError.at("excitation", f"does not push steadily in {used}: {cure}")
 
 
 def _plateau(wave: _Wave, gas: Medium, ahead: State) -> tuple[State, State]:
@@ -383,6 +475,7 @@ def _plateau(wave: _Wave, gas: Medium, ahead: State) -> tuple[State, State]:
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
     behind = float(np.median(wave.overlap[late, wave.source + 1 : wave.source + 4]))
+    opened = behind == 0
     # linear waves behind the trailing edge die out towards the source
     slowest = max(2 * sound - gas.sound(behind), 0.0) if behind > ahead.overlap else sound
     slowest = min(slowest, gas.sound(behind))
@@ -391,7 +484,9 @@ def _plateau(wave: _Wave, gas: Medium, ahead: State) -> tuple[State, State]:
     inside = slice(wave.source + 1, wave.source + 1 + near)
     values = [x[late, inside] for x in (wave.velocity, wave.overlap)]
     mean, spread = ([float(f(x)) for x in values] for f in (np.mean, np.std))
-    return State(*mean), State(*(2 * x for x in spread))
+    # some contacts close to those that have opened are about to open
+    overlap = 0.0 if opened else mean[1]
+    return State(mean[0], overlap), State(*(2 * x for x in spread))
 
 
 def _edge_speed(time: Array, place: Array) -> tuple[float, float]:
@@ -415,16 +510,20 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
     return np.array(crests)
 
 
-def _leading_crest(wave: _Wave, ahead: State) -> Edge:
+def _leading_crest(wave: _Wave, ahead: State, jump: float) -> Edge:
     """Return the leading solitary wave, followed through the later two thirds of the way."""
     # the crest is a few contacts behind the front
     first = wave.source + (wave.reached - wave.source) // 3
     contacts = np.arange(first, wave.reached - END_CONTACTS)
     crests = _crests(wave.time, wave.overlap - ahead.overlap, contacts)
     seen = np.isfinite(crests[:, 0])
-    speed, error = _edge_speed(crests[seen, 0], contacts[seen].astype(float))
     heights = crests[seen, 1]
     half = len(heights) // 2
+    # a push that rises slowly makes a ramp, which breaks only after a while
+    if half < len(contacts) // 4 or heights[half:].mean() < CREST * jump:
+        cure = "let the push rise faster, or use a longer chain and record longer"
+        raise InputError.at("excitation", f"the wave has no leading crest yet: {cure}")
+    speed, error = _edge_speed(crests[seen, 0], contacts[seen].astype(float))
     height = float(heights[half:].mean())
     drift = abs(height - float(heights[:half].mean()))
     velocities = _crests(
@@ -490,10 +589,13 @@ def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) ->
         overlap = np.maximum(wave.overlap[k], 0.0)
         sound = gas.sound(1.0) * overlap ** ((gas.exponent - 1) / 2)
         share = (sound - sounds[1]) / (sounds[0] - sounds[1])
-        inside = np.flatnonzero((share > 0.2) & (share < 0.8))
-        inside = inside[inside >= wave.source]
+        # ripples behind the trailing edge may exceed this share, too
+        behind_fan = np.flatnonzero(share[wave.source :] < 0.2)
+        first = wave.source + (behind_fan[-1] + 1 if behind_fan.size else 0)
+        inside = first + np.flatnonzero((share[first:] > 0.2) & (share[first:] < 0.8))
         if inside.size < 3:
-            raise InputError.at("duration", "is too short for the rarefaction to open: run longer")
+            few = f"{inside.size} contacts show the slope of the rarefaction, fewer than 3"
+            raise InputError.at("duration", f"{few}: record longer, in a longer chain")
         fit = stats.linregress(share[inside], inside)
         places.append((fit.intercept + fit.slope, fit.intercept))
     leading, trailing = (
@@ -512,7 +614,7 @@ def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) ->
 
 def _dispersive_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:
     """Return the leading crest, the trailing edge, and the theories of both."""
-    leading = _leading_crest(wave, ahead)
+    leading = _leading_crest(wave, ahead, behind.overlap - ahead.overlap)
     trailing = _trailing_edge(wave, ahead, behind)
     theories = {"whitham": gas.dispersive, "toda": gas.toda, "kdv": gas.kdv}
     return _Answer(
@@ -540,7 +642,9 @@ def _steady_front(wave: _Wave, ahead: State, behind: State) -> _Answer:
     last = wave.source + int(np.flatnonzero(passed)[-1]) if passed.any() else wave.source
     contacts = np.arange(wave.source + total // 2, last)
     if contacts.size < FEWEST:
-        raise InputError.at("chain.grains", "are too few for a shock so thick: use more of them")
+        cure = "record longer, in a longer chain"
+        few = f"{contacts.size} contacts show the whole front, fewer than {FEWEST}"
+        raise InputError.at("duration", f"{few}: {cure}")
     half = ahead.overlap + jump / 2
     samples = np.arange(wave.time.size)
     interval = wave.time[1] - wave.time[0]

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
+FEWEST_SAMPLES = 4 * crests.HALF + 3  # that show a crest
 UNCHANGED = 12  # grains that a wave must have passed unchanged
 
 
@@ -177,6 +178,10 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> T
     velocity = np.asarray(trajectory.velocity)
     velocity = -velocity[:, ::-1] if upward else velocity
     last = _useful(velocity)
+    if last < FEWEST_SAMPLES:
+        reason = f"motion at the end to which waves go {direction} is only {last} samples later"
+        cure = "choose the other direction, or strike further from that end"
+        raise InputError.at("direction", f"{reason}: {cure}")
     time = trajectory.time[:last]
     velocity = velocity[:last]
     energy = shares(trajectory)
@@ -226,14 +231,14 @@ def _check(trajectory: Trajectory, direction: str) -> None:
     if recorded < chain.grains:
         raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
     least = UNCHANGED + 2 * END_GRAINS
-    if chain.grains < least or len(trajectory.time) < 4 * crests.HALF + 3:
+    if chain.grains < least or len(trajectory.time) < FEWEST_SAMPLES:
         raise InputError.at("chain", f"must have {least} grains or more, and enough samples")
 
 
 def _useful(velocity: Array) -> int:
     """Return the number of samples up to when the first wave is near the end."""
     near = velocity[:, -END_GRAINS:].max(1)
-    arrived = np.flatnonzero(near > 1e-3 * velocity[len(velocity) // 2 :].max())
+    arrived = np.flatnonzero(near > 1e-3 * velocity[len(velocity) // 2 :].max(initial=0.0))
     return int(arrived[0]) if arrived.size else len(velocity)
 
 

@@ -13,7 +13,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, LmpchainError
 from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
-from ..util.files import write_aside
+from ..util.files import check_replaceable, expanded, write_aside
 from ..util.plotting import si
 from ..util.progress import ProgressBar
 from ..util.tables import counted
@@ -49,6 +49,7 @@ def write(
     path: str | PathLike[str],
     progress: bool = False,
     origin: Mapping[str, str] = NOT_RECORDED,
+    overwrite: bool = False,
 ) -> None:
     """Write the page, atomically.
 
@@ -58,8 +59,11 @@ def write(
     path : path
     progress, origin
         As for `page`.
+    overwrite : bool
+        Whether to replace a file that lmpchain did not write; otherwise `InputError` is raised.
     """
-    with write_aside(path) as aside:
+    check_replaceable(expanded(path), overwrite)
+    with write_aside(path, overwrite) as aside:
         aside.write_text(page(trajectory, progress, origin), encoding="utf-8")
 
 
@@ -175,7 +179,8 @@ def _cards(
     yield "Engine", trajectory.engine, f"solves Eq. ({trajectory.equation}) {cost.integrator}"
     tolerance = trajectory.provenance.get("tolerance", "not recorded")
     yield "Tolerance", tolerance, "largest relative error asked for"
-    estimate = f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
+    shares = f"{error.model:.2g} (equation) + {error.solver:.2g} (solver)"
+    estimate = f"estimated: {shares}{error.remark}"
     yield "Error", f"{error.total:.2g}", estimate
     if scene.chain.damped:
         yield "Without damping", f"{scene.damping_effect:.2g}", scene.damping_remark

@@ -18,7 +18,7 @@ from ..simulation.many import simulate_many
 from ..sweeps.file import Sweep, read
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import plain
-from ..util.files import write_aside
+from ..util.files import check_replaceable, expanded, write_aside
 from ..util.progress import ProgressBar
 from ..util.provenance import command
 from ..util.remarks import warnings_aside
@@ -68,7 +68,11 @@ LEVELS = 2047
 
 
 def explore(
-    source: Mapping[str, Any], path: str | PathLike[str], *, progress: bool = False
+    source: Mapping[str, Any],
+    path: str | PathLike[str],
+    *,
+    progress: bool = False,
+    overwrite: bool = False,
 ) -> None:
     """Write one self-contained page in which a slider a key goes through runs of a scene.
 
@@ -87,6 +91,8 @@ def explore(
         HTML file to write, atomically.
     progress : bool
         Whether to show a progress bar.
+    overwrite : bool
+        Whether to replace a file that lmpchain did not write.
 
     Raises
     ------
@@ -107,6 +113,7 @@ def explore(
     >>> with TemporaryDirectory() as folder:
     ...     lmpchain.explore({"scene": scene, "over": over}, f"{folder}/page.html")
     """
+    check_replaceable(expanded(path), overwrite)
     plan, axes = _read(source)
     grid = _make_grid(plan)
     views: list[View | str] = []
@@ -116,7 +123,7 @@ def explore(
                 views.append(run if isinstance(run, str) else _view(run, grid.between, plan))
                 bar.advance()
     page = _fit(views, axes, plan, grid)
-    with write_aside(path) as aside:
+    with write_aside(path, overwrite) as aside:
         aside.write_text(page, encoding="utf-8")
 
 

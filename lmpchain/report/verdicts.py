@@ -177,9 +177,9 @@ def facts(
         if linear
         else "none of this scene",
     )
-    error = run.error_estimate.total
-    miss = "" if error <= tolerance else f", above the tolerance {short_power(tolerance)}"
-    yield "estimated error", f"{short_power(error)} ({run.engine}){miss}"
+    error = run.error_estimate
+    miss = "" if error.total <= tolerance else f", above the tolerance {short_power(tolerance)}"
+    yield "estimated error", f"{short_power(error.total)} ({run.engine}){miss}{error.remark}"
     yield "front", passed if isinstance(passed, str) else _front_verdict(passed)
     yield "largest velocity", si(float(np.abs(run.velocity).max(initial=0.0)), "m/s", 1)
     yield "contacts", _contacts_verdict(run)

@@ -199,9 +199,9 @@ class Drive(_Acting):
         The curve: monotone from point to point (SciPy's PCHIP), straight lines, or a cubic spline
         (not-a-knot), which is refused if it leaves the range of its points by more than a tenth.
     file : path, optional
-        In place of times and displacement: a text file of an instrument, with its options columns,
-        skip, time_scale, scale (m/V), offset or baseline, trigger, see `TraceFile`. With one of the
-        last three it counts from where it is at t = 0.
+        In place of times and displacement: a file of an instrument, with its options columns,
+        skip, time_scale, scale (m/V), offset or baseline, trigger, lowpass, every, see `TraceFile`.
+        With one of offset, baseline, trigger and lowpass it counts from where it is at t = 0.
     grain : 0 or 1
         0 moves the top wall, of a chain with ``top = "wall"``.
     start : Profile, optional
@@ -239,7 +239,7 @@ class Drive(_Acting):
     def _arrays(cls, file: TraceFile) -> tuple[Reading, dict[str, Array]]:
         reading, arrays = super()._arrays(file)
         # an instrument shows distances from somewhere
-        if not {"trigger", "baseline", "offset"}.isdisjoint(file.given()):
+        if not {"trigger", "baseline", "offset", "lowpass"}.isdisjoint(file.given()):
             begin = arrays["displacement"][0]
             arrays["displacement"] = arrays["displacement"] - begin
             text = f"{reading.text}; less {begin:.6g} m, where it is at t = 0"
@@ -364,8 +364,8 @@ class Force(OneGrain, _Acting):
         s and N: a curve through these points. Before the first of them there is no force; after the
         last it falls to 0 within the time between the last two.
     file : path, optional
-        In place of times and force: a text file of an instrument, with its options columns, skip,
-        time_scale, scale (N/V), offset or baseline, trigger, see `TraceFile`.
+        In place of times and force: a file of an instrument, with its options columns, skip,
+        time_scale, scale (N/V), offset or baseline, trigger, lowpass, every, see `TraceFile`.
     interpolation : "pchip", "linear" or "spline"
         See `Drive`.
     start : Profile, optional

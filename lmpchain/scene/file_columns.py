@@ -6,15 +6,26 @@ import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ..errors import InputError, shown
 from ..util.number_tables import NumberTable
 from ..util.units import unit_of
 
 # names of columns in the files of instruments: of the time, and of what counts the samples
 TIMES = ("time", "t", "x", "x-axis", "x_value")
-COUNTERS = ("sequence", "sample", "index", "nr", "no", "point")
-# how files call the interval of samples that have no times
-INTERVALS = ("increment", "sample interval", "delta_x", "sampling interval", "tinc", "hresolution")
+COUNTER = re.compile(r"(sequence|samples?|index|nr|no|points?|#)[\s_.]*(#|nr|no|number|index)?\.?")
+# how files call the interval of samples that have no times, and its inverse
+INTERVALS = (
+    *("increment", "sample interval", "delta_x", "sampling interval", "tinc", "hresolution"),
+    *("xinc", "tinterval", "dt", "sampling period", "sample period"),
+)
+RATES = ("sample rate", "samplerate", "sampling rate", "sampling frequency", "fs")
+# names of the units of all columns, in the files of Tektronix, LabVIEW and Yokogawa
+VALUE_UNITS = ("vertical units", "y_unit_label", "vunit")
+TIME_UNITS = ("horizontal units", "x_unit_label", "hunit", "xunits")
+# part of an interval by which the times of a column may be off
+OFF_GRID = 0.01
 # names that the tables of this package alone give: of forces above rest, and in contacts
 OWN_NAMES = re.compile(r"(change_(force|contact)|force_contact)_\d+")
 
@@ -39,6 +50,48 @@ class Quantity(NamedTuple):
 
 
 INSTANT = Quantity("time", "s")
+
+
+def time_factor(table: NumberTable, place: int) -> float:
+    """Return the unit of times that a file says for a column without any, in s."""
+    unit = unit_of(table.word(place, *TIME_UNITS))
+    return unit.factor if unit and unit.base == "s" else 1.0
+
+
+def interval_of(table: NumberTable, place: int) -> float | None:
+    """Return the time between two samples that a file says for a column, s, or None."""
+    if (interval := table.fact(place, *INTERVALS)) is not None:
+        return time_factor(table, place) * interval
+    rate = table.fact(place, *RATES)
+    return 1 / rate if rate else None
+
+
+def is_counter(table: NumberTable, place: int) -> bool:
+    """Return whether a column counts samples, and so has no unit of time.
+
+    Its name or unit says so, or its numbers do: whole ones that follow one another, which nothing
+    calls times.
+    """
+    column = table.columns[place]
+    if _in_seconds(table, place) or _is_named_counter(table, place):
+        return not _in_seconds(table, place)
+    if column.name.lower() in ("time", "t") or column.unit:
+        return False
+    if table.word(place, *TIME_UNITS) and interval_of(table, place) is None:
+        return False
+    values = table.values([place])[:, 0]
+    return bool((np.diff(values) == 1).all() and values[0] == np.floor(values[0]))
+
+
+def _is_named_counter(table: NumberTable, place: int) -> bool:
+    """Return whether the name or the unit of a column says that it counts samples."""
+    return any(COUNTER.fullmatch(word.lower()) for word in table.columns[place][:2])
+
+
+def _in_seconds(table: NumberTable, place: int) -> bool:
+    """Return whether the header of a column has a unit of time."""
+    unit = unit_of(table.columns[place].unit)
+    return unit is not None and unit.base == "s"
 
 
 def find_columns(
@@ -79,7 +132,50 @@ def find_time_and_columns(
     for quantity, place in zip(quantities, places[1:], strict=True):
         if place is None:
             raise InputError.at("columns", f"has no {quantity.name}: add it")
+    if places[0] is None:
+        places[0] = _own_times(table, [place for place in places[1:] if place is not None])
     return places
+
+
+def _own_times(table: NumberTable, values: Sequence[int]) -> int | None:
+    """Return the place of the times of columns that were named without them, or None.
+
+    They are the nearest column to the left that its name or unit calls times, or that counts the
+    samples, or whose numbers are as far apart as the interval that the file says.
+
+    Raises
+    ------
+    InputError
+        If the columns have times of their own, which differ.
+    """
+    others = [place for place in table.numeric if place not in values]
+    times = [
+        place
+        for place in others
+        if table.columns[place].name.lower() in TIMES
+        and (_in_seconds(table, place) or not unit_of(table.columns[place].unit))
+    ]
+    times = times or [place for place in others if _in_seconds(table, place)]
+    times = times or [place for place in others if _on_grid(table, place)]
+    nearest = [max((t for t in times if t < place), default=None) for place in values]
+    if len(times) > 1 and len({*nearest}) > 1:
+        used = table.values([t for t in nearest if t is not None])
+        if None in nearest or (used != used[:, :1]).any():
+            fault = f"{table.path}: these columns have times of their own"
+            raise InputError.at("columns", f"{fault}: read them one by one, or name one for all")
+    return nearest[0] if nearest[0] is not None else next(iter(times), None)
+
+
+def _on_grid(table: NumberTable, place: int) -> bool:
+    """Return whether a column counts samples, or has the interval that the file says."""
+    column = table.columns[place]
+    if unit_of(column.unit):
+        return False
+    if is_counter(table, place):
+        return True
+    interval = interval_of(table, place)
+    steps = np.diff(table.values([place])[:, 0])
+    return bool(interval and (np.abs(steps - interval) < OFF_GRID * interval).all())
 
 
 def _find_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[int | None]:
@@ -90,7 +186,7 @@ def _find_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[
     missing = [k for k, place in enumerate(places) if place is None]
     rest = [place for place in table.numeric if place not in places]
     if places[0] is not None:
-        rest = [place for place in rest if table.columns[place].name.lower() not in COUNTERS]
+        rest = [place for place in rest if not _is_named_counter(table, place)]
     elif _has_interval(table, rest, len(missing)):
         missing = missing[1:]
     if missing and len(rest) != len(missing):
@@ -103,14 +199,18 @@ def _find_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[
 def _has_interval(table: NumberTable, rest: Sequence[int], missing: int) -> bool:
     """Return whether a file says the interval of its samples in place of their times."""
     names = [table.columns[place].name for place in rest]
-    return table.fact(*INTERVALS) is not None and (len(rest) < missing or any(names))
+    interval = interval_of(table, table.numeric[-1])
+    return interval is not None and (len(rest) < missing or any(names))
 
 
 def _by_name(table: NumberTable, *names: str) -> int | None:
     """Return the place of the only column with the first of these names that is there."""
     for name in names:
         places = [
-            place for place in table.numeric if table.columns[place].name.lower() == name.lower()
+            place
+            for place in table.numeric
+            if name.lower()
+            in (table.columns[place].name.lower(), table.columns[place].cell.lower())
         ]
         if len(places) > 1:
             cure = "say which by its number in columns"

@@ -407,9 +407,13 @@ class Scene(Recording):
 
         return tomli_w.dumps(self.to_dict())
 
-    def to_toml(self, path: str | PathLike[str]) -> None:
-        """Write a scene file that `from_toml` reads back equal."""
-        with write_aside(path) as aside:
+    def to_toml(self, path: str | PathLike[str], overwrite: bool = False) -> None:
+        """Write a scene file that `from_toml` reads back equal.
+
+        A file that lmpchain did not write is replaced only if `overwrite` is true; otherwise
+        `InputError` is raised.
+        """
+        with write_aside(path, overwrite) as aside:
             aside.write_text(self.to_text(), encoding="utf-8")
 
 

@@ -300,12 +300,19 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
         with open(path, encoding="utf-8-sig", newline="") as opened:
             # a file that is one endless line would fill the memory
             lines = iter(lambda: opened.readline(FILE_SIZES.line), "")
-            filled = (row for row in csv.reader(lines) if any(row))
-            header, *rows = ([cell.strip() for cell in row] for row in filled)
+            header, *rows = filter(None, map(_cells, csv.reader(lines)))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a table with a header"
         raise InputError.at("file", f"{path} cannot be read as CSV: {reason}") from None
     return header, rows
+
+
+def _cells(row: Sequence[str]) -> list[str]:
+    """Return the cells of a row without empty ones at its end, which spreadsheets add."""
+    cells = [cell.strip() for cell in row]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
 
 
 def _check_header(

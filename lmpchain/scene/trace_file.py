@@ -18,20 +18,22 @@ from ..util.tables import counted
 from ..util.units import unit_of
 from ..util.validation import NOT_GIVEN, Checked, Positive, Real, Whole
 from .file_columns import (
-    COUNTERS,
-    INTERVALS,
+    OFF_GRID,
+    TIME_UNITS,
+    VALUE_UNITS,
     Quantity,
     ambiguous,
     find_columns,
     find_time_and_columns,
+    interval_of,
+    is_counter,
+    time_factor,
 )
 
 # what a file says of the sampling in place of a column: first time, first sample
-BEGINS = ("start", "x0", "t0", "hoffset")
+BEGINS = ("start", "x0", "t0", "hoffset", "xorg", "tstart")
 TRIGGER_POINTS = ("trigger point",)
-# names of the units of all columns, in the files of Tektronix, LabVIEW and Yokogawa
-VALUE_UNITS = ("vertical units", "y_unit_label", "vunit")
-TIME_UNITS = ("horizontal units", "x_unit_label", "hunit")
+FILTER_ORDER = 4  # of the low pass, which runs forward and backward
 # a sample as near to the trigger, in intervals, is at t = 0: the rest is round-off
 SAME_TIME = 1e-6
 
@@ -109,7 +111,7 @@ class TableFile(Checked):
     ----------
     file : path
         Text: delimiter, decimal comma, lines above the table and units in its header are
-        recognised.
+        recognised. Or arrays of NumPy, MATLAB, HDF5, Excel, or of a universal file (dataset 58).
     columns : list of int or str, or mapping, optional
         Numbers, from 1, or names of the columns, in the order of the quantities, or by their names;
         needed where headers do not tell.
@@ -147,7 +149,7 @@ class TableFile(Checked):
         counts = [
             place for place, column in enumerate(table.columns) if column.name.lower() == "grain"
         ]
-        if counts and not (table.values(counts)[:, 0] == np.arange(len(table.lines)) + 1).all():
+        if counts and not (table.values(counts)[:, 0] == np.arange(len(table.numbers)) + 1).all():
             raise InputError.at("file", f"{self.file}: the column grain must count 1, 2, 3 ...")
         values, words = self._calibrate_columns(table, present)
         return Reading(np.empty(0), values, self._text(table, words), [q.name for q, _ in present])
@@ -179,7 +181,8 @@ class TableFile(Checked):
 
     def _text(self, table: NumberTable, words: Sequence[str]) -> str:
         """Return what was understood in a line."""
-        rows = f"{counted(len(table.lines), 'row')} from line {table.lines[0][0]}"
+        line = "row" if table.arrays is not None else "line"
+        rows = f"{counted(len(table.numbers), 'row')} from {line} {table.numbers[0]}"
         layout = f", {table.layout.words}" if len(table.numeric) > 1 else ""
         return "; ".join([f"{self.file.name}: {rows}{layout}", *words])
 
@@ -191,16 +194,24 @@ class TraceFile(TableFile):
     ----------
     time_scale : float, optional
         s for each unit of the column of times, by default what its header says, or 1; between two
-        samples where there is no such column.
+        samples where there is no such column, or it counts the samples.
     baseline : (2,) sequence, optional
         Times of the file, s, between which the mean is taken off, in place of an offset.
     trigger : float, optional
         Time of the file, s, that is t = 0. What is before is dropped.
+    lowpass : float, optional
+        Hz: a Butterworth filter of fourth order, run forward and backward so that it delays
+        nothing, halves the amplitude of this frequency and takes higher ones out.
+    every : int, optional
+        Keep the first sample and every so manieth after it, for a trace that is sampled more
+        densely than the motion needs.
     """
 
     time_scale: Positive = NOT_GIVEN
     baseline: Annotated[Array, BeforeValidator(_two_times)] = NOT_GIVEN
     trigger: Real = NOT_GIVEN
+    lowpass: Positive = NOT_GIVEN
+    every: Annotated[Whole, Field(ge=1)] = 1
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         if self.baseline is not None and self.offset is not None:
@@ -222,68 +233,111 @@ class TraceFile(TableFile):
             If it cannot be read, or does not tell which columns these are.
         """
         table = read_table(self.file, self.skip, 1 + len(quantities))
-        if len(table.lines) < 2:
+        if len(table.numbers) < 2:
             names = ", ".join(["time", *(quantity.name for quantity in quantities)])
             raise InputError.at("file", f"{self.file} has not two lines of numbers: {names}")
         time_place, *places = find_time_and_columns(table, quantities, self.columns)
-        time, word = self._time(table, time_place)
+        time, word = self._time(table, time_place, [place for place in places if place is not None])
         present = list(zip(quantities, places, strict=True))
         values, words = self._calibrate_columns(table, present, self._window(time))
         words = [word, *words]
+        if self.lowpass is not None:
+            values = smoothed(time, values, self.lowpass)
+            words.append(f"low pass of {self.lowpass:g} Hz")
         if self.trigger is not None:
             time, values, before = self._from_trigger(time, values, from_zero)
             words.append(f"t = 0 at {self.trigger:g} s, {counted(before, 'row')} before it dropped")
+        if self.every > 1:
+            if not len(time) > self.every:
+                fault = f"must be below {len(time)}, the samples that there are"
+                raise InputError.at("every", f"{fault} (got {self.every})")
+            time, values = time[:: self.every], values[:: self.every]
+            words.append(f"every {self.every} samples one, {len(time)} of them")
         text = self._text(table, words)
         return Reading(time, values, text, [quantity.name for quantity in quantities])
 
-    def _time(self, table: NumberTable, place: int | None) -> tuple[Array, str]:
+    def _time(
+        self, table: NumberTable, place: int | None, values: Sequence[int]
+    ) -> tuple[Array, str]:
         """Return the times of a trace, s, and in words where they are from."""
-        column = None if place is None else table.columns[place]
-        counts = column is None or {column.name.lower(), column.unit.lower()} & set(COUNTERS)
-        samples = np.arange(float(len(table.lines)))
+        scale: float | None = self.time_scale
+        if place is not None and scale is not None and not self._names_times(len(values)):
+            place, scale = self._times_beside(table, place)
+        samples = np.arange(float(len(table.numbers)))
         if place is not None:
             samples = table.values([place])[:, 0]
-        if counts:
-            step = table.fact(*INTERVALS) if self.time_scale is None else self.time_scale
+        # a column with a factor of its own is one of times, unless its header says that it counts
+        if place is None or is_counter(table, place):
+            step = scale or _step(table, values)
             if step is None:
                 cure = "give the column of the times by columns, or the interval as time_scale"
-                raise InputError.at("time_scale", f"{self.file} has no times: {cure}")
-            begin = table.fact(*BEGINS)
+                fault = f"{self.file} has no times"
+                if place is not None:
+                    fault += f": {table.describe(place)} counts the samples, and has no unit"
+                raise InputError.at("time_scale", f"{fault}: {cure}")
+            if place is None and len(set(np.diff(table.numbers))) > 1:
+                after = table.numbers[int(np.argmax(np.diff(table.numbers)))]
+                fault = f"{self.file}, line {after + 1}: is empty, where lines count the samples"
+                raise InputError.at("file", f"{fault}: fill it in, or take it out")
+            factor = time_factor(table, values[0])
+            begin = table.fact(values[0], *BEGINS)
             if begin is None:
-                begin = 0.0 - step * (table.fact(*TRIGGER_POINTS) or 0.0)
+                begin = 0.0 - step * (table.fact(values[0], *TRIGGER_POINTS) or 0.0)
+            else:
+                begin *= factor
             time = begin + step * samples
-            word = f"time: from {begin:g} s by intervals of {step:g} s"
+            word = f"time: from {time[0]:g} s by intervals of {step:g} s"
         else:
-            assert place is not None
-            factor = self._time_unit(table, place)
+            factor = self._time_unit(table, place, scale)
             time = factor * samples
             # the unit in the header says it already
             word = f"time: {table.describe(place)}"
-            if self.time_scale is not None or not table.columns[place].unit:
+            if scale is not None or not table.columns[place].unit:
                 word += f", times {factor:g} s" if factor != 1 else " in s"
-        back = np.flatnonzero(np.diff(time) <= 0)
+        back = np.flatnonzero(~(np.diff(time) > 0))
         if back.size:
-            line = table.lines[back[0] + 1][0]
+            line = table.numbers[back[0] + 1]
             cure = "sort the lines, or save the times with more digits, and one trace a file"
             raise InputError.at("file", f"{self.file}, line {line}: time does not increase: {cure}")
         return time, word
 
-    def _time_unit(self, table: NumberTable, place: int) -> float:
+    def _names_times(self, values: int) -> bool:
+        """Return whether `columns` names the column of the times, or leaves all to the header."""
+        if self.columns is None or isinstance(self.columns, dict):
+            return self.columns is None or "time" in self.columns
+        return len(self.columns) > values
+
+    def _times_beside(self, table: NumberTable, place: int) -> tuple[int | None, float | None]:
+        """Return the column of times beside a value that was named alone, and its scale, s.
+
+        The scale that was given may be the interval of the samples, as where there are no times: a
+        column that has this interval needs no scale, and one that contradicts it is left out.
+        """
+        unit = unit_of(table.unit(place, *TIME_UNITS))
+        factor = unit.factor if unit and unit.base == "s" else None
+        steps = np.diff(table.values([place])[:, 0]) * (factor or 1.0)
+        if (np.abs(steps - self.time_scale) < OFF_GRID * self.time_scale).all():
+            return place, self.time_scale if is_counter(table, place) else None
+        if factor is not None and not np.isclose(factor, self.time_scale, 1e-9):
+            return None, self.time_scale
+        return place, self.time_scale
+
+    def _time_unit(self, table: NumberTable, place: int, scale: float | None) -> float:
         """Return how many seconds one unit of the column of times is."""
-        text = table.columns[place].unit or next(filter(None, map(table.facts.get, TIME_UNITS)), "")
+        text = table.unit(place, *TIME_UNITS)
         unit = unit_of(text)
         header = f"the header of {self.file} says {shown(text)}"
-        if self.time_scale is None:
+        if scale is None:
             if not text:
                 return 1.0
             if unit is None or unit.base != "s":
                 cure = "give time_scale, in s, or the column of the times by columns"
                 raise InputError.at("time_scale", f"{header}, which is no time: {cure}")
             return unit.factor
-        if unit and unit.base == "s" and not np.isclose(unit.factor, self.time_scale, 1e-9):
+        if unit and unit.base == "s" and not np.isclose(unit.factor, scale, 1e-9):
             cure = "leave time_scale out, or the header by skip"
-            raise InputError.at("time_scale", f"{header}, not {self.time_scale:g} s: {cure}")
-        return self.time_scale
+            raise InputError.at("time_scale", f"{header}, not {scale:g} s: {cure}")
+        return scale
 
     def _window(self, time: Array) -> Array | None:
         """Return which samples are in the window of the baseline; None without one."""
@@ -316,6 +370,41 @@ class TraceFile(TableFile):
         return np.append(0.0, since), np.vstack([begin, values[first:]]), first
 
 
+def smoothed(time: Array, values: Array, lowpass: float) -> Array:
+    """Return values (R, K) without frequencies above one, Hz, and without delay.
+
+    Raises
+    ------
+    InputError
+        If the samples are too few, too far apart, or not evenly spaced.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    steps = np.diff(time)
+    step = steps.mean()
+    if not (np.abs(steps - step) < OFF_GRID * step).all():
+        fault = f"needs evenly spaced times (they are {steps.min():g} to {steps.max():g} s apart)"
+        raise InputError.at("lowpass", f"{fault}: leave it out")
+    if not lowpass < 0.5 / step:
+        fault = f"must be below {0.5 / step:g} Hz, half the rate of the samples"
+        raise InputError.at("lowpass", f"{fault} (got {lowpass:g})")
+    # the amplitude is halved by two passes
+    sections = butter(FILTER_ORDER, 2 * step * lowpass, output="sos")
+    fewest = 3 * (2 * len(sections) + 1)
+    if len(time) <= fewest:
+        raise InputError.at("lowpass", f"needs more than {fewest} samples (got {len(time)})")
+    return np.asarray(sosfiltfilt(sections, values, axis=0))
+
+
+def _step(table: NumberTable, values: Sequence[int]) -> float | None:
+    """Return the interval of the samples in these columns, s; None if the file says none."""
+    steps = {interval_of(table, place) for place in values}
+    if len(steps) > 1:
+        fault = f"{table.path} has columns with intervals of their own"
+        raise InputError.at("columns", f"{fault}: read them one by one")
+    return steps.pop()
+
+
 class Calibration(NamedTuple):
     """From the numbers of a column to SI: its unit, what that is in SI, and what one of it is."""
 
@@ -329,7 +418,7 @@ def _calibrate(
     table: NumberTable, place: int, quantity: Quantity, scale: float | None
 ) -> Calibration:
     """Return how the numbers in a column become those of a quantity."""
-    text = table.columns[place].unit or next(filter(None, map(table.facts.get, VALUE_UNITS)), "")
+    text = table.unit(place, *VALUE_UNITS)
     unit = unit_of(text)
     same = unit is not None and unit.base == quantity.unit
     header = f"{table.path} has {quantity.name} in {shown(text)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
 
 Interpolation = Literal["pchip", "linear", "spline"]
 ROUNDED = 4 * EPSILON  # of a time, by which sample times may be off
+# Largest speed that frequencies above the highest one of a curve may have, over its largest speed.
+NEGLIGIBLE_SPEED = 1e-3
+# Most samples whose spectrum is computed.
+SPECTRUM_SAMPLES = 2**20
 
 
 def curve_through(times: Array, values: Array, interpolation: Interpolation, holds: bool) -> PPoly:
@@ -92,6 +97,8 @@ class Waveform:
         s; infinite if it goes on.
     spline : PPoly, optional
         In place of all that, a piecewise cubic.
+    holds : bool
+        Whether a piecewise cubic is a motion, which holds its last value, and not a force.
     """
 
     amplitude: float = 0.0
@@ -99,6 +106,7 @@ class Waveform:
     envelope: float = 0.0
     end: float = np.inf
     spline: PPoly | None = None
+    holds: bool = True
 
     @classmethod
     def sine(cls, amplitude: float, frequency: float, cycles: float | None = None) -> Waveform:
@@ -118,7 +126,7 @@ class Waveform:
         cls, times: Array, values: Array, interpolation: Interpolation, holds: bool
     ) -> Waveform:
         """Return the waveform of `curve_through`."""
-        return cls(spline=curve_through(times, values, interpolation, holds))
+        return cls(spline=curve_through(times, values, interpolation, holds), holds=holds)
 
     @classmethod
     def piston(cls, velocity: float, rise: float) -> Waveform:
@@ -201,9 +209,45 @@ class Waveform:
     def fastest(self) -> float:
         """Highest frequency that a step must resolve, rad/s."""
         if self.spline is not None:
-            return 1 / self.corner_spacing
+            return self._band_edge
         # the upper side band of a burst
         return float(self.omega + 2 * self.envelope)
+
+    @cached_property
+    def _band_edge(self) -> float:
+        """The highest frequency of a piecewise cubic, rad/s: one over the least time between knots.
+
+        If the knots are denser than the motion needs, it is the lowest frequency, by halving that
+        one, above which the spectrum adds less than `NEGLIGIBLE_SPEED` to the speed: that of a
+        motion, or that of a free mass under a force.
+        """
+        assert self.spline is not None
+        edge = 1 / self.corner_spacing
+        # a curve holds its last value, or is 0, in its last piece
+        end = self.spline.x[-2]
+        intervals = end * edge
+        if not 1 < intervals < SPECTRUM_SAMPLES:
+            return edge
+        from scipy.fft import next_fast_len
+
+        count = next_fast_len(int(np.ceil(intervals)), real=True)
+        time, step = np.linspace(0.0, end, count + 1, retstep=True)
+        curve = self.at(time)
+        frequency = 2 * np.pi * np.fft.rfftfreq(count, step)
+        if self.holds:
+            speed = np.diff(curve) / step
+            spectrum = np.fft.rfft(speed)
+        else:
+            speed = np.cumsum(curve) * step
+            spectrum = np.fft.rfft(curve[:-1])
+            spectrum[1:] /= frequency[1:]
+        negligible = NEGLIGIBLE_SPEED * np.abs(speed).max()
+        while edge > frequency[1]:
+            beyond = np.fft.irfft(np.where(frequency > edge / 2, spectrum, 0), count)
+            if not np.abs(beyond).max() < negligible:
+                break
+            edge /= 2
+        return float(edge)
 
     @property
     def corner_spacing(self) -> float:

@@ -14,15 +14,16 @@ import numpy as np
 
 from ..engines.base import Engine, Run
 from ..engines.cost_model import announce
-from ..engines.step_control import AVERAGES, Attempt, Outcome, solve_to_tolerance
+from ..engines.step_control import AVERAGES, PATIENCE, Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import LightCone, Scene, check_scene
-from ..trajectory.record import Block
+from ..trajectory.record import LARGEST_ERROR, Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
+from ..util.memory import free_memory
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
-from .gathering import GatheringRun, of_engine
+from .gathering import GatheringRun, at_samples, of_engine
 from .policy import policy_for, record
 from .task import Task
 
@@ -231,6 +232,7 @@ def _solve(
     cone = None if engine.whole or scene.quantities else scene.light_cone
     state: Mapping[str, Array] = {}
     gathering: GatheringRun | None = None
+    solved: Run | None = None
 
     def begin(attempt: Attempt) -> Mapping[str, Array] | None:
         nonlocal state
@@ -238,7 +240,8 @@ def _solve(
         return of_engine(state) or None
 
     def collect(run: Run) -> Any:
-        nonlocal gathering
+        nonlocal gathering, solved
+        solved = run
         if scene.quantities:
             run = gathering = GatheringRun(run, engine, [scene], [scene_part], state)
         if not progress:
@@ -247,7 +250,10 @@ def _solve(
             return output.collect(run, _expand(blocks, cone))
 
     outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, task.best_effort)
-    return outcome, gathering.results([outcome.error.total])[0] if gathering else {}
+    gathered = gathering.results([outcome.error.total])[0] if gathering else {}
+    for energies in solved.energies() if solved else []:
+        gathered |= at_samples(scene, energies)
+    return outcome, gathered
 
 
 def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
@@ -267,15 +273,19 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
     if "redone" in trajectory.provenance:
         warn(trajectory.provenance["redone"], stacklevel=3)
     model = trajectory.error_estimate.model
-    bound = outcome.error.model_bound
+    bound = min(outcome.error.model_bound, LARGEST_ERROR)
     if model > task.tolerance:
         limit = f" (at most {bound:.2g})" if bound > model else ""
-        error = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the solution{limit}"
+        size = f"about {model:.2g} of the solution{limit}"
+        if model == LARGEST_ERROR:
+            size = f"all of the solution, an error of {LARGEST_ERROR:g}"
+        error = f"Eq. ({trajectory.equation}) leaves out {size}"
         remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
         warn(remark.rstrip(". "), stacklevel=3)
     if not outcome.missed and outcome.known_until < math.inf:
-        cannot = f"this scene amplifies round-off, beyond {task.tolerance:g} from about"
-        time_s = f"t = {outcome.known_until:.4g} s on"
+        # a step was given, and so there is no tolerance to name
+        cannot = f"this scene amplifies round-off, beyond {PATIENCE.visible:g} of the motion"
+        time_s = f"from about t = {outcome.known_until:.4g} s on"
         warn(f"{cannot} {time_s}, where no step predicts it: take {AVERAGES}", stacklevel=3)
     if outcome.missed:
         if not task.best_effort:
@@ -303,7 +313,12 @@ class _Memory:
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Start at the beginning."""
-        self._scene = self._task.scene.until(attempt.known_until)
+        self._scene = scene = self._task.scene.until(attempt.known_until)
+        # Pages of grains that the wave does not reach are never written.
+        cone = scene.light_cone
+        moving = (scene.recorded if cone is None else scene.recorded[cone.columns]).size
+        if 16 * scene.samples * moving > free_memory():
+            raise _too_large(scene.samples, moving)
         return None
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
@@ -321,12 +336,7 @@ class _Memory:
                 try:
                     u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
                 except (MemoryError, ValueError, OSError):
-                    size = 16e-9 * shape[0] * shape[1]
-                    raise InputError.at(
-                        "samples",
-                        f"{size:.3g} GB do not fit: record fewer samples or grains, or let a run "
-                        "folder hold them on the disk",
-                    ) from None
+                    raise _too_large(*shape) from None
             u[block.samples, block.columns] = block.displacement[0]
             v[block.samples, block.columns] = block.velocity[0]
         return u, v
@@ -353,6 +363,16 @@ class _Memory:
         )
 
 
+def _too_large(samples: int, grains: int) -> InputError:
+    """Return the error of a trajectory that does not fit into the memory."""
+    return InputError.at(
+        "samples",
+        f"{16e-9 * samples * grains:.3g} GB of samples do not fit into "
+        f"{free_memory() / 1e9:.3g} GB of free memory: record fewer samples or grains, or use a "
+        "run folder (-o FOLDER/)",
+    )
+
+
 def _zeros(shape: tuple[int, int], moving: int) -> Array:
     """Return zeros of which only the columns that are written take memory.
 
@@ -375,5 +395,5 @@ def _show_progress(run: Run, name: str, samples: int, done: int) -> Generator[Bl
             yield block
             bar.reach(max(block.samples.stop, run.progress * samples))
             if time.monotonic() > estimated + ESTIMATE_S:
-                bar.remark(f"error {run.errors()[0].total:.1g}")
+                bar.remark(f"error {run.errors()[0].estimate.total:.1g}")
                 estimated = time.monotonic()

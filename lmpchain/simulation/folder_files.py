@@ -12,7 +12,7 @@ from .. import engines
 from ..errors import InputError, short
 from ..trajectory import zarr_store as store
 from ..util.files import is_aside, path_of, read_sealed_json, replacing
-from ..util.locks import LOCK, is_lock, take_lock
+from ..util.locks import LOCK, describe_holder, is_lock, take_lock
 from ..util.provenance import checksum, checksums
 from . import checkpoints
 from .task import AT_WORK, RUN, SCENE, STATUS, check_run, is_run, is_sealed, resume_command
@@ -189,7 +189,7 @@ def remove(folder: Path) -> None:
     check_replaceable(folder)
     lock = take_lock(folder)
     if lock is None:
-        raise InputError.at(str(folder), AT_WORK)
+        raise InputError.at(str(folder), AT_WORK.format(holder=describe_holder(Path(folder))))
     try:
         # under its lock, so that no process writes to it meanwhile
         clear(folder)

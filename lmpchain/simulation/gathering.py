@@ -116,6 +116,13 @@ class GatheringRun(Run):
         self._run.close()
 
 
+def at_samples(scene: Scene, energies: Mapping[str, Array]) -> dict[str, Array]:
+    """Return energies at the samples of a scene of those at the fine times of `Scene.fine`."""
+    return {
+        name: values[:: scene.finer] if values.ndim else values for name, values in energies.items()
+    }
+
+
 def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:
     """Return the arrays of a state that belong to the run of the engine."""
     return state and {key: values for key, values in state.items() if not key.startswith(STATE)}

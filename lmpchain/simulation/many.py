@@ -17,7 +17,7 @@ from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from .api import check_on_miss, simulate
-from .gathering import GatheringRun
+from .gathering import GatheringRun, at_samples
 from .policy import damping_record, policy_for, record
 
 # samples x grains of the scenes of a batch, which then stay in the cache of a processor
@@ -153,16 +153,20 @@ def _solve(
     candidate = attempts[0].candidate
     parts = [scene.fine for scene in scenes]
     gathering = None
-    with closing(engine.start(parts, candidate)) as run:
+    with closing(engine.start(parts, candidate)) as answering:
+        run = answering
         if scenes[0].quantities:
             run = gathering = GatheringRun(run, engine, scenes, parts, {})
         blocks = [block for block in run.blocks() if block.displacement.size]
         errors = run.errors()
         cost = run.cost()
+        energies = answering.energies()
     u = _join([block.displacement for block in blocks])
     v = _join([block.velocity for block in blocks])
     totals = [error.total for error in errors]
     gathered = gathering.results(totals) if gathering else [{} for _ in scenes]
+    for scene, quantities, summed in zip(scenes, gathered, energies, strict=False):
+        quantities |= at_samples(scene, summed)
     cost = _share(cost, attempts)
     provenance = record(engine, scenes[0], candidate, tolerance)
     results = []

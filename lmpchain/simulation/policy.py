@@ -17,6 +17,7 @@ from ..util.suggestions import not_among
 from .selection import Proposal, cheapest, propose, reason
 
 AUTO = "auto"
+GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
 
 def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
     """Return the record of an answer: versions, choices, and the remarks of the engine."""
-    asked = "none, for a step was given" if engine.step else f"{tolerance:g}"
+    asked = GIVEN_STEP if engine.step else f"{tolerance:g}"
     return {
         **versions(),
         "tolerance": asked,

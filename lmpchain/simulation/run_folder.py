@@ -42,7 +42,7 @@ from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json
-from ..util.locks import take_lock
+from ..util.locks import describe_holder, take_lock
 from ..util.provenance import now
 from ..util.remarks import warn
 from ..util.tables import finite
@@ -192,7 +192,7 @@ class RunFolder:
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
         if not lock:
-            raise InputError.at(self.name, tasks.AT_WORK)
+            raise InputError.at(self.name, tasks.AT_WORK.format(holder=describe_holder(self.path)))
         return lock
 
     @property
@@ -306,7 +306,7 @@ class RunFolder:
         began = time.monotonic()
         self._writer.flush()
         error = run.errors()[0]
-        self._estimate = error.total
+        self._estimate = error.estimate.total
         # the samples are on the disk before the checkpoint says so
         self._writer.note(error.estimate)
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
@@ -334,7 +334,7 @@ class RunFolder:
         """Write the end of the run; return the answer, which stays on the disk."""
         spent: Any = self._spent(outcome.cost)
         cost = outcome.cost._replace(**{key: spent[key] for key in SPENT})
-        self._estimate = outcome.error.total
+        self._estimate = outcome.error.estimate.total
         self._writer.conclude(outcome.error.estimate, cost, gathered)
         write_sums(self.path, finished=True)
         self._write_status("finished", outcome.missed)

@@ -18,7 +18,7 @@ from ..util.provenance import describe_session
 from ..util.remarks import warn
 from .policy import Named, Policy, policy_for
 
-AT_WORK = "another process is at work here; wait for it, or stop it"
+AT_WORK = "{holder} is at work here; wait for it, or stop it"
 SCENE = "scene.toml"
 RUN = "run.json"
 STATUS = "status.json"

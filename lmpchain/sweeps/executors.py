@@ -61,9 +61,16 @@ class Processes(Executor):
         )
 
     def __enter__(self) -> Processes:
-        """Start a process; raises `InputError` if it dies of the script that it imports."""
+        """Start a process; raises `InputError` if none can start, or its script ends it."""
         try:
             self.submit(os.getpid).result()
+        except OSError as error:
+            # Semaphores of processes are files in shared memory.
+            self.shutdown(cancel_futures=True)
+            cause = f"{error.strerror or error}; is there a writable /dev/shm?"
+            raise InputError.at(
+                "workers", f"processes cannot start here ({cause}): use --workers 1"
+            ) from None
         except BrokenExecutor:
             # one that is killed, as where memory runs out, is no fault of the script
             if _fails_on_import():

@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import islice
 from os import PathLike
 from pathlib import Path
@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, short, shown
+from ..errors import InputError, LmpchainError, RunFailed, short, shown
 from ..util.files import check_tree, make_folder, read_sealed_json, sealed_json, write_aside
-from ..util.locks import take_lock
+from ..util.locks import describe_holder, take_lock
 from ..util.progress import ProgressBar
 from ..util.remarks import warn, warnings_aside
 from .executors import Here, Processes, end_if_imported
@@ -26,6 +26,7 @@ from .labels import Labels, make_labels
 from .results import load_sweep
 from .store import (
     NAME,
+    NOT_DONE,
     PARTS,
     Coordinates,
     Layout,
@@ -50,6 +51,7 @@ def sweep(
     folder: str | PathLike[str],
     *,
     workers: int = 1,
+    scheduler: str | None = None,
     executor: Executor | None = None,
     progress: bool = False,
 ) -> xarray.Dataset:
@@ -70,9 +72,11 @@ def sweep(
     workers : int
         Processes of this machine; with 1 all is done in this one. Scripts need ``if __name__ ==
         "__main__":`` for more.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as ``"tcp://127.0.0.1:8786"``, whose workers solve the
+        scenes in place of local processes.
     executor : concurrent.futures.Executor, optional
-        Executor that runs the scenes in place of local processes, such as
-        ``dask.distributed.Client(address).get_executor(pure=False)``.
+        Any other executor that runs the scenes in place of local processes.
     progress : bool
         Whether to show a progress bar.
 
@@ -85,11 +89,16 @@ def sweep(
     ------
     InputError
         With every fault of the sweep; if another process is at this folder, nothing can be
-        written there, or the processes cannot start.
+        written there, the processes cannot start, or no scheduler answers.
+    RunFailed
+        If the connection to the scheduler is lost; results that were computed are kept.
     """
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise InputError.at("workers", f"must be a whole number from 1 (got {shown(workers)})")
-    if workers > 1 and not executor:
+    if scheduler is not None and executor is not None:
+        raise InputError.at("scheduler", "goes without an executor: give one of the two")
+    local = scheduler is None and executor is None
+    if workers > 1 and local:
         end_if_imported()
     plan = read(source)
     batch = _try_scenes(plan)
@@ -97,21 +106,32 @@ def sweep(
     with _lock(folder):
         results, layout, grains = _prepare(plan, folder, batch)
         work = _Work(results, layout)
-        executors = (
-            nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
-        )
-        pending = TASKS.pending if executor or workers > 1 else 1
+        pending = 1 if local and workers == 1 else TASKS.pending
         with (
-            executors as chosen,
+            _executor(workers, scheduler, executor) as chosen,
             ProgressBar(layout.count, unit=" scenes", done=work.scenes, shown=progress) as bar,
         ):
             tasks = (Task(results, plan.folder, layout, grains, first) for first in work.firsts)
             faults = work.do(chosen, tasks, bar, pending)
         # of workers that died on the way
         clean(results, layout)
+    answers = load_sweep(folder)
     if faults:
         warn(f"some scenes could not be done this time; of the first: {faults[0]}", stacklevel=2)
-    return load_sweep(folder)
+        cause = f"{NOT_DONE}: {faults[0]}"
+        answers["reason"] = answers["reason"].where(answers["reason"] != NOT_DONE, cause)
+    return answers
+
+
+def _executor(
+    workers: int, scheduler: str | None, executor: Executor | None
+) -> AbstractContextManager[Executor]:
+    """Return the executor of a sweep; one that the user made stays open."""
+    if scheduler is not None:
+        return dask(scheduler)
+    if executor is not None:
+        return nullcontext(executor)
+    return Processes(workers) if workers > 1 else Here()
 
 
 def _try_scenes(plan: Sweep) -> int:
@@ -137,7 +157,13 @@ def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, Layout, np.nd
     (results / PARTS).mkdir(parents=True, exist_ok=True)
     if not intact(results):
         swept = {axis.name: len(axis) for axis in plan.axes}
-        create(results, layout, _coordinates(plan, labels), swept)
+        try:
+            create(results, layout, _coordinates(plan, labels), swept)
+        except (IsADirectoryError, NotADirectoryError, FileExistsError) as error:
+            cause = f"{short(error.filename2 or error.filename)}: {error.strerror}"
+            raise InputError.at(
+                str(results), f"is damaged ({cause}): remove it, and sweep again"
+            ) from None
     if not (results / NAME).exists():
         for earlier in list_earlier(folder, results):
             take_over(plan, layout, results, earlier)
@@ -182,7 +208,7 @@ def _check_index(path: Path) -> None:
 
 def _write(path: Path, text: str) -> None:
     if path.is_symlink() or not path.is_file() or path.read_text(encoding="utf-8") != text:
-        with write_aside(path) as aside:
+        with write_aside(path, overwrite=True) as aside:
             aside.write_text(text, encoding="utf-8")
 
 
@@ -206,7 +232,9 @@ def _lock(folder: Path) -> Iterator[None]:
     """Lock the folder of a sweep."""
     lock = take_lock(folder)
     if lock is None:
-        raise InputError.at(str(folder), "another process sweeps into this folder; wait for it")
+        raise InputError.at(
+            str(folder), f"{describe_holder(folder)} sweeps into this folder; wait for it"
+        )
     try:
         yield
     finally:
@@ -226,8 +254,10 @@ def dask(address: str) -> Iterator[Executor]:
         from distributed import Client
     except ImportError:
         raise InputError.at("scheduler", 'needs Dask: pip install "lmpchain[cluster]"') from None
-    # what fails is told by exceptions
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # Exceptions report failures. Dask sets the levels of some of its loggers one by one.
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=TASKS.scheduler_s)
     except (OSError, ValueError) as error:
@@ -241,6 +271,12 @@ def dask(address: str) -> Iterator[Executor]:
                 stacklevel=3,
             )
         yield client.get_executor(pure=False)
+
+
+LOST = (
+    "the connection to the Dask scheduler is lost: the results so far are kept; start the "
+    "scheduler and its workers again, then repeat the command to go on"
+)
 
 
 class _Work:
@@ -275,7 +311,10 @@ class _Work:
                     self._submit(executor, task, pending)
                 if not pending:
                     return faults
-                for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                done = wait(pending, timeout=TASKS.scheduler_s, return_when=FIRST_COMPLETED).done
+                if not is_connected(executor):
+                    raise RunFailed(LOST)
+                for future in done:
                     job = pending.pop(future)
                     error = _find_error(future)
                     died = isinstance(error, BrokenExecutor)
@@ -309,6 +348,12 @@ class _Work:
         return not firsts
 
 
+def is_connected(executor: Executor) -> bool:
+    """Return whether an executor is connected to its Dask scheduler, if it has one."""
+    client = getattr(executor, "_client", None)
+    return client is None or client.status == "running"
+
+
 def _find_error(future: Future) -> Exception | None:
     try:
         future.result()
@@ -321,4 +366,6 @@ def _describe(error: Exception) -> str:
     """Return a fault of the machine or the cluster, not of a scene, in words."""
     if isinstance(error, BrokenExecutor):
         return f"the process that was at it died {TASKS.deaths} times"
+    if isinstance(error, LmpchainError):
+        return str(error)
     return f"{type(error).__name__} {error}".strip()

@@ -112,6 +112,10 @@ def answer(task: Task) -> None:
     shard = task.first // task.layout.shard
     if part_of(task.folder, task.first).exists() or complete(task.folder, shard):
         return
+    if not task.folder.is_dir():
+        raise RunFailed(
+            f"a worker does not see the folder {task.folder}: all machines must share it"
+        )
     plan = _read_plan(task.folder / NAME, task.files)
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1

@@ -10,7 +10,9 @@ El's fitting (Chaos 15, 037103 (2005)), which Whitham's modulation equations imp
 
     trailing  2 c_a - c_b,    leading  2 c_a sinh(q/2) / q  with  cosh(q/4)^2 = c_b / c_a;
 
-behind ``c_b > 2 c_a`` no trailing edge leaves the piston. For Toda's force, (exp(beta R) - 1) /
+behind ``c_b > 2 c_a`` no trailing edge leaves the piston. Grains that are pulled away faster than
+J(R_a) part: their contacts are open, their overlap is 0, and so is the speed of the trailing edge
+of that rarefaction, because no force passes an open contact. For Toda's force, (exp(beta R) - 1) /
 beta, they are exact. For weak waves, c_b = c_a (1 + a), they tend to those of Korteweg and de Vries
 (Gurevich and Pitaevskii, Sov. Phys. JETP 38, 291 (1974)), c_a (1 + 2a/3) and c_a (1 - a), with a
 leading wave twice as high as the jump.
@@ -24,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..util.lazy import listed
 from .domain import require
 from .soliton import SLOWEST, solve
@@ -33,7 +35,10 @@ __dir__ = listed(__name__)
 
 
 class State(NamedTuple):
-    """A uniform stretch of the chain: velocity, m/s, and overlap of its contacts, m."""
+    """A uniform stretch of the chain: velocity, m/s, and overlap of its contacts, m.
+
+    The overlap of open contacts is 0, however wide their gaps are.
+    """
 
     velocity: float
     overlap: float
@@ -50,6 +55,8 @@ class Edges(NamedTuple):
 @dataclass(frozen=True)
 class Medium:
     """A uniform chain as a gas.
+
+    All methods raise `InputError` for a negative overlap: that of an open contact is 0.
 
     Attributes
     ----------
@@ -92,10 +99,12 @@ class Medium:
 
     def force(self, overlap: float) -> float:
         """Return the force of a contact, N."""
+        _require_overlap(overlap)
         return self.constant * overlap**self.exponent
 
     def sound(self, overlap: float) -> float:
         """Return the speed of sound, grains/s."""
+        _require_overlap(overlap)
         slope = self.exponent * self.constant * overlap ** (self.exponent - 1)
         return float(np.sqrt(slope / self.mass))
 
@@ -109,15 +118,23 @@ class Medium:
         return float((max(invariant, 0.0) / self.invariant(1.0)) ** power)
 
     def behind(self, ahead: State, velocity: float) -> State:
-        """Return what a simple or dispersive wave leaves behind grains driven at a speed, m/s."""
-        change = velocity - ahead.velocity
-        return State(velocity, self.overlap_at(self.invariant(ahead.overlap) + change))
+        """Return the state behind a simple or dispersive wave that a piston drives, m/s.
+
+        Grains cannot follow a piston that withdraws faster than the velocity ahead less J. They fly
+        at that velocity, and their contacts are open.
+        """
+        slowest = ahead.velocity - self.invariant(ahead.overlap)
+        return State(max(velocity, slowest), self.overlap_at(velocity - slowest))
 
     def between(self, left: State, right: State) -> State:
-        """Return the state that simple or dispersive waves to both sides leave of a step."""
+        """Return the state that simple or dispersive waves to both sides leave of a step.
+
+        The velocity is NaN if the contacts open: both sides fly apart, each as `behind` says.
+        """
         above = left.velocity + self.invariant(left.overlap)
         below = right.velocity - self.invariant(right.overlap)
-        return State((above + below) / 2, self.overlap_at((above - below) / 2))
+        velocity = (above + below) / 2 if above >= below else np.nan
+        return State(velocity, self.overlap_at((above - below) / 2))
 
     def rankine_hugoniot(self, ahead: State, velocity: float) -> tuple[State, float]:
         """Return the state behind a steady shock, and the speed of that, grains/s.
@@ -145,7 +162,12 @@ class Medium:
         return State(velocity, overlap), jump / (overlap - ahead.overlap)
 
     def rarefaction(self, ahead: State, overlap: float) -> Edges:
-        """Return the edges of a rarefaction: sound in what is ahead, and in what is behind."""
+        """Return the edges of a rarefaction: sound in what is ahead, and in what is behind.
+
+        The trailing edge of a rarefaction that opens contacts, overlap 0, stays where it began.
+        """
+        expands = overlap <= ahead.overlap
+        require(("overlap", expands, "must not exceed that ahead, or there is no rarefaction"))
         height = overlap - ahead.overlap
         return Edges(self.sound(ahead.overlap), self.sound(overlap), height)
 
@@ -155,6 +177,7 @@ class Medium:
         The height is that of the solitary wave of this speed, by `soliton.solve`; NaN where it is
         too slow for that, and without a load. The trailing speed is NaN where no edge forms.
         """
+        _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
         behind = self.sound(overlap)
         if sound == 0:
@@ -167,6 +190,7 @@ class Medium:
 
     def toda(self, ahead: State, overlap: float) -> Edges:
         """Return the exact edges in a Toda chain of the same first two terms of the force."""
+        _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
         if sound == 0:
             return Edges(np.nan, np.nan, np.nan)
@@ -177,20 +201,36 @@ class Medium:
 
     def kdv(self, ahead: State, overlap: float) -> Edges:
         """Return the edges by Korteweg and de Vries's equation, for weak waves."""
+        _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
         if sound == 0:
             return Edges(np.nan, np.nan, np.nan)
         jump = overlap - ahead.overlap
         excess = (self.exponent - 1) / 2 * jump / ahead.overlap
-        return Edges(sound * (1 + 2 * excess / 3), sound * (1 - excess), 2 * jump)
+        trailing = _above_zero(sound * (1 - excess))
+        return Edges(sound * (1 + 2 * excess / 3), trailing, 2 * jump)
 
     def thickness(self, ahead: State, overlap: float, viscosity: float) -> float:
         """Return the jump over the steepest slope of a weak viscous shock, grains.
 
         Burgers's: ``8 nu / (c_b - c_a)`` with ``nu = A c_a^2 / 2``, A the time of `Damping`, s.
         """
+        rule = "must exceed that ahead, or there is no shock"
+        require(("overlap", overlap > ahead.overlap, rule))
         sound = self.sound(ahead.overlap)
         return 4 * viscosity * sound**2 / (self.sound(overlap) - sound)
+
+
+def _require_overlap(overlap: float) -> None:
+    """Raise `InputError` for the overlap of a gap, of which a power is complex."""
+    message = f"must be 0 or more (got {shown(overlap)}): an open contact has the overlap 0"
+    require(("overlap", overlap >= 0, message))
+
+
+def _require_compression(ahead: State, overlap: float) -> None:
+    """Raise `InputError` if a dispersive shock would have to expand the chain."""
+    compressed = overlap >= ahead.overlap
+    require(("overlap", compressed, "must not be below that ahead, or there is no shock"))
 
 
 def _solitary_speed(cosh: float) -> float:

@@ -12,7 +12,7 @@ from .record import Record
 PROPERTIES = "species:S:1:pos:R:3:velo:R:3:id:I:1:radius:R:1:displacement:R:1"
 
 
-def write(record: Record, path: str | PathLike[str]) -> None:
+def write(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.to_extxyz`."""
     chain = record.scene.chain
     grains = record.grains
@@ -27,7 +27,7 @@ def write(record: Record, path: str | PathLike[str]) -> None:
         f'pbc="F F F" Properties={PROPERTIES}'
     )
     named = list(zip(grains.tolist(), radii.tolist(), strict=True))
-    with write_aside(path) as aside, open(aside, "w", encoding="ascii") as out:
+    with write_aside(path, overwrite) as aside, open(aside, "w", encoding="ascii") as out:
         for sample, time in enumerate(record.time.tolist()):
             u = np.asarray(record.displacement[sample])
             v = np.asarray(record.velocity[sample])

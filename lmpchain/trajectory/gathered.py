@@ -32,6 +32,13 @@ QUANTITIES = {
 }
 
 
+# energies of a chain with damping, which a run that moves by steps sums up at each
+ENERGIES = {
+    "dissipated": Quantity(("time",), "J", "energy taken by viscous contacts and drag since t = 0"),
+    "drive": Quantity(("time",), "J", "work of a force or a drive since t = 0"),
+}
+
+
 class Layout(NamedTuple):
     """Dimensions and shape of an array, and its attributes in files."""
 
@@ -52,7 +59,10 @@ def file_name(name: str) -> str:
 
 
 def arrays(scene: Scene) -> dict[str, Layout]:
-    """Return the arrays that are gathered of a scene, by name in `Trajectory.gathered`."""
+    """Return the arrays that are gathered of a scene, by name in `Trajectory.gathered`.
+
+    Those of `energies` may be missing.
+    """
     layouts: dict[str, Layout] = {}
     sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}
     for name in scene.quantities:
@@ -68,6 +78,20 @@ def arrays(scene: Scene) -> dict[str, Layout]:
         if TIME in dimensions:
             labels = {"units": "s", "long_name": "time since the strike"}
             layouts[TIME] = Layout(dimensions, shape, labels)
+    return layouts | energies(scene)
+
+
+def energies(scene: Scene) -> dict[str, Layout]:
+    """Return the arrays that a run with damping sums up at every step, by name."""
+    if not scene.chain.damped:
+        return {}
+    layouts = {}
+    for name in ENERGIES if scene.excitation.does_work else ("dissipated",):
+        dimensions, units, title = ENERGIES[name]
+        labels = {"units": units, "long_name": title}
+        layouts[name] = Layout(dimensions, (scene.samples,), labels)
+        labels = labels | {"long_name": f"error of the {title}"}
+        layouts[f"{name}_error"] = Layout((), (), labels)
     return layouts
 
 

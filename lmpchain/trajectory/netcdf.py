@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import h5py
 
 
-def write(record: Record, path: str | PathLike[str]) -> None:
+def write(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
     # xarray writes the same, but its import takes longer than most runs
     import h5netcdf
@@ -34,7 +34,7 @@ def write(record: Record, path: str | PathLike[str]) -> None:
         file.attrs.update(record.attributes() | {"history": f"{now()} {command()}"})
         for name, (dimensions, values, attributes) in record.variables().items():
             file.create_variable(name, dimensions, data=values).attrs.update(attributes)
-    with write_aside(path) as aside, open(aside, "wb") as opened:
+    with write_aside(path, overwrite) as aside, open(aside, "wb") as opened:
         opened.writelines((memory.getbuffer(), seal(memory.getbuffer())))
 
 
@@ -51,7 +51,7 @@ def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
     with h5py.File(path, "r") as file:
         attributes = {name: _attribute(file, name) for name in ATTRIBUTES}
         scene = read_scene(attributes)
-        arrays = {name: _array(file, name, shape) for name, shape in shapes(scene).items()}
+        arrays = {name: _array(file, name, shape) for name, shape in shapes(scene, file).items()}
         return attributes, scene, arrays
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_type_hints
 
@@ -19,6 +20,8 @@ FORMAT = 1  # version of the files
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
 ROUNDED = 1e-9  # of a duration, by which steps of one length may exceed it
+# relative error that says nothing is known: two motions differ by at most twice the larger one
+LARGEST_ERROR = 2.0
 DATA_TYPES = {"grain": "int64"}  # all other arrays are of float64
 # metadata of a file
 ATTRIBUTES = (
@@ -45,7 +48,13 @@ class ErrorEstimate:
 
     The error is the larger of those of displacement and velocity, each max|x - x_true| over all
     samples and grains over the largest ``|x_true|`` of any grain of the chain at any time of the
-    run, between the samples too.
+    run, between the samples too. However little moves, the largest motion is the unit. If nothing
+    is set in motion, the units are the overlap of the first contact at rest and its speed in the
+    unit of time, or 1 m and 1 m/s without an overlap.
+
+    The estimate is at most 2, because two motions differ by at most twice the larger one: 2 means
+    that nothing is known of the answer. It is 0 only if no recorded grain can move, and infinite
+    only if no error was estimated.
 
     Attributes
     ----------
@@ -60,8 +69,17 @@ class ErrorEstimate:
 
     @property
     def total(self) -> float:
-        """Model error plus solver error."""
-        return self.model + self.solver
+        """Model error plus solver error, at most 2."""
+        return min(self.model + self.solver, max(self.model, self.solver, LARGEST_ERROR))
+
+    @property
+    def remark(self) -> str:
+        """What an estimate of 0 or 2 means, to follow the number; empty for any other one."""
+        if self.total == 0:
+            return ", because no recorded grain can move"
+        if LARGEST_ERROR <= self.total < math.inf:
+            return ", the largest there is: nothing is known of the answer"
+        return ""
 
 
 class Cost(NamedTuple):
@@ -193,7 +211,7 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
         "solver_error": error.solver,
         "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain"
         " at any time of the run, the larger of displacement and velocity, x_true the solution of "
-        "Eq. (1)",
+        "Eq. (1); at most 2, which means that nothing is known",
         "cost": json.dumps(cost._asdict()),
     }
 
@@ -205,12 +223,18 @@ def read_scene(attributes: Mapping[str, Any]) -> Scene:
     return Scene.from_text(attributes["scene"])
 
 
-def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays of a scene, by name, without making one of them."""
+def shapes(scene: Scene, present: Collection[str]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays of a scene, by name, without making one of them.
+
+    Energies are among them if a file has them: their names are then `present`.
+    """
     samples = scene.samples
     grains = scene.count(scene.chain)
+    optional = gathered.energies(scene).keys() - set(present)
     extra = {
-        gathered.file_name(name): layout.shape for name, layout in gathered.arrays(scene).items()
+        gathered.file_name(name): layout.shape
+        for name, layout in gathered.arrays(scene).items()
+        if name not in optional
     }
     return {
         "time": (samples,),

@@ -47,7 +47,9 @@ class Trajectory(Shown, Record, Tabular):
         Choices that shaped the solution, and versions.
     gathered : dict
         The `quantities` of the scene by name, and their errors, by name with "_error":
-        (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,).
+        (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,). Of a chain
+        with damping, runs that move by steps add "dissipated" and, with a force or drive, "drive",
+        (T,) J: see `measure.energy.ledger`.
     """
 
     _units: ClassVar[dict[str, str]] = {"time": "s", "displacement": "m", "velocity": "m/s"}
@@ -72,7 +74,8 @@ class Trajectory(Shown, Record, Tabular):
         )
         yield (
             "error estimate",
-            f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)",
+            f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)"
+            f"{error.remark}",
         )
         if scene.chain.damped:
             yield "damping", scene.damping_remark
@@ -113,23 +116,28 @@ class Trajectory(Shown, Record, Tabular):
         }
         return xarray.Dataset(variables, attrs=self.attributes())
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write a NetCDF file, atomically."""
+    def save(self, path: str | PathLike[str], overwrite: bool = False) -> None:
+        """Write a NetCDF file, atomically.
+
+        A file that lmpchain did not write is replaced only if `overwrite` is true; otherwise
+        `InputError` is raised.
+        """
         from .netcdf import write
 
-        write(self, path)
+        write(self, path, overwrite)
 
-    def to_extxyz(self, path: str | PathLike[str]) -> None:
+    def to_extxyz(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
 
         The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z =
         0 (as in a deck), id (number of the grain), radius in m, and displacement in m, from
         equilibrium and positive downward; every number is written with all its digits. The file is
-        written atomically.
+        written atomically. A file that lmpchain did not write is replaced only if `overwrite` is
+        true.
         """
         from .extxyz import write
 
-        write(self, path)
+        write(self, path, overwrite)
 
     def universe(self) -> Universe:
         """Return an MDAnalysis Universe of the recorded grains, in SI units, read on demand.

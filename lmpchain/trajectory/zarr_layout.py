@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,9 +80,9 @@ def pieces(samples: int, grains: int) -> dict[str, Piece]:
     }
 
 
-def stores(scene: Scene) -> dict[str, Piece]:
-    """Return the shapes of the files of each array of a scene; see `pieces`."""
-    return shapes(scene) | pieces(scene.samples, scene.count(scene.chain))
+def stores(scene: Scene, present: Collection[str]) -> dict[str, Piece]:
+    """Return the shapes of the files of each array of a scene; see `pieces` and `shapes`."""
+    return shapes(scene, present) | pieces(scene.samples, scene.count(scene.chain))
 
 
 def metadata(node: Path) -> dict[str, Any]:
@@ -98,10 +99,10 @@ def metadata(node: Path) -> dict[str, Any]:
 
 def check(store: Path, scene: Scene) -> None:
     """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
-    arrays = shapes(scene)
-    sizes = stores(scene)
-    chunk = sizes["chunk"]
     names = {path.name for path in store.iterdir() if path.is_dir()}
+    arrays = shapes(scene, names)
+    sizes = stores(scene, names)
+    chunk = sizes["chunk"]
     if metadata(store).get("node_type") != "group" or names - arrays.keys():
         raise ValueError("it is no store of lmpchain, or holds more than that")
     for name, shape in arrays.items():

@@ -201,6 +201,9 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     names = ["time", "grain"]
     if finished:
         names += map(gathered.file_name, gathered.arrays(scene))
+        # not every engine sums up energies
+        energies = gathered.energies(scene)
+        names = [n for n in names if n not in energies or (n in data and data[n].notnull().all())]
     arrays: dict[str, Any] = {name: data[name].to_numpy() for name in names}
     arrays |= {name: OnDisk(data[name].variable) for name in FIELDS}
     no_cost = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)

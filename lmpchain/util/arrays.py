@@ -12,6 +12,7 @@ from ..errors import InputError, shown
 Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
+SMALLEST = 5e-324  # above 0
 # the bits of a double without its sign; those of positive ones compare like the numbers
 MAGNITUDE = (1 << 63) - 1
 # what numpy would turn into numbers, by the letter of its kind
@@ -24,6 +25,17 @@ NO_NUMBERS = {
     "m": "time spans: give seconds",
     "c": "complex ones: give their real parts or their sizes",
 }
+
+
+def last_digit(size: float) -> float:
+    """Return the unit in the last place over a number: above EPSILON for the smallest doubles.
+
+    Examples
+    --------
+    >>> last_digit(3.0) == last_digit(1e-300) == EPSILON, last_digit(5e-324)
+    (True, 1.0)
+    """
+    return max(EPSILON, float(np.spacing(size)) / size)
 
 
 def numbers(value: Any, key: str = "") -> Array:

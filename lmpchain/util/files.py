@@ -13,7 +13,7 @@ import stat
 import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from io import BytesIO
 from os import PathLike
@@ -27,6 +27,8 @@ from ..errors import InputError, shown
 SEAL = b"lmpchain sha256 "
 UNSEALED = "it ends without the seal of lmpchain: copy it again, or save it anew"
 SEALED = "seal"  # key of the hash of a JSON file, by which lmpchain knows what it wrote
+# Extended attribute with the size and the modification time of a file as lmpchain wrote it.
+WRITTEN = "user.lmpchain.written"
 LARGEST_JSON = 2**30  # bytes of a file that describes a store, a run or a sweep
 
 
@@ -113,21 +115,63 @@ def check_tree(folder: Path) -> None:
                 )
 
 
+def is_foreign(path: Path) -> bool:
+    """Return whether a file exists that lmpchain did not write, or that was changed since.
+
+    A link is foreign, because a user made it. An empty file is not, because nothing is lost. Where
+    the file system stores no extended attributes, only files with a seal are recognised.
+    """
+    if not os.path.lexists(path):
+        return False
+    if path.is_symlink():
+        return True
+    if path.stat().st_size == 0:
+        return False
+    try:
+        return os.getxattr(path, WRITTEN) != _written(path)
+    except (OSError, AttributeError):
+        return not _is_sealed(path)
+
+
+def _written(path: Path) -> bytes:
+    """Return the value of the attribute `WRITTEN` for a file as it is now."""
+    status = path.stat()
+    return f"{status.st_size} {status.st_mtime_ns}".encode()
+
+
+def _is_sealed(path: Path) -> bool:
+    try:
+        check_seal(path)
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def check_replaceable(path: Path, overwrite: bool) -> None:
+    """Raise `InputError` if a file is foreign, unless `overwrite` allows to replace it."""
+    if not overwrite and is_foreign(path):
+        cure = "name another file, or pass overwrite=True to replace it"
+        raise InputError.at(str(path), f"is a file that lmpchain did not write: {cure}")
+
+
 @contextmanager
-def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
-    """Write a user's file atomically, as `replacing` does.
+def write_aside(path: str | PathLike[str], overwrite: bool = False) -> Iterator[Path]:
+    """Write a user's file atomically, as `replacing` does, and mark it as written by lmpchain.
 
     Raises
     ------
     InputError
-        If `path` cannot be written.
+        If `path` cannot be written, or is foreign and `overwrite` is false.
     """
     path = expanded(path)
     try:
         if path.exists() and not path.is_file():
             raise InputError.at(str(path), "is a folder or a device; name a file")
+        check_replaceable(path, overwrite)
         with replacing(path) as aside:
             yield aside
+            with suppress(OSError, AttributeError):
+                os.setxattr(aside, WRITTEN, _written(aside))
     except (OSError, RuntimeError) as error:
         # HDF5 reports a full disk as either
         reason = getattr(error, "strerror", None) or error

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,12 +13,16 @@ from ..errors import InputError
 from .files import check_readable
 
 if TYPE_CHECKING:
-    from filelock import FileLock
+    from filelock import BaseFileLock
 
 LOCK = ".lock"
 LARGEST = 1000  # bytes
 # process and machine, where the file system has no locks and the file itself is one
 HELD = re.compile(rb"(\d+\n.*)?", re.DOTALL)
+
+
+# Errors of file systems without `flock`, as network file systems may be.
+UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 def is_lock(path: Path) -> bool:
@@ -29,7 +36,7 @@ def is_lock(path: Path) -> bool:
         return False
 
 
-def take_lock(folder: Path, patience_s: float = 0.0) -> FileLock | None:
+def take_lock(folder: Path, patience_s: float = 0.0) -> BaseFileLock | None:
     """Return the lock of a folder once it is free, None if another process keeps it.
 
     Raises
@@ -37,16 +44,40 @@ def take_lock(folder: Path, patience_s: float = 0.0) -> FileLock | None:
     InputError
         If a file, link or device of that name is not lmpchain's: a lock would empty it.
     """
-    from filelock import FileLock, Timeout
+    from filelock import FileLock, SoftFileLock, Timeout
 
     path = folder / LOCK
     if not is_lock(path):
         raise InputError.at(
             str(path), "is not lmpchain's, but a link, a device or a file with content: move it"
         )
-    lock = FileLock(path, timeout=patience_s)
+    lock = (FileLock if has_locks(folder) else SoftFileLock)(path, timeout=patience_s)
     try:
         lock.acquire()
     except Timeout:
         return None
     return lock
+
+
+def has_locks(folder: Path) -> bool:
+    """Return whether the file system of a folder has `flock`, which ends with its process."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in UNSUPPORTED
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def describe_holder(folder: Path) -> str:
+    """Return which process holds the lock of a folder, as far as the lock names it.
+
+    Only locks on file systems without `flock` do, and they outlive a process that is killed.
+    """
+    try:
+        number, host, *_ = (folder / LOCK).read_text(encoding="utf-8").split("\n")
+    except (OSError, ValueError):
+        return "another process"
+    return f"process {number} on {host} (if it has ended, remove {folder / LOCK})"

@@ -6,14 +6,16 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import InputError, shown
+from .array_files import BY_POINTS, Arrays, read_arrays
 from .arrays import Array
 from .files import check_readable
 from .units import BRACKETS, split_unit, unit_of
@@ -74,21 +76,35 @@ class Layout(NamedTuple):
     @property
     def words(self) -> str:
         """The layout in words."""
-        between = {" ": "blanks", "\t": "tabs", ";": "semicolons", ",": "commas"}[self.delimiter]
+        names = {" ": "blanks", "\t": "tabs", ";": "semicolons", ",": "commas"}
+        if self.delimiter not in names:
+            return self.delimiter
+        between = names[self.delimiter]
         return f"{between} between columns" + (", decimal commas" if self.decimal == "," else "")
 
 
 DIGITS = r"[+-]?(\d+({0}\d*)?|{0}\d+)([eE][+-]?\d+)?"
 CELLS = {mark: re.compile(DIGITS.format(re.escape(mark)), re.ASCII) for mark in ".,"}
+EMPTY = re.compile(r'[\s,;"\x1a]*')
+NAMED_VALUE = re.compile(r"([^\W\d][^:=]*?)\s*[:=]\s*(.+)")
+NO_UNIT = ("", "-", "--", "1")
 # a name of a column, with a unit in brackets that a blank may part from it
 NAME_AND_UNIT = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
 class Column(NamedTuple):
-    """Name and unit of a column, as its header has them; empty if it has none."""
+    """Name and unit of a column, as its header has them; empty if it has none.
+
+    The cell is the text of the header with both of them.
+    """
 
     name: str
     unit: str
+    cell: str = ""
+
+
+# What a file says about its columns: by a lower-case name, then by the place of the column.
+Facts = dict[str, dict[int, str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,33 +114,48 @@ class NumberTable:
     Attributes
     ----------
     path : Path
-    layout : Layout
     columns : list of Column
         Of all, up to the last one of numbers.
     numeric : tuple of int
         Places of the columns of numbers.
-    facts : dict of str
-        What the lines above or beside the table say, by its lower-case name.
-    lines : list of (int, str)
-        Of the table, with their numbers in the file.
+    facts : dict
+        What the lines above or beside the table say about each column of numbers.
+    numbers : sequence of int
+        Numbers in the file of its lines, or of the rows of its arrays.
+    lines : list of str
+        Text of the table; empty if a library read it.
+    layout : Layout
+        How its lines are written.
+    arrays : (R, C) array, optional
+        All columns, where a library read them.
     """
 
     path: Path
-    layout: Layout
     columns: list[Column]
     numeric: tuple[int, ...]
-    facts: dict[str, str]
-    lines: list[tuple[int, str]]
+    facts: Facts
+    numbers: Sequence[int]
+    lines: list[str]
+    layout: Layout
+    arrays: Array | None = None
 
     def values(self, places: Sequence[int]) -> Array:
         """Return columns (R, C); raises `InputError` with the first cell that is no number."""
+        if self.arrays is not None:
+            values = self.arrays[:, places]
+            if (wrong := np.argwhere(~np.isfinite(values))).size:
+                row, place = wrong[0]
+                cell = f"row {row + 1} of {self.describe(places[place])}"
+                fault = f"{values[row, place]} in {cell} is no number: mend it or leave it out"
+                raise InputError.at("file", f"{self.path}: {fault}")
+            return values
         layout = self.layout
         try:
             return self._read_quickly(places)
         except ValueError:
             # quotes, decimal commas between commas, or a cell that is no number
             values = np.empty((len(self.lines), len(places)))
-        for row, line in enumerate(self.lines):
+        for row, line in enumerate(zip(self.numbers, self.lines, strict=True)):
             cells = layout.cells(line[1])
             try:
                 if not all(layout.is_number(cells[place]) for place in places):
@@ -139,21 +170,35 @@ class NumberTable:
         delimiter, decimal = self.layout
         if delimiter == decimal:
             raise ValueError(delimiter)
-        texts = (text.replace(decimal, ".") for _, text in self.lines)
+        texts = (text.replace(decimal, ".") for text in self.lines)
         between = None if delimiter == " " else delimiter
         values = np.loadtxt(texts, delimiter=between, usecols=places, comments=None, ndmin=2)
         if not np.isfinite(values).all():
             raise ValueError("not finite")
         return values
 
-    def fact(self, *names: str) -> float | None:
-        """Return the number that the file says by one of these names; None if it says none."""
-        for cell in filter(None, map(self.facts.get, names)):
+    def word(self, place: int, *names: str) -> str:
+        """Return what the file says about a column by the first of these names that it has."""
+        words = (self.facts.get(name, {}).get(place, "") for name in names)
+        # Siglent begins a value with the name of its channel
+        return next(filter(None, words), "").rpartition(":")[2].strip()
+
+    def fact(self, place: int, *names: str) -> float | None:
+        """Return the number that the file says about a column by one of these names, or None."""
+        for cell in (self.word(place, name) for name in names):
             # headers may have points where the numbers have commas
             for layout in (self.layout, Layout(",", ".")):
                 if layout.is_number(cell):
                     return layout.number(cell)
         return None
+
+    def unit(self, place: int, *names: str) -> str:
+        """Return the unit of a column by its header, or by what the file says by these names.
+
+        A text that names no unit, such as a remark in brackets, is returned if there is no other.
+        """
+        texts = [self.columns[place].unit, self.word(place, *names)]
+        return next(filter(unit_of, texts), "") or next(filter(None, texts), "")
 
     def describe(self, place: int) -> str:
         """Return a column in words, as its number and header have it."""
@@ -163,13 +208,13 @@ class NumberTable:
 
 
 def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
-    """Find the table of numbers in a text file.
+    """Find the table of numbers in a text file, or in a binary one that a library reads.
 
     Parameters
     ----------
     path : Path
     skip : int
-        Lines at the beginning that are not looked at.
+        Lines, or rows, at the beginning that are not looked at.
     fewest : int
         Columns of numbers that are looked for.
 
@@ -188,31 +233,71 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
     >>> table.values([0, 1]).tolist()
     [[-0.5, 1.25], [0.0, 0.1]]
     """
-    numbered = enumerate(_read_lines(path), 1)
+    text = _read_text(path)
+    if isinstance(text, Arrays):
+        return _table_of(path, text, skip, fewest)
+    numbered = enumerate(re.split(r"\r\n|\r|\n", text), 1)
     lines = [(number, line) for number, line in numbered if number > skip and line.strip()]
+    # spreadsheets end with rows of empty cells
+    while lines and EMPTY.fullmatch(lines[-1][1]):
+        lines.pop()
     try:
         layout, numeric = _recognise(path, lines, fewest)
         first = _first_row(path, lines, layout, numeric)
         above = [line for _, line in lines[max(first - 2, 0) : first]][::-1]
         header = _header(path, above, layout, numeric, len(layout.cells(lines[first][1])))
-        # beside the first rows, where Tektronix writes it, or above them
-        facts = dict(_facts(layout.cells(line) for _, line in lines[: first + SAMPLED_LINES]))
+        facts: Facts = {}
+        for _, line in lines[:first]:
+            _note_above(facts, layout.cells(line), numeric)
+        # beside the first rows, where Tektronix writes them
+        for _, line in lines[first : first + SAMPLED_LINES]:
+            _note_beside(facts, layout.cells(line), numeric)
     except csv.Error as error:
         raise InputError.at("file", f"{path} cannot be read as a table: {error}") from None
-    if len(header) == 2:
+    if names := facts.get("tracename"):
+        # Yokogawa has no header directly above the numbers
+        traces = [names.get(place, "") for place in range(numeric[-1] + 1)]
+        columns = [Column(name, "", name) for name in traces]
+    else:
+        columns = _columns(header, numeric)
         # names and values in two lines, as Rigol has the sampling interval
-        facts |= {name.lower(): cell for name, cell in zip(header[1], header[0], strict=False)}
-    return NumberTable(path, layout, _columns(header, numeric), numeric, facts, lines[first:])
+        for name, cell in zip(header[1], header[0], strict=False) if len(header) == 2 else ():
+            facts[name.lower()] = dict.fromkeys(numeric, cell)
+    numbers, rows = map(list, zip(*lines[first:], strict=True))
+    return NumberTable(path, columns, numeric, facts, numbers, rows, layout)
 
 
-def _read_lines(path: Path) -> list[str]:
-    """Return the lines of a text file in the encodings that instruments use."""
+def _table_of(path: Path, arrays: Arrays, skip: int, fewest: int) -> NumberTable:
+    """Return the table of the arrays of a file: of the most equally long ones, or the longest."""
+    lengths = Counter(len(array.values) for array in arrays.columns if len(array.values) > skip)
+    if not lengths:
+        raise InputError.at("file", f"{path} holds no table of numbers: name another file")
+    length = max(lengths, key=lambda length: (lengths[length] >= fewest, length))
+    chosen = [array for array in arrays.columns if len(array.values) == length]
+    columns = []
+    facts: Facts = {}
+    for place, array in enumerate(chosen):
+        name, unit = split_unit(array.name)
+        columns.append(Column(name, array.unit or unit, array.name))
+        for fact, value in (arrays.facts | array.facts).items():
+            facts.setdefault(fact.lower(), {})[place] = value
+    values = np.column_stack([array.values[skip:] for array in chosen]).astype(float)
+    numeric = tuple(range(len(chosen)))
+    rows = range(skip + 1, length + 1)
+    return NumberTable(path, columns, numeric, facts, rows, [], Layout(arrays.kind, "."), values)
+
+
+def _read_text(path: Path) -> str | Arrays:
+    """Return the text of a file in the encodings that instruments use, or the arrays in it."""
     try:
         check_readable(path, LARGEST_FILE)
         content = path.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError.at("file", f"{path} cannot be read: {reason}") from None
+    found = read_arrays(path, content, LARGEST_FILE)
+    if found:
+        return found
     wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
     try:
         text = content.decode("utf-16" if wide else "utf-8-sig")
@@ -220,9 +305,9 @@ def _read_lines(path: Path) -> list[str]:
         # every byte is a letter of it, the micro sign among them
         text = content.decode("latin-1")
     if "\0" in text:
-        cure = "save it as text (CSV)"
+        cure = f"save it as text (CSV), or read it in Python and {BY_POINTS}"
         raise InputError.at("file", f"{path} is no text: {cure}")
-    return re.split(r"\r\n|\r|\n", text)
+    return text
 
 
 def _recognise(
@@ -351,12 +436,33 @@ def _header_cells(line: str, layout: Layout, width: int) -> list[str]:
     return []
 
 
-def _facts(rows: Iterable[Sequence[str]]) -> Iterator[tuple[str, str]]:
-    """Yield what lines say, as name and value: the first two cells, or the sides of a colon."""
-    for cells in rows:
-        pair = re.split(r"\s*[:=]\s*", cells[0], maxsplit=1) if len(cells) == 1 else cells[:2]
-        if len(pair) == 2 and pair[0][:1].isalpha():
-            yield pair[0].lower(), pair[1]
+def _note_above(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
+    """Note what a line above a table says: a name and a value, or a value for each column.
+
+    Values stand above their columns, or one cell later if the first column is one of values. One
+    value alone holds for all columns.
+    """
+    for cell in cells:
+        # the sides of a colon, or what Rigol writes behind the names of columns
+        pair = NAMED_VALUE.fullmatch(cell)
+        if pair and (len(cells) == 1 or CELLS["."].fullmatch(pair[2])):
+            facts[pair[1].lower()] = dict.fromkeys(numeric, pair[2])
+    values = cells[1:]
+    if not any(values) or not cells[0][:1].isalpha():
+        return
+    shift = 1 if numeric[0] == 0 and len(cells) > numeric[-1] + 1 else 0
+    alone = values[0] if len({*values} - {""}) == 1 else ""
+    # the first cell is the name
+    own = {place: "".join(["", *values][place + shift : place + shift + 1]) for place in numeric}
+    facts[cells[0].lower()] = {place: own[place] or alone for place in numeric}
+
+
+def _note_beside(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
+    """Note what a row of a table says to the left of its numbers: a name and a value."""
+    for place, (name, value) in enumerate(pairwise(cells)):
+        if name[:1].isalpha() and place + 1 not in numeric:
+            later = (column for column in numeric if column > place)
+            facts.setdefault(name.lower(), {}).update(dict.fromkeys(later, value))
 
 
 def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[Column]:
@@ -366,11 +472,18 @@ def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[
         return [Column("", "")] * width
     cells = list(header[0][:width])
     units = [cell.strip("()[] ") for cell in cells]
-    # a line of units below that of the names
-    if all(_is_unit(cells[place]) for place in numeric):
+    # a line of units below that of the names, with a dash or nothing for a number without one
+    marks = [cells[place] for place in numeric]
+    if all(_is_unit(mark) for mark in marks) or (
+        len(header) == 2
+        and any(map(_is_unit, marks))
+        and all(_is_unit(mark) or mark in NO_UNIT for mark in marks)
+    ):
         names = header[1][:width] if len(header) == 2 else [""] * width
-        return [Column(name, unit) for name, unit in zip(names, units, strict=True)]
-    return [Column(*split_unit(cell)) for cell in cells]
+        units = ["" if unit in NO_UNIT else unit for unit in units]
+        # the name may have a unit, too, or a remark in brackets
+        return [Column(n, unit, n) for n, unit in zip(names, units, strict=True)]
+    return [Column(*split_unit(cell), cell) for cell in cells]
 
 
 def _is_unit(cell: str) -> bool:

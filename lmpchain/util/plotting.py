@@ -303,7 +303,9 @@ def _fold(ax: Axes, text: str, size: float) -> str:
     return textwrap.fill(text, max(12, int(72 * _inches(ax) / (0.52 * size))))
 
 
-def save(picture: Figure | Axes, path: str | PathLike[str], dpi: int = 150) -> None:
-    """Write a picture, or the one that axes are in, atomically."""
-    with write_aside(path) as aside:
+def save(
+    picture: Figure | Axes, path: str | PathLike[str], dpi: int = 150, overwrite: bool = False
+) -> None:
+    """Write a figure, or the figure of some axes, atomically; see `write_aside`."""
+    with write_aside(path, overwrite) as aside:
         picture.figure.figure.savefig(aside, dpi=dpi)

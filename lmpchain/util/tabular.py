@@ -70,18 +70,22 @@ class Tabular:
 
         return DataFrame({column.header: column.values for column in self._columns()})
 
-    def to_csv(self, path: str | PathLike[str]) -> None:
+    def to_csv(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write a CSV file, atomically, all digits of each number, units in the header.
 
-        `Force(file=)`, `Drive(file=)` and `design.Traces.from_csv` read it.
+        `Force(file=)`, `Drive(file=)` and `design.Traces.from_csv` read it. A file that lmpchain
+        did not write is replaced only if `overwrite` is true.
 
         Raises
         ------
         InputError
-            If it cannot be written.
+            If the file cannot be written or may not be replaced.
         """
         columns = list(self._columns())
-        with write_aside(path) as aside, open(aside, "w", encoding="utf-8", newline="") as opened:
+        with (
+            write_aside(path, overwrite) as aside,
+            open(aside, "w", encoding="utf-8", newline="") as opened,
+        ):
             writer = csv.writer(opened, lineterminator="\n")
             writer.writerow([column.header for column in columns])
             values = [_plain_list(column.values) for column in columns]

@@ -13,13 +13,17 @@ from jinja2.runtime import Macro
 from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
 
 from ..errors import InputError, short, shown
+from .memory import memory_limit
 
+LARGEST_TEXT = 2**28  # bytes of memory that the template of a user may take
 _PACKAGE = Path(__file__).parent.parent
 _FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
 
 
 class _Closed(ImmutableSandboxedEnvironment):
     """Sandboxed templates, which read their values and call `range` and their own macros only."""
+
+    intercepted_binops = frozenset(["**"])
 
     def __init__(self, closed: tuple[type, ...] = (), **options: Any):
         self._closed_types = closed
@@ -34,6 +38,12 @@ class _Closed(ImmutableSandboxedEnvironment):
         self.filters["exact"] = lambda value: repr(float(value))
         # what a template does not need it does not see
         self.globals = {"range": self.globals["range"]}
+
+    def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
+        # A power of whole numbers may have any number of digits, and cannot be interrupted.
+        power = float(left) ** float(right)
+        whole = isinstance(left, int) and power.is_integer() and abs(power) < 2**53
+        return int(power) if whole else power
 
     def is_safe_callable(self, obj: Any) -> bool:
         return isinstance(obj, Macro) or obj is self.globals["range"]
@@ -72,10 +82,11 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
     environment = _Closed(closed)
     values = {"version": version("lmpchain"), **values}
     try:
-        variables = find_undeclared_variables(environment.parse(text))
-        unknown = variables - values.keys() - environment.globals.keys()
-        if not unknown:
-            return environment.from_string(text).render(values)
+        with memory_limit(LARGEST_TEXT):
+            variables = find_undeclared_variables(environment.parse(text))
+            unknown = variables - values.keys() - environment.globals.keys()
+            if not unknown:
+                return environment.from_string(text).render(values)
     except TemplateSyntaxError as error:
         raise InputError.at(
             key, f"line {error.lineno} is not in the form of Jinja2: {error.message}"
@@ -89,9 +100,13 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
         raise InputError.at(
             key, f"asks for something that is closed to it: {cure}, nothing else"
         ) from None
+    except MemoryError:
+        limit = f"needs more than {LARGEST_TEXT >> 20} MB of memory"
+        raise InputError.at(key, f"{limit}: make its texts and lists shorter") from None
     except Exception as error:
         # whatever the expressions of a template raise
-        raise InputError.at(key, f"cannot be filled in: {short(error)}") from None
+        reason = str(error) or type(error).__name__
+        raise InputError.at(key, f"cannot be filled in: {short(reason)}") from None
     cure = f"there are {', '.join(sorted(values))}"
     raise InputError(
         (key, f"there is no placeholder {shown(name)}; {cure}") for name in sorted(unknown)

@@ -19,6 +19,7 @@ PREFIXES = {
 SPELT = {"": 1.0, "nano": 1e-9, "micro": 1e-6, "milli": 1e-3, "kilo": 1e3}
 WORDS = {"second": "s", "sec": "s", "volt": "V", "newton": "N", "metre": "m", "meter": "m"}
 BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
+IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 FIELD_UNITS = {"velocity": "m/s", "displacement": "m", "force": "N", "contact": "N"}
 # without brackets a unit must be known to be one
 OTHER_FORMS = [
@@ -39,6 +40,7 @@ KNOWN_UNITS = {
     for prefix, factor in PREFIXES.items()
 }
 # as some oscilloscopes write them
+KNOWN_UNITS |= {f"{prefix}sec": Unit("s", factor) for prefix, factor in PREFIXES.items()}
 KNOWN_UNITS |= {"S": KNOWN_UNITS["s"], "v": KNOWN_UNITS["V"]}
 KNOWN_UNITS |= {
     prefix + word + plural: Unit(base, factor)
@@ -69,9 +71,17 @@ def split_unit(cell: str) -> tuple[str, str]:
     (('time', 'us'), ('C1', 'V'), ('CH1', ''))
     >>> split_unit("Second"), split_unit("Voltage")
     (('Second', 'Second'), ('Voltage', 'V'))
+    >>> split_unit("hammer [mV] (trigger)"), split_unit("hammer (trigger)")
+    (('hammer (trigger)', 'mV'), ('hammer', 'trigger'))
     """
     if match := BRACKETS.fullmatch(cell):
-        return match[1], match[2]
+        # a remark in brackets must not hide a unit: the last brackets with a unit have it
+        known = [found for found in IN_BRACKETS.finditer(cell) if unit_of(found[1])]
+        if not known:
+            name, unit = split_unit(match[1])
+            return (f"{name} ({match[2]})", unit) if unit_of(unit) else (match[1], match[2])
+        before, after = cell[: known[-1].start()].strip(), cell[known[-1].end() :].strip()
+        return f"{before} {after}".strip(), known[-1][1]
     for form in OTHER_FORMS:
         if (match := form.fullmatch(cell)) and unit_of(match[2]):
             return match[1].strip(), match[2]

@@ -230,7 +230,8 @@ def test_the_picture(found, tmp_path):
         assert times.get(curve.name, math.nan) == pytest.approx(1e3 * seconds, nan_ok=True)
     assert list(times.values()) == sorted(times.values())
     save(picture, tmp_path / "chart.png")
-    assert "AMD" in picture._supxlabel.get_text() or "cores" in picture._supxlabel.get_text()
+    footer = picture._supxlabel.get_text().replace("\n", " ")
+    assert f"after a first, on {found.machine}; " in footer
 
 
 def test_runs_to_a_tolerance_are_named_however_few(found):
@@ -246,7 +247,8 @@ def test_runs_to_a_tolerance_are_named_however_few(found):
 def test_a_picture_in_axes_of_ones_own(found):
     mine = figure()
     axes = mine.subplots(1, 3)
-    assert found.plot(axes) is axes[0]
+    # a busy machine may measure nothing that reaches the target, but the others do
+    assert found.plot(axes, PEERS) is axes[0]
     assert found.plot(ax=figure().subplots()).lines
     assert all(ax.has_data() for ax in axes)
 

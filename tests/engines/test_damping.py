@@ -49,8 +49,8 @@ def test_energy_and_momentum_balance(act):
     put_in = balance.total.max()
     assert balance.dissipated[-1] > 0.03 * put_in
     error = balance.drive_error + balance.dissipated_error
-    assert abs(balance.drift).max() < error + 1e-10 * put_in
-    assert error < 1e-5 * put_in
+    assert abs(balance.drift).max() < error + 1e-11 * put_in
+    assert error < 1e-10 * put_in
     assert (
         abs(balance.momentum_drift).max()
         < balance.impulse_error + 1e-9 * abs(balance.momentum).max()
@@ -59,7 +59,7 @@ def test_energy_and_momentum_balance(act):
     assert lost.of_contact[-1].min() >= 0
     assert lost.of_grain[-1].min() >= 0
     total = lost.of_contact.sum(1) + lost.of_grain.sum(1)
-    assert total == pytest.approx(balance.dissipated)
+    assert abs(total - balance.dissipated).max() <= lost.error < 1e-4 * put_in
 
 
 def test_an_undamped_chain_loses_nothing():

@@ -83,8 +83,11 @@ def test_a_pulse_stays_within_its_light_cone():
     apart = np.abs(np.arange(n) - place)
     integral = np.array([table[2 * k + 1 : 2 * k + 99 : 2].sum(0) for k in range(n)])
     true = np.array([integral[apart].T, table[2 * apart].T])
-    assert np.abs(us - true[0]).max() < 2e-15
-    assert np.abs(vs - true[1]).max() < 2e-15
+    # each value sums 40 products whose magnitudes add up to 1.9; the linear algebra library chooses
+    # the order of summation, which changes the sum by at most 40 * 1.1e-16 * 1.9
+    rounding = 8e-15
+    assert np.abs(us - true[0]).max() < rounding
+    assert np.abs(vs - true[1]).max() < rounding
     for i, (first, last) in enumerate(reached):
         assert not us[i, :first].any()
         assert not us[i, last:].any()
@@ -93,7 +96,8 @@ def test_a_pulse_stays_within_its_light_cone():
         front = np.flatnonzero(np.abs(true[:, i]).max(0) > 1e-15)
         assert first <= front[0] <= place <= front[-1] < last
         assert last - first < 2 * times[i] + 80
-    assert np.abs(us[-1] - us[-1, 2 * place - np.arange(n)]).max() < 1e-16  # alike on both sides
+    mirrored = us[-1, 2 * place - np.arange(n)]
+    assert np.abs(us[-1] - mirrored).max() < rounding
 
 
 def test_the_spent_terms_are_those_that_the_times_need():

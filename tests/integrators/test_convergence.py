@@ -37,7 +37,8 @@ def test_order_of_convergence(engine, integrator):
         "kahan-li6": [24, 34, 48, 68],
         "rkn6": [11, 15, 21, 30],
         "kahan-li8": [24, 29, 35, 42],
-        "dop853": [36, 42, 48, 54, 60, 66],
+        # Shorter steps have errors below 1e-12, whose slope rounding (3e-15) changes by 0.05.
+        "dop853": [36, 42, 48, 54],
         "gear4": [800, 1500, 2000, 3000, 4000],
     }[integrator]
     errors = []

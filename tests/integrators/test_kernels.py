@@ -14,8 +14,8 @@ import numba
 import numpy as np
 import pytest
 from helpers.example_scenes import smooth
-from llvmlite import binding
 from numba import float64, types
+from numba.core.registry import cpu_target
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Profile, Scene
@@ -221,9 +221,10 @@ def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: py
     assert (chain.equilibrium_overlap + u[:, :-1] - u[:, 1:]).min() < 0
 
 
-x86 = pytest.mark.skipif(
-    not re.match(r"x86|i\d86|amd64", binding.get_process_triple()),
-    reason="reads the instructions of x86 processors",
+# Without an FMA instruction each fma is a function call, and loops with calls are not vectorised.
+with_fma = pytest.mark.skipif(
+    "+fma" not in cpu_target.target_context.codegen().magic_tuple()[2].split(","),
+    reason="needs an x86 processor with FMA instructions, and looks for them",
 )
 
 
@@ -236,7 +237,7 @@ def packed(assembly: str, operation: str) -> int:
 alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
 
 
-@x86
+@with_fma
 @pytest.mark.parametrize(
     ("form", "operation"),
     [
@@ -260,7 +261,7 @@ def watch_first(chains):
     window.watch(sample_loop.chain_of(chains, 0, 0))
 
 
-@x86
+@with_fma
 def test_other_loops_do_several_at_a_time():
     row = types.Array(float64, 1, "C")
     batch = ChainBatch([smooth()])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from lmpchain.measure.contact import contacts, drive_force
 from lmpchain.measure.energy import ledger
 from lmpchain.measure.flight import arrival
 from lmpchain.scene.excitation import Excitation
+from lmpchain.trajectory.record import ErrorEstimate
 
 
 def vacuum(grains: int, **ends: Any) -> Chain:
@@ -46,6 +48,11 @@ def record(
         chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains
     )
     return simulate(scene, engine="native", tolerance=tolerance)
+
+
+def of_unknown_error(t: Trajectory) -> Trajectory:
+    """Return the samples alone, as of a foreign dump: no balance shows more than they do."""
+    return replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
 
 
 def largest(values: Any) -> float:
@@ -155,7 +162,7 @@ def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
     chain = Chain(grains=20, diameter=1e-3, top_load=1e-3)
     open_ends = []
     for samples in (129, 257, 513):
-        energy = ledger(record(chain, drive, 4e-5, samples, 1e-12))
+        energy = ledger(of_unknown_error(record(chain, drive, 4e-5, samples, 1e-12)))
         for drift, error, scale in [
             (energy.drift, energy.drive_error, energy.total),
             (energy.momentum_drift, energy.impulse_error, energy.momentum),
@@ -287,7 +294,7 @@ def test_every_grain_that_moves_is_needed() -> None:
 
 
 def test_two_samples_say_nothing_about_the_error() -> None:
-    energy = ledger(record(COLUMN, DRIVES["piston"], 1e-6, 2))
+    energy = ledger(of_unknown_error(record(COLUMN, DRIVES["piston"], 1e-6, 2)))
     assert energy.drive_error == energy.impulse_error == np.inf
     assert np.isfinite(energy.drive).all()
 
@@ -304,4 +311,7 @@ def test_grains_that_never_move_change_nothing(bottom: str) -> None:
         found.append(ledger(record(chain, Impulse(velocity=1e-3), 2e-5, 41, 1e-10)))
     short, long = (vars(each) for each in found)
     for name, value in short.items():
+        if "error" in name or name == "balanced":
+            # the error of a trajectory is not that of another one to the last digit
+            continue
         assert long[name] == pytest.approx(value, rel=1e-12, abs=1e-15 * np.abs(value).max()), name

@@ -15,6 +15,7 @@ from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory
 from lmpchain.measure import energy
 from lmpchain.measure.energy import EnergyLedger
 from lmpchain.measure.motion import motion_of
+from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util.plotting import figure
 
 Array = NDArray[np.float64]
@@ -154,6 +155,8 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
     and from 21.
     """
     t = run("a sine on grain 3", 41)
+    # as of a foreign dump: a known error would let the balance say more than the samples
+    t = replace(t, error_estimate=ErrorEstimate(0.0, np.inf))
     chain = t.scene.chain
     seen = energy.ledger(t)
     omega = 2 * np.pi * 1e5

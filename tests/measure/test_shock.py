@@ -1,6 +1,7 @@
 """Shocks that are measured are those of theory; mass and momentum are conserved in the mean."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from lmpchain import (
     Chain,
     Damping,
     Drive,
+    Force,
     Impulse,
     InputError,
     Riemann,
@@ -134,6 +136,132 @@ def test_rarefaction_is_that_of_the_characteristics(direction: str) -> None:
         assert edge.speed == pytest.approx(speed, rel=0.03)
 
 
+def run(chain: Chain, excitation: Drive | Riemann | Force | Impulse, duration: float) -> Trajectory:
+    """Run a scene for so many times from grain to grain at the speed of sound, with 4 samples each.
+
+    In a sonic vacuum the times are those of the loaded chain.
+    """
+    scene = Scene(
+        chain=chain, excitation=excitation, duration=duration / SOUND, samples=4 * int(duration) + 1
+    )
+    return simulate(scene, engine="native", tolerance=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("step", "direction"),
+    [(None, "down"), (-0.118, "down"), (-0.118, "up"), (-0.13, "down"), (-0.2, "down")],
+)
+def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> None:
+    """Its trailing edge stays: c is (n / t) of that ahead down to 0, and grains fly at -4/5 c o.
+
+    Ahead of them v - 4/5 c o is the same everywhere. A withdrawal, or a step by more than twice
+    that velocity, 0.1171 m/s, opens contacts on both sides. The last contact that is open travels
+    as t^(5/7), slower and slower: grain n opens with a relative velocity of n^-3 that is left of
+    the first times, where that of the fan is n^4 / t^5.
+    """
+    escape = 0.8 * SOUND * OVERLAP
+    if step is None:
+        pull = Drive(shape="piston", velocity=-0.1, rise=10 / SOUND, grain=0)
+        trajectory = run(CHAIN, pull, 300)
+    else:
+        pull = Riemann(velocity=(step, 0), strain=(0, 0), grain=200)
+        trajectory = run(CHAIN.replace(grains=400, top="free"), pull, 150)
+    found = shock.find(trajectory, direction)
+    assert found.kind == "rarefaction"
+    assert abs(found.trailing.speed) < 2 * found.trailing.error < 0.015 * SOUND
+    assert abs(found.leading.speed - SOUND) < 2 * found.leading.error < 0.015 * SOUND
+    assert found.behind.overlap == 0
+    assert found.leading.height == -OVERLAP
+    assert found.ahead.velocity - found.behind.velocity == pytest.approx(escape, rel=8e-3)
+    assert found.ahead.velocity - found.simple.velocity == pytest.approx(escape, rel=1e-9)
+    assert found.predictions["continuum"] == pytest.approx((SOUND, 0.0, -OVERLAP))
+    assert (found.overlap >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("grains", "duration"), [(60, 342), (200, 1142)], ids=["60 grains", "200 grains"]
+)
+def test_recording_goes_on_after_reflections(grains: int, duration: float) -> None:
+    """Of runs of several transits only the first one counts, whose leading edge theory has."""
+    piston = Drive(shape="piston", velocity=0.07, rise=10 / SOUND, grain=0)
+    found = shock.find(run(CHAIN.replace(grains=grains), piston, duration))
+    theory = found.predictions["whitham"]
+    assert found.time < (grains + 5) / SOUND
+    assert found.behind.overlap == pytest.approx(found.simple.overlap, rel=3e-4)
+    assert abs(found.leading.speed - theory.leading) < 2 * found.leading.error < 0.1 * SOUND
+
+
+@pytest.mark.parametrize("case", ["vacuum", "damped", "rarefaction", "opened", "step"])
+def test_long_recording_gives_what_a_short_one_does(case: str) -> None:
+    """Edges do not depend on what is recorded after waves have come from the ends."""
+    chain = CHAIN.replace(grains=120)
+    velocity = {"rarefaction": -0.03, "opened": -0.1, "damped": 0.03}.get(case, 0.07)
+    push = Drive(shape="piston", velocity=velocity, rise=10 / SOUND, grain=0)
+    if case == "vacuum":
+        chain = chain.replace(top_load=0.0)
+    elif case == "damped":
+        chain = chain.replace(damping=Damping(viscoelastic=0.3 / SOUND))
+    elif case == "step":
+        chain = chain.replace(top="free")
+        push = Riemann(velocity=(0.07, 0), strain=(0, 0), grain=60)
+    long = run(chain, push, 600 if case != "vacuum" else 320)
+    found = shock.find(long)
+    kept = long.time <= found.time * (1 + 1e-9)
+    short = SimpleNamespace(
+        scene=long.scene,
+        grains=long.grains,
+        **{key: getattr(long, key)[kept] for key in ("time", "displacement", "velocity")},
+    )
+    again = shock.find(short)  # type: ignore[arg-type]
+    assert kept.sum() < 0.7 * kept.size
+    for edge in ("leading", "trailing"):
+        one, other = (getattr(wave, edge) for wave in (found, again))
+        assert other.speed == pytest.approx(one.speed, rel=1e-9, nan_ok=True)
+    # a wave that has come back would have changed the plateau by as much as the jump
+    jump = found.behind.overlap - found.ahead.overlap
+    assert found.behind.overlap == pytest.approx(found.simple.overlap, abs=0.02 * abs(jump))
+
+
+@pytest.mark.parametrize(
+    ("excitation", "message"),
+    [
+        (Drive(shape="piston", velocity=0.07, rise=1.0, grain=0), "excitation.rise: 1 s is more"),
+        (Drive(shape="piston", velocity=0.07, rise=3e-3, grain=0), "excitation.rise: 0.003 s is"),
+        (Drive(shape="piston", velocity=0.07, rise=1.2e-3, grain=0), "let the push rise faster"),
+        (Impulse(velocity=0.1), "does not push steadily"),
+        (Drive(amplitude=1e-6, frequency=2e3, cycles=3, grain=0), "does not push steadily"),
+        (Drive(amplitude=1e-6, frequency=2e3, grain=0), "does not push steadily"),
+        (Force(shape="half-sine", amplitude=10.0, duration=3e-4), "does not push steadily"),
+        (Riemann(velocity=(0, 0), strain=(0, 0), grain=75), "sends no wave"),
+        (Riemann(velocity=(0, 0), strain=(0, -2e-4), grain=75), "opens the contacts ahead"),
+        (Riemann(velocity=(0.1, 0), strain=(0, 0), grain=20), "step further from its ends"),
+    ],
+)
+def test_push_that_does_not_last_is_named(excitation: Drive, message: str) -> None:
+    """Neither a longer record nor NaN answers a pulse, or a rise as long as the run."""
+    with pytest.raises(InputError, match=message) as caught:
+        shock.find(run(CHAIN.replace(grains=150, top="wall"), excitation, 150))
+    assert not str(caught.value).endswith(": record longer")
+
+
+def test_direction_into_which_nothing_is_sent() -> None:
+    """A piston at the top sends no wave up, however long the record is."""
+    with pytest.raises(InputError, match='direction: must be "down"'):
+        shock.find(piston(1.0), "up")
+
+
+def test_force_that_stays_constant_is_a_piston() -> None:
+    """Behind a constant force the contact force is the load and that, and the wave begins with it.
+
+    Its overlap is (1 + F / load)^(2/3) of that at rest, and the wave is of both theories' speed.
+    """
+    force = Force(times=[0, 10 / SOUND, 1.0], force=[0, 10.0, 10.0], interpolation="linear")
+    found = shock.find(run(CHAIN.replace(top="free"), force, 290))
+    assert found.behind.overlap == pytest.approx(2 ** (2 / 3) * OVERLAP, rel=1e-3)
+    assert abs(found.leading.speed - found.predictions["whitham"].leading) < found.leading.error
+    assert abs(found.trailing.speed - found.predictions["whitham"].trailing) < found.trailing.error
+
+
 def test_picture_names_edges_and_plateaus() -> None:
     """Every line of the picture is named, and axes have units."""
     ax = shock.find(piston(1.0)).plot()
@@ -166,7 +294,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
     [
         ({"gravity": 9.81}, "chain: a shock is measured with no gravity"),
         ({"diameter": np.linspace(9e-3, 1e-2, 30)}, "chain: must be uniform"),
-        ({}, "duration: "),
+        ({}, "excitation: does not push steadily"),
     ],
 )
 def test_what_is_no_shock_says_why(changes: dict, message: str) -> None:

@@ -199,6 +199,24 @@ def test_the_flight_of_a_bump(method: Any):
             time_of_flight(made, first, second, way)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("duration", "rise"), [(6e-5, 1.013e-6), (6e-5, 1e-3), (2.2e-5, 1.013e-6)])
+def test_correlation_of_forces_that_last_is_refused(duration: float, rise: float):
+    """Behind a piston both forces stay, and are most alike without a shift: 0 s, not 26 us.
+
+    The same holds while the force still grows, and before the wave has reached the second grain.
+    """
+    ends = {"top": "wall", "bottom": "wall"}
+    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0, **ends)
+    piston = Drive(shape="piston", velocity=1e-3, rise=rise, grain=0)
+    scene = Scene(chain=chain, excitation=piston, duration=duration, samples=401)
+    t = simulate(scene, engines.Native(step=1e-7))
+    with pytest.raises(InputError, match="duration: the wave has not passed grain 1"):
+        time_of_flight(t, 10, 34, "correlation")
+    if duration > 5e-5 and rise < 1e-4:
+        sound = np.sqrt(chain.linear_stiffness[9] / chain.masses[9])
+        assert time_of_flight(t, 10, 34).seconds == pytest.approx(24 / sound, rel=0.05)
+
+
 # --- spectra
 
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, simulate
 from lmpchain.measure import solitary
 from lmpchain.theory import soliton
 
@@ -135,3 +135,18 @@ def test_grains_that_were_not_recorded_and_other_directions_are_refused() -> Non
         solitary.find(run, "left")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="duration"):
         solitary.find(run, "up")
+
+
+@pytest.mark.parametrize(
+    ("excitation", "key"),
+    [
+        (Drive(shape="piston", velocity=-0.1, rise=1e-6, grain=0), "duration: no wave keeps"),
+        (Impulse(velocity=0.1, grain=90), "direction: .* strike further from that end"),
+    ],
+)
+def test_pull_and_strike_at_the_far_end_send_no_wave(excitation: Drive | Impulse, key: str) -> None:
+    """Neither leaves a sample before motion is near the end, or any motion that way."""
+    struck = chain(top="wall", bottom="wall", top_load=1.0)
+    scene = Scene(chain=struck, excitation=excitation, duration=5e-5, samples=400)
+    with pytest.raises(InputError, match=key):
+        solitary.find(simulate(scene, engine="native", tolerance=1e-4))

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.instrument_files import ARRAYS, FILES, push
 from helpers.standalone_lammps import lmp
 
-from lmpchain import InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
+from lmpchain import Force, InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.native import companion_run
 from lmpchain.simulation import task as tasks
@@ -273,5 +274,75 @@ def test_netcdf_files(originals: Path, tmp_path: Path, count: int):
         # a new seal would let files through over which HDF5 hangs, which no user has
         (tmp_path / "run.nc").write_bytes(changed + turn.choice([b"", seal(sealed)]))
         Trajectory.load(tmp_path / "run.nc")
+
+    examine(case, count)
+
+
+def force_of(path: Path, options: dict[str, Any], may_refuse: bool = True) -> Force:
+    """Return the force in a file; fail if it is refused in several lines, or must not be."""
+    try:
+        return Force(grain=1, file=path, trigger=0.0, **options)
+    except InputError as error:
+        if "\n" in str(error) or not may_refuse:
+            raise AssertionError(f"{path.read_text(errors='replace')[:500]}") from error
+        raise
+
+
+def edited(text: str, how: str, turn: random.Random) -> str:
+    """Return the text of a trace as a spreadsheet or a careless hand may leave it."""
+    lines = text.splitlines()
+    place = turn.randrange(len(lines) - 60, len(lines) - 1)
+    comma = "\t" if "\t" in text else ","
+    if how == "empty cells below":
+        lines += [comma * turn.randrange(1, 4)] * turn.randrange(1, 4)
+    elif how == "blanks below":
+        lines += [" " * turn.randrange(3)] * 3
+    elif how == "shorter":
+        del lines[-turn.randrange(1, 9) :]
+    elif how == "empty cells":
+        lines[place] = comma * lines[place].count(comma)
+    elif how == "a word":
+        cells = lines[place].split(comma)
+        cells[turn.randrange(len(cells))] = turn.choice(["nan", "---", "1e999", "0x1", "5e"])
+        lines[place] = comma.join(cells)
+    elif how == "a line less":
+        lines[place] = ""
+    return "\n".join(lines) + "\n"
+
+
+HARMLESS = ["empty cells below", "blanks below", "shorter"]
+
+
+@fuzzed(120, 2000)
+def test_traces_that_were_edited(tmp_path: Path, count: int):
+    """Harmless changes change nothing; others are refused, or leave the push as it was."""
+
+    def case(turn: random.Random) -> None:
+        text, options = FILES[turn.choice(list(FILES))]
+        how = turn.choice([*HARMLESS, *["empty cells", "a word", "a line less"] * 3])
+        path = tmp_path / "scope.csv"
+        path.write_text(edited(text, how, turn))
+        force = force_of(path, options, how not in HARMLESS)
+        np.testing.assert_allclose(force.force, push(force.times), rtol=0, atol=1e-6)
+
+    examine(case, count)
+
+
+@fuzzed(150, 2000)
+def test_damaged_traces(tmp_path: Path, count: int):
+    """Files of all kinds with changed bytes give finite numbers at increasing times, or a line."""
+    originals: list[tuple[Path, bytes, dict[str, Any]]] = []
+    for name, (write, options) in ARRAYS.items():
+        path = tmp_path / name.split(",")[0]
+        write(path)
+        originals.append((path, path.read_bytes(), options))
+    texts = [(tmp_path / "scope.csv", text.encode(), options) for text, options in FILES.values()]
+
+    def case(turn: random.Random) -> None:
+        path, content, options = turn.choice(turn.choice([texts, originals]))
+        path.write_bytes(damaged(content, turn))
+        force = force_of(path, options)
+        assert np.isfinite(force.force).all()
+        assert (np.diff(force.times) > 0).all()
 
     examine(case, count)

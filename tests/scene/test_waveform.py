@@ -140,3 +140,25 @@ def test_no_integral_is_beyond_what_is_gained(cycles: float | None) -> None:
     assert integral <= wave.gained * (1 + 1e-3)
     if cycles is None:
         assert wave.gained == pytest.approx(integral, rel=1e-3)
+
+
+@pytest.mark.parametrize("rate", [1e6, 5e6, 25e6])
+@pytest.mark.parametrize(("holds", "noise"), [(False, 0.0), (False, 1e-3), (True, 0.0)])
+def test_points_denser_than_the_motion_are_bounded_by_their_spectrum(
+    rate: float, holds: bool, noise: float
+) -> None:
+    """A Hann burst of n cycles has the frequencies f - f/n, f and f + f/n, and side lobes."""
+    frequency, cycles = 2e4, 5
+    times = np.arange(int(1e-3 * rate)) / rate
+    values = Waveform.sine(2.0, frequency, cycles).at(times)
+    values = values + noise * np.random.default_rng(3).normal(size=times.size)
+    # the slopes of a monotone curve wiggle from point to point
+    wave = Waveform.through(times, values, "spline" if holds else "pchip", holds)
+    highest = 2 * np.pi * frequency * (1 + 1 / cycles)
+    assert highest < wave.fastest < 5 * highest
+    # the rest of the spectrum hardly moves a free mass, or the grain itself
+    speed = np.gradient(values, times) if holds else np.cumsum(values) / rate
+    spectrum = np.fft.rfft(speed - np.linspace(speed[0], speed[-1], speed.size))
+    omega = 2 * np.pi * rate * np.arange(spectrum.size) / times.size
+    rest = np.fft.irfft(spectrum * (omega > wave.fastest), times.size)
+    assert np.abs(rest).max() < 5e-3 * np.abs(speed).max()

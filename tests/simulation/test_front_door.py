@@ -114,8 +114,14 @@ def test_an_answer_that_does_not_fit_into_memory_says_how_large_it_is(monkeypatc
 
     monkeypatch.setattr(api, "_zeros", full)
     scene = SCENE.replace(grains=[1, 2, 3], chain=CHAIN.replace(grains=400))
-    with pytest.raises(InputError, match=r"samples: 2\.93e-06 GB do not fit: record fewer samples"):
+    with pytest.raises(InputError, match=r"samples: 2\.93e-06 GB of samples do not fit into .* GB"):
         simulate(scene, "native")
+
+
+def test_a_run_that_needs_more_memory_than_there_is_does_not_begin(monkeypatch):
+    monkeypatch.setattr(api, "free_memory", lambda: 1e3)
+    with pytest.raises(InputError, match="do not fit into 1e-06 GB of free memory: record fewer"):
+        simulate(SCENE, "native")
 
 
 def test_columns_out_of_reach_are_zeros_that_take_no_memory():

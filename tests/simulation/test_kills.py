@@ -259,7 +259,13 @@ def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.Monk
 # --- kills at random moments
 
 LONGER = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-3, samples=1001)
-FEW = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=5e-5, samples=61)
+# The middle grain moves up, across the border between two ranks.
+FEW = Scene(
+    chain=Chain(grains=31, diameter=1e-3),
+    excitation=Impulse(velocity=-0.05, grain=16),
+    duration=5e-5,
+    samples=61,
+)
 VERLET = ["--engine", "lammps", "--integrator", "verlet"]
 FIXED = [*VERLET, "--step", "1e-7", "--diameter", "physical"]
 FREE = [*VERLET, "--tolerance", "3e-3"]

@@ -2,8 +2,10 @@
 
 import itertools
 import json
+import math
 import os
 import random
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 
@@ -26,6 +28,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines.native import companion_run
+from lmpchain.simulation import run_folder
 from lmpchain.simulation.run_folder import status
 
 CHAIN = Chain(grains=200, diameter=1e-3)
@@ -42,6 +45,21 @@ PUSHED = DRIVEN.replace(
 MOVED = DRIVEN.replace(
     chain=CHAIN.replace(top="wall", top_load=0.1),
     excitation=Drive(amplitude=1e-9, frequency=2e4, cycles=2.3, grain=0),
+)
+# Grain 1 rises above the others, by many gauge diameters or by less than one, and falls back.
+AWAY = Scene(
+    chain=Chain(grains=3, diameter=1e-3),
+    excitation=Impulse(velocity=-5e-3),
+    duration=1.5e-3,
+    samples=121,
+)
+APART = AWAY.replace(excitation=Impulse(velocity=-5e-4), duration=1.5e-4)
+# The middle grain moves up, across the border between two ranks.
+CROSSING = Scene(
+    chain=Chain(grains=41, material="steel", diameter=5e-3, top_load=10.0),
+    excitation=Impulse(velocity=-0.1, grain=21),
+    duration=1e-4,
+    samples=21,
 )
 STOPPED = {
     "native": (SCENE, engines.Native(step=2e-8), 1e-6),
@@ -60,13 +78,21 @@ STOPPED = {
         engines.Lammps(integrator="verlet", step=1e-7, diameter="physical"),
         1e-6,
     ),
+    "lammps, away": (AWAY, engines.Lammps("verlet", step=2e-7, diameter="gauge"), 1e-6),
+    "lammps, apart": (APART, engines.Lammps("verlet", step=2e-8, diameter="gauge"), 1e-6),
     "modes": (SHORT, engines.Modes(), 0.99),
     "chebyshev": (SHORT, engines.Chebyshev(), 0.99),
     "bessel": (paper("weak", 301), engines.Bessel(), 0.99),
     "continuum": (paper("weak", 301), engines.Continuum(), 0.99),
 }
 
-LONGEST = "lammps, pushed", "lammps, wall moved", "lammps, driven", "modes, pushed"
+LONGEST = (
+    "lammps, pushed",
+    "lammps, wall moved",
+    "lammps, driven",
+    "lammps, away",
+    "modes, pushed",
+)
 
 
 @pytest.fixture(autouse=True)
@@ -231,3 +257,58 @@ def test_another_number_of_ranks_gives_the_same_bits(case: str, tmp_path: Path):
     assert same(answer, simulate(scene, engine, tolerance))
     sessions = json.loads((tmp_path / "run" / "run.json").read_text())["sessions"]
     assert [session["ranks"] for session in sessions] == [1, 2, 1]
+
+
+def on_ranks(scene: Scene, engine: engines.Lammps, ranks: list[int], folder: Path) -> Trajectory:
+    """Run a scene on these numbers of ranks in turn, stopped after one block each."""
+    for number, count in enumerate(ranks):
+        limit = None if number == len(ranks) - 1 else 1e-9
+        with nullcontext() if limit is None else pytest.raises(Stopped):
+            if number == 0:
+                engine.ranks = count
+                answer = simulate(scene, engine, folder=folder, max_wall=limit)
+            else:
+                answer = resume(folder, ranks=count, max_wall=limit)
+    return answer
+
+
+@pytest.mark.parametrize(
+    "ranks", [[2, 2], pytest.param([1, 2, 4, 2, 3, 2], marks=pytest.mark.slow)], ids=str
+)
+def test_a_grain_crosses_the_border_of_two_ranks(ranks: list[int], tmp_path: Path):
+    engine = engines.Lammps("verlet", step=5e-7, diameter="physical")
+    right = simulate(CROSSING, engine)
+    assert same(on_ranks(CROSSING, engine, ranks, tmp_path / "run"), right)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(10))
+def test_ten_stops_at_random_on_random_ranks(
+    seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    rng = random.Random(seed)
+
+    # A session computes one block of at most 40 samples, however slow the machine is.
+    def block(fit: int, *_: int) -> int:
+        return 40 if fit else 4 * rng.randint(1, 10)
+
+    monkeypatch.setattr(companion_run, "fit_block", block)
+    monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(sample_s=math.inf))
+    grains = rng.randint(30, 61)
+    strike = Impulse(velocity=rng.choice([-0.1, 0.1]), grain=rng.randint(1, grains - 1))
+    scene = Scene(
+        chain=CROSSING.chain.replace(grains=grains),
+        excitation=rng.choice([strike, strike, Drive(amplitude=1e-5, frequency=2e3)]),
+        duration=1e-3,
+        samples=401,
+    )
+    engine = engines.Lammps(
+        rng.choice(engines.Lammps.integrators),
+        step=2.5e-6,
+        diameter=rng.choice(["physical", "gauge"]),
+    )
+    right = simulate(scene, engine)
+    ranks = [rng.randint(1, 4) for _ in range(11)]
+    answer = on_ranks(scene, engine, ranks, tmp_path / "run")
+    print(grains, scene.excitation, engine.integrator, engine.diameter, ranks, flush=True)
+    assert same(answer, right)

@@ -2,9 +2,12 @@
 told.
 """
 
+import errno
+import os
 import sys
 import warnings
 from concurrent.futures import BrokenExecutor, Future
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
@@ -89,7 +92,8 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
     assert [str(each.message) for each in warned] == [text]
     assert executor.tried.count(2) == 3
     assert "gather" not in executor.tried
-    assert found.reason.values.tolist() == ["", "", "not done", "not done", "", "", ""]
+    cause = "not done: the process that was at it died 3 times"
+    assert found.reason.values.tolist() == ["", "", cause, cause, "", "", ""]
 
 
 @pytest.mark.usefixtures("in_pairs")
@@ -208,6 +212,43 @@ def test_dask_is_asked_for_by_its_address(monkeypatch: pytest.MonkeyPatch):
     cure = r'scheduler: needs Dask: pip install "lmpchain\[cluster\]"'
     with pytest.raises(InputError, match=cure), run.dask("tcp://a:1"):
         pass
+
+
+def test_processes_that_cannot_start_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """As where there is no /dev/shm, whose semaphores processes need."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+
+    monkeypatch.setattr("multiprocessing.synchronize.SemLock.__init__", refuse)
+    cure = r"workers: processes cannot start here .*/dev/shm\?\): use --workers 1"
+    with pytest.raises(InputError, match=cure):
+        run.sweep(ASKED, tmp_path, workers=2)
+
+
+def test_a_worker_that_does_not_see_the_folder_says_so(tmp_path: Path):
+    class Elsewhere(Here):
+        """A machine to which the folder is not there."""
+
+        def submit(self, function: Any, /, *values: Any, **named: Any) -> Any:
+            if isinstance(values[0], tasks.Task):
+                values = (replace(values[0], folder=Path("/nowhere")), *values[1:])
+            return super().submit(function, *values, **named)
+
+    with pytest.warns(UserWarning, match="does not see the folder /nowhere: all machines must"):
+        found = run.sweep(ASKED, tmp_path, executor=Elsewhere())
+    assert "does not see the folder" in found["reason"].to_numpy()[0]
+    with pytest.raises(InputError, match="goes without an executor"):
+        run.sweep(ASKED, tmp_path, scheduler="tcp://a:1", executor=Here())
+
+
+def test_a_folder_in_the_place_of_a_file_is_named(tmp_path: Path):
+    run.sweep(ASKED, tmp_path)
+    (file,) = tmp_path.glob("*/results.zarr/zarr.json")
+    file.unlink()
+    file.mkdir()
+    with pytest.raises(InputError, match=r"is damaged .*: remove it, and sweep again"):
+        run.sweep(ASKED, tmp_path)
 
 
 # --- labels

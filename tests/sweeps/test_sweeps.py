@@ -991,9 +991,11 @@ def test_a_full_disk(tmp_path, serial):
 
 
 @contextmanager
-def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.Process]]]:
-    """Start a Dask scheduler and workers, each a process with a nanny, and yield its address and
-    these.
+def cluster(
+    folder: Path, workers: int = 2
+) -> Iterator[tuple[str, list[psutil.Process], subprocess.Popen]]:
+    """Start a Dask scheduler and workers, each a process with a nanny; yield the address, the
+    workers and the scheduler.
     """
     tool = str(Path(sys.executable).with_name("dask"))
     quiet: dict[str, Any] = {
@@ -1018,7 +1020,7 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.P
         ]
         started.append(subprocess.Popen([tool, "worker", address, *map(str, asked)], **quiet))
         until(lambda: len(children(started[1].pid)) == workers)
-        yield address, children(started[1].pid)
+        yield address, children(started[1].pid), started[0]
     finally:
         every = [
             process
@@ -1040,7 +1042,7 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.P
 def test_dask_with_a_killed_worker(tmp_path, serial):
     path, expected = serial
     with (
-        cluster(tmp_path) as (address, workers),
+        cluster(tmp_path) as (address, workers, _),
         command(path, "-o", tmp_path / "out", "--scheduler", address) as process,
     ):
         until(lambda: begun(tmp_path / "out"))
@@ -1048,6 +1050,24 @@ def test_dask_with_a_killed_worker(tmp_path, serial):
         out, _ = process.communicate(timeout=PATIENCE)
     assert (process.returncode, ALL_DONE in out) == (0, True)
     assert contents(tmp_path / "out") == expected
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_ends_the_sweep(tmp_path):
+    path = long_sweep(tmp_path, 400)
+    folder = tmp_path / "out"
+    with (
+        cluster(tmp_path) as (address, _, scheduler),
+        command(path, "-o", folder, "--scheduler", address) as process,
+    ):
+        until(lambda: begun(folder))
+        scheduler.kill()
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert said.startswith("error: the connection to the Dask scheduler is lost")
+    assert said.count("\n") == 1  # nothing of Dask's own
+    assert done(folder)  # what was computed is kept
+    assert main(["sweep", str(path), "-o", str(folder)]) == 0
 
 
 @pytest.mark.soak
@@ -1059,7 +1079,7 @@ def test_dask_soak(tmp_path):
         folder = tmp_path / f"out{attempt}"
         (tmp_path / f"dask{attempt}").mkdir()
         with (
-            cluster(tmp_path / f"dask{attempt}") as (address, workers),
+            cluster(tmp_path / f"dask{attempt}") as (address, workers, _),
             command(path, "-o", folder, "--scheduler", address) as process,
         ):
             moment = random.randint(1, 900)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from lmpchain import InputError
 from lmpchain.theory.shock import Medium, State
@@ -85,7 +85,55 @@ def test_no_trailing_edge_behind_strong_shocks_and_in_a_vacuum() -> None:
     """Where sound behind is twice as fast as ahead, the train reaches back to the piston."""
     assert GAS.dispersive(AHEAD, 15.9 * AHEAD.overlap).trailing > 0
     assert np.isnan(GAS.dispersive(AHEAD, 16.1 * AHEAD.overlap).trailing)
+    assert np.isnan(GAS.kdv(AHEAD, 5.1 * AHEAD.overlap).trailing)
     assert np.isnan(GAS.dispersive(State(0.0, 0.0), 1.0)).all()
+
+
+def test_contacts_open_behind_a_fast_withdrawal() -> None:
+    """Grains fly at the velocity that the whole overlap turns into; the trailing edge stays."""
+    escape, _ = quad(lambda x: np.sqrt(1.5 * 2.0 * np.sqrt(x) / 0.3), 0.0, AHEAD.overlap)
+    for velocity in (AHEAD.velocity - 1.001 * escape, -1e9):
+        behind = GAS.behind(AHEAD, velocity)
+        assert behind.velocity == pytest.approx(AHEAD.velocity - escape, rel=1e-9)
+        assert behind.overlap == 0
+    edges = GAS.rarefaction(AHEAD, behind.overlap)
+    assert edges[1:] == (0.0, -AHEAD.overlap)
+    assert np.isnan(GAS.between(State(AHEAD.velocity - 2.1 * escape, 0.7), AHEAD).velocity)
+    middle = GAS.between(State(AHEAD.velocity - 1.9 * escape, 0.7), AHEAD)
+    # 1 - 0.95 of J is left, which grows as the power 5/4 of the overlap
+    assert middle.overlap == pytest.approx(0.7 * 0.05**0.8, rel=1e-9)
+
+
+@pytest.mark.parametrize("overlap", [-1e-9, np.nan])
+def test_overlaps_of_gaps_are_refused(overlap: float) -> None:
+    """No power of a negative overlap is taken, ahead or behind."""
+    gap = State(0.0, overlap)
+    for law in (
+        lambda: GAS.force(overlap),
+        lambda: GAS.sound(overlap),
+        lambda: GAS.invariant(overlap),
+        lambda: GAS.behind(gap, 1.0),
+        lambda: GAS.between(gap, AHEAD),
+        lambda: GAS.rankine_hugoniot(gap, 1.0),
+        lambda: GAS.rarefaction(AHEAD, overlap),
+        lambda: GAS.dispersive(gap, 1.0),
+        lambda: GAS.toda(gap, 1.0),
+        lambda: GAS.kdv(gap, 1.0),
+        lambda: GAS.thickness(gap, 1.0, 1e-3),
+    ):
+        with pytest.raises(InputError, match="overlap: "):
+            law()
+
+
+def test_waves_of_the_wrong_kind_are_refused() -> None:
+    """A shock does not expand the chain, a rarefaction does not compress it."""
+    less = 0.5 * AHEAD.overlap
+    laws = (GAS.dispersive, GAS.toda, GAS.kdv, lambda *pair: GAS.thickness(*pair, 1e-3))
+    for law in laws:
+        with pytest.raises(InputError, match=r"overlap: must .* or there is no shock"):
+            law(AHEAD, less)
+    with pytest.raises(InputError, match="overlap: must not exceed that ahead"):
+        GAS.rarefaction(AHEAD, 2 * AHEAD.overlap)
 
 
 def test_what_is_no_shock_is_refused() -> None:

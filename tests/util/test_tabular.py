@@ -153,7 +153,7 @@ def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[
     run.save(tmp_path / "run.nc")
     path = tmp_path / "trace.csv"
     command = ["export", str(tmp_path / "run.nc"), "-o", str(path)]
-    chosen = ["--force", "10,wall", "--velocity", "5", "--displacement", "5", "--energy"]
+    chosen = ["--contact-force", "10,wall", "--velocity", "5", "--displacement", "5", "--energy"]
     assert main([*command, *chosen]) == 0
     assert capsys.readouterr().out == f"traces: {path}\n"
     frame = pandas.read_csv(path, float_precision="round_trip")
@@ -168,7 +168,10 @@ def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(command) == 0
     assert pandas.read_csv(path).shape == (161, 25)
     for words, said in (
-        (["--force", "10,wal"], "error: force: must be numbers of grains or wall, top, bottom"),
+        (
+            ["--contact-force", "10,wal"],
+            "error: contact-force: must be numbers of grains or wall, top, bottom",
+        ),
         (["--velocity", "wall"], "error: velocity: must be numbers of grains, with commas"),
         (["--velocity", "99"], "error: velocity: grain 99 was not recorded"),
     ):
@@ -180,7 +183,7 @@ def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_a_folder_of_a_run_is_exported(tmp_path: Path):
     simulate(SCENE, engine="native", folder=tmp_path / "run")
     path = tmp_path / "trace.csv"
-    assert main(["export", str(tmp_path / "run"), "-o", str(path), "--force", "wall"]) == 0
+    assert main(["export", str(tmp_path / "run"), "-o", str(path), "--contact-force", "wall"]) == 0
     assert len(path.read_text().splitlines()) == 162
 
 

@@ -60,6 +60,27 @@ def test_a_template_names_what_there_is():
     assert fault("{{ 1 / 0 }}") == "cannot be filled in: division by zero"
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{{ "a" * 10**10 }}',
+        '{{ "a" * 10000000000 }}',
+        '{{ "%10000000000d" % 1 }}',
+        '{{ "a" | center(10000000000) }}',
+        "{{ [0] * 10000000000 }}",
+        '{{ ("a" * 1000) | replace("a", "a" * 1000) | replace("a", "a" * 1000) }}',
+        '{% for i in range(100000) %}{{ "b" * 100000 }}{% endfor %}',
+    ],
+)
+def test_a_template_takes_a_part_of_the_memory(text):
+    assert fault(text) == "needs more than 256 MB of memory: make its texts and lists shorter"
+
+
+def test_a_power_in_a_template_is_a_number_of_few_digits():
+    assert render_text("{{ 2**10 }} {{ 2**-1 }} {{ 10**99 }}", "template") == "1024 0.5 1e+99"
+    assert fault("{{ 10**999 }}").startswith("cannot be filled in: ")
+
+
 class Secret:
     word = "swordfish"
 

@@ -105,8 +105,7 @@ def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...])
     except Exception as error:
         # LAMMPS raises another class where one rank fails alone
         shared = type(error) is Exception and _by_lammps(error)
-        unavailable = name == "open" and isinstance(error, EngineUnavailable)
-        if shared or unavailable or isinstance(error, RunFailed):
+        if shared or isinstance(error, EngineUnavailable | RunFailed):
             return error
         # the other ranks wait inside LAMMPS for this one
         mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")

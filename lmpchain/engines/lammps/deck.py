@@ -18,7 +18,7 @@ from ...errors import InputError
 from ...integrators.splittings import Splitting
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.files import expanded, write_aside
+from ...util.files import check_replaceable, expanded, write_aside
 from ...util.templates import render, render_pieces, render_text
 from . import drive
 from .column import Column
@@ -84,18 +84,24 @@ def write_deck(column: Column, path: Path, step: float, splitting: Splitting) ->
             "integrator", "a deck can carry a drive or a force with verlet only; use that"
         )
     text = script(column, step, splitting)
-    with write_aside(path) as aside:
+    with write_aside(path, overwrite=True) as aside:
         aside.write_text(f"{text.rstrip()}\n\n{_seal(text)}\n", encoding="utf-8")
     return path
 
 
-def check_replaceable(path: Path) -> None:
-    """Raise `InputError` if a deck is there that a user wrote or edited."""
+def check_folder(folder: Path) -> None:
+    """Raise `InputError` if a folder holds a deck, or files of a deck, that lmpchain did not write.
+
+    Files beside a deck that lmpchain wrote belong to that deck.
+    """
+    path = folder / "in.column"
     if not path.exists():
+        for name in ("column.data", "column.lammpstrj", "log.lammps"):
+            check_replaceable(folder / name, overwrite=False)
         return
     text, _, seal = read_user_text("folder", path).rstrip().rpartition("\n")
     if seal != _seal(text):
-        cure = "choose another folder, or move it away"
+        cure = "choose another folder, or replace it (--force, or overwrite=True in Python)"
         raise InputError.at("folder", f"{path} was edited, or not written by lmpchain: {cure}")
 
 
@@ -131,7 +137,7 @@ def check_carried(splitting: Splitting, key: str) -> None:
 
 def write_data(column: Column, path: str | PathLike[str]) -> None:
     """Write the data file of a column."""
-    with write_aside(path) as aside, open(aside, "wb") as file:
+    with write_aside(path, overwrite=True) as aside, open(aside, "wb") as file:
         _write_data(column, file, whole=True)
 
 

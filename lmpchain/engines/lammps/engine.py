@@ -17,6 +17,7 @@ from ...integrators.methods import methods_of
 from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
 from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
+from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import Array
 from ...util.files import expanded, make_folder
 from ...util.remarks import warn
@@ -84,7 +85,7 @@ class Lammps(TimeSteppingEngine):
     diameter : "auto", "physical" or "gauge"
         How large the grains are drawn. Only overlaps enter the force, so a gauge diameter of a few
         overlaps is the same chain with less round-off; auto takes it where the physical one cannot
-        meet the tolerance.
+        meet the tolerance, or if its round-off exceeds the error of a given step.
     pair_style : "granular" or "gran/hertz/history"
         The second is faster, for uniform contacts of exponent 1.5.
     keep : path, optional
@@ -214,7 +215,7 @@ class Lammps(TimeSteppingEngine):
         if fixed and (self.diameter == "physical" or (self.diameter == "gauge" and bounded)):
             candidate = super().propose(scene, tolerance, choice)
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
-            return candidate._replace(solver_error=math.nan, choices=_choices(gauge, "as asked"))
+            return candidate._replace(choices=_choices(gauge, "as asked"))
         native = self._trial(scene)
         # half of the tolerance is for the step, half for round-off
         asked = first_attempt(native, scene, tolerance / 2).candidate
@@ -226,17 +227,25 @@ class Lammps(TimeSteppingEngine):
         peaks, closest = trial.collected
         steps = trial.attempt.candidate.steps(scene.samples)
         gauge = gauge_diameter(scene, closest)
-        errors = tuple(self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, gauge))
-        small = self._takes_gauge(scene, errors, tolerance, fixed)
+        errors = tuple(
+            min(self.round_off(scene, drawn, steps, peaks), LARGEST_ERROR) for drawn in (0.0, gauge)
+        )
+        # a given step has no tolerance: its own error says which round-off is too much
+        asked_for = f"the given step leaves {trial.error.truncation:.1g}"
+        if not fixed:
+            asked_for = f"{tolerance:.1g} is asked for"
+        goal = 2 * trial.error.truncation if fixed else tolerance
+        small = self._takes_gauge(scene, errors, goal, fixed)
         if trial.missed:
             raise _without_heights(trial.missed, trial.known_until)
         reason = (
             f"round-off in heights leaves about {errors[0]:.1g} with the physical diameter, "
-            f"{errors[1]:.1g} with the gauge diameter; {tolerance:.1g} is asked for"
+            f"{errors[1]:.1g} with the gauge diameter; {asked_for}"
         )
         choices = _choices(gauge if small else 0.0, reason) | {"gauge_m": repr(gauge)}
         return trial.attempt.candidate._replace(
-            solver_error=trial.error.truncation + errors[small],
+            solver_error=min(trial.error.truncation + errors[small], LARGEST_ERROR),
+            tolerance=math.inf if fixed else tolerance,
             cost_s=self.cost(scene, choice.method, steps),
             choices=choices,
         )
@@ -314,6 +323,7 @@ class Lammps(TimeSteppingEngine):
         log = "none"
         if self.keep is not None:
             log = word(self.keep / "log.lammps")
+            deck.check_folder(self.keep)
             make_folder(self.keep)
         communicator = gather(self.ranks, log)
         if self.log:
@@ -387,23 +397,24 @@ class Lammps(TimeSteppingEngine):
         diameter = "physical" if driven else candidate.choices["diameter"]
         try:
             engine = Lammps(integrator, step, diameter, self.pair_style)
-            engine.write_deck(scene, tolerance, folder / DECK)
+            engine.write_deck(scene, tolerance, folder / DECK, overwrite=False)
         except LmpchainError as error:
             warn(f"{folder}: there is no deck: {error}", stacklevel=2)
 
-    def write_deck(self, scene: Scene, tolerance: float, folder: Path) -> Path:
+    def write_deck(self, scene: Scene, tolerance: float, folder: Path, overwrite: bool) -> Path:
         """Write a deck that runs by itself, and its data file; return the deck.
 
         Where round-off in heights keeps the tolerance out of reach, it is written for the error
         that can be had.
         """
-        path = folder / "in.column"
-        deck.check_replaceable(path)
+        if not overwrite:
+            deck.check_folder(folder)
         candidate, _, refusal = loosen(partial(self.candidate, self.part(scene)), tolerance)
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
         column = self.column(scene, candidate, remark)
         make_folder(folder)
         deck.write_data(column, folder / "column.data")
+        path = folder / "in.column"
         return deck.write_deck(column, path, candidate.step, self.splitting(scene))
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:

@@ -23,6 +23,7 @@ def write_deck(
     pair_style: str = "granular",
     template: str | PathLike[str] | None = None,
     include: str | PathLike[str] | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Write `in.column` and `column.data` to a folder; `lmp -in in.column` there runs the scene.
 
@@ -37,6 +38,8 @@ def write_deck(
     integrator : "verlet" or "kahan-li6"
     template, include : path, optional
         As for `Lammps`, but the template may run and dump as it likes: it is all of the deck.
+    overwrite : bool
+        Whether to replace a deck that was edited, or files that lmpchain did not write.
 
     Returns
     -------
@@ -54,4 +57,4 @@ def write_deck(
     deck.check_carried(engine.splitting(scene), "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
-    return engine.write_deck(scene, tolerance, expanded(folder))
+    return engine.write_deck(scene, tolerance, expanded(folder), overwrite)

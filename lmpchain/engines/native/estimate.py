@@ -33,9 +33,12 @@ n, w(n)   rounding    evaluations of the force, and the last digits that they lo
 k         flights     how far the fastest grain would fly, over the largest displacement
 omega T   radians     phase of the fastest motion in the duration
 A         amplified   what the scene makes of one last digit, see `amplification`; near the
-                      tolerance it and the rounding of free flights are 2 times the distance of runs
-                      with the steps of the answer that begin a last digit apart
+                      tolerance, or with a given step if they exceed the truncation error, it and
+                      the rounding of free flights are 2 times the distance of runs with the
+                      steps of the answer that begin a last digit apart
 ========  ==========  =========================================================================
+
+The estimate of a trajectory is e or 2, see `ErrorEstimate`. Step control uses e, however large.
 
 Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; the
 observed rate is that of Roache, Annu. Rev. Fluid Mech. 29, 123 (1997).

@@ -97,15 +97,17 @@ class TimeSteppingEngine(Engine):
 
     def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
         """Propose the steps of a choice."""
+        fixed = self.step is not None
         candidate = Candidate(
             step=scene.duration / (scene.samples - 1) * choice.stride / choice.steps,
             active_grains=scene.chain.grains,
             model_error=0.0,
-            solver_error=tolerance,
+            solver_error=math.nan if fixed else tolerance,
             cost_s=math.nan,
+            tolerance=math.inf if fixed else tolerance,
             steps_per_landing=choice.steps,
             stride=choice.stride,
-            fixed=self.step is not None,
+            fixed=fixed,
             adaptive=choice.adaptive,
             coarse_openings=choice.coarse,
             integrator=choice.method.name,

@@ -48,6 +48,8 @@ compiled = numba.njit(**_OPTIONS)
 # inlined functions take records of arrays for nothing, of which a call would copy every field; LLVM
 # puts them in place, in a tenth of the time that numba takes for it
 inlined = numba.njit(**_OPTIONS, forceinline=True)
+# sums of many numbers in any order, that is several at a time: their bits depend on the count alone
+summed = numba.njit(**_OPTIONS | {"fastmath": {*STRICT, "reassoc"}})
 # numba does so for what returns arrays, which a call would have to count, or a record, which none
 # can, and for steps, which are long and called in one place, so that they are compiled once
 pasted = numba.njit(**_OPTIONS, inline="always")

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from .contact_forces import apart, compiled, compiled_march, inlined, pasted
+from .contact_forces import apart, compiled, compiled_march, inlined, pasted, summed
 from .layout import PAD, RESOLUTION, Chains, Goal
 from .openings import shorten
-from .right_hand_side import accelerate, ahead, impose, impose_velocity
+from .right_hand_side import accelerate, ahead, course, forced, impose, impose_velocity
 from .sample_loop import end_of_step, sample_loop
 from .window import look, rest_ahead, watch, widen
 
@@ -155,20 +155,142 @@ def _weigh(weigh, twice, once, h, lag, creeps):
     return count
 
 
+@summed
+def _sum_products(mass, weights, a, b, c, d, e, f, g, h):
+    """Return the sum over bodies of m times four weighted products, a e, b f, c g and d h."""
+    total = 0.0
+    for n in range(mass.size):
+        products = weights[0] * (a[n] * e[n]) + weights[1] * (b[n] * f[n])
+        products += weights[2] * (c[n] * g[n]) + weights[3] * (d[n] * h[n])
+        total += mass[n] * products
+    return total
+
+
 @inlined
-def _land(chain, dissipation, work, clock, span, stages):
+def _sum_losses(mass, weighted, count, slopes, creeps, window):
+    """Return the weighted sum over the stages of a step of sum m w' d, over `window`, J.
+
+    The creeps d of all stages begin at the row `creeps` of the slopes.
+    """
+    weights, rows = weighted
+    total = 0.0
+    # eight stages of the twelve count
+    for n in range(0, count, 4):
+        total += _sum_products(
+            mass,
+            (weights[n], weights[n + 1], weights[n + 2], weights[n + 3]),
+            slopes[rows[n], window],
+            slopes[rows[n + 1], window],
+            slopes[rows[n + 2], window],
+            slopes[rows[n + 3], window],
+            slopes[creeps + rows[n], window],
+            slopes[creeps + rows[n + 1], window],
+            slopes[creeps + rows[n + 2], window],
+            slopes[creeps + rows[n + 3], window],
+        )
+    return total
+
+
+@summed
+def _sum_surplus(mass, creep, reduced):
+    """Return by how much the kinetic energy of velocities w + d is more than that of w alone, J."""
+    total = 0.0
+    for n in range(mass.size):
+        total += mass[n] * (creep[n] * (reduced[n] + 0.5 * creep[n]))
+    return total
+
+
+@inlined
+def _surplus(chain, dissipation, creep, reduced):
+    """Return `_sum_surplus` of the window."""
+    window = slice(chain.state.first, chain.state.last)
+    return _sum_surplus(dissipation.mass[chain.number, window], creep[window], reduced[window])
+
+
+@inlined
+def _drives(chain):
+    """Return whether grain 1 or the top wall is driven."""
+    return chain.imposed.acts and chain.imposed.wave.body > 0
+
+
+@inlined
+def _press(chain, viscosity, force):
+    """Return the elastic force on what is driven by its contacts, N, and the sum of A F, N s."""
+    # contact 0 lies above grain 1, and below the wall
+    if chain.imposed.wave.body == PAD:
+        elastic = force[1] - force[0]
+        return elastic, viscosity[PAD] * force[1] - viscosity[PAD - 1] * force[0]
+    return force[0], viscosity[PAD - 1] * force[0]
+
+
+@inlined
+def _note_stage(chain, dissipation, work, rates, weight, stage, t, inside, h):
+    """Add the work at a stage of a step h, whose weight in it is `weight`.
+
+    Integrated by parts, the power of viscous forces on what is driven, v d(A F)/dt, needs no rate
+    of a force: it is -A F dv/dt, and `_note_begin` has the rest.
+    """
+    force, z, reduced, slopes, _ = work
+    state = chain.state
+    stages = rates.shape[0]
+    if _drives(chain):
+        elastic, viscous = _press(chain, dissipation.viscosity[chain.number], force)
+        taken = -weight * h * viscous * course(chain, t, 2, inside)
+        state.lost += taken
+        state.work += taken + weight * h * elastic * course(chain, t, 1, inside)
+    pushed = forced(chain)
+    if pushed > 0:
+        speed = reduced[pushed] + slopes[stages + stage, pushed]
+        for row in range(stage):
+            speed += rates[stage, row] * h * slopes[row, pushed]
+        state.work += weight * h * z[0] * speed
+
+
+@inlined
+def _note_begin(chain, dissipation, clock, creep, reduced, force, now, inside):
+    """Add what the integrals by parts have at the begin of a step."""
+    state = chain.state
+    begins = state.pending != REDUCED
+    if begins:
+        state.lost += _surplus(chain, dissipation, creep, reduced)
+    if _drives(chain):
+        _, viscous = _press(chain, dissipation.viscosity[chain.number], force)
+        taken = -viscous * course(chain, now, 1, inside)
+        if not begins:
+            # the speed of what is driven may jump where a step ends
+            taken += viscous * course(chain, now, 1, now - 0.25 * RESOLUTION * clock.step)
+        state.lost += taken
+        state.work += taken
+
+
+@inlined
+def _land(chain, dissipation, work, clock, span, stages, balanced):
     """Make the velocities of a chain, if it is damped, of the reduced ones."""
     force, _, reduced, slopes, _ = work
+    state = chain.state
     if dissipation.acts:
         # a sample needs the forces where the step has ended
-        accelerate(chain, chain.x, chain.state.first, chain.state.last, force, slopes[0])
+        accelerate(chain, chain.x, state.first, state.last, force, slopes[0])
         _complete(chain, dissipation, clock, span.end, force, slopes[stages], reduced)
-        chain.state.pending = 0.0
+        state.pending = 0.0
+        if balanced:
+            state.lost -= _surplus(chain, dissipation, slopes[stages], reduced)
+            if _drives(chain):
+                _, viscous = _press(chain, dissipation.viscosity[chain.number], force)
+                before = span.end - 0.25 * RESOLUTION * clock.step
+                taken = viscous * course(chain, span.end, 1, before)
+                state.lost += taken
+                state.work += taken
 
 
 @pasted
 def _advance(chain, method, work, clock, span, out, landed):
-    """Take one step of the Runge-Kutta-Nystrom form."""
+    """Take one step of the Runge-Kutta-Nystrom form.
+
+    With the velocities v = w + d, viscous contacts and drag take the power - sum m v d'. Integrated
+    by parts, what they take is the integral of sum m w' d, less the change of sum m (v^2 - w^2)/2:
+    it needs no velocities at the stages, and is as smooth as the forces.
+    """
     (nodes, inner, weights, rates), openings, adaptive, dissipation = method
     force, z, reduced, slopes, weigh = work
     damped = dissipation.acts
@@ -179,8 +301,9 @@ def _advance(chain, method, work, clock, span, out, landed):
     stages = nodes.size
     # creep that is nothing but a time by the slopes needs no rows of its own
     creeps = stages if damped and not dissipation.alike else 0
+    balanced = damped and out.balance.shape[0] > 0
     if landed:
-        _land(chain, dissipation, work, clock, span, stages)
+        _land(chain, dissipation, work, clock, span, stages, balanced)
         return 0
     widen(chain, stages + 2)
     first = state.first
@@ -195,16 +318,22 @@ def _advance(chain, method, work, clock, span, out, landed):
     # accelerations
     put(z[first - 1 : last + 1], y[first - 1 : last + 1])
     # of what is imposed, by the law behind a corner on which the step may begin
-    impose(chain, z, now, now + 0.5 * min(remaining, span.step))
+    inside = now + 0.5 * min(remaining, span.step)
+    impose(chain, z, now, inside)
     impose_velocity(chain, w, PAD, now)
     accelerate(chain, z, first, last, force, slopes[0])
     if damped:
         _complete(chain, dissipation, clock, now, force, slopes[stages], reduced)
+        if balanced:
+            _note_begin(chain, dissipation, clock, slopes[stages], reduced, force, now, inside)
     h = span.step
     if adaptive:
         h = clock.step * shorten(chain, z, w, slopes[0], openings)
     done = end_of_step(chain, span, remaining, h)
     h = done - state.done
+    if balanced and chain.imposed.acts:
+        inside = now + 0.5 * h
+        _note_stage(chain, dissipation, work, rates, weights[1, 0], 0, now, inside, h)
     grains = y[window]
     speeds = reduced[window] if damped else w[window]
     stage_grains = z[window]
@@ -216,6 +345,9 @@ def _advance(chain, method, work, clock, span, out, landed):
         accelerate(chain, z, first, last, force, slopes[stage])
         if creeps > 0:
             fill_creep(chain, dissipation, z, force, slopes[stages + stage])
+        if balanced and chain.imposed.acts and weights[1, stage] != 0.0:
+            t = now + nodes[stage] * h
+            _note_stage(chain, dissipation, work, rates, weights[1, stage], stage, t, inside, h)
     _add_one(grains, h, speeds)
     count = _weigh(weigh, weights[0], weights[1], h, lag, creeps)
     add_rows(grains, weigh, count, slopes, window)
@@ -223,6 +355,11 @@ def _advance(chain, method, work, clock, span, out, landed):
     for stage in range(stages):
         count = note(weigh, count, weights[1, stage] * h, stage)
     add_rows(speeds, weigh, count, slopes, window)
+    if balanced:
+        mass = dissipation.mass[chain.number, window]
+        taken = _sum_losses(mass, weigh, count, slopes, creeps, window)
+        # creeps of contacts that are alike are A times the slopes
+        state.lost += taken if creeps > 0 else lag * taken
     state.done = done
     impose(chain, y, span.begin + state.done, span.begin + state.done)
     watch(chain)

@@ -14,7 +14,7 @@ from ...util.arrays import Array
 from .contact_forces import compiled_march, inlined, pasted
 from .dense_output import fill_rates
 from .layout import PAD, Chains
-from .right_hand_side import accelerate, hold, impose, impose_velocity
+from .right_hand_side import accelerate, forced, hold, impose, impose_velocity
 from .sample_loop import sample_loop
 from .window import look, watch, widen
 
@@ -38,12 +38,42 @@ def _accelerate(chain, dissipation, work, t):
         a[n] = pull[n] + chain.inverse_mass[n] * pressed - dissipation.drag[number, n] * v[n]
 
 
+@inlined
+def _note(chain, dissipation, work, h):
+    """Add what a step of h takes and gives, by the powers at its begin and at its end."""
+    force, _, rate = work
+    state = chain.state
+    first = state.first
+    v = chain.v
+    viscosity = dissipation.viscosity[chain.number]
+    drag = dissipation.drag[chain.number]
+    mass = dissipation.mass[chain.number]
+    lost = 0.0
+    for n in range(first - 1, state.last):
+        lost += viscosity[n] * rate[n] * (v[n] - v[n + 1]) + mass[n] * drag[n] * v[n] * v[n]
+    given = 0.0
+    body = chain.imposed.wave.body if chain.imposed.acts else 0
+    if body > 0:
+        pressed = force[body - first + 1] + viscosity[body] * rate[body]
+        if body == PAD:
+            pressed -= force[0] + viscosity[PAD - 1] * rate[PAD - 1]
+        given = pressed * v[body]
+    pushed = forced(chain)
+    if pushed > 0:
+        given = chain.x[0] * v[pushed]
+    state.lost += 0.5 * h * (state.loss_rate + lost)
+    state.work += 0.5 * h * (state.work_rate + given)
+    state.loss_rate = lost
+    state.work_rate = given
+
+
 @pasted
 def _advance(chain, method, work, clock, span, out, landed):
     """Take one step: half a kick, a drift, the forces at the velocities of then, half a kick."""
     if landed:
         return 0
     (dissipation,) = method
+    balanced = out.balance.shape[0] > 0
     state = chain.state
     x = chain.x
     v = chain.v
@@ -55,6 +85,8 @@ def _advance(chain, method, work, clock, span, out, landed):
     # later ones are known from the end of the step before
     if state.steps == 0:
         _accelerate(chain, dissipation, work, now)
+        if balanced:
+            _note(chain, dissipation, work, 0.0)
     hold(chain, v)
     for n in range(state.first, state.last):
         v[n] += 0.5 * h * a[n]
@@ -63,6 +95,8 @@ def _advance(chain, method, work, clock, span, out, landed):
     for n in range(state.first, state.last):
         v[n] += 0.5 * h * a[n]
     impose_velocity(chain, v, PAD, then)
+    if balanced:
+        _note(chain, dissipation, work, h)
     watch(chain)
     look(chain, clock, state.steps + 1, then, 1.0)
     state.done += 1.0

@@ -62,6 +62,10 @@ STATE = np.dtype(
         ("steps", "i8"),  # steps made since t = 0
         ("step_size", "f8"),  # s: of the last step, with which Gear scales its history
         ("step_begin", "f8"),  # s after the last sample: where the last adaptive step began
+        ("lost", "f8"),  # J: what viscous contacts and drag have taken since t = 0
+        ("work", "f8"),  # J: work of a force, or of the contacts of what is driven, since t = 0
+        ("loss_rate", "f8"),  # W: how fast these two grow, where equal steps sum them up
+        ("work_rate", "f8"),
     ],
     # compiled loops read aligned numbers faster
     align=True,
@@ -280,12 +284,15 @@ class Dissipation(NamedTuple):
     alike : bool
         Whether it is contacts of one A a chain alone, and nothing pushes grains: then their creep
         is A times their acceleration.
+    mass : (R, W) or (R, 0) array
+        kg, of bodies that move freely, 0 of others.
     """
 
     acts: bool
     viscosity: Array
     drag: Array
     alike: bool
+    mass: Array
 
 
 class Noted(NamedTuple):
@@ -322,7 +329,8 @@ class Fields(NamedTuple):
     """Where samples go, from the one with the number `first` on: displacements and velocities.
 
     (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others; zeros if N is larger
-    than `WHOLE_ROWS`.
+    than `WHOLE_ROWS`. `balance` takes what was lost and the work at all T samples, see `STATE`:
+    (F, R, T, 2) J, or (F, R, 0, 2) if it is not asked for.
     """
 
     u: Array
@@ -330,14 +338,16 @@ class Fields(NamedTuple):
     others_u: Array
     others_v: Array
     first: int
+    balance: Array
 
 
 class Row(NamedTuple):
-    """Where samples of one chain go: (B, N) arrays, from the sample `first` on."""
+    """Where samples of one chain go: (B, N) arrays, from the sample `first` on; see `Fields`."""
 
     u: Array
     v: Array
     first: int
+    balance: Array
 
 
 class Span(NamedTuple):

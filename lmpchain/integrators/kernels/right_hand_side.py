@@ -27,8 +27,8 @@ TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over th
 
 
 @inlined
-def _course(chain, t, order, inside):
-    """Return the imposed motion or force at time t, or its rate (order 1), by the law at `inside`.
+def course(chain, t, order, inside):
+    """Return the imposed motion or force at time t, or a derivative, by the law at `inside`.
 
     Something must be imposed.
     """
@@ -65,14 +65,14 @@ def forced(chain):
 @inlined
 def imposed(chain, t):
     """Return the displacement or force that is imposed at time t, for a row of `sweep`."""
-    return _course(chain, t, 0, t)
+    return course(chain, t, 0, t)
 
 
 @inlined
 def impose(chain, x, t, inside):
     """Put what is driven, or the force, into x (W,) at time t, by the law of `inside`."""
     if chain.imposed.acts and chain.team.part == 0:
-        x[max(chain.imposed.wave.body, 0)] = _course(chain, t, 0, inside)
+        x[max(chain.imposed.wave.body, 0)] = course(chain, t, 0, inside)
 
 
 @inlined
@@ -86,14 +86,14 @@ def recall(chain, t):
 def impose_velocity(chain, v, grain_1, t):
     """Give what is driven its velocity at time t, if v, with grain 1 at that index, has a place."""
     if chain.imposed.acts and chain.team.part == 0 and chain.imposed.wave.body + grain_1 >= PAD:
-        v[chain.imposed.wave.body + grain_1 - PAD] = _course(chain, t, 1, t)
+        v[chain.imposed.wave.body + grain_1 - PAD] = course(chain, t, 1, t)
 
 
 @inlined
 def imposed_speed(chain, t):
     """Return the speed of grain 1 at time t if it is driven, else 0."""
     return (
-        abs(_course(chain, t, 1, t))
+        abs(course(chain, t, 1, t))
         if chain.imposed.acts and chain.imposed.wave.body == PAD
         else 0.0
     )

@@ -59,10 +59,14 @@ def chain_of(chains, real, schedule):
 @pasted
 def _row(fields, real, schedule):
     """Return where the samples of a chain go."""
+    balance = fields.balance[schedule, real]
     if schedule == 0:
-        return Row(fields.u[real], fields.v[real], fields.first)
+        return Row(fields.u[real], fields.v[real], fields.first, balance)
     return Row(
-        fields.others_u[schedule - 1, real], fields.others_v[schedule - 1, real], fields.first
+        fields.others_u[schedule - 1, real],
+        fields.others_v[schedule - 1, real],
+        fields.first,
+        balance,
     )
 
 
@@ -131,6 +135,9 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
                     done += steps_made
                 if landed:
                     record(chain, span.end, out.u[landing - out.first], out.v[landing - out.first])
+                    if out.balance.shape[0] > 0:
+                        out.balance[landing, 0] = state.lost
+                        out.balance[landing, 1] = state.work
                     state.sample = landing
                     state.done = 0.0
         return done

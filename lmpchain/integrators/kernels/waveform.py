@@ -22,7 +22,7 @@ _kept = compiled_filler(fastmath=STRICT)
 
 @_kept
 def _course(wave, knots, pieces, t, order, inside):
-    """Return the imposed motion or force at time t, or its rate (order 1), by the law at `inside`.
+    """Return the imposed motion or force at time t, or a derivative, by the law at `inside`.
 
     It is a sine, also one with an envelope, or a cubic spline.
     """
@@ -33,19 +33,31 @@ def _course(wave, knots, pieces, t, order, inside):
         if inside >= wave.end:
             return 0.0
         if envelope == 0.0:
+            if order == 2:
+                return -size * omega * omega * math.sin(omega * t)
             return size * math.sin(omega * t) if order == 0 else size * omega * math.cos(omega * t)
         window = math.sin(envelope * t)
         if order == 0:
             return size * math.sin(omega * t) * (window * window)
+        if order == 2:
+            # the window squared and its two derivatives
+            first = envelope * math.sin(2.0 * envelope * t)
+            second = 2.0 * envelope * envelope * math.cos(2.0 * envelope * t)
+            bend = (second - omega * omega * window * window) * math.sin(omega * t)
+            return size * (bend + 2.0 * omega * first * math.cos(omega * t))
         slope = 2.0 * envelope * math.cos(envelope * t) * math.sin(omega * t)
         return size * window * (omega * math.cos(omega * t) * window + slope)
     knots = knots[: wave.knots]
-    piece = min(max(np.searchsorted(knots, t, "right") - 1, 0), knots.size - 2)
+    # a rate may jump at a knot
+    at = t if order == 0 else inside
+    piece = min(max(np.searchsorted(knots, at, "right") - 1, 0), knots.size - 2)
     s = t - knots[piece]
     a = pieces[0, piece]
     b = pieces[1, piece]
     c = pieces[2, piece]
     d = pieces[3, piece]
+    if order == 2:
+        return 6 * a * s + 2 * b
     return ((a * s + b) * s + c) * s + d if order == 0 else (3 * a * s + 2 * b) * s + c
 
 

@@ -177,21 +177,32 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
     time: Array = step * np.arange(first, first + count, dtype=float)
     grain = 0
     driven = False
+    # a wall and a driven grain have a displacement, of which this is the second derivative
+    order, share = 2, 1.0
     if excitation.wall:
-        wall[:] = [wave.at(time, order) for order in range(4)]
+        wall[:] = [wave.at(time, n) for n in range(4)]
         jumps = wall[2:]
     else:
         grain = excitation.acts_on
         driven = bool(excitation.driven)
-        # a driven grain has a displacement, of which this is the second derivative; a pushed one
-        # has a force
-        order, share = (2, 1.0) if driven else (0, 1 / scene.chain.masses[grain - 1])
+        if not driven:
+            # a pushed grain has a force
+            order, share = 0, 1 / scene.chain.masses[grain - 1]
         acceleration[:] = share * wave.at(time, order), share * wave.at(time, order + 1)
         jumps = acceleration
     # between corners a waveform is smooth, and Hermite interpolation takes care of itself
-    corner = np.diff(np.searchsorted(wave.corners, time, side="right")) > 0
+    corners = np.array(wave.corners)
+    corner = np.diff(np.searchsorted(corners, time, side="right")) > 0
     jump, kink = np.abs(np.diff(jumps))
     bound = OPENINGS.kink * step * kink + (0.0 if wave.spline else jump)
+    inside = corners[(corners > time[0]) & (corners < time[-1])]
+    if wave.spline and inside.size:
+        from scipy.interpolate import CubicHermiteSpline
+
+        # several corners may lie between two samples, whose slopes show none of them
+        between = CubicHermiteSpline(time, *jumps)
+        off = np.abs(share * wave.at(inside, order) - between(inside))
+        np.maximum.at(bound, np.searchsorted(time, inside) - 1, off)
     doubt[:-1] = np.where(corner, bound, 0.0)
     return Imposed(wall, acceleration, doubt, grain, driven)
 

@@ -14,7 +14,16 @@ from helpers.command_output import SCENE, keys, names
 from helpers.independent_integrators import relative_error
 from helpers.standalone_lammps import lmp, small
 
-from lmpchain import InputError, Scene, ToleranceNotMet, Trajectory, simulate
+from lmpchain import (
+    Chain,
+    EngineUnavailable,
+    Impulse,
+    InputError,
+    Scene,
+    ToleranceNotMet,
+    Trajectory,
+    simulate,
+)
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.export import write_deck
@@ -61,6 +70,29 @@ def test_an_include_works_in_the_library(ranks: int):
     scene = Scene(**small().given() | {"samples": t.cost.steps // 10 + 1})
     mine = Trajectory.from_dump("mine.dump", scene)
     assert np.array_equal(mine.velocity[:: t.cost.steps // 50], t.velocity)
+
+
+RENEWED = "neigh_modify once no every 1 delay 0 check no\n"
+
+
+@pytest.mark.parametrize(
+    ("commands", "ranks"),
+    [
+        (f"{RENEWED}atom_modify sort 1 1e-3\n", 1),
+        pytest.param(RENEWED, 2, marks=pytest.mark.slow),
+        pytest.param("balance 1.0 shift z 10 1.0001\n", 2, marks=pytest.mark.slow),
+    ],
+)
+def test_an_include_that_changes_the_order_of_the_grains_is_refused(commands: str, ranks: int):
+    Path("order.include").write_text(commands)
+    scene = Scene(  # the middle grain moves up, to the other rank
+        chain=Chain(grains=31, top_load=10.0, material="steel", diameter=5e-3),
+        excitation=Impulse(velocity=-0.1, grain=16),
+        duration=5e-5,
+        samples=11,
+    )
+    with pytest.raises(EngineUnavailable, match="changed the order of the grains: leave out"):
+        simulate(scene, Lammps(**VERLET, include="order.include", ranks=ranks))
 
 
 @pytest.mark.parametrize("integrator", ["verlet", "kahan-li6"])

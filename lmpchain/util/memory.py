@@ -1,0 +1,74 @@
+"""Memory of this process: how much is free, and a limit for a short piece of work."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def memory_limit(size: int) -> Iterator[None]:
+    """Let this process take at most `size` more bytes; more raises `MemoryError`.
+
+    Only Linux counts the memory of a process so; elsewhere there is no limit.
+    """
+    taken = _address_space()
+    if taken is None:
+        yield
+        return
+    before, most = resource.getrlimit(resource.RLIMIT_AS)
+    limits = [limit for limit in (before, most, taken + size) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (before, most))
+
+
+def free_memory() -> float:
+    """Return how many bytes this process can still take; infinite if that is unknown.
+
+    The limits are those of the machine, of the control group (as in a container or a batch job),
+    and of `ulimit -v`.
+    """
+    limits = [_available(), *_control_group()]
+    taken = _address_space()
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if taken is not None and most != resource.RLIM_INFINITY:
+        limits.append(most - taken)
+    return max(min(limits), 0.0)
+
+
+def _address_space() -> int | None:
+    """Return the size of the address space of this process, bytes; None if it is unknown."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _available() -> float:
+    """Return the memory that the machine has left, bytes."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        kilobytes = next(line.split()[1] for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration):
+        return float("inf")
+    return 1024.0 * int(kilobytes)
+
+
+def _control_group() -> Iterator[float]:
+    """Yield the memory that the control group of this process has left, if it has a limit."""
+    group = Path("/sys/fs/cgroup")
+    for limit, usage in (
+        ("memory.max", "memory.current"),
+        ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"),
+    ):
+        try:
+            yield float((group / limit).read_text()) - float((group / usage).read_text())
+        except (OSError, ValueError):
+            continue

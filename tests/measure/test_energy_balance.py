@@ -1,0 +1,280 @@
+"""What damping takes and what a force or a drive puts in, by any number of samples, against an
+independent integration that has both as unknowns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.taylor_series import reference
+from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from lmpchain import (
+    Chain,
+    Damping,
+    Drive,
+    Force,
+    Impulse,
+    LmpchainError,
+    Scene,
+    Stopped,
+    Trajectory,
+    resume,
+    simulate,
+    simulate_many,
+)
+from lmpchain.engines import Native
+from lmpchain.engines.native import companion_run
+from lmpchain.measure import energy
+from lmpchain.trajectory.record import ErrorEstimate
+
+Array = NDArray[np.float64]
+WALLS = {"grains": 6, "diameter": 1e-3, "top": "wall", "bottom": "wall", "top_load": 0.1}
+DAMPING = Damping(viscoelastic=3e-8, drag=1e3)
+POINTS = {"times": [0, 3.3e-6, 1e-5]}
+STEEL = {"grains": 10, "material": "steel", "diameter": 1e-2, "exponent": 1.0, "top_load": 1.0}
+CASES = {
+    # it opens contacts, and what opens or closes them
+    "strike": (Chain(**WALLS, damping=DAMPING), Impulse(velocity=3e-2)),
+    "contacts alone": (Chain(**WALLS, damping={"viscoelastic": 3e-8}), Impulse(velocity=1e-2)),
+    "drag alone": (Chain(**WALLS, damping={"drag": 1e4}), Impulse(velocity=1e-2)),
+    "springs": (Chain(**STEEL, damping={"viscoelastic": 4e-7}), Impulse(velocity=1e-3)),
+    "force": (Chain(**WALLS, damping=DAMPING), Force(grain=2, amplitude=1e-2, frequency=1e5)),
+    "burst": (
+        Chain(**WALLS, damping={"viscoelastic": 3e-8}),
+        Force(grain=3, amplitude=0.1, frequency=1e5, cycles=2),
+    ),
+    "points": (
+        Chain(**WALLS, damping=DAMPING),
+        Force(grain=1, **POINTS, force=[0, 0.1, 0.05], interpolation="linear"),
+    ),
+    "drive": (Chain(**WALLS, damping=DAMPING), Drive(amplitude=1e-8, frequency=1e5)),
+    "tone": (Chain(**WALLS, damping=DAMPING), Drive(amplitude=1e-8, frequency=1e5, cycles=3)),
+    # the speed of what is driven jumps between samples
+    "jumps": (
+        Chain(**WALLS, damping=DAMPING),
+        Drive(**POINTS, displacement=[0, 1e-8, 0], interpolation="linear"),
+    ),
+    "wall": (
+        Chain(**WALLS, damping=DAMPING),
+        Drive(grain=0, **POINTS, displacement=[0, 1e-8, 0], interpolation="linear"),
+    ),
+    "lossless drive": (Chain(**WALLS), Drive(amplitude=1e-9, frequency=1e5)),
+    "lossless force": (Chain(**WALLS), Force(grain=2, amplitude=1e-3, frequency=1e5)),
+}
+
+
+def scene_of(name: str, samples: int) -> Scene:
+    chain, excitation = CASES[name]
+    duration = 4e-4 if name == "springs" else 6e-5
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
+
+
+def integrate(scene: Scene) -> tuple[Array, Array]:
+    """Return what damping has taken and the work of a force or drive, (T,) J, by SciPy's DOP853."""
+    chain = scene.chain
+    size = chain.grains
+    contacts = chain.contacts
+    wave = scene.excitation.waveform
+    wall = scene.excitation.wall
+    driven = scene.excitation.driven
+    grain = scene.excitation.acts_on
+    straight = getattr(scene.excitation, "interpolation", "") == "linear"
+    free = np.arange(size) < chain.movable
+    free[:driven] = False
+
+    def rates(t: float, y: Array, inside: float) -> Array:
+        u, v = y[: 2 * size].reshape(2, size).copy()
+        top = np.zeros(2)
+        if wave and (driven or wall):
+            # a straight line has the slope of its middle, also at its ends
+            moved = float(wave.at(t)), float(wave.at(inside if straight else t, 1))
+            if driven:
+                u[0], v[0] = moved
+            else:
+                top[:] = moved
+        overlap = contacts.overlap - np.diff(u, prepend=top[0], append=0.0)
+        closing = -np.diff(v, prepend=top[1], append=0.0)
+        pressed = np.maximum(overlap, 0.0)
+        viscous = contacts.constant * chain.exponent * pressed ** (chain.exponent - 1)
+        viscous = np.where(overlap > 0, chain.contact_viscosity * viscous * closing, 0.0)
+        force = contacts.constant * pressed**chain.exponent - contacts.force + viscous
+        drag = np.where(free, chain.masses * chain.drag, 0.0)
+        inner = force[:-1] - force[1:] - drag * v
+        power = 0.0
+        if wave and wall:
+            power = force[0] * top[1]
+        elif wave and driven:
+            power = (force[1] - force[0]) * v[0]
+        elif wave:
+            inner[grain - 1] += float(wave.at(t))
+            power = float(wave.at(t)) * v[grain - 1]
+        a = np.where(free, inner / chain.masses, 0.0)
+        lost = float(viscous @ closing + drag @ v**2)
+        return np.concatenate((np.where(free, v, 0.0), a, [lost, power]))
+
+    u, v = scene.initial()
+    y = np.concatenate((u, v, [0.0, 0.0]))
+    scales = chain.length_scale, chain.length_scale / chain.time_scale
+    mass = float(chain.masses[0]) * scales[1] ** 2
+    atol = 1e-15 * np.repeat([*scales, mass], [size, size, 2])
+    results = [y[-2:]]
+    corners = [] if wave is None else [t for t in wave.corners if 0 < t < scene.duration]
+    edges = np.union1d(scene.time, corners)
+    for begin, end in pairwise(edges):
+        part = solve_ivp(
+            rates, (begin, end), y, "DOP853", args=((begin + end) / 2,), rtol=1e-12, atol=atol
+        )
+        y = part.y[:, -1]
+        if end in scene.time:
+            results.append(y[-2:])
+    lost, work = np.array(results).T
+    if wave and driven:
+        work = work + chain.masses[0] / 2 * (wave.at(scene.time, 1) ** 2 - wave.at(0.0, 1) ** 2)
+    return lost, work
+
+
+@cache
+def exact(name: str) -> tuple[Array, Array]:
+    return integrate(scene_of(name, 41))
+
+
+def largest(values: Array) -> float:
+    return float(np.abs(values).max())
+
+
+@pytest.mark.parametrize("samples", [3, 41, 401])
+@pytest.mark.parametrize("name", CASES)
+def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, samples: int):
+    t = simulate(scene_of(name, samples), "native", 1e-10)
+    balance = energy.ledger(t)
+    put_in = largest(balance.total)
+    assert largest(balance.drift) < 1e-9 * put_in
+    assert largest(balance.momentum_drift) < 1e-9 * largest(balance.momentum)
+    # of a chain with damping they are no consequence of the balance
+    assert set(balance.balanced) & {"drive", "dissipated"} == (
+        {"drive"} if name.startswith("lossless") else set()
+    )
+    every = max((samples - 1) // 40, 1)
+    shown = slice(None, None, 40 // min(samples - 1, 40))
+    for value, error, true in zip(
+        (balance.dissipated, balance.drive),
+        (balance.dissipated_error, balance.drive_error),
+        exact(name),
+        strict=True,
+    ):
+        assert largest(value[::every] - true[shown]) <= error + 1e-11 * put_in
+        assert error < 1e-8 * put_in
+
+
+@pytest.mark.parametrize(
+    ("engine", "act"),
+    [
+        ("modes", Impulse(velocity=1e-9)),
+        ("modes", Drive(amplitude=1e-15, frequency=1e5)),
+        ("chebyshev", Drive(amplitude=1e-15, frequency=1e5)),
+        ("lammps", Impulse(velocity=1e-3)),
+        ("lammps", Drive(amplitude=1e-9, frequency=1e5)),
+    ],
+)
+@pytest.mark.parametrize("samples", [3, 41])
+def test_engines_that_sum_up_nothing_close_the_balance(engine: str, act, samples: int):
+    """Weak waves of linear theory, and LAMMPS: within their errors they agree with the native
+    engine, which is far more accurate.
+    """
+    damping = DAMPING if engine != "chebyshev" else {}
+    chain = Chain(**WALLS, damping=damping)
+    scene = Scene(chain=chain, excitation=act, duration=6e-5, samples=samples)
+    tolerance = 1e-3 if engine == "lammps" else 1e-6
+    found = energy.ledger(simulate(scene, engine, tolerance))
+    true = energy.ledger(simulate(scene, "native", 1e-11))
+    put_in = largest(true.total)
+    for name in ("dissipated", "drive"):
+        error = getattr(found, f"{name}_error")
+        assert largest(getattr(found, name) - getattr(true, name)) <= error + 1e-10 * put_in
+        # both are unknown where damping and a drive act in linear theory
+        if engine == "lammps" or not act.does_work or not damping:
+            assert error < 0.02 * put_in, name
+
+
+def test_a_foreign_trajectory_has_its_samples_alone():
+    t = simulate(scene_of("strike", 401), "native", 1e-10)
+    foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
+    found = energy.ledger(foreign)
+    assert found.balanced == ()
+    assert 0 < largest(found.drift) < found.dissipated_error < 1e-3 * found.total[0]
+    # the error of a rough answer counts
+    rough = replace(t, error_estimate=ErrorEstimate(0.0, 1e-3), gathered={})
+    assert energy.losses(rough).error > 1e-4 * found.total[0] > energy.losses(t).error
+
+
+def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
+    """Files, a resumed run, a batch, threads, and recorded grains: the bits stay."""
+    scene = scene_of("tone", 41)
+    t = simulate(scene, "native", 1e-8)
+    names = {"dissipated", "dissipated_error", "drive", "drive_error"}
+    assert t.gathered.keys() == names
+    t.save(tmp_path / "run.nc")
+    some = scene.replace(grains=[2, 5], quantities=["peak_velocity"])
+    runs: list[Trajectory] = [
+        Trajectory.load(tmp_path / "run.nc"),
+        *simulate_many([scene, scene], 1e-8, "native"),
+        simulate(scene, Native(threads=2), 1e-8),
+        simulate(scene.replace(grains=[2, 5]), "native", 1e-8),
+    ]
+    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    folder = tmp_path / "run"
+    with pytest.raises(Stopped):
+        simulate(scene, "native", 1e-8, folder=folder, max_wall=1e-9)
+    assert not Trajectory.load(folder).gathered
+    with pytest.raises(Stopped):
+        resume(folder, max_wall=1e-9)
+    runs += [resume(folder), Trajectory.load(folder)]
+    for run in runs:
+        assert all(np.array_equal(run.gathered[name], t.gathered[name]) for name in names)
+    found = simulate(some, "native", 1e-8).gathered
+    assert found.keys() > names
+    assert largest(found["drive"] - t.gathered["drive"]) <= found["drive_error"]
+
+
+def test_what_no_wave_reaches_changes_no_energy():
+    """The light cone of a long chain has the energies of the whole, and of a shorter chain."""
+    found = []
+    for grains in (300, 3000):
+        chain = Chain(grains=grains, diameter=1e-3, damping={"viscoelastic": 1e-9})
+        scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=2e-5, samples=5)
+        found.append(simulate(scene, "native", 1e-10).gathered["dissipated"])
+    assert found[1] == pytest.approx(found[0], rel=1e-12)
+    assert found[0][-1] > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("acts", [False, True])
+@pytest.mark.parametrize("seed", range(30))
+def test_stated_errors_hold_in_random_scenes(seed: int, acts: bool):
+    """What is lost less what is put in is what the energy of a Taylor series has lost."""
+    rng = np.random.default_rng([77, seed])
+    draw = acted_trial_scene if acts else trial_scene
+    scene = draw(rng, work=1e3)
+    while scene.chain.grains > 100:
+        scene = draw(rng, work=1e3)
+    scene = damped(rng, scene).replace(grains="all")
+    true, _ = reference(scene, 1e-16)
+    wall = scene.excitation.wall
+    top = wall.at(scene.time, 0) if wall else None
+    total = scene.chain.excess_energy(true.displacement, true.velocity, top)
+    try:
+        t = simulate(scene, "native", 10.0 ** -rng.uniform(3, 11))
+    except LmpchainError:
+        pytest.skip("rounding alone may exceed this tolerance")
+    found = energy.ledger(t)
+    scale = max(map(largest, (total, found.dissipated, found.drive)))
+    off = largest(found.dissipated - found.drive - (total[0] - total))
+    assert off <= found.dissipated_error + found.drive_error + 1e-15 * scale
