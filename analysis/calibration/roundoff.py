@@ -17,11 +17,11 @@ import numpy as np
 from common import Case, Row, answer, command, quantile
 from scenes import drawn
 
-from lmpchain import Chain, Drive, Impulse, Scene
+from lmpchain import Chain, Drive, Force, Impulse, Scene
 from lmpchain.engines.lammps.engine import HEIGHTS, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import CANCELS, Chebyshev, LinearEngine, Modes
 from lmpchain.engines.native import Native
-from lmpchain.engines.native.round_off import ROUNDING, native_floor, plain_loss
+from lmpchain.engines.native.round_off import ROUNDING, native_floor, plain_loss, reduced_loss
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS
@@ -124,6 +124,33 @@ def _flight(count: int) -> Row:
             off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
             lost.append(off / (EPSILON * run.cost.force_evaluations))
     return bound("ROUNDING.drift", ROUNDING.drift, lost, "last digits in free flight", 3.0, 0.99)
+
+
+def _creeping(count: int) -> Row:
+    """Return the row of ROUNDING.reduced: damped springs that a force loads slowly."""
+    lost = []
+    rng = np.random.default_rng(62)
+    while len(lost) < count:
+        chain = Chain(
+            grains=int(rng.integers(2, 9)), diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1.0
+        )
+        omega = chain.band_edge
+        viscous, drag = 10 ** rng.uniform(0, 1, 2) * (rng.random(2) < 0.7)
+        damping = {"viscoelastic": viscous / omega, "drag": drag * omega}
+        duration = 10 ** rng.uniform(1.3, 2) / omega
+        force = Force(amplitude=1e-3, frequency=rng.uniform(0.05, 3) / duration)
+        damped = chain.replace(damping=damping)
+        case = Case(Scene(chain=damped, excitation=force, duration=duration, samples=11))
+        if not damped.damped or not case.known:
+            continue
+        engine = Native(step=0.3 / damped.fastest_rate)
+        run = answer(engine, case.scene, engine.candidate(case.scene, 1.0))
+        assert run
+        displacement, speed = (float(np.abs(field).max()) for field in run.motion)
+        loss = reduced_loss(case.scene, displacement, 0.0) / speed
+        if loss > 100 * EPSILON:
+            lost.append(ROUNDING.reduced * case.error(run.motion) / loss)
+    return bound("ROUNDING.reduced", ROUNDING.reduced, lost, "last digits of damped springs")
 
 
 def _spread(count: int) -> list[Row]:
@@ -276,7 +303,14 @@ def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 8 if quick else 60
     few = count // 2
-    native = [_native(count), _phases(few), _flight(count), *_plain(count), *_spread(few)]
+    native = [
+        _native(count),
+        _phases(few),
+        _flight(count),
+        _creeping(few),
+        *_plain(count),
+        *_spread(few),
+    ]
     return [*native, *_lammps(few), _headroom(count), *_linear(count), _bursts(few)]
 
 

@@ -83,7 +83,7 @@ class StepSchedule(NamedTuple):
     def longest_between(self, begin: Array, end: Array) -> Array:
         """Return the longest step between two corners, (C,) s, on which steps end as on landings.
 
-        The steps between corner and landing are equal, and as few as their length allows.
+        The steps between a corner and a landing are equal, and as few as their length allows.
         """
         landing = self.steps * self.step
         first = np.minimum(np.ceil(begin / landing) * landing, end)

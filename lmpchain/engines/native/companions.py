@@ -193,20 +193,18 @@ class Companions:
         )
 
     def _ratio_between_corners(self, scene: Scene) -> float:
-        """Return the smallest ratio of steps of the first companion between two corners of a force.
+        """Return the smallest ratio of steps of the first companion between corners of a force.
 
-        All runs end steps on corners, so that between these the ratio of steps is that of two
-        whole numbers.
+        All runs end steps on corners, so that between these the ratio is that of two whole numbers.
         """
-        waveform = scene.excitation.waveform
-        corners = waveform.corners if waveform and self._candidate.adaptive else ()
-        inside = [t for t in corners if 0.0 < t < scene.duration]
-        times = np.array([0.0, *inside, scene.duration])
+        times = np.array([0.0, *corners(scene), scene.duration])
+        if len(times) == 2 or not self._candidate.adaptive:
+            return self.ratios[0]
         # A piece that is shorter than a step of a companion is the last one, and has few steps.
         long = np.diff(times) >= LONGER[-1] * self.answer.step
         pieces = times[:-1][long], times[1:][long]
         steps = self.schedules[0].longest_between(*pieces) / self.answer.longest_between(*pieces)
-        return float(steps.min(initial=self.ratios[0])) if inside else self.ratios[0]
+        return float(steps.min(initial=self.ratios[0]))
 
     def _orders(self, real: int, order: float, opens: bool) -> tuple[float, float]:
         """Return by which orders differences are divided: of the error, and of its slowest part.
@@ -250,7 +248,7 @@ def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[flo
 
     None where these are unstable or too few. Where damping ends a motion within a few samples its
     error is there in the first of them alone, and companions must land on each: then 3 serves, too,
-    but there must be two.
+    but there must be two, and no corners of a force.
     """
     if candidate.steps(scene.samples) < FEWEST_STEPS:
         return []
@@ -261,9 +259,16 @@ def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[flo
     else:
         ratios = list(LONGER)
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
-    # Motions that die within a step or two show no order: one companion at longer steps may be
-    # right by chance.
-    return stable if len(stable) > 1 or not dies(scene) else []
+    # One companion at longer steps may be right by chance where motions die within a step or two,
+    # and where corners end steps, all of them may pass the last one before a sample alike.
+    seen = len(stable) > 1 and not corners(scene)
+    return stable if seen or not dies(scene) else []
+
+
+def corners(scene: Scene) -> list[float]:
+    """Return the times inside of the duration at which steps end because a force has a corner."""
+    waveform = scene.excitation.waveform
+    return [t for t in waveform.corners if 0.0 < t < scene.duration] if waveform else []
 
 
 def dies(scene: Scene) -> bool:

@@ -4,6 +4,7 @@ The estimate of the largest relative error of an answer at steps h is
 
     e = max(2 d12 / (g - 1),  b)                                 truncation
         + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      round-off, as it is or amplified
+        + 8 eps D x / v                                  and of reduced velocities
 
 with b = 2 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
 at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
@@ -23,8 +24,8 @@ r1, r2    ratios      steps of the companions over h
 p         order       order that is trusted, see `Companions.truncation`
 g         gain        error at steps r1 h over that at h, as observed:
                       (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
-                      of twice the length; g^(ln r / ln r1) where corners of a force cut steps
-r           least_ratio smallest ratio of steps of the first companion between two corners
+                      of twice the length; g^(ln r / ln r1) where corners of a force cut steps, and
+                      r, `least_ratio`, is the smallest ratio of steps between two corners
 s         share       (r1^p - g) / (r1^p - r1^2), the part of d12 that falls with h^2, at most 1
 eps       EPSILON     unit of the last place of 1
 n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n), or

@@ -1,0 +1,107 @@
+"""Error estimates of damped springs against exact solutions, where they were once too small."""
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Force, Impulse, Scene, Trajectory, simulate
+
+
+def spring(viscous: float, drag: float) -> Chain:
+    """Return one grain on a spring, with A omega and gamma / omega."""
+    chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1.0)
+    omega = chain.band_edge
+    return chain.replace(damping={"viscoelastic": viscous / omega, "drag": drag * omega})
+
+
+def exact(scene: Scene, t: np.ndarray) -> np.ndarray:
+    """Return displacement and velocity of the grain in extended precision, (2, T).
+
+    They solve x'' + (A k + gamma) x' + k x = f / m, at rest or with a velocity at t = 0.
+    """
+    wide = np.longdouble
+    chain = scene.chain
+    mass = wide(chain.masses[0])
+    k = wide(chain.contact_constants[0]) / mass
+    decay = wide(chain.damping.viscoelastic) * k + wide(chain.damping.drag)
+    root = np.sqrt(np.clongdouble(decay**2 / 4 - k))
+    rates = np.array([-decay / 2 + root, -decay / 2 - root])
+    t = t.astype(wide)
+
+    def free(v: np.clongdouble, x: np.clongdouble, t: np.ndarray) -> np.ndarray:
+        shares = np.array([v - rates[1] * x, rates[0] * x - v]) / (rates[0] - rates[1])
+        waves = shares * np.exp(np.outer(t, rates))
+        return np.array([waves.sum(1), (waves * rates).sum(1)])
+
+    excitation = scene.excitation
+    if isinstance(excitation, Impulse):
+        return free(wide(excitation.velocity), wide(0), t).real
+    half = excitation.shape == "half-sine"
+    pi = 4 * np.arctan(wide(1))
+    rate = pi / wide(excitation.duration) if half else 2 * pi * wide(excitation.frequency)
+    size = wide(excitation.amplitude) / mass / (k - rate**2 + 1j * rate * decay)
+
+    def sine(t: np.ndarray) -> np.ndarray:
+        moved = size * np.exp(1j * rate * t)
+        still = free(-(1j * rate * size).imag, -size.imag, t)
+        return np.array([moved.imag, (1j * rate * moved).imag]) + still.real
+
+    motion = sine(t)
+    if half:
+        # The second sine, which begins where the first one has made half a turn, takes it back.
+        later = t > wide(excitation.duration)
+        motion[:, later] += sine(t[later] - wide(excitation.duration))
+    return motion
+
+
+def true_error(run: Trajectory) -> float:
+    """Return the error of a run, relative to the largest motion at any time."""
+    scene = run.scene
+    largest = np.abs(exact(scene, np.linspace(0, scene.duration, 4001))).max(1)
+    apart = np.array([run.displacement[:, 0], run.velocity[:, 0]]) - exact(scene, scene.time)
+    return float((np.abs(apart).max(1) / largest).max())
+
+
+def strike(viscous: float, drag: float, reach: float) -> Scene:
+    """Return a struck spring with three steps of this length, over the stable one, a sample."""
+    chain = spring(viscous, drag)
+    duration = 20 * reach / chain.fastest_rate
+    return Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11)
+
+
+def push(viscous: float, drag: float, part: float) -> Scene:
+    """Return a spring that half a sine pushes for this part of the duration."""
+    chain = spring(viscous, drag)
+    duration = 40 / chain.fastest_rate
+    force = Force(amplitude=1e-6, shape="half-sine", duration=part * duration)
+    return Scene(chain=chain, excitation=force, duration=duration, samples=3)
+
+
+def creep(viscous: float, drag: float, radians: float) -> Scene:
+    """Return a spring that a force loads slowly: its velocity is far below drag times way."""
+    chain = spring(viscous, drag)
+    duration = radians / chain.band_edge
+    force = Force(amplitude=1e-3, frequency=0.08 / duration)
+    return Scene(chain=chain, excitation=force, duration=duration, samples=11)
+
+
+@pytest.mark.parametrize(
+    ("scene", "tolerance"),
+    [
+        # The errors of one companion at longer steps cancel.
+        (strike(1.5, 1.5, 1.5), 1e-3),
+        (strike(1.5, 1.5, 1.53), 1e-3),
+        # The end of the push cuts steps before the sample in other parts than in the companions.
+        (push(0.5, 1.0, 0.4625), 1e-9),
+        (push(0.0, 1.0, 0.475), 1e-9),
+        # All runs pass from the end of the push to the sample in one step.
+        (push(0.0, 1.0, 0.4875), 1e-9),
+        # Reduced velocities cancel.
+        (creep(0.0, 5.0, 100.0), 1e-9),
+        (creep(0.0, 10.0, 100.0), 1e-9),
+    ],
+)
+def test_estimates_are_no_less_than_a_third_of_the_error(scene: Scene, tolerance: float):
+    run = simulate(scene, "native", tolerance)
+    assert true_error(run) < min(tolerance, 3 * run.error_estimate.total)
+    # Nor are they far above.
+    assert run.error_estimate.total < 300 * true_error(run)
