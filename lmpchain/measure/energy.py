@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -439,22 +439,12 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         "dissipated": (losses.total, losses.error),
         "impulse": (impulse, impulse_error),
     }
-    summed = _summed(trajectory)
-    terms |= summed
-    balanced = []
-    if math.isfinite(trajectory.error_estimate.total):
-        changes = {
-            "drive": (1.0, total, total_error, "dissipated"),
-            "dissipated": (-1.0, total, total_error, "drive"),
-            "impulse": (1.0, momentum, fast * chain.masses.sum(), ""),
-        }
-        for name, (sign, value, value_error, other) in changes.items():
-            rest, rest_error = terms[other] if other else (0.0, 0.0)
-            error = float(np.max(value_error)) + rest_error
-            # nothing is put in or taken where its error is 0
-            if name not in summed and other not in balanced and error < terms[name][1]:
-                terms[name] = sign * (value - value[0]) + rest, error
-                balanced.append(name)
+    changes = {
+        "drive": (1.0, total, total_error, "dissipated"),
+        "dissipated": (-1.0, total, total_error, "drive"),
+        "impulse": (1.0, momentum, fast * chain.masses.sum(), ""),
+    }
+    terms, balanced = _close(trajectory, terms, changes)
     return EnergyLedger(
         time=time,
         kinetic=v**2 @ chain.masses / 2,
@@ -471,6 +461,31 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         dissipated_error=terms["dissipated"][1],
         balanced=tuple(balanced),
     )
+
+
+def _close(
+    trajectory: Trajectory,
+    sampled: dict[str, tuple[Array, float]],
+    changes: dict[str, tuple[float, Array, Any, str]],
+) -> tuple[dict[str, tuple[Array, float]], list[str]]:
+    """Return the surest values of terms with their errors, and which follow from a balance.
+
+    `sampled` has those by the samples. `changes` has the sign with which each is a change of a sum,
+    that sum and its error, and the other term of the balance.
+    """
+    summed = _summed(trajectory)
+    terms = sampled | summed
+    balanced: list[str] = []
+    if not math.isfinite(trajectory.error_estimate.total):
+        return terms, balanced
+    for name, (sign, value, value_error, other) in changes.items():
+        rest, rest_error = terms.get(other, (0.0, 0.0))
+        error = float(np.max(value_error)) + rest_error
+        # nothing is put in or taken where its error is 0
+        if name not in summed and other not in balanced and error < terms[name][1]:
+            terms[name] = sign * (value - value[0]) + rest, error
+            balanced.append(name)
+    return terms, balanced
 
 
 def _summed(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:

@@ -167,10 +167,10 @@ def _sum_products(mass, weights, a, b, c, d, e, f, g, h):
 
 
 @inlined
-def _sum_losses(mass, weighted, count, slopes, creeps, window):
+def _sum_losses(mass, weighted, count, slopes, creeps, lag, window):
     """Return the weighted sum over the stages of a step of sum m w' d, over `window`, J.
 
-    The creeps d of all stages begin at the row `creeps` of the slopes.
+    The creeps d of all stages begin at the row `creeps` of the slopes, or are `lag` times these.
     """
     weights, rows = weighted
     total = 0.0
@@ -188,7 +188,7 @@ def _sum_losses(mass, weighted, count, slopes, creeps, window):
             slopes[creeps + rows[n + 2], window],
             slopes[creeps + rows[n + 3], window],
         )
-    return total
+    return total if creeps > 0 else lag * total
 
 
 @summed
@@ -224,8 +224,8 @@ def _press(chain, viscosity, force):
 
 
 @inlined
-def _note_stage(chain, dissipation, work, rates, weight, stage, t, inside, h):
-    """Add the work at a stage of a step h, whose weight in it is `weight`.
+def _note_stage(chain, acted, dissipation, work, rates, weight, stage, t, inside, h):
+    """Add the work at a stage of a step h, whose weight in it is `weight`, if any is `acted`.
 
     Integrated by parts, the power of viscous forces on what is driven, v d(A F)/dt, needs no rate
     of a force: it is -A F dv/dt, and `_note_begin` has the rest.
@@ -233,13 +233,13 @@ def _note_stage(chain, dissipation, work, rates, weight, stage, t, inside, h):
     force, z, reduced, slopes, _ = work
     state = chain.state
     stages = rates.shape[0]
-    if _drives(chain):
+    if acted and _drives(chain):
         elastic, viscous = _press(chain, dissipation.viscosity[chain.number], force)
         taken = -weight * h * viscous * course(chain, t, 2, inside)
         state.lost += taken
         state.work += taken + weight * h * elastic * course(chain, t, 1, inside)
     pushed = forced(chain)
-    if pushed > 0:
+    if acted and pushed > 0:
         speed = reduced[pushed] + slopes[stages + stage, pushed]
         for row in range(stage):
             speed += rates[stage, row] * h * slopes[row, pushed]
@@ -301,7 +301,8 @@ def _advance(chain, method, work, clock, span, out, landed):
     stages = nodes.size
     # creep that is nothing but a time by the slopes needs no rows of its own
     creeps = stages if damped and not dissipation.alike else 0
-    balanced = damped and out.balance.shape[0] > 0
+    balanced = damped & (out.balance.shape[0] > 0)
+    acted = balanced & chain.imposed.acts
     if landed:
         _land(chain, dissipation, work, clock, span, stages, balanced)
         return 0
@@ -331,9 +332,8 @@ def _advance(chain, method, work, clock, span, out, landed):
         h = clock.step * shorten(chain, z, w, slopes[0], openings)
     done = end_of_step(chain, span, remaining, h)
     h = done - state.done
-    if balanced and chain.imposed.acts:
-        inside = now + 0.5 * h
-        _note_stage(chain, dissipation, work, rates, weights[1, 0], 0, now, inside, h)
+    inside = now + 0.5 * h
+    _note_stage(chain, acted, dissipation, work, rates, weights[1, 0], 0, now, inside, h)
     grains = y[window]
     speeds = reduced[window] if damped else w[window]
     stage_grains = z[window]
@@ -345,9 +345,8 @@ def _advance(chain, method, work, clock, span, out, landed):
         accelerate(chain, z, first, last, force, slopes[stage])
         if creeps > 0:
             fill_creep(chain, dissipation, z, force, slopes[stages + stage])
-        if balanced and chain.imposed.acts and weights[1, stage] != 0.0:
-            t = now + nodes[stage] * h
-            _note_stage(chain, dissipation, work, rates, weights[1, stage], stage, t, inside, h)
+        t = now + nodes[stage] * h
+        _note_stage(chain, acted, dissipation, work, rates, weights[1, stage], stage, t, inside, h)
     _add_one(grains, h, speeds)
     count = _weigh(weigh, weights[0], weights[1], h, lag, creeps)
     add_rows(grains, weigh, count, slopes, window)
@@ -357,9 +356,7 @@ def _advance(chain, method, work, clock, span, out, landed):
     add_rows(speeds, weigh, count, slopes, window)
     if balanced:
         mass = dissipation.mass[chain.number, window]
-        taken = _sum_losses(mass, weigh, count, slopes, creeps, window)
-        # creeps of contacts that are alike are A times the slopes
-        state.lost += taken if creeps > 0 else lag * taken
+        state.lost += _sum_losses(mass, weigh, count, slopes, creeps, lag, window)
     state.done = done
     impose(chain, y, span.begin + state.done, span.begin + state.done)
     watch(chain)
