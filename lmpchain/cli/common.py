@@ -76,12 +76,8 @@ def output(name: str, scene: str, suffixes: Sequence[str] = (), *, force: bool =
     from ..util.files import expanded, is_foreign
 
     path = expanded(name)
-    if path.is_dir() or name.endswith(("/", os.sep)):
-        example = path if suffixes else path / "run.nc"
-        raise InputError.at(name, f"is a folder; name a file, such as {example}")
-    if path.exists() and not path.is_file():
-        raise InputError.at(name, "is a device or a pipe, not a file; name a file")
     source = expanded(scene)
+    _check_file(name, path, "" if suffixes else "run.nc")
     if suffixes and path.suffix.lower() not in suffixes:
         endings = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
         raise InputError.at(name, f"must end in {endings}")
@@ -99,6 +95,14 @@ def output(name: str, scene: str, suffixes: Sequence[str] = (), *, force: bool =
             "is a file that lmpchain did not write: name another file, or replace it with --force",
         )
     return path
+
+
+def _check_file(name: str, path: Path, example: str) -> None:
+    """Raise `InputError` if a path is a folder, a device or a pipe."""
+    if path.is_dir() or name.endswith(("/", os.sep)):
+        raise InputError.at(name, f"is a folder; name a file, such as {path / example}")
+    if path.exists() and not path.is_file():
+        raise InputError.at(name, "is a device or a pipe, not a file; name a file")
 
 
 def check_outputs(arguments: Any, source: str) -> tuple[Callable[[], Any], Callable[[], Any]]:

@@ -239,9 +239,10 @@ def solve_to_tolerance(
             run.close()
         # a batch has one step, so its worst scene decides
         error = _worst(errors) if errors else None
-        following = lost
+        following, missed = lost, ""
         if not lost:
             following, missed = next_attempt(engine, scenes[0], attempt, error, patient)
+        _check_beginning(scenes[0], attempt, following, missed)
         if not following:
             assert error
             cost = cost._replace(
@@ -251,11 +252,24 @@ def solve_to_tolerance(
             )
             missed, known_s = _conclude(engine, scenes[0], attempt, error, missed)
             return Outcome(collected, attempt, errors, error, cost, missed, known_s)
-        if len(following.truncations) == PATIENCE.beginning and following.known_until < math.inf:
-            raise ToleranceNotMet(attempt.refusal, known_until=attempt.known_until / 2)
         run_s = cost.integration_s + cost.estimate_s
         planned_s = attempt.planned_s + clock() - began - run_s
         attempt = following._replace(planned_s=planned_s, spent_s=attempt.spent_s + run_s)
+
+
+def _check_beginning(
+    scene: Scene, attempt: Attempt, following: Attempt | None, missed: str
+) -> None:
+    """Raise `ToleranceNotMet` if a shorter beginning of an unpredictable scene is to be solved.
+
+    What is kept of such a scene is within the tolerance.
+    """
+    if attempt.known_until == math.inf:
+        return
+    known_s = attempt.known_until / 2
+    many = following is not None and len(following.truncations) == PATIENCE.beginning
+    if many or (missed and scene.until(known_s) is not scene):
+        raise ToleranceNotMet(attempt.refusal, known_until=known_s)
 
 
 def _conclude(

@@ -177,11 +177,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> T
     upward = direction == "up"
     velocity = np.asarray(trajectory.velocity)
     velocity = -velocity[:, ::-1] if upward else velocity
-    last = _useful(velocity)
-    if last < FEWEST_SAMPLES:
-        reason = f"motion at the end to which waves go {direction} is only {last} samples later"
-        cure = "choose the other direction, or strike further from that end"
-        raise InputError.at("direction", f"{reason}: {cure}")
+    last = _useful(velocity, direction)
     time = trajectory.time[:last]
     velocity = velocity[:last]
     energy = shares(trajectory)
@@ -235,11 +231,22 @@ def _check(trajectory: Trajectory, direction: str) -> None:
         raise InputError.at("chain", f"must have {least} grains or more, and enough samples")
 
 
-def _useful(velocity: Array) -> int:
-    """Return the number of samples up to when the first wave is near the end."""
+def _useful(velocity: Array, direction: str) -> int:
+    """Return the number of samples up to when the first wave is near the end.
+
+    Raises
+    ------
+    InputError
+        If these samples are too few to show a crest.
+    """
     near = velocity[:, -END_GRAINS:].max(1)
     arrived = np.flatnonzero(near > 1e-3 * velocity[len(velocity) // 2 :].max(initial=0.0))
-    return int(arrived[0]) if arrived.size else len(velocity)
+    last = int(arrived[0]) if arrived.size else len(velocity)
+    if last < FEWEST_SAMPLES:
+        reason = f"motion reaches the end to which waves go {direction} after {last} samples"
+        cure = "choose the other direction, or strike further from that end"
+        raise InputError.at("direction", f"{reason}: {cure}")
+    return last
 
 
 def _waves(chain: Chain, time: Array, velocity: Array, upward: bool) -> list[_Wave]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import islice
@@ -311,10 +311,7 @@ class _Work:
                     self._submit(executor, task, pending)
                 if not pending:
                     return faults
-                done = wait(pending, timeout=TASKS.scheduler_s, return_when=FIRST_COMPLETED).done
-                if not is_connected(executor):
-                    raise RunFailed(LOST)
-                for future in done:
+                for future in _wait(executor, pending):
                     job = pending.pop(future)
                     error = _find_error(future)
                     died = isinstance(error, BrokenExecutor)
@@ -348,10 +345,19 @@ class _Work:
         return not firsts
 
 
-def is_connected(executor: Executor) -> bool:
-    """Return whether an executor is connected to its Dask scheduler, if it has one."""
+def _wait(executor: Executor, pending: Iterable[Future]) -> set[Future]:
+    """Return the futures that are done after some time.
+
+    Raises
+    ------
+    RunFailed
+        If the executor has lost the connection to its Dask scheduler: no future would ever end.
+    """
+    done = wait(pending, timeout=TASKS.scheduler_s, return_when=FIRST_COMPLETED).done
     client = getattr(executor, "_client", None)
-    return client is None or client.status == "running"
+    if client is not None and client.status != "running":
+        raise RunFailed(LOST)
+    return done
 
 
 def _find_error(future: Future) -> Exception | None:

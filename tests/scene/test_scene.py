@@ -598,7 +598,7 @@ def test_a_profile_is_read_from_a_csv_file(file: Path):
     file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
     scene = Scene.from_toml(file)
     assert scene.excitation == Profile(displacement=u, velocity=v)
-    scene.to_toml(file)  # now without the CSV file
+    scene.to_toml(file, overwrite=True)  # now without the CSV file
     assert Scene.from_toml(file) == scene
     (file.parent / "profile.csv").unlink()
     assert Scene.from_toml(file) == scene
@@ -627,7 +627,7 @@ def test_a_chain_is_read_from_a_csv_file(file: Path):
     )
     assert scene.chain == expected
     assert np.array_equal(scene.chain.masses, expected.masses)
-    scene.to_toml(file)  # now without the CSV file
+    scene.to_toml(file, overwrite=True)  # now without the CSV file
     table.unlink()
     assert Scene.from_toml(file) == scene
 
@@ -704,7 +704,7 @@ def test_a_drive_is_read_from_a_csv_file(file: Path):
     file.write_text(GOOD.replace(STRIKE, 'kind = "drive"\nfile = "drive.csv"'))
     scene = Scene.from_toml(file)
     assert scene.excitation == Drive(times=times, displacement=u)
-    scene.to_toml(file)  # now without the CSV file
+    scene.to_toml(file, overwrite=True)  # now without the CSV file
     table.unlink()
     assert Scene.from_toml(file) == scene
 
