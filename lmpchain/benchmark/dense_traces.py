@@ -33,7 +33,9 @@ def thinned(scene: Scene, tolerance: float) -> tuple[Scene, str]:
     """
     excitation = scene.excitation
     times = getattr(excitation, "times", None)
-    points = 0 if times is None else int(np.searchsorted(times, scene.duration)) + 1
+    if times is None:
+        return scene, ""
+    points = int(np.searchsorted(times, scene.duration)) + 1
     every = math.ceil(points / MOST_POINTS)
     if every <= 1:
         return scene, ""

@@ -18,6 +18,7 @@ from ..trajectory.record import LARGEST_ERROR, Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
 from .base import Candidate, Engine, ErrorBudget, Run
+from .cost_model import check_time
 
 
 @dataclass(frozen=True)
@@ -217,6 +218,7 @@ def solve_to_tolerance(
     """
     compiled = compiled_s() - attempt.compiled_s
     while True:
+        check_time()
         began = clock()
         run = engine.start(scenes, attempt.candidate, begin(attempt))
         if not attempt.candidate.fixed:

@@ -219,7 +219,11 @@ class Lammps(TimeSteppingEngine):
         native = self._trial(scene)
         # half of the tolerance is for the step, half for round-off
         asked = first_attempt(native, scene, tolerance / 2).candidate
-        announce(asked.cost_s, "the native trial that finds the step for LAMMPS")
+        announce(
+            asked.cost_s,
+            f"the native trial that finds the step of LAMMPS for a tolerance of {tolerance:.1g}",
+            "a larger tolerance, a shorter duration or a given step takes less",
+        )
         try:
             trial = _try_steps(native, scene, tolerance / 2)
         except ToleranceNotMet as limit:
