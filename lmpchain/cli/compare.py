@@ -88,7 +88,7 @@ def compare(arguments: argparse.Namespace) -> int:
         keep(result, numbers, picture)
     for failure in failures:
         complain(failure)
-    return 1 if failures else 0
+    return 1 if failures or not trajectories else 0
 
 
 def _count_samples(scene: Scene) -> int:
@@ -146,10 +146,12 @@ def _solve(
             failures.append(f"{name}: {error}")
         if reason:
             ran = f"with a tolerance of {tolerances[name]:.2g}"
-            done = f"ran {ran}" if tolerances[name] < 1 else "left out at any tolerance"
+            done = f"ran {ran} and not {asked:.2g}"
+            if tolerances[name] >= 1:
+                done = "left out at any tolerance"
             remarks.append(
-                f"{name}: {done} and not {asked:.2g}, because {reason}, above the budget of "
-                f"{budget_s:g} s; --budget SECONDS allows more"
+                f"{name}: {done}, because {reason}, above the budget of {budget_s:g} s; "
+                "--budget SECONDS allows more"
             )
     return trajectories, failures, remarks
 

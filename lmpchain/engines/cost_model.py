@@ -22,7 +22,6 @@ from pathlib import Path
 from time import process_time
 
 from ..errors import LmpchainError
-from ..util.remarks import warn
 
 PATIENCE_S = 30.0  # Work that is expected to take longer is announced.
 # CPU time, as a multiple of the budget, after which work ends whose expected time was wrong.
@@ -42,6 +41,7 @@ class TooLong(LmpchainError):
 
 # Largest expected time, s, and the CPU time of this process at which work ends, s.
 _limits: ContextVar[tuple[float, float]] = ContextVar("limits", default=(math.inf, math.inf))
+_announced: ContextVar[bool] = ContextVar("work that the caller has announced", default=False)
 
 
 @contextmanager
@@ -55,7 +55,7 @@ def budget(budget_s: float) -> Iterator[None]:
 
 
 def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
-    """Warn of work that will keep the user waiting, before it begins.
+    """Warn of work that will keep the user waiting, before it begins, even if warnings are aside.
 
     Parameters
     ----------
@@ -74,10 +74,19 @@ def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
     largest_s, _ = _limits.get()
     if cost_s + spent_s > largest_s:
         raise TooLong(f"{work} would take about {in_words(cost_s + spent_s)}")
-    if cost_s > PATIENCE_S:
-        # A caller that sets a budget puts warnings aside, but not this one.
-        tell = warn if math.isinf(largest_s) else warnings.warn
-        tell(f"{work} takes about {in_words(cost_s)}: {cure}", stacklevel=4)
+    if cost_s > PATIENCE_S and not _announced.get():
+        warnings.warn(f"{work} takes about {in_words(cost_s)}: {cure}", stacklevel=4)
+
+
+@contextmanager
+def announced(cost_s: float, work: str, cure: str) -> Iterator[None]:
+    """Announce work of many parts, and none of its parts."""
+    announce(cost_s, work, cure)
+    token = _announced.set(True)
+    try:
+        yield
+    finally:
+        _announced.reset(token)
 
 
 def check_time() -> None:
