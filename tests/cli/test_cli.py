@@ -397,7 +397,6 @@ def test_compare_loosens_the_tolerance_of_an_engine_above_the_budget(
     assert main(["compare", str(scene), *options]) == 0
     (row,) = json.loads(numbers.read_text())["rows"]
     assert row["engine"] == "native"
-    assert 1e-6 < row["expected_error"] < 1e-4
     said = " ".join(capsys.readouterr().out.split())
     assert "native: ran with a tolerance of 0.0001 and not 1e-06, because the run by" in said
     assert "modes: left out at any tolerance" in said

@@ -54,9 +54,11 @@ def test_work_above_the_patience_is_announced(
 
 
 def test_parts_of_announced_work_are_not_announced():
-    with pytest.warns(UserWarning, match="a sweep takes about 40 s: fewer scenes") as told:
-        with announced(40.0, "a sweep", "fewer scenes takes less"):
-            announce(50.0, "a run", "less")
+    with (
+        pytest.warns(UserWarning, match="a sweep takes about 40 s: fewer scenes") as told,
+        announced(40.0, "a sweep", "fewer scenes takes less"),
+    ):
+        announce(50.0, "a run", "less")
     assert len(told) == 1
 
 
