@@ -71,9 +71,7 @@ def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
     TooLong
         If the caller has set a `budget`, and the work exceeds it.
     """
-    largest_s, _ = _limits.get()
-    if cost_s + spent_s > largest_s:
-        raise TooLong(f"{work} would take about {in_words(cost_s + spent_s)}")
+    check_budget(cost_s + spent_s, work)
     if cost_s > PATIENCE_S and not _announced.get():
         warnings.warn(f"{work} takes about {in_words(cost_s)}: {cure}", stacklevel=4)
 
@@ -87,6 +85,13 @@ def announced(cost_s: float, work: str, cure: str) -> Iterator[None]:
         yield
     finally:
         _announced.reset(token)
+
+
+def check_budget(cost_s: float, work: str) -> None:
+    """Raise `TooLong` if the expected time of work, s, exceeds the budget of the caller."""
+    if cost_s > _limits.get()[0]:
+        raise TooLong(f"{work} would take about {in_words(cost_s)}")
+    check_time()
 
 
 def check_time() -> None:

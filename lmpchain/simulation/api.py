@@ -237,7 +237,7 @@ def _solve(
     def begin(attempt: Attempt) -> Mapping[str, Array] | None:
         nonlocal state
         state = output.begin(attempt) or {}
-        _announce(scene, engine, attempt, 1 - output.samples / scene.samples)
+        _announce(scene, attempt, 1 - output.samples / scene.samples)
         return of_engine(state) or None
 
     def collect(run: Run) -> Any:
@@ -257,28 +257,20 @@ def _solve(
     return outcome, gathered
 
 
-def _announce(scene: Scene, engine: Engine, attempt: Attempt, left: float) -> None:
+def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
     """Announce an attempt that takes long, with the reason and cheaper choices.
 
     `left` is the share of the samples that remains.
     """
-    candidate = attempt.candidate
-    cost_s = left * candidate.cost_s
-    work = f"the run by {engine.name}"
+    cost_s = left * attempt.candidate.cost_s
     cures = ["a shorter duration"]
-    if candidate.integrator:
-        work += f" with {candidate.steps(scene.samples)} steps of {candidate.integrator}"
-    if candidate.fixed:
-        work += " of the given length"
-    else:
-        work += f" for a tolerance of {attempt.tolerance:.2g}"
     if cost_s > PATIENCE_S:
-        cures += _cheaper(scene, engine, attempt, cost_s)
-    cures.append("a run folder keeps what is done")
-    announce(cost_s, work, f"{', '.join(cures[:-1])} takes less; {cures[-1]}", attempt.spent_s)
+        cures += _cheaper(scene, attempt, cost_s)
+    cure = f"{', '.join(cures)} takes less; a run folder keeps what is done"
+    announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
 
 
-def _cheaper(scene: Scene, engine: Engine, attempt: Attempt, cost_s: float) -> Iterator[str]:
+def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
     """Yield choices that take less time than an attempt, with their expected times."""
     if attempt.candidate.fixed:
         yield "a longer step"

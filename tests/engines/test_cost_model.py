@@ -10,7 +10,7 @@ from lmpchain import Chain, Impulse, Scene, design, simulate
 from lmpchain.benchmark.bench import work_precision
 from lmpchain.benchmark.truth import truth
 from lmpchain.disorder.averages import at_the_end
-from lmpchain.engines import Native
+from lmpchain.engines import Lammps, Native
 from lmpchain.engines.cost_model import TooLong, announce, announced, budget
 from lmpchain.report.exploration import explore
 from lmpchain.simulation.time_averages import averages
@@ -70,9 +70,20 @@ def test_a_budget_ends_what_exceeds_it(monkeypatch: pytest.MonkeyPatch):
         simulate(SCENE, "native")
     monkeypatch.undo()
     # Work that promised less than it takes ends as well.
-    monkeypatch.setattr("lmpchain.simulation.api.announce", lambda *_: None)
+    monkeypatch.setattr(Native, "cost", lambda *_: 0.0)
     with budget(1e-9), pytest.raises(TooLong, match="far longer than was expected"):
         simulate(SCENE, "native")
+
+
+def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.MonkeyPatch):
+    """The first attempt expects far fewer steps than viscous contacts need in LAMMPS."""
+    scene = SCENE.replace(chain=CHAIN.replace(damping={"viscoelastic": 2e-8}))
+    monkeypatch.setattr("lmpchain.engines.cost_model.PATIENCE_S", 0.0)
+    with pytest.warns(UserWarning, match="the native trial that finds the step") as told:
+        steps = Lammps().candidate(scene, 1e-5).steps(scene.samples)
+    announcements = [str(each.message) for each in told]
+    assert len(announcements) > 1
+    assert any(f"with {steps} steps of" in text for text in announcements)
 
 
 def test_the_expected_time_grows_with_the_steps():
