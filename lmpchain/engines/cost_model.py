@@ -25,7 +25,7 @@ from ..errors import LmpchainError
 
 PATIENCE_S = 30.0  # Work that is expected to take longer is announced.
 # CPU time, as a multiple of the budget, after which work ends whose expected time was wrong.
-OVERRUN = 4
+OVERRUN = 2
 PLAUSIBLE = 1e4  # largest factor between a machine and the one of the shipped numbers
 
 
