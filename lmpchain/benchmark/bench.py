@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import engines
 from ..engines.base import Engine
+from ..engines.cost_model import announce
 from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet
 from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
@@ -270,6 +271,8 @@ def work_precision(
     if needed > EFFORT.reference_s:
         message = f"the reference alone would take about {needed:.2g} s: shorten it"
         raise InputError.at("duration", message)
+    cure = "a smaller budget or a shorter duration takes less"
+    announce(needed + budget_s, "the chart with its reference", cure)
     scene = scene.ungathered
     solution = reference(scene)
     bench = Bench(scene, solution)

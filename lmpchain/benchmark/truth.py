@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..engines.cost_model import announce
 from ..errors import ToleranceNotMet
 from ..scene.scene import Scene
 from ..simulation.api import simulate
@@ -31,7 +32,9 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
     -------
     Reference
     """
-    if expected_seconds(scene) <= LONGEST_S:
+    needed_s = expected_seconds(scene)
+    if needed_s <= LONGEST_S:
+        announce(needed_s, "the reference by Taylor series", "a shorter duration takes less")
         return reference(scene)
     # errors are relative to the largest motion of any grain, so that all must be recorded
     all_grains = Scene(

@@ -44,43 +44,51 @@ SHORT_S = 2.0  # runs that take less are run again
 
 def compare(arguments: argparse.Namespace) -> int:
     """Solve a scene with several engines and compare them with a reference solution."""
-    names, scene, picture, numbers, _ = gather(
+    from ..util.validation import check_positive
+
+    names, scene, picture, numbers, _, _ = gather(
         lambda: _names(arguments.engines),
         lambda: read(arguments.scene),
         *check_outputs(arguments, arguments.scene),
         lambda: check_tolerance(arguments.tolerance),
+        lambda: check_positive("budget", arguments.budget),
     )
     from .. import engines
     from ..benchmark import comparison
     from ..benchmark.dense_traces import thinned
     from ..benchmark.truth import truth
+    from ..engines.cost_model import budget
 
     reasons = {name: engines.get(name).obstacles(scene) for name in names}
     refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
     engines_of_scene = [name for name in names if not reasons[name]]
     if not engines_of_scene:
         raise InputError(refusals)
-    scene, remark = thinned(scene, arguments.tolerance)
-    trajectories, failures = _solve(scene, engines_of_scene, arguments.tolerance)
+    with budget(arguments.budget):
+        scene, remark = thinned(scene, arguments.tolerance)
+    tolerances = dict.fromkeys(engines_of_scene, arguments.tolerance)
+    trajectories, failures, remarks = _solve(scene, tolerances, arguments.budget)
     beginning = min((each.scene for each in trajectories), key=_count_samples, default=scene)
     if beginning.samples < scene.samples:
         # of what cannot be predicted to its end the beginning is compared
         scene = scene.replace(duration=beginning.duration, samples=beginning.samples)
-        trajectories, _ = _solve(scene, [each.engine for each in trajectories], arguments.tolerance)
+        tolerances = {each.engine: tolerances[each.engine] for each in trajectories}
+        trajectories, _, shorter = _solve(scene, tolerances, arguments.budget)
+        remarks += shorter
     if trajectories:
         solution = truth(scene, arguments.tolerance, progress=on_terminal())
-        lossless = _lossless(scene, arguments.tolerance)
+        lossless = _lossless(scene, arguments.tolerance, arguments.budget)
         result = comparison.compare(trajectories, solution, lossless)
         print(result.table())
     _print_lines(
-        *wrap(*filter(None, [remark])),
+        *wrap(*filter(None, [remark, *remarks])),
         *(f"left out: {reason} ({key})" for key, reason in refusals),
     )
     if trajectories:
         keep(result, numbers, picture)
     for failure in failures:
         complain(failure)
-    return 1 if failures else 0
+    return 1 if failures or not trajectories else 0
 
 
 def _print_lines(*lines: str) -> None:
@@ -111,44 +119,78 @@ def _names(given: str | None) -> list[str]:
     return names
 
 
-def _solve(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Trajectory], list[str]]:
-    """Run every engine; return the trajectories and the failures, in words.
+def _solve(
+    scene: Scene, tolerances: dict[str, float], budget_s: float
+) -> tuple[list[Trajectory], list[str], list[str]]:
+    """Run every engine; return the trajectories, and failures and remarks in words.
 
-    Short runs are repeated: the first one also loads what was compiled.
+    An engine that would exceed the budget, in s, gets ten times its tolerance in `tolerances`,
+    again and again, and is left out if none below 1 is within the budget.
     """
-    from ..simulation.api import simulate
+    from ..engines.cost_model import TooLong
 
     trajectories = []
     failures = []
-    for name in names:
+    remarks = []
+    for name, asked in tolerances.items():
+        reason = ""
         try:
-            with warnings_aside():
-                # the table shows the errors
-                answer = simulate(scene, name, tolerance, progress=on_terminal())
-                if answer.cost.total_s < SHORT_S:
-                    quickest = _quickest(scene, name, tolerance)
-                    answer = replace(answer, cost=answer.cost._replace(integration_s=quickest))
-                trajectories.append(answer)
+            while True:
+                try:
+                    trajectories.append(_run(scene, name, tolerances[name], budget_s))
+                except TooLong as excess:
+                    reason = reason or str(excess)
+                    tolerances[name] *= 10
+                    if tolerances[name] < 1:
+                        continue
+                break
         except ToleranceNotMet as error:
             failures.append(f"{name}: {error.reason}")
             if error.trajectory is not None:
                 trajectories.append(error.trajectory)
         except (RunFailed, EngineUnavailable) as error:
             failures.append(f"{name}: {error}")
-    return trajectories, failures
+        if reason:
+            ran = f"with a tolerance of {tolerances[name]:.2g}"
+            done = f"ran {ran} and not {asked:.2g}"
+            if tolerances[name] >= 1:
+                done = "left out at any tolerance"
+            remarks.append(
+                f"{name}: {done}, because {reason}, above the budget of {budget_s:g} s; "
+                "--budget SECONDS allows more"
+            )
+    return trajectories, failures, remarks
 
 
-def _lossless(scene: Scene, tolerance: float) -> Trajectory | None:
+def _run(scene: Scene, name: str, tolerance: float, budget_s: float) -> Trajectory:
+    """Return the answer of an engine.
+
+    Short runs are repeated: the first one also loads what was compiled.
+    """
+    from ..engines.cost_model import budget
+    from ..simulation.api import simulate
+
+    # the table shows the errors
+    with warnings_aside(), budget(budget_s):
+        answer = simulate(scene, name, tolerance, progress=on_terminal())
+        if answer.cost.total_s >= SHORT_S:
+            return answer
+        quickest = _quickest(scene, name, tolerance)
+        return replace(answer, cost=answer.cost._replace(integration_s=quickest))
+
+
+def _lossless(scene: Scene, tolerance: float, budget_s: float) -> Trajectory | None:
     """Return the answer of a damped scene without its damping, if there is one."""
+    from ..engines.cost_model import TooLong, budget
     from ..simulation.api import simulate
 
     if not scene.chain.damped:
         return None
     conservative = scene.replace(chain=scene.chain.replace(damping=None))
     try:
-        with warnings_aside():
+        with warnings_aside(), budget(budget_s):
             return simulate(conservative, "native", tolerance)
-    except (ToleranceNotMet, RunFailed):
+    except (ToleranceNotMet, RunFailed, TooLong):
         return None
 
 

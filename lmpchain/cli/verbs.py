@@ -189,6 +189,14 @@ VERBS = {
                 help="engines (default: all that can solve the scene)",
             ),
             TOLERANCE,
+            _argument(
+                "--budget",
+                metavar="S",
+                type=float,
+                default=30.0,
+                help="longest expected time of an engine, s, or else its tolerance is loosened "
+                "(default: 30)",
+            ),
             PICTURE,
             NUMBERS,
             FORCE,

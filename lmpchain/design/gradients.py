@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..engines.cost_model import announce
 from ..engines.native.round_off import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..integrators.adjoint import Inputs
@@ -22,6 +23,7 @@ from ..integrators.differentiation import (
 from ..integrators.halving import SAFETY, Attempt, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
+from ..util.compilation import clock, compiled_s
 from ..util.suggestions import not_among
 from . import parameters as params
 from .objectives import Objective
@@ -207,13 +209,20 @@ def refine(
     -------
     the best judgement
     """
+    began = clock() - compiled_s()
     before = solve(2 * first, 1)
+    spent_s = clock() - compiled_s() - began
 
     def attempt(halvings: int) -> Attempt[Any]:
         nonlocal before
         finer = 2 ** (halvings + 1)
         # the answer of one attempt is what the next is compared with
         coarse = before
+        announce(
+            2 ** (halvings + 1) * spent_s,
+            f"an adjoint run of {2 * coarse.run.steps} steps for the tolerance",
+            "a shorter duration or a larger tolerance takes less",
+        )
         answer = before = solve(coarse.run.step / 2, finer)
         judgement = judge(answer, [coarse])
         if excess(judgement) <= 1:

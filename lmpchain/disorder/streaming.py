@@ -12,6 +12,7 @@ import numpy as np
 from .. import engines
 from ..chain.plausible import LIMITS
 from ..engines.base import Engine, Run
+from ..engines.cost_model import announce
 from ..engines.step_control import Attempt, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import Scene
@@ -143,6 +144,12 @@ def take_average(
         raise InputError.at("engine", message)
     if reasons := solver.refuses(draw.number(0)):
         raise InputError(reasons)
+    part = solver.part(draw.number(0))
+    announce(
+        realisations * solver.candidate(part, tolerance).cost_s,
+        f"the mean over {realisations} chains by {solver.name}",
+        "fewer realisations or a shorter duration takes less",
+    )
     average = first
     # a block of a batch holds 2^24 numbers at most
     batch = max(1, min(BATCH, 2**24 // (16 * draw.scene.chain.grains)))

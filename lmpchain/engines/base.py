@@ -93,15 +93,22 @@ class Candidate(NamedTuple):
 
     def with_steps(self, steps_per_landing: int) -> Candidate:
         """Return this candidate with so many steps a landing, and none coarse near openings."""
-        step = self.step * self.steps_per_landing / steps_per_landing
-        return self._replace(steps_per_landing=steps_per_landing, step=step, coarse_openings=False)
+        ratio = self.steps_per_landing / steps_per_landing
+        return self._replace(
+            steps_per_landing=steps_per_landing,
+            step=self.step * ratio,
+            cost_s=self.cost_s / ratio,
+            coarse_openings=False,
+        )
 
     @property
     def sampled(self) -> Candidate:
         """This candidate with steps that end on every sample."""
         steps = math.ceil(self.steps_per_landing / self.stride)
-        step = self.step * self.steps_per_landing / (self.stride * steps)
-        return self._replace(steps_per_landing=steps, stride=1, step=step)
+        ratio = self.steps_per_landing / (self.stride * steps)
+        return self._replace(
+            steps_per_landing=steps, stride=1, step=self.step * ratio, cost_s=self.cost_s / ratio
+        )
 
 
 class ErrorBudget(NamedTuple):

@@ -11,14 +11,21 @@ serve: engines differ by factors of ten where the choice matters, machines by tw
 from __future__ import annotations
 
 import json
+import math
 import platform
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
+from time import process_time
 
-from ..util.remarks import warn
+from ..errors import LmpchainError
 
-PATIENCE_S = 60.0  # of work that is announced
+PATIENCE_S = 30.0  # Work that is expected to take longer is announced.
+# CPU time, as a multiple of the budget, after which work ends whose expected time was wrong.
+OVERRUN = 2
 PLAUSIBLE = 1e4  # largest factor between a machine and the one of the shipped numbers
 
 
@@ -28,18 +35,86 @@ def seconds(engine: str, start_up_s: float, work_s: float) -> float:
     return start + slowness * work_s
 
 
-def announce(cost_s: float, work: str, keeps: str = ", a folder keeps what is done") -> None:
-    """Warn of work that takes minutes, before it begins; `keeps` says what is not lost if stopped.
+class TooLong(LmpchainError):
+    """Work that exceeds the budget of its caller, see `budget`."""
+
+
+# Largest expected time, s, and the CPU time of this process at which work ends, s.
+_limits: ContextVar[tuple[float, float]] = ContextVar("limits", default=(math.inf, math.inf))
+_announced: ContextVar[bool] = ContextVar("work that the caller has announced", default=False)
+
+
+@contextmanager
+def budget(budget_s: float) -> Iterator[None]:
+    """Let `announce` and `check_time` raise `TooLong` for work that exceeds a time, s."""
+    token = _limits.set((budget_s, process_time() + OVERRUN * budget_s))
+    try:
+        yield
+    finally:
+        _limits.reset(token)
+
+
+def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
+    """Warn of work that will keep the user waiting, before it begins, even if warnings are aside.
 
     Parameters
     ----------
     cost_s : float
-        s.
-    work, keeps : str
+        Expected time of the work, s.
+    work, cure : str
+        What is done and why it takes so long, and which choice takes less.
+    spent_s : float
+        Time already spent on the same answer, s, which counts for the budget.
+
+    Raises
+    ------
+    TooLong
+        If the caller has set a `budget`, and the work exceeds it.
     """
-    if cost_s > PATIENCE_S:
-        cure = f"a shorter duration or a larger tolerance takes less{keeps}"
-        warn(f"{work} takes some {cost_s / 60:.2g} minutes: {cure}", stacklevel=4)
+    check_budget(cost_s + spent_s, work)
+    if cost_s > PATIENCE_S and not _announced.get():
+        warnings.warn(f"{work} takes about {in_words(cost_s)}: {cure}", stacklevel=4)
+
+
+@contextmanager
+def announced(cost_s: float, work: str, cure: str) -> Iterator[None]:
+    """Announce work of many parts, and none of its parts."""
+    announce(cost_s, work, cure)
+    token = _announced.set(True)
+    try:
+        yield
+    finally:
+        _announced.reset(token)
+
+
+def check_budget(cost_s: float, work: str) -> None:
+    """Raise `TooLong` if the expected time of work, s, exceeds the budget of the caller."""
+    if cost_s > _limits.get()[0]:
+        raise TooLong(f"{work} would take about {in_words(cost_s)}")
+    check_time()
+
+
+def check_time() -> None:
+    """Raise `TooLong` if the work took far longer than its budget, though it promised less."""
+    if process_time() > _limits.get()[1]:
+        raise TooLong("the work took far longer than was expected")
+
+
+def in_words(time_s: float) -> str:
+    """Return a time to two digits.
+
+    Examples
+    --------
+    >>> in_words(45), in_words(700), in_words(1e5)
+    ('45 s', '12 minutes', '28 hours')
+    """
+    size, unit = next(
+        (size, unit)
+        for size, unit in ((86400, "days"), (3600, "hours"), (60, "minutes"), (0, "s"))
+        if time_s >= 2 * size
+    )
+    number = time_s / (size or 1)
+    return f"{number:.0f} {unit}" if number >= 10 else f"{number:.2g} {unit}"
 
 
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:

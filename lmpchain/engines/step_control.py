@@ -18,6 +18,7 @@ from ..trajectory.record import LARGEST_ERROR, Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
 from .base import Candidate, Engine, ErrorBudget, Run
+from .cost_model import check_budget
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,16 @@ class Attempt(NamedTuple):
         """Which attempt it is, from 1."""
         return len(self.truncations) + self.breakdowns + 1
 
+    def work(self, samples: int) -> str:
+        """Return in words what the attempt is, and why it takes its time."""
+        candidate = self.candidate
+        words = f"the run by {self.engine}"
+        if candidate.integrator:
+            words += f" with {candidate.steps(samples)} steps of {candidate.integrator}"
+        if candidate.fixed:
+            return f"{words} of the given length"
+        return f"{words} for a tolerance of {self.tolerance:.2g}"
+
 
 class Outcome(NamedTuple, Generic[Collected]):
     """The last attempt: what was collected from it, and why it missed the tolerance, if it did.
@@ -172,13 +183,6 @@ def first_attempt(
     )
 
 
-def run_to_tolerance(
-    engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], Collected]
-) -> Outcome[Collected]:
-    """Solve a scene from the first attempt on; see `solve_to_tolerance`."""
-    return solve_to_tolerance(engine, [scene], first_attempt(engine, scene, tolerance), collect)
-
-
 def solve_to_tolerance(
     engine: Engine,
     scenes: Sequence[Scene],
@@ -217,6 +221,8 @@ def solve_to_tolerance(
     """
     compiled = compiled_s() - attempt.compiled_s
     while True:
+        # A native trial, too, may need far more steps than its first attempt.
+        check_budget(attempt.candidate.cost_s + attempt.spent_s, attempt.work(scenes[0].samples))
         began = clock()
         run = engine.start(scenes, attempt.candidate, begin(attempt))
         if not attempt.candidate.fixed:

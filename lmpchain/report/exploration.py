@@ -16,6 +16,7 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..simulation.many import simulate_many
 from ..sweeps.file import Sweep, read
+from ..sweeps.tasks import announced_work
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import plain
 from ..util.files import check_replaceable, expanded, write_aside
@@ -117,7 +118,8 @@ def explore(
     plan, axes = _read(source)
     grid = _make_grid(plan)
     views: list[View | str] = []
-    with ProgressBar(plan.count, "explore", " runs", shown=progress) as bar:
+    work = announced_work(plan, grid.scenes, plan.count)
+    with work, ProgressBar(plan.count, "explore", " runs", shown=progress) as bar:
         for first in range(0, plan.count, grid.batch):
             for run in _solve(plan, grid.scenes[first : first + grid.batch]):
                 views.append(run if isinstance(run, str) else _view(run, grid.between, plan))

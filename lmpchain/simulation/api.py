@@ -6,16 +6,17 @@ import math
 import mmap
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from ..engines.base import Engine, Run
-from ..engines.cost_model import announce
+from ..engines.cost_model import PATIENCE_S, announce, check_time, in_words
 from ..engines.step_control import AVERAGES, PATIENCE, Attempt, Outcome, solve_to_tolerance
-from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
+from ..errors import InputError, LmpchainError, ToleranceNotMet, check_tolerance, shown
+from ..integrators.methods import BY_NAME
 from ..scene.scene import LightCone, Scene, check_scene
 from ..trajectory.record import LARGEST_ERROR, Block
 from ..trajectory.trajectory import Trajectory
@@ -174,7 +175,6 @@ def _answer(
     """Solve what is left of a task, with another engine if the first one leaves out too much."""
     policy = task.policy
     attempt = output.attempt or policy.first(task.scene, task.tolerance, task.best_effort)
-    announce(attempt.candidate.cost_s, "the run")
     with output.requests:
         while True:
             scene = task.scene.until(attempt.known_until)
@@ -237,6 +237,7 @@ def _solve(
     def begin(attempt: Attempt) -> Mapping[str, Array] | None:
         nonlocal state
         state = output.begin(attempt) or {}
+        _announce(scene, attempt, 1 - output.samples / scene.samples)
         return of_engine(state) or None
 
     def collect(run: Run) -> Any:
@@ -245,15 +246,51 @@ def _solve(
         if scene.quantities:
             run = gathering = GatheringRun(run, engine, [scene], [scene_part], state)
         if not progress:
-            return output.collect(run, _expand(run.blocks(), cone))
+            return output.collect(run, _expand(_on_time(run.blocks()), cone))
         with closing(_show_progress(run, engine.name, scene.samples, output.samples)) as blocks:
-            return output.collect(run, _expand(blocks, cone))
+            return output.collect(run, _expand(_on_time(blocks), cone))
 
     outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, task.best_effort)
     gathered = gathering.results([outcome.error.total])[0] if gathering else {}
     for energies in solved.energies() if solved else []:
         gathered |= at_samples(scene, energies)
     return outcome, gathered
+
+
+def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
+    """Announce an attempt that takes long, with the reason and cheaper choices.
+
+    `left` is the share of the samples that remains.
+    """
+    cost_s = left * attempt.candidate.cost_s
+    cures = ["a shorter duration"]
+    if cost_s > PATIENCE_S:
+        cures += _cheaper(scene, attempt, cost_s)
+    cure = f"{', '.join(cures)} takes less; a run folder keeps what is done"
+    announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
+
+
+def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
+    """Yield choices that take less time than an attempt, with their expected times."""
+    if attempt.candidate.fixed:
+        yield "a longer step"
+        return
+    tolerance = attempt.tolerance
+    method = BY_NAME.get(attempt.candidate.integrator)
+    if method and 10 * tolerance < 1:
+        tenth_s = cost_s / 10 ** (1 / method.order)
+        yield f"a tolerance of {10 * tolerance:.2g} (about {in_words(tenth_s)})"
+    with suppress(LmpchainError):
+        best = policy_for("auto").first(scene, tolerance, True)
+        if best.candidate.cost_s < cost_s / 2:
+            yield f"the engine {best.engine} (about {in_words(best.candidate.cost_s)})"
+
+
+def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
+    """Yield blocks; raise `TooLong` if they take far longer than a budget allows."""
+    for block in blocks:
+        yield block
+        check_time()
 
 
 def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:

@@ -486,7 +486,11 @@ def averages(
             if error == math.inf:
                 work = Native.seconds_per_grain_step * method.evaluations * steps * samples
                 cost_s = seconds("native", 0.0, work * copies * scene.chain.grains)
-                announce(cost_s, "the average", keeps="")
+                announce(
+                    cost_s,
+                    f"the average over {copies * steps * samples} steps of {method.name}",
+                    "a shorter time, fewer copies or a larger tolerance takes less",
+                )
             schedule = StepSchedule(steps, 1, course.interval / steps, adaptive=False)
             try:
                 sums = _follow(course, scenes, observables, method, schedule, tolerance, bar)

@@ -16,6 +16,8 @@ import numpy as np
 from .. import engines
 from ..benchmark.reference import expected_seconds
 from ..chain.plausible import LIMITS
+from ..engines.base import Engine
+from ..engines.cost_model import announced
 from ..errors import InputError, LmpchainError
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene, check_scene
@@ -31,6 +33,7 @@ from .step_limit import blow_up, energy_error, limit
 
 LONGEST_S = 20.0  # that one measurement may be expected to take
 PERIODS = 1000.0  # of the band edge, for which the energy is followed
+DIVISIONS = 40.0  # Steps in each of these periods, which are far below every stability limit.
 STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over that of the scene
 # engines and diameters that differ in round-off
 ROUNDINGS = (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge"))
@@ -58,7 +61,10 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     curves: list[Curve] = []
     left_out: list[str] = []
     tasks = list(_tasks(scene.ungathered))
-    with ProgressBar(len(tasks), shown=progress) as bar:
+    work = announced(
+        _expected_s(scene), "the search for the limits", "a shorter duration or chain takes less"
+    )
+    with work, ProgressBar(len(tasks), shown=progress) as bar:
         for number, (name, task) in enumerate(tasks):
             bar.reach(number)
             bar.describe(name)
@@ -93,13 +99,32 @@ def _tasks(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary |
     yield "strength", partial(_strength, scene)
 
 
+def _expected_s(scene: Scene) -> float:
+    """Return about how long the longest measurements take together, s."""
+    searches = [_search_s(scene, engines.get("native"), name) for name in METHODS]
+    searches.append(_search_s(scene, engines.get("lammps"), "verlet"))
+    follows = [_follow_s(scene, name) for name in METHODS]
+    return sum(time_s for time_s in searches + follows if time_s < LONGEST_S)
+
+
+def _search_s(scene: Scene, solver: Engine, integrator: str) -> float:
+    """Return about how long the search for the longest step takes, s: some 60 runs."""
+    steps = scene.duration / limit(scene, integrator)
+    work = METHODS[integrator].evaluations * steps * scene.chain.grains
+    return 60 * work * solver.seconds_per_grain_step
+
+
+def _follow_s(scene: Scene, integrator: str) -> float:
+    """Return about how long it takes to follow the energy, s."""
+    work = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
+    return work * engines.get("native").seconds_per_grain_step
+
+
 def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
     predicted = limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator)
-    cost = METHODS[integrator].evaluations * scene.duration / predicted * scene.chain.grains
     measured = math.nan
-    # the search takes some 60 runs
-    if 60 * cost * solver.seconds_per_grain_step < LONGEST_S and not solver.refuses(scene):
+    if _search_s(scene, solver, integrator) < LONGEST_S and not solver.refuses(scene):
         measured = blow_up(scene, integrator, engine)
     yield Boundary("longest step", f"{engine} {integrator}", "s", predicted, measured)
 
@@ -109,11 +134,8 @@ def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
         raise InputError.at("kind", "a drive does work: the energy is not that of the start")
     if not scene.chain.compressed:
         raise InputError.at("gravity", "without gravity and load there is no period to count by")
-    # far below every stability limit
-    divisions = 40.0
-    step = 2 * math.pi / scene.highest_frequency / divisions
-    cost = METHODS[integrator].evaluations * PERIODS * divisions * scene.chain.grains
-    if cost * engines.get("native").seconds_per_grain_step > LONGEST_S:
+    step = 2 * math.pi / scene.highest_frequency / DIVISIONS
+    if _follow_s(scene, integrator) > LONGEST_S:
         raise InputError.at("grains", "too many to follow the energy for a thousand periods")
     # of a run that is far longer than the scene: its energy is asked for, not its motion
     with warnings_aside():

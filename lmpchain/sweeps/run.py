@@ -40,7 +40,7 @@ from .store import (
     whole_parts,
 )
 from .take_over import drop, list_earlier, take_over
-from .tasks import TASKS, Task, answer, count_scenes
+from .tasks import TASKS, Task, announced_work, answer, count_scenes
 
 if TYPE_CHECKING:
     import xarray
@@ -107,7 +107,10 @@ def sweep(
         results, layout, grains = _prepare(plan, folder, batch)
         work = _Work(results, layout)
         pending = 1 if local and workers == 1 else TASKS.pending
+        with warnings_aside():
+            tried = list(islice(plan.trials(), TASKS.priced))
         with (
+            announced_work(plan, tried, layout.count - work.scenes, workers),
             _executor(workers, scheduler, executor) as chosen,
             ProgressBar(layout.count, unit=" scenes", done=work.scenes, shown=progress) as bar,
         ):

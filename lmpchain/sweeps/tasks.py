@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 
 from .. import engines
 from ..engines.base import Engine
+from ..engines.cost_model import announced
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
 from ..measure.motion import motion_of
 from ..scene.scene import Scene
@@ -42,6 +44,8 @@ class TaskLimits(NamedTuple):
         Processes that die over a task before it is given up.
     scheduler_s : float
         Longest wait for an answer of a Dask scheduler, s.
+    priced : int
+        Scenes whose expected times stand for those of all scenes.
     """
 
     scenes: int = 256
@@ -49,6 +53,7 @@ class TaskLimits(NamedTuple):
     pending: int = 256
     deaths: int = 3
     scheduler_s: float = 5.0
+    priced: int = 16
 
 
 TASKS = TaskLimits()
@@ -107,6 +112,20 @@ def count_scenes(engine: str, scene: Scene) -> int:
     return max(1, min(TASKS.scenes, TASKS.numbers // numbers))
 
 
+def announced_work(
+    plan: Sweep, scenes: Sequence[Scene], total: int, workers: int = 1
+) -> AbstractContextManager[None]:
+    """Announce the work on all scenes of a plan, whose expected time these scenes show."""
+    engine = engines.get(plan.engine)
+    costs = []
+    for scene in scenes[:: math.ceil(len(scenes) / TASKS.priced) or 1]:
+        with suppress(LmpchainError):
+            costs.append(engine.candidate(engine.part(scene), plan.tolerance).cost_s)
+    cost_s = total / workers * sum(costs) / max(1, len(costs))
+    work = f"{total} scenes by {engine.name} for a tolerance of {plan.tolerance:.2g}"
+    return announced(cost_s, work, "fewer scenes, a larger tolerance or more workers takes less")
+
+
 def answer(task: Task) -> None:
     """Answer the scenes of a task, unless that was done before, and write their results."""
     shard = task.first // task.layout.shard
@@ -120,7 +139,7 @@ def answer(task: Task) -> None:
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1
     # warnings were given when the sweep began; the error of an answer stands in the result
-    with warnings_aside():
+    with warnings_aside(), announced(0.0, "", ""):
         columns = _make_columns(task)
         remaining = dict(enumerate(scenes(plan, task.first, task.count, alike)))
         # scenes that cannot be made are errors already

@@ -29,6 +29,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.cli.command_line import main
+from lmpchain.engines.cost_model import TooLong
 
 
 @pytest.fixture
@@ -379,6 +380,29 @@ def test_compare(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert f"{row['error']:.2e}" in said.out
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert names(tmp_path) == ["c.json", "c.png", "scene.toml"]
+
+
+def test_compare_loosens_the_tolerance_of_an_engine_above_the_budget(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+):
+    """An engine that no tolerance brings below the budget is left out."""
+
+    def tell(cost_s: float, work: str, *_: object) -> None:
+        if "modes" in work or re.search("tolerance of 1e-0[56]$", work):
+            raise TooLong(f"{work} would take about a year")
+
+    monkeypatch.setattr("lmpchain.simulation.api.announce", tell)
+    numbers = tmp_path / "c.json"
+    options = ["--engines", "native,modes", "--json", str(numbers), "--budget", "7"]
+    assert main(["compare", str(scene), *options]) == 0
+    (row,) = json.loads(numbers.read_text())["rows"]
+    assert row["engine"] == "native"
+    said = " ".join(capsys.readouterr().out.split())
+    assert "native: ran with a tolerance of 0.0001 and not 1e-06, because the run by" in said
+    assert "modes: left out at any tolerance" in said
+    assert "above the budget of 7 s; --budget SECONDS allows more" in said
+    assert main(["compare", str(scene), "--engines", "modes"]) == 1
+    assert main(["compare", str(scene), "--budget", "0"]) == 2
 
 
 def test_compare_some_engines_without_files(scene: Path, capsys: pytest.CaptureFixture[str]):

@@ -404,16 +404,16 @@ def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
         return replace(answer, cost=cost._replace(integration_s=next(times)))
 
     monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
-    trajectories, failures = compare._solve(answer.scene, ["native"], 1e-5)
+    trajectories, failures, _ = compare._solve(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 3.0
     assert next(times) == 0.75
     monkeypatch.setattr("lmpchain.benchmark.bench.repeat", lambda run: [run(), run()])
     times = iter([0.7, 0.75, 0.5])
-    trajectories, failures = compare._solve(answer.scene, ["native"], 1e-5)
+    trajectories, failures, _ = compare._solve(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 0.5
     assert failures == []
     times = iter([0.95])  # with the rest above 2 s
-    trajectories, _ = compare._solve(answer.scene, ["native"], 1e-5)
+    trajectories, *_ = compare._solve(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 0.95
 
 

@@ -233,8 +233,11 @@ def test_a_run_of_minutes_says_so_before_it_begins(monkeypatch: pytest.MonkeyPat
 
     chain = Chain(grains=10_000, diameter=1e-3, gravity=0, top_load=1)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1.0)
-    monkeypatch.setattr("lmpchain.simulation.api._solve", begin)
-    said = "takes some [0-9.e+]+ minutes: a shorter duration"
+    monkeypatch.setattr("lmpchain.engines.native.Native.start", begin)
+    said = (
+        r"by native with \d+ steps of rkn6 for a tolerance of 1e-06 takes about [0-9.]+ minutes: "
+        r"a shorter duration, a tolerance of 1e-05 \(about [0-9.]+ minutes\) takes less"
+    )
     with pytest.warns(UserWarning, match=said), pytest.raises(Begun):
         simulate(scene, "native")
 

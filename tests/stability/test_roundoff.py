@@ -21,7 +21,7 @@ from lmpchain import (
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.native.amplification import perturb
-from lmpchain.engines.step_control import first_attempt, run_to_tolerance, solve_to_tolerance
+from lmpchain.engines.step_control import first_attempt, solve_to_tolerance
 from lmpchain.errors import RunFailed
 from lmpchain.stability.predictability import (
     growth,
@@ -309,10 +309,9 @@ def test_what_can_be_answered_is_not_refused():
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
         scene = Scene(**whole.given() | {"duration": part * end})
-        assert (
-            run_to_tolerance(Native(), scene, 1e-6, lambda run: [None for _ in run.blocks()]).missed
-            == ""
-        )
+        first = first_attempt(Native(), scene, 1e-6)
+        outcome = solve_to_tolerance(Native(), [scene], first, lambda run: list(run.blocks()))
+        assert outcome.missed == ""
 
 
 @pytest.mark.soak

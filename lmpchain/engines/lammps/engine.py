@@ -33,7 +33,6 @@ from ..step_control import (
     Outcome,
     first_attempt,
     loosen,
-    run_to_tolerance,
     solve_to_tolerance,
 )
 from . import deck
@@ -218,8 +217,6 @@ class Lammps(TimeSteppingEngine):
             return candidate._replace(choices=_choices(gauge, "as asked"))
         native = self._trial(scene)
         # half of the tolerance is for the step, half for round-off
-        asked = first_attempt(native, scene, tolerance / 2).candidate
-        announce(asked.cost_s, "the native trial that finds the step for LAMMPS")
         try:
             trial = _try_steps(native, scene, tolerance / 2)
         except ToleranceNotMet as limit:
@@ -447,12 +444,21 @@ def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[
 
     Where nothing bounds the strain beforehand, its first steps may be much too short.
     """
-    trial = run_to_tolerance(native, scene, tolerance, _largest_motion)
+
+    def begin(attempt: Attempt) -> None:
+        announce(
+            attempt.candidate.cost_s,
+            f"the native trial that finds the step of LAMMPS, {attempt.work(scene.samples)},",
+            "a larger tolerance, a shorter duration or a given step takes less",
+        )
+
+    first = first_attempt(native, scene, tolerance)
+    trial = solve_to_tolerance(native, [scene], first, _largest_motion, begin)
     longer = native.lengthen(scene, trial.attempt.candidate, trial.error, tolerance)
     if trial.missed or not longer:
         return trial
     attempt = Attempt(native.name, longer, tolerance)
-    lengthened = solve_to_tolerance(native, [scene], attempt, _largest_motion)
+    lengthened = solve_to_tolerance(native, [scene], attempt, _largest_motion, begin)
     gains = lengthened.attempt.candidate.step > trial.attempt.candidate.step
     return lengthened if gains and not lengthened.missed else trial
 

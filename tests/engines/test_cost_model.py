@@ -1,0 +1,92 @@
+"""Announcements of long work before it begins, and budgets that it may not exceed."""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lmpchain import Chain, Impulse, Scene, design, simulate
+from lmpchain.benchmark.bench import work_precision
+from lmpchain.benchmark.truth import truth
+from lmpchain.disorder.averages import at_the_end
+from lmpchain.engines import Lammps, Native
+from lmpchain.engines.cost_model import TooLong, announce, announced, budget
+from lmpchain.report.exploration import explore
+from lmpchain.simulation.time_averages import averages
+from lmpchain.stability.find import stability
+from lmpchain.sweeps.run import sweep
+from lmpchain.util.remarks import warnings_aside
+
+CHAIN = Chain(grains=6, diameter=1e-3)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=5e-6, samples=6)
+GRID = {"scene": SCENE, "grid": {"excitation.velocity": [1e-4, 1e-3]}, "keep": ["peak_velocity"]}
+SLIDER = {"scene": SCENE, "over": {"excitation.velocity": [1e-4, 1e-3]}}
+OBJECTIVE = design.Momentum([1])
+# Parts of the announcement, and the work that makes it.
+WORK: dict[str, Callable[[Path], object]] = {
+    "the run by native with .* steps of": lambda _: simulate(SCENE, "native"),
+    "the reference by Taylor series": lambda _: truth(SCENE),
+    "the chart with its reference": lambda _: work_precision(SCENE, 1e-3),
+    "an adjoint run of .* steps": lambda _: design.gradient(SCENE, OBJECTIVE, ["masses"]),
+    "the search for the limits": lambda _: stability(SCENE),
+    "the mean over 2 chains": lambda _: at_the_end(SCENE, [0.1], 2, 0),
+    "the average over .* steps": lambda _: averages(SCENE, ["kinetic_energy"], time=1e-4),
+    "2 scenes by native": lambda folder: sweep(GRID, folder / "sweep"),
+    "2 scenes by": lambda folder: explore(SLIDER, folder / "page.html"),
+}
+
+
+class Begun(Exception):
+    """The announcement was made."""
+
+
+@pytest.mark.parametrize("said", WORK)
+def test_work_above_the_patience_is_announced(
+    said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Patience of 0 stands for work that takes long; the first announcement ends it."""
+    monkeypatch.setattr("lmpchain.engines.cost_model.PATIENCE_S", 0.0)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="(the|an|2) .* takes about .*: .* takes less")
+        with warnings_aside(), pytest.raises(UserWarning, match=said):
+            WORK[said](tmp_path)
+
+
+def test_parts_of_announced_work_are_not_announced():
+    with (
+        pytest.warns(UserWarning, match="a sweep takes about 40 s: fewer scenes") as told,
+        announced(40.0, "a sweep", "fewer scenes takes less"),
+    ):
+        announce(50.0, "a run", "less")
+    assert len(told) == 1
+
+
+def test_a_budget_ends_what_exceeds_it(monkeypatch: pytest.MonkeyPatch):
+    with budget(10.0), pytest.raises(TooLong, match="a run would take about 12 s"):
+        announce(8.0, "a run", "", spent_s=4.0)
+    monkeypatch.setattr("lmpchain.engines.cost_model.OVERRUN", 1e12)
+    with budget(1e-9), pytest.raises(TooLong, match="the run by native with"):
+        simulate(SCENE, "native")
+    monkeypatch.undo()
+    # Work that promised less than it takes ends as well.
+    monkeypatch.setattr(Native, "cost", lambda *_: 0.0)
+    with budget(1e-9), pytest.raises(TooLong, match="far longer than was expected"):
+        simulate(SCENE, "native")
+
+
+def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.MonkeyPatch):
+    """The first attempt expects far fewer steps than viscous contacts need in LAMMPS."""
+    scene = SCENE.replace(chain=CHAIN.replace(damping={"viscoelastic": 2e-8}))
+    monkeypatch.setattr("lmpchain.engines.cost_model.PATIENCE_S", 0.0)
+    with pytest.warns(UserWarning, match="the native trial that finds the step") as told:
+        steps = Lammps().candidate(scene, 1e-5).steps(scene.samples)
+    announcements = [str(each.message) for each in told]
+    assert len(announcements) > 1
+    assert any(f"with {steps} steps of" in text for text in announcements)
+
+
+def test_the_expected_time_grows_with_the_steps():
+    candidate = Native("verlet").candidate(SCENE, 1e-6)
+    shorter = candidate.with_steps(3 * candidate.steps_per_landing)
+    assert shorter.cost_s == pytest.approx(3 * candidate.cost_s)
