@@ -19,7 +19,7 @@ __dir__ = listed(__name__)
 # relative gap of modes of one space, and mixture whose square is rounding
 DEGENERATE = 1e-8
 # half the difference of the two rates of a critically damped mode, over its frequency
-CRITICAL = 1e-5
+CRITICAL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

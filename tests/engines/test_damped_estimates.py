@@ -105,3 +105,27 @@ def test_estimates_are_no_less_than_a_third_of_the_error(scene: Scene, tolerance
     assert true_error(run) < min(tolerance, 3 * run.error_estimate.total)
     # Nor are they far above.
     assert run.error_estimate.total < 300 * true_error(run)
+
+
+@pytest.mark.parametrize(
+    ("viscous", "radians", "force"),
+    [
+        # Critical damping, whose two rates must not be taken apart by more than rounding.
+        (2.0 - 2e-11, 10.0, {}),
+        (2.0 - 2e-11, 10.0, {"frequency": 1.0}),
+        # A force that is slow or has just begun: its two exponentials cancel.
+        (0.06, 0.18, {"frequency": 0.004}),
+        (0.12, 6.0, {"frequency": 0.0013}),
+        (0.0015, 147.0, {"shape": "half-sine", "duration": 565.5}),
+    ],
+)
+def test_rounding_of_damped_modes_is_within_its_estimate(viscous, radians, force):
+    chain = spring(viscous, 0.0)
+    omega = chain.band_edge
+    units = {"frequency": omega / (2 * np.pi), "duration": 1 / omega}
+    force = {key: value * units.get(key, 1) for key, value in force.items()}
+    excitation = Force(amplitude=1e-3, **force) if force else Impulse(velocity=1e-6)
+    scene = Scene(chain=chain, excitation=excitation, duration=radians / omega, samples=12)
+    run = simulate(scene, "modes", 1e-10)
+    assert true_error(run) < 3 * run.error_estimate.total
+    assert run.error_estimate.total < 300 * true_error(run)

@@ -28,8 +28,6 @@ MOST_MODES = 12_000  # 1.2 GB of eigenvectors
 # digits in the last place that a burst loses in modes, at the lowest of its frequencies:
 # analysis/calibration/roundoff.py
 CANCELS = 40.0
-# what the two nearly equal rates of a critically damped mode leave of its answer to a sine
-ROUNDING_OF_CRITICAL = 1e-10
 
 
 class LinearEngine(Engine):
@@ -80,7 +78,8 @@ class LinearEngine(Engine):
 
     def round_off(self, scene: Scene) -> float:
         """Return the relative error by rounding: that of the frequencies, times the periods."""
-        return EPSILON * (10 + scene.chain.band_edge * scene.duration)
+        fastest = max(scene.chain.band_edge, scene.excitation.fastest)
+        return EPSILON * (10 + fastest * scene.duration)
 
     @abstractmethod
     def work(self, scene: Scene) -> float:
@@ -169,8 +168,11 @@ class Modes(LinearEngine):
             begun = min(1.0, wave.envelope * scene.duration)
             highest = scene.chain.grains * wave.fastest / scene.chain.band_edge
             rounding += EPSILON * CANCELS / begun**2 * (1 + highest)
-        if wave and may_be_critical(scene):
-            rounding += ROUNDING_OF_CRITICAL
+        if wave and scene.chain.damped:
+            # Exponentials of a damped mode cancel in a motion that is slow or has just begun.
+            radians = scene.chain.band_edge * scene.duration
+            slow = scene.chain.band_edge / wave.fastest * max(1.0, radians**-3)
+            rounding += slow * super().round_off(scene)
         return rounding
 
     def work(self, scene: Scene) -> float:
@@ -181,12 +183,6 @@ class Modes(LinearEngine):
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, whose start is all that is needed."""
         return ModalSolution(scene)
-
-
-def may_be_critical(scene: Scene) -> bool:
-    """Whether damping may be critical for some mode: any drag is for some slow one."""
-    chain = scene.chain
-    return chain.damping.longest_time * chain.band_edge > 1.99 or chain.damping.largest_drag > 0
 
 
 def _smallest_motion(scene: Scene, largest: Array) -> float:

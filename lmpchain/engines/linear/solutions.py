@@ -133,14 +133,24 @@ class ModalSolution:
         A motion acts by its rate, too, through the viscosity of the contact.
         """
         turn = 1j * omega
-        force = amplitude * (1 + turn * self._viscosity) * np.exp(turn * t)
+        push = amplitude * (1 + turn * self._viscosity)
         slow, fast = self._modes.exponents
-        # a decaying exponential each, so that nothing overflows
+        # Decaying exponentials do not overflow.
+        force = push * np.exp(turn * t)
         by_slow = force * np.expm1((slow - turn) * t) / (slow - turn)
         by_fast = force * np.expm1((fast - turn) * t) / (fast - turn)
-        q = (by_slow - by_fast) / (slow - fast)
-        p = (slow * by_slow - fast * by_fast) / (slow - fast)
-        return self._pull * q.imag, self._pull * p.imag
+        apart = slow - fast
+        q = ((by_slow - by_fast) / apart).imag
+        p = ((slow * by_slow - fast * by_fast) / apart).imag
+        # Both terms cancel near critical damping. The steady motion and a free one, which brings it
+        # to rest at t = 0, do not, because such a mode has no resonance.
+        near = np.abs(apart) < self._modes.frequency
+        size = np.where(near, push / ((slow - turn) * (fast - turn)), 0.0)
+        steady = size * np.exp(turn * t)
+        free = self._modes.free(t, -size.imag, -(turn * size).imag)
+        q = np.where(near, steady.imag + free[0], q)
+        p = np.where(near, (turn * steady).imag + free[1], p)
+        return self._pull * q, self._pull * p
 
     def state(self) -> dict[str, Array]:
         """Any time follows from the modes."""

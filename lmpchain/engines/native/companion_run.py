@@ -466,8 +466,9 @@ class CompanionRun(Run):
             # rounding is measured if it may be the larger part of the error, but not if a single
             # digit grows as large as the motion
             return max(truncation, 2 * touching) < bound < count_digits(evaluations)
-        # not if the tolerance is met without, nor if shorter steps are needed anyway
-        decides = max(truncation, tolerance - truncation) < bound < self._hopeless
+        # Not if the tolerance is met without, nor if shorter steps follow anyway: a bound of more
+        # than half the truncation error would end them, see `step_control`.
+        decides = max(truncation / 2, tolerance - truncation) < bound < self._hopeless
         return decides and touching < tolerance / 2
 
     def _amplify(self, real: int, evaluations: float) -> Array:
