@@ -53,17 +53,12 @@ def compare(arguments: argparse.Namespace) -> int:
         lambda: check_tolerance(arguments.tolerance),
         lambda: check_positive("budget", arguments.budget),
     )
-    from .. import engines
     from ..benchmark import comparison
     from ..benchmark.dense_traces import thinned
     from ..benchmark.truth import truth
     from ..engines.cost_model import budget
 
-    reasons = {name: engines.get(name).obstacles(scene) for name in names}
-    refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
-    engines_of_scene = [name for name in names if not reasons[name]]
-    if not engines_of_scene:
-        raise InputError(refusals)
+    engines_of_scene, refusals = _able(names, scene)
     with budget(arguments.budget):
         scene, remark = thinned(scene, arguments.tolerance)
     tolerances = dict.fromkeys(engines_of_scene, arguments.tolerance)
@@ -89,6 +84,24 @@ def compare(arguments: argparse.Namespace) -> int:
     for failure in failures:
         complain(failure)
     return 1 if failures or not trajectories else 0
+
+
+def _able(names: list[str], scene: Scene) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the engines that can do a scene, and why others cannot.
+
+    Raises
+    ------
+    InputError
+        If none of them can.
+    """
+    from .. import engines
+
+    reasons = {name: engines.get(name).obstacles(scene) for name in names}
+    refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
+    able = [name for name in names if not reasons[name]]
+    if not able:
+        raise InputError(refusals)
+    return able, refusals
 
 
 def _print_lines(*lines: str) -> None:
