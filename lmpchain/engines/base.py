@@ -195,9 +195,10 @@ class Run(ABC):
         """Return the estimate for every realisation that is expected at the end."""
         return self.errors()
 
-    def energies(self) -> list[dict[str, Array]]:
+    def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return the energies that every realisation has summed up along the run, by name.
 
+        `errors` are the estimates that `errors()` returned at the end.
         The names are those of `trajectory.gathered.ENERGIES`. By default none are summed up.
         """
         return []

@@ -252,7 +252,7 @@ def _solve(
 
     outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, task.best_effort)
     gathered = gathering.results([outcome.error.total])[0] if gathering else {}
-    for energies in solved.energies() if solved else []:
+    for energies in solved.energies(outcome.errors) if solved else []:
         gathered |= at_samples(scene, energies)
     return outcome, gathered
 
@@ -331,6 +331,9 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
     return trajectory
 
 
+LARGE_BYTES = 2**26  # of samples; fewer begin without a look at the free memory
+
+
 class _Memory:
     """Gathers the blocks of a run in memory."""
 
@@ -354,7 +357,7 @@ class _Memory:
         # Pages of grains that the wave does not reach are never written.
         cone = scene.light_cone
         moving = (scene.recorded if cone is None else scene.recorded[cone.columns]).size
-        if 16 * scene.samples * moving > free_memory():
+        if LARGE_BYTES < 16 * scene.samples * moving > free_memory():
             raise _too_large(scene.samples, moving)
         return None
 

@@ -160,7 +160,7 @@ def _solve(
         blocks = [block for block in run.blocks() if block.displacement.size]
         errors = run.errors()
         cost = run.cost()
-        energies = answering.energies()
+        energies = answering.energies(errors)
     u = _join([block.displacement for block in blocks])
     v = _join([block.velocity for block in blocks])
     totals = [error.total for error in errors]

@@ -120,6 +120,7 @@ def test_an_answer_that_does_not_fit_into_memory_says_how_large_it_is(monkeypatc
 
 def test_a_run_that_needs_more_memory_than_there_is_does_not_begin(monkeypatch):
     monkeypatch.setattr(api, "free_memory", lambda: 1e3)
+    monkeypatch.setattr(api, "LARGE_BYTES", 0)
     with pytest.raises(InputError, match="do not fit into 1e-06 GB of free memory: record fewer"):
         simulate(SCENE, "native")
 

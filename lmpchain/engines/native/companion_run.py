@@ -482,7 +482,7 @@ class CompanionRun(Run):
         """Amplified rounding, relative, that is far beyond the tolerance, whatever the steps."""
         return GROWTH.pessimism * min(self.candidate.tolerance, LARGEST_ERROR)
 
-    def energies(self) -> list[dict[str, Array]]:
+    def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return what damping has taken and what was put in, with their errors.
 
         Those of an answer that is not native are of its twin.
@@ -494,7 +494,7 @@ class CompanionRun(Run):
         lowest = self.native.watched["least_strain"].reshape(-1, self.realisations).min(0)
         differences = companions.compare_energies(balance)
         results = []
-        for real, (scene, budget) in enumerate(zip(self._scenes, self.errors(), strict=True)):
+        for real, (scene, budget) in enumerate(zip(self._scenes, errors, strict=True)):
             chain = scene.chain
             lost, work = balance[0, real].T.copy()
             wave = scene.excitation.waveform
