@@ -38,6 +38,8 @@ class LammpsStepper:
     """
 
     stride = 1
+    # Each step is a command or a loop of LAMMPS, slower than compiled kernels.
+    guessed_rate = 1e6
 
     def __init__(
         self,
