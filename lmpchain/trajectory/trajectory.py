@@ -130,10 +130,12 @@ class Trajectory(Shown, Record, Tabular):
         """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
 
         The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z =
-        0 (as in a deck), id (number of the grain), radius in m, and displacement in m, from
-        equilibrium and positive downward; every number is written with all its digits. The file is
-        written atomically. A file that lmpchain did not write is replaced only if `overwrite` is
-        true.
+        0 (as in a deck), id (number of the grain), radius in m, masses in kg, displacement in m,
+        from equilibrium and positive downward, and momenta in kg m/s; every number is written with
+        all its digits. OVITO takes velocities from velo. ASE takes them from momenta and masses:
+        `get_velocities` returns m/s, as all of the file is in SI units, and not in those of ASE.
+        The other columns are in its `arrays`. The file is written atomically. A file that lmpchain
+        did not write is replaced only if `overwrite` is true.
         """
         from .extxyz import write
 

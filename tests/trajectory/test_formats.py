@@ -120,6 +120,8 @@ def test_extxyz(trajectory: Trajectory, tmp_path: Path):
         assert np.array_equal(
             frame.arrays["velo"], trajectory.velocity[sample][:, None] * [0, 0, -1]
         )
+        assert frame.get_velocities() == pytest.approx(frame.arrays["velo"], rel=1e-15, abs=1e-30)
+        assert frame.get_masses() == pytest.approx(trajectory.scene.chain.masses[[4, 0, 1]])
         heights = rest(trajectory) - trajectory.displacement[sample]
         assert frame.positions[:, 2] == pytest.approx(heights, rel=1e-15, abs=1e-18)
         assert not frame.positions[:, :2].any()

@@ -543,10 +543,10 @@ def _check_commands(script: _Script, column: Column, integrator: str, step: floa
         words = line.words
         if _is_index(words):
             continue
-        form = words[:1] if _is_free(script, line, free) else words
-        if rest and (_alike(words, rest[0]) or form == rest[0][:1]):
+        loose = _is_free(script, line, free)
+        if rest and (_alike(words, rest[0]) or (loose and words[0] == rest[0][0])):
             repeated.add(rest.pop(0)[0])
-        elif form == words or words[0] not in repeated:
+        elif not loose or words[0] not in repeated:
             fault = f"is not `{short(' '.join(rest[0]))}`" if rest else "is not known"
             raise script.refuse(line, f"{fault}: {cure}")
     if rest:
