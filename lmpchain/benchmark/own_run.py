@@ -194,7 +194,11 @@ class RunCheck(Shown):
 
 
 def check(
-    run: Trajectory | str | PathLike[str], scene: Scene | None = None, *, progress: bool = False
+    run: Trajectory | str | PathLike[str],
+    scene: Scene | None = None,
+    *,
+    units: str | Sequence[float] | None = None,
+    progress: bool = False,
 ) -> RunCheck:
     """Measure how wrong a run is: its true error, what of it is the step, and what is digits.
 
@@ -209,6 +213,8 @@ def check(
         A trajectory, a file or a folder that lmpchain saved, or a LAMMPS dump.
     scene : Scene, optional
         Of a dump, which must have one; of a saved run it must be its own.
+    units : str or (length, time, mass), optional
+        Of a dump, as for `Trajectory.from_dump`.
     progress : bool
         Whether to show a progress bar.
 
@@ -232,7 +238,7 @@ def check(
     ('step', '4e-05')
     """
     subject = f"trajectory of {run.engine}" if isinstance(run, Trajectory) else str(run)
-    answer = _read(run, scene)
+    answer = _read(run, scene, units)
     scene = answer.scene
     solution = truth(scene, progress=progress)
     integrator, step, causes = _causes(answer, solution)
@@ -282,16 +288,22 @@ def check_deck(
     return _record(str(folder), scene, twin, solution, deck.integrator, deck.step, causes)
 
 
-def _read(run: Trajectory | str | PathLike[str], scene: Scene | None) -> Trajectory:
+def _read(
+    run: Trajectory | str | PathLike[str],
+    scene: Scene | None,
+    units: str | Sequence[float] | None,
+) -> Trajectory:
     """Return the trajectory of a run; raises `InputError`."""
     if isinstance(run, Trajectory):
         answer = run
     elif is_dump(run):
         if scene is None:
             raise InputError.at("scene", "is missing; a dump does not say what it is of")
-        return Trajectory.from_dump(run, scene)
+        return Trajectory.from_dump(run, scene, units=units)
     else:
         answer = Trajectory.load(run)
+    if units is not None:
+        raise InputError.at("units", "goes with a LAMMPS dump; leave it out for a saved run")
     if scene is not None and scene != answer.scene:
         raise InputError.at("scene", "is not the one of the run; leave it out for a saved run")
     return answer

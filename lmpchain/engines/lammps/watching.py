@@ -20,6 +20,8 @@ COMMANDS = {
     "thermo_style",
     "variable",
 }
+DUMPS = {"atom", "cfg", "custom", "grid", "image", "local", "xyz"}
+PACKED = (".gz", ".bz2", ".lz4", ".lzma", ".xz", ".zst")  # another program packs these
 FIXES = {"ave/time", "ave/chunk", "ave/histo", "print"}
 VARIABLES = {"atom", "equal", "format", "index", "string", "vector"}
 # a compute with one of these words compares with the positions or velocities where it was made
@@ -38,7 +40,7 @@ OURS = {
 }
 CURE = (
     "in a run folder, commands may only watch the run: compute, dump, group, print, thermo, "
-    "variable, and fix ave/time, ave/chunk, ave/histo and print"
+    "variable, and fix ave/time, ave/chunk, ave/histo and print; leave the others out"
 )
 
 
@@ -96,11 +98,16 @@ def _fault(words: list[str]) -> str:
         return f"has the command {short(command)}"
     if any(word.count('"') % 2 or word.count("'") % 2 or '""' in word for word in words):
         return "has quotes that are not closed, or three"
+    given = [word for word in arguments if "$" in word and word[0] not in "\"'"]
+    if command in ("dump", "fix", "print") and given:
+        return f"gives a word by a variable, {short(given[0])}: write it out"
     if command in ("compute", "fix", "group", "variable") and arguments[:1]:
         name = arguments[0]
         if name in OURS or "$" in name:
             return f"has the name {short(name)}, which the set-up has, too: choose another"
     style = (arguments[2:3] if command in ("compute", "fix") else arguments[1:2]) or [""]
+    if command == "dump" and arguments[2:3] and arguments[2] not in DUMPS:
+        return f"has the dump {short(arguments[2])}"
     if command == "fix" and style[0] not in FIXES:
         return f"has the fix {short(style[0])}"
     if command == "compute" and any(part in style[0] for part in REFERRING):
@@ -112,8 +119,8 @@ def _fault(words: list[str]) -> str:
     if command == "fix" and ACCUMULATING & set(arguments):
         return "averages over the whole run, which a stop interrupts: use ave one"
     for place in _files(words):
-        if not NAME.fullmatch(words[place]):
-            return f"writes to {short(words[place])}: give a plain file name"
+        if not NAME.fullmatch(words[place]) or words[place].endswith(PACKED):
+            return f"writes to {short(words[place])}: give a plain file name, not packed"
     return ""
 
 
@@ -123,5 +130,5 @@ def _files(words: list[str]) -> list[int]:
         return [5] if len(words) > 5 else []
     if words[:1] in (["fix"], ["print"]):
         places = zip(words, range(1, len(words)), strict=False)
-        return [place for word, place in places if word in ("file", "append")]
+        return [place for word, place in places if word.strip("\"'") in ("file", "append")]
     return []

@@ -101,6 +101,10 @@ def test_what_is_watched_goes_on_after_a_stop(
         ("dump d all custom 5 /tmp/d.dump id", "give a plain file name"),
         ("dump d all custom 5 ../d.dump id", "give a plain file name"),
         ('print "x" file "a b"', "give a plain file name"),
+        ("dump d all movie 5 d.mp4 type type", "the dump movie"),
+        ("dump d all custom 5 d.gz id", "give a plain file name"),
+        ("fix p all print 5 hello ${key} /tmp/hello", "by a variable"),
+        ('print "x" "append" /tmp/x', "give a plain file name"),
         ("thermo_modify lost ignore", "lost grains"),
     ],
 )
