@@ -38,6 +38,7 @@ FREE = {
 FREE_VARIABLES = {"data", "every", "samples", "dump", "dt"}
 FLOAT_FORMAT = re.compile(r"%(?:\.(\d{1,2}))?g", re.ASCII)
 PRODUCT = re.compile(r"\$\((?:v_(\w+)|(\d+))\*v_(\w+)\)", re.ASCII)
+PIECE = re.compile(r"\$\(floor\((\S+)/v_(\w+)\)\)", re.ASCII)
 VARIABLE = re.compile(r"\$\{(\w+)\}", re.ASCII)
 USED = re.compile(r"(?:\$\{|v_)(\w+)", re.ASCII)
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # as LAMMPS reads one
@@ -135,6 +136,9 @@ class _Script:
             first, factor, second = match.groups()
             product = [factor or f"${{{first}}}", f"${{{second}}}"]
             return math.prod(self.value(part, line) for part in product)
+        if match := PIECE.fullmatch(text):
+            step = self.value(f"${{{match[2]}}}", line)
+            return math.floor(self.value(match[1], line) / step) if step else 0
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
         if not NUMBER.fullmatch(text):
@@ -161,7 +165,7 @@ class _Script:
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
         # LAMMPS takes no 1e2 where it counts
-        whole = text.isdigit() or PRODUCT.fullmatch(text)
+        whole = text.isdigit() or text.startswith("$(")
         if not (whole and least <= number <= deck.STEPS_OF_A_RUN and number == int(number)):
             fault = f"must hold a whole number from {least} to {deck.STEPS_OF_A_RUN}"
             raise self.refuse(line, f"{fault} (got {number:g})")
@@ -292,12 +296,12 @@ def _read_data(path: Path) -> _Grains:
     """Return the grains of a data file in the order of their numbers; raises `InputError`."""
     text = deck.read_user_text("deck", path)
     _, *paragraphs = re.split(r"\n[ \t\r]*\n", text.rstrip())
-    header, *parts = ([line.split() for line in part.split("\n")] for part in paragraphs)
-    titles = [" ".join(words) for part in parts[::2] for words in part]
+    parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
+    titles = [" ".join(words) for part in parts[1::2] for words in part]
     try:
         if titles != list(ROWS):
             raise ValueError
-        atoms, speeds, rest = map(_rows, parts[1::2], ROWS.values())
+        atoms, speeds, rest = map(_rows, parts[2::2], ROWS.values())
         numbers = np.arange(1, len(atoms) + 1)
         if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest)):
             raise ValueError
@@ -311,7 +315,7 @@ def _read_data(path: Path) -> _Grains:
             raise InputError.at(str(path), f"{fault}: x, y and their velocities must be 0")
     types = atoms[:, 1].astype(int).tolist()
     columns = atoms[:, 2], atoms[:, 3], atoms[:, 6], speeds[:, 3], rest[:, 1]
-    return _Grains(path, header, types, *columns)
+    return _Grains(path, parts[0], types, *columns)
 
 
 def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
