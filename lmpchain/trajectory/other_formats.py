@@ -6,10 +6,10 @@ import re
 from pathlib import Path
 
 HEAD = 2**12  # bytes that are looked at
-NUMBER = rb"[+-]?[\d.]+(?:[eE][+-]?\d+)?"
+NUMERAL = rb"[+-]?[\d.]+(?:[eE][+-]?\d+)?"
 DECK = rb"(?:units|atom_style|pair_style|pair_coeff|read_data|boundary|timestep|fix|run)[ \t]+\S"
 # a format, and how its files begin
-FORMATS = {
+OTHER_FORMATS = {
     "a NumPy array (npy)": rb"\x93NUMPY",
     "a ZIP archive, such as npz": rb"PK\x03\x04",
     "a file that gzip has packed": rb"\x1f\x8b",
@@ -17,27 +17,27 @@ FORMATS = {
     # HDF5 would hang on some damaged files, so the name of the group is looked for in the bytes
     "an H5MD file": rb"(?s:\x89HDF.*\bh5md\b)",
     "an extended XYZ file": rb"\s*\d+[ \t\r]*\n[^\n]*Properties=",
-    "an XYZ file": rb"\s*\d+[ \t\r]*\n[^\n]*\n\s*\w+(?:[ \t]+" + NUMBER + rb"){3}",
+    "an XYZ file": rb"\s*\d+[ \t\r]*\n[^\n]*\n\s*\w+(?:[ \t]+" + NUMERAL + rb"){3}",
     "a VTK file": rb"\s*(?:# vtk DataFile|(?:<\?xml[^>]*>\s*)?<VTKFile)",
     "a file that YADE saved": rb"\s*(?:<\?xml[^>]*>\s*)?<(?:!DOCTYPE )?boost_serialization",
     "a text file that YADE exported": rb"\s*#\s*format[ _]",
     "a restart file of MercuryDPM": rb"\s*(?:restart_version|MercuryDPM)\b",
     "a data file of MercuryDPM": rb"\s*\d+(?:[ \t]+"
-    + NUMBER
+    + NUMERAL
     + rb"){5,7}[ \t\r]*\n(?:[ \t]*"
-    + NUMBER
+    + NUMERAL
     + rb"){8,14}[ \t\r]*(?:\n|$)",
     "a restart file of LAMMPS": rb"LammpS RestartT",
     "a log of LAMMPS": rb"LAMMPS \(",
     "a data file of LAMMPS": rb"[^\n]*\n\s*\d+[ \t]+atoms\b",
     "an input of LAMMPS": rb"(?:[ \t]*(?:#[^\n]*|[^\n]*&)?\n|\w+[ \t][^\n]*\n)*?[ \t]*" + DECK,
 }
-CURES = {
+OTHER_CURES = {
     "an input of LAMMPS": "run it with lmp and give its dump, or give the folder of a deck that "
     "lmpchain wrote to lmpchain check --deck",
     "a file that gzip has packed": "unpack it",
 }
-CURE = (
+READABLE = (
     "lmpchain reads files and folders that it saved, and text dumps of LAMMPS (dump custom) "
     "together with their scene, --scene SCENE.toml"
 )
@@ -50,7 +50,7 @@ def describe_other_format(path: Path) -> str:
             head = file.read(HEAD)
     except OSError:
         return ""
-    for name, beginning in FORMATS.items():
+    for name, beginning in OTHER_FORMATS.items():
         if re.match(beginning, head):
-            return f"is {name}: {CURES.get(name, CURE)}"
+            return f"is {name}: {OTHER_CURES.get(name, READABLE)}"
     return ""

@@ -12,7 +12,7 @@ import scipy.io
 from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.trajectory.other_formats import FORMATS, describe_other_format
+from lmpchain.trajectory.other_formats import OTHER_FORMATS, describe_other_format
 
 SCENE = Scene(
     chain=Chain(grains=6, diameter=1e-3),
@@ -86,4 +86,4 @@ def test_our_own_files_are_of_no_other_program(tmp_path: Path):
             Trajectory.load(tmp_path / "run.nc")
     t.to_extxyz(tmp_path / "run.extxyz")
     assert "extended XYZ" in describe_other_format(tmp_path / "run.extxyz")
-    assert len(FORMATS) <= len(WRITERS) + 1
+    assert len(OTHER_FORMATS) <= len(WRITERS) + 1

@@ -38,13 +38,19 @@ FREE = {
 FREE_VARIABLES = {"data", "every", "samples", "dump", "dt"}
 FLOAT_FORMAT = re.compile(r"%(?:\.(\d{1,2}))?g", re.ASCII)
 PRODUCT = re.compile(r"\$\((?:v_(\w+)|(\d+))\*v_(\w+)\)", re.ASCII)
-PIECE = re.compile(r"\$\(floor\((\S+)/v_(\w+)\)\)", re.ASCII)
+PIECE_END = re.compile(r"\$\(floor\((\S+)/v_(\w+)\)\)", re.ASCII)
 VARIABLE = re.compile(r"\$\{(\w+)\}", re.ASCII)
 USED = re.compile(r"(?:\$\{|v_)(\w+)", re.ASCII)
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # as LAMMPS reads one
-PATH = re.compile(r"[\w./+-]+", re.ASCII)
+LAMMPS_NUMBER = re.compile(
+    r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII
+)  # as LAMMPS reads one
+PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
 # of the rows of a data file: whole numbers at the beginning, and numbers that must be 0
-ROWS = {"Atoms # sphere": (7, 2, [4, 5]), "Velocities": (7, 1, [1, 2, 4, 5, 6]), "Rest": (2, 1, [])}
+DATA_ROWS = {
+    "Atoms # sphere": (7, 2, [4, 5]),
+    "Velocities": (7, 1, [1, 2, 4, 5, 6]),
+    "Rest": (2, 1, []),
+}
 
 
 class Deck(NamedTuple):
@@ -136,12 +142,12 @@ class _Script:
             first, factor, second = match.groups()
             product = [factor or f"${{{first}}}", f"${{{second}}}"]
             return math.prod(self.value(part, line) for part in product)
-        if match := PIECE.fullmatch(text):
+        if match := PIECE_END.fullmatch(text):
             step = self.value(f"${{{match[2]}}}", line)
             return math.floor(self.value(match[1], line) / step) if step else 0
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
-        if not NUMBER.fullmatch(text):
+        if not LAMMPS_NUMBER.fullmatch(text):
             raise self.refuse(line, "holds no number that can be read without LAMMPS")
         if not math.isfinite(number := float(text)):
             raise self.refuse(line, "must hold a finite number")
@@ -239,7 +245,7 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     script = _Script(folder / "in.column")
     data = script.variables.get("data")
     path = data.words[3] if data else "column.data"
-    if data and not PATH.fullmatch(path):
+    if data and not PLAIN_PATH.fullmatch(path):
         raise script.refuse(data, "must be a plain path")
     grains = _read_data(folder / path)
     composed = script.find("variable", "part") is not None
@@ -299,16 +305,18 @@ def _read_data(path: Path) -> _Grains:
     parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
     titles = [" ".join(words) for part in parts[1::2] for words in part]
     try:
-        if titles != list(ROWS):
+        if titles != list(DATA_ROWS):
             raise ValueError
-        atoms, speeds, rest = map(_rows, parts[2::2], ROWS.values())
+        atoms, speeds, rest = map(_rows, parts[2::2], DATA_ROWS.values())
         numbers = np.arange(1, len(atoms) + 1)
         if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest)):
             raise ValueError
     except ValueError:
         fault = "is no data file of a column: it needs Atoms # sphere, Velocities and Rest"
         raise InputError.at(str(path), fault) from None
-    for part, title, (_, _, zeros) in zip((atoms, speeds), ROWS, ROWS.values(), strict=False):
+    for part, title, (_, _, zeros) in zip(
+        (atoms, speeds), DATA_ROWS, DATA_ROWS.values(), strict=False
+    ):
         if (off := part[:, zeros].any(1)).any():
             worst = int(off.argmax())
             fault = f"grain {worst + 1} does not move on the axis ({title.split()[0]})"
@@ -322,7 +330,7 @@ def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
     """Return the rows of a section by their number; raises `ValueError`."""
     length, whole, _ = form
     for row in rows:
-        if len(row) != length or not all(map(NUMBER.fullmatch, row)):
+        if len(row) != length or not all(map(LAMMPS_NUMBER.fullmatch, row)):
             raise ValueError
         if not all(word.isdigit() for word in row[:whole]):
             raise ValueError
@@ -534,14 +542,17 @@ def _check_commands(script: _Script, column: Column, integrator: str, step: floa
     expected = _commands(deck.script(column, step, SPLITTINGS[integrator]))
     cure = "a deck that does more than lmpchain deck writes cannot be foreseen"
     ours = {line.words[1]: line for line in expected if _is_index(line.words)}
-    for name, line in script.variables.items():
-        if name not in ours or not (name in FREE_VARIABLES or _alike(line.words, ours[name].words)):
-            raise script.refuse(line, f"is not known: {cure}")
+    _check_variables(script, ours, cure)
     rest = [line.words for line in expected if not _is_index(line.words)]
     rest += [ours[name].words for name in ours.keys() - script.variables.keys()]
+    _check_order(script, rest, FREE[integrator], cure)
+
+
+def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: str) -> None:
+    """Raise `InputError` at the first command that is not the next one of `rest`, or free."""
     # through points, runs end where the next piece begins
     pieces = sum(words[0] == "run" for words in rest) > 1
-    free = FREE[integrator] - ({"run"} if pieces else set())
+    free = free - ({"run"} if pieces else set())
     repeated = set()
     for line in script.lines:
         words = line.words
@@ -555,6 +566,14 @@ def _check_commands(script: _Script, column: Column, integrator: str, step: floa
             raise script.refuse(line, f"{fault}: {cure}")
     if rest:
         raise script.refuse(None, f"lacks `{short(' '.join(rest[0]))}`: {cure}")
+
+
+def _check_variables(script: _Script, ours: dict[str, _Line], cure: str) -> None:
+    """Raise `InputError` at the first variable that lmpchain would not set."""
+    for name, line in script.variables.items():
+        known = name in ours and (name in FREE_VARIABLES or _alike(line.words, ours[name].words))
+        if not known:
+            raise script.refuse(line, f"is not known: {cure}")
 
 
 def _is_free(script: _Script, line: _Line, free: set[str]) -> bool:
@@ -575,5 +594,5 @@ def _alike(words: Sequence[str], others: Sequence[str]) -> bool:
 
 
 def _near(one: str, other: str) -> bool:
-    numbers = NUMBER.fullmatch(one) and NUMBER.fullmatch(other)
+    numbers = LAMMPS_NUMBER.fullmatch(one) and LAMMPS_NUMBER.fullmatch(other)
     return bool(numbers) and math.isclose(float(one), float(other), rel_tol=SAME_NUMBER)

@@ -29,7 +29,7 @@ REFERRING = ("msd", "vacf", "displace", "fep", "born")
 ACCUMULATING = {"running", "window"}
 OUTPUTS = "output-{}"  # in a run folder: one folder for each start of LAMMPS
 TOKEN = re.compile(r"\"[^\"]*\"|'[^']*'|\S+")
-NAME = re.compile(r"[\w.*%+-]*\w[\w.*%+-]*", re.ASCII)
+FILE_NAME = re.compile(r"[\w.*%+-]*\w[\w.*%+-]*", re.ASCII)
 # names that the set-up gives to its own fixes, groups, regions and variables
 OURS = {
     *("at_bottom", "at_top", "bottom", "drag", "drive", "driven", "mobile", "motion", "out"),
@@ -38,7 +38,7 @@ OURS = {
     *("frequency", "g", "load", "now", "omega", "phi", "samples", "time", "v0", "wall_at"),
     *("wall_z", "c0", "c1", "c2", "c3", "begin"),
 }
-CURE = (
+WATCHERS = (
     "in a run folder, commands may only watch the run: compute, dump, group, print, thermo, "
     "variable, and fix ave/time, ave/chunk, ave/histo and print; leave the others out"
 )
@@ -49,7 +49,7 @@ def find_fault(text: str) -> str:
     for number, line in enumerate(_join(text).split("\n"), 1):
         words = _words(line)
         if words and (fault := _fault(words)):
-            return f"line {number} ({short(line.strip())}) {fault}; {CURE}"
+            return f"line {number} ({short(line.strip())}) {fault}; {WATCHERS}"
     return ""
 
 
@@ -93,33 +93,62 @@ def _words(line: str) -> list[str]:
 
 def _fault(words: list[str]) -> str:
     """Return why a command may do more than watch, or nothing."""
-    command, *arguments = words
+    command = words[0]
     if command not in COMMANDS | {"fix"}:
         return f"has the command {short(command)}"
     if any(word.count('"') % 2 or word.count("'") % 2 or '""' in word for word in words):
         return "has quotes that are not closed, or three"
-    given = [word for word in arguments if "$" in word and word[0] not in "\"'"]
-    if command in ("dump", "fix", "print") and given:
-        return f"gives a word by a variable, {short(given[0])}: write it out"
-    if command in ("compute", "fix", "group", "variable") and arguments[:1]:
-        name = arguments[0]
+    checks = {"compute": _compute_fault, "dump": _dump_fault, "fix": _fix_fault}
+    checks |= {"variable": _variable_fault}
+    fault = checks[command](words[1:]) if command in checks else ""
+    if command == "thermo_modify" and "lost" in words:
+        fault = "changes what happens to lost grains"
+    return _name_fault(words) or fault or _file_fault(words)
+
+
+def _name_fault(words: list[str]) -> str:
+    """Return whether a command takes a name of the set-up."""
+    named = words[0] in ("compute", "fix", "group", "variable")
+    for name in words[1:2] if named else []:
         if name in OURS or "$" in name:
             return f"has the name {short(name)}, which the set-up has, too: choose another"
-    style = (arguments[2:3] if command in ("compute", "fix") else arguments[1:2]) or [""]
-    if command == "dump" and arguments[2:3] and arguments[2] not in DUMPS:
-        return f"has the dump {short(arguments[2])}"
-    if command == "fix" and style[0] not in FIXES:
-        return f"has the fix {short(style[0])}"
-    if command == "compute" and any(part in style[0] for part in REFERRING):
-        return f"has the compute {style[0]}, which refers to where the run was when it was set"
-    if command == "variable" and (style[0] not in VARIABLES or "$(" in " ".join(words)):
-        return "sets a variable from a file, another program, or the state at the start"
-    if command == "thermo_modify" and "lost" in arguments:
-        return "changes what happens to lost grains"
-    if command == "fix" and ACCUMULATING & set(arguments):
+    return ""
+
+
+def _compute_fault(arguments: list[str]) -> str:
+    for style in arguments[2:3]:
+        if any(part in style for part in REFERRING):
+            return f"has the compute {style}, which refers to where the run was when it was set"
+    return ""
+
+
+def _dump_fault(arguments: list[str]) -> str:
+    unknown = [style for style in arguments[2:3] if style not in DUMPS]
+    return f"has the dump {short(unknown[0])}" if unknown else ""
+
+
+def _fix_fault(arguments: list[str]) -> str:
+    style = "".join(arguments[2:3])
+    if style not in FIXES:
+        return f"has the fix {short(style)}"
+    if ACCUMULATING & set(arguments):
         return "averages over the whole run, which a stop interrupts: use ave one"
+    return ""
+
+
+def _variable_fault(arguments: list[str]) -> str:
+    if "".join(arguments[1:2]) in VARIABLES and "$(" not in " ".join(arguments):
+        return ""
+    return "sets a variable from a file, another program, or the state at the start"
+
+
+def _file_fault(words: list[str]) -> str:
+    """Return whether a command writes, or may write, to a file outside the run folder."""
+    given = [word for word in words if "$" in word and word[0] not in "\"'"]
+    if words[0] in ("dump", "fix", "print") and given:
+        return f"gives a word by a variable, {short(given[0])}: write it out"
     for place in _files(words):
-        if not NAME.fullmatch(words[place]) or words[place].endswith(PACKED):
+        if not FILE_NAME.fullmatch(words[place]) or words[place].endswith(PACKED):
             return f"writes to {short(words[place])}: give a plain file name, not packed"
     return ""
 
