@@ -365,3 +365,14 @@ def test_grains_that_were_not_recorded_leave_the_energy_open():
     assert np.isnan(found.error_energy)
     assert found.to_json()["error_energy"] is None
     assert "grains that move were not recorded" in found.table()
+
+
+def test_the_steps_of_a_saved_run_are_its_own(tmp_path: Path):
+    """Steps that adapt where contacts open and close are more than equal ones."""
+    scene = small(Impulse(velocity=8.57e-3)).replace(duration=1e-4, samples=26)
+    t = simulate(scene, "native", 1e-4)
+    t.save(tmp_path / "run.nc")
+    found = check(tmp_path / "run.nc")
+    assert found.steps == t.cost.steps > round(scene.duration / t.cost.step_s)
+    assert f"{t.cost.steps} steps of" in found.table()
+    assert "on average" in found.table()
