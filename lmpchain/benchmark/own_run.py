@@ -20,6 +20,7 @@ from ..integrators.splittings import SPLITTINGS
 from ..measure import energy, front
 from ..scene.scene import Scene
 from ..trajectory.dump_frames import is_dump
+from ..trajectory.record import steps_over
 from ..trajectory.trajectory import Trajectory
 from ..util.lazy import listed
 from ..util.notebook import Shown
@@ -100,7 +101,8 @@ class RunCheck(Shown):
         Of the front of the velocity; None where no front passes or samples do not resolve it.
     integrator : str
     step_s, steps : float, int
-        s; 0 of a solution without steps.
+        Largest step, s, and the number of steps, which is higher where they adapt; 0 of a solution
+        without steps.
     limit_s : float
         Longest stable step of the integrator on the chain at rest, s; infinite without load.
     causes : tuple of Cause
@@ -149,8 +151,10 @@ class RunCheck(Shown):
 
     def table(self) -> str:
         """Return errors, causes and cures as text, within 80 columns."""
-        steps = f", {self.steps} steps of {self.step_s:.4g} s by {self.integrator}"
-        lines = wrap(f"{self.subject}{steps if self.integrator else ''}")
+        lines = wrap(self.subject)
+        if self.integrator:
+            steps = steps_over(self.steps, self.step_s, float(self.reference.time[-1]))
+            lines = wrap(f"{self.subject}, {steps} by {self.integrator}")
         lines += align(self._summary())
         for cause in self.causes:
             lines += wrap(f"{cause.name}: {cause.why}")
@@ -190,7 +194,11 @@ class RunCheck(Shown):
 
 
 def check(
-    run: Trajectory | str | PathLike[str], scene: Scene | None = None, *, progress: bool = False
+    run: Trajectory | str | PathLike[str],
+    scene: Scene | None = None,
+    *,
+    units: str | Sequence[float] | None = None,
+    progress: bool = False,
 ) -> RunCheck:
     """Measure how wrong a run is: its true error, what of it is the step, and what is digits.
 
@@ -205,6 +213,8 @@ def check(
         A trajectory, a file or a folder that lmpchain saved, or a LAMMPS dump.
     scene : Scene, optional
         Of a dump, which must have one; of a saved run it must be its own.
+    units : str or (length, time, mass), optional
+        Of a dump, as for `Trajectory.from_dump`.
     progress : bool
         Whether to show a progress bar.
 
@@ -228,7 +238,7 @@ def check(
     ('step', '4e-05')
     """
     subject = f"trajectory of {run.engine}" if isinstance(run, Trajectory) else str(run)
-    answer = _read(run, scene)
+    answer = _read(run, scene, units)
     scene = answer.scene
     solution = truth(scene, progress=progress)
     integrator, step, causes = _causes(answer, solution)
@@ -278,16 +288,22 @@ def check_deck(
     return _record(str(folder), scene, twin, solution, deck.integrator, deck.step, causes)
 
 
-def _read(run: Trajectory | str | PathLike[str], scene: Scene | None) -> Trajectory:
+def _read(
+    run: Trajectory | str | PathLike[str],
+    scene: Scene | None,
+    units: str | Sequence[float] | None,
+) -> Trajectory:
     """Return the trajectory of a run; raises `InputError`."""
     if isinstance(run, Trajectory):
         answer = run
     elif is_dump(run):
         if scene is None:
             raise InputError.at("scene", "is missing; a dump does not say what it is of")
-        return Trajectory.from_dump(run, scene)
+        return Trajectory.from_dump(run, scene, units=units)
     else:
         answer = Trajectory.load(run)
+    if units is not None:
+        raise InputError.at("units", "goes with a LAMMPS dump; leave it out for a saved run")
     if scene is not None and scene != answer.scene:
         raise InputError.at("scene", "is not the one of the run; leave it out for a saved run")
     return answer
@@ -406,7 +422,11 @@ def _record(
     displacement = velocity = math.inf
     energy_error = math.nan
     arrival = None
+    steps = round(scene.duration / step) if step else 0
     if answer is not None:
+        if answer.cost.integrator != UNKNOWN_METHOD and step:
+            # adaptive steps are more than the equal ones
+            steps = answer.cost.steps
         displacement, velocity = errors(answer, solution)
         true = as_trajectory(answer.scene, solution)
         energy_error = _energy_error(answer, true)
@@ -420,7 +440,7 @@ def _record(
         arrival=arrival,
         integrator=integrator,
         step_s=step,
-        steps=round(scene.duration / step) if step else 0,
+        steps=steps,
         limit_s=stability_limit(scene, integrator) if integrator else math.inf,
         causes=causes,
         cures=cures(scene, solution, integrator),

@@ -23,8 +23,12 @@ def check(arguments: argparse.Namespace) -> int:
     )
     from ..benchmark.own_run import check, check_deck
 
-    measure = check_deck if arguments.deck else check
-    result = measure(subject, scene, progress=on_terminal())
+    if arguments.deck and arguments.units:
+        raise InputError.at("units", "goes with a LAMMPS dump; leave it out for a deck")
+    if arguments.deck:
+        result = check_deck(subject, scene, progress=on_terminal())
+    else:
+        result = check(subject, scene, units=arguments.units, progress=on_terminal())
     print(result.table())
     keep(result, numbers, None)
     return int(arguments.tolerance is not None and result.exceeds(arguments.tolerance))

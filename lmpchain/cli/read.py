@@ -108,14 +108,18 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
         raise InputError.at(
             "scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run"
         )
-    if axis and scene is None:
-        raise InputError.at(
-            "axis", "goes with a LAMMPS dump and its scene; leave it out for a saved run"
-        )
+    for key in ("axis", "units"):
+        if getattr(arguments, key) and scene is None:
+            raise InputError.at(
+                key, "goes with a LAMMPS dump and its scene; leave it out for a saved run"
+            )
     from ..trajectory.trajectory import Trajectory
 
     load = Trajectory.load
-    run = load(path) if scene is None else Trajectory.from_dump(path, read(scene), axis=axis)
+    if scene is None:
+        run = load(path)
+    else:
+        run = Trajectory.from_dump(path, read(scene), axis=axis, units=arguments.units)
     # a run folder whose run has just begun
     if run.time.size < 2:
         raise InputError.at(

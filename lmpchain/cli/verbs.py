@@ -86,6 +86,12 @@ TEMPLATES = (
     ),
     _argument("--include", metavar="FILE", help="LAMMPS only: your own fixes, computes and dumps"),
 )
+DUMP_UNITS = _argument(
+    "--units",
+    metavar="STYLE",
+    help="for a dump: unit style of LAMMPS, or its units LENGTH,TIME,MASS in m, s, kg (default: "
+    "what the dump says, or si)",
+)
 # a saved run, or a dump with its scene
 RUN = (
     _argument(
@@ -99,6 +105,7 @@ RUN = (
         choices=["x", "y", "z"],
         help="for a dump: along which the column stands (default: seen)",
     ),
+    DUMP_UNITS,
 )
 VERBS = {
     "new": Verb(
@@ -434,6 +441,7 @@ VERBS = {
                 metavar="SCENE.toml",
                 help="what the dump is of; a saved run knows its own",
             ),
+            DUMP_UNITS,
             _argument(
                 "--deck",
                 metavar="FOLDER",

@@ -66,6 +66,7 @@ class Stepper(Protocol):
     """A batch of chains that can be moved forward in time."""
 
     stride: int  # samples from one that it stops at to the next
+    guessed_rate: float  # a low guess of the force evaluations of grains in a second
 
     @property
     def ranks(self) -> int:
@@ -118,6 +119,7 @@ class NativeStepper:
     """
 
     ranks = 1
+    guessed_rate = 1e8
 
     def __init__(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import re
 import sys
 import zlib
@@ -14,9 +15,11 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, short
+from ..errors import InputError, short, shown
 from ..util.arrays import Array
 from ..util.files import check_readable, expanded
+from ..util.suggestions import not_among
+from .other_formats import describe_other_format
 
 BEGIN = b"ITEM: TIMESTEP"
 # dump_modify units and time put these lines above it
@@ -42,6 +45,37 @@ GRAINS = ("radius", "diameter", "mass")
 COLUMNS = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
 
 
+class Units(NamedTuple):
+    """What the units of a dump are in SI: m, s, kg and m/s."""
+
+    length: float
+    time: float
+    mass: float
+    velocity: float
+
+    def of(self, column: str) -> float:
+        """Return the unit of a column."""
+        if column in ("vx", "vy", "vz"):
+            return self.velocity
+        if column in IMAGES:
+            return 1.0
+        return {CLOCK: self.time, "mass": self.mass}.get(column, self.length)
+
+
+MOLE = 6.02214076e23
+BOHR = 5.29177210903e-11  # m
+# the styles of the command `units` of LAMMPS
+STYLES = {
+    "si": Units(1.0, 1.0, 1.0, 1.0),
+    "cgs": Units(1e-2, 1.0, 1e-3, 1e-2),
+    "micro": Units(1e-6, 1e-6, 1e-15, 1.0),
+    "nano": Units(1e-9, 1e-9, 1e-21, 1.0),
+    "real": Units(1e-10, 1e-15, 1e-3 / MOLE, 1e5),
+    "metal": Units(1e-10, 1e-12, 1e-3 / MOLE, 1e2),
+    "electron": Units(BOHR, 1e-15, 1e-3 / MOLE, BOHR / 1.03275e-15),
+}
+
+
 class Frames(NamedTuple):
     """The frames of a dump of N atoms, T in number, in the order of their steps.
 
@@ -57,6 +91,8 @@ class Frames(NamedTuple):
         Whether the box repeats along x, y and z.
     columns : dict
         (T, N) arrays by name, ordered by atom number, as they are written.
+    units : Units
+        Of the columns.
     """
 
     steps: np.ndarray
@@ -64,6 +100,11 @@ class Frames(NamedTuple):
     sides: Array
     periodic: NDArray[np.bool_]
     columns: dict[str, Array]
+    units: Units
+
+    def in_si(self) -> dict[str, Array]:
+        """Return the columns in SI units."""
+        return {name: values * self.units.of(name) for name, values in self.columns.items()}
 
     @property
     def position_columns(self) -> tuple[str, ...]:
@@ -73,7 +114,7 @@ class Frames(NamedTuple):
     def positions(self, axis: str) -> Array:
         """Return positions along an axis, (T, N) m, as if the box had no borders."""
         number = AXES.index(axis)
-        written = self.columns[self.position_columns[number]]
+        written = self.units.length * self.columns[self.position_columns[number]]
         images = self.columns.get(IMAGES[number])
         if images is None or self.position_columns == UNWRAPPED:
             return written
@@ -99,7 +140,43 @@ def is_dump(path: str | PathLike[str]) -> bool:
         return False
 
 
-def read_frames(path: Path, grains: int, most: int) -> Frames:
+def read_units(units: str | Sequence[float] | None, said: str = "") -> Units:
+    """Return the units of a dump, which its user and the dump itself may name.
+
+    Raises
+    ------
+    InputError
+        If these two differ, or the units have no scale.
+    """
+    scales: Any = units
+    if isinstance(units, str):
+        words = units.split(",")
+        scales = words if len(words) == 3 else None
+    if scales is not None:
+        try:
+            length, time, mass = (float(scale) for scale in scales)
+            if not (min(length, time, mass) > 0 and max(length, time, mass) < math.inf):
+                raise ValueError
+        except (TypeError, ValueError):
+            fault = "must be a unit style of LAMMPS, or the units of length, time and mass"
+            raise InputError.at(
+                "units", f"{fault} in m, s and kg, above 0 (got {shown(units)})"
+            ) from None
+        return Units(length, time, mass, length / time)
+    name = units or said or "si"
+    if name == "lj":
+        fault = "lj has no scale: give its units of length, time and mass in m, s and kg"
+        raise InputError.at("units", f"{fault}, such as 1e-3,1e-6,1e-9")
+    if name not in STYLES:
+        raise InputError.at("units", not_among(name, ("lj", *STYLES)))
+    if said and said != name:
+        raise InputError.at("units", f"{name} contradicts ITEM: UNITS of the dump, {said}")
+    return STYLES[name]
+
+
+def read_frames(
+    path: Path, grains: int, most: int, units: str | Sequence[float] | None = None
+) -> Frames:
     """Read the frames of a dump; raises `InputError` if it is none of so many grains.
 
     A run that was stopped and started again writes frames twice, and one that was killed leaves
@@ -113,18 +190,25 @@ def read_frames(path: Path, grains: int, most: int) -> Frames:
             "is a folder; name the dump in it" if path.is_dir() else "there is no such file",
         )
     if not is_dump(path):
-        raise InputError.at(
-            name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom"
-        )
+        fault = "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom"
+        raise InputError.at(name, describe_other_format(path) or fault)
     try:
         with _open(path) as opened:
-            return _gather(name, _whole_frames(name, opened, grains), grains, most)
+            scales: list[Units] = []
+            whole = _whole_frames(name, opened, grains, units, scales)
+            frames = _gather(name, whole, grains, most)
     except InputError:
         raise
     except (ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
         raise InputError.at(
             name, f"cannot be read as a dump: {short(error)}; write it anew"
         ) from None
+    if len(set(scales)) > 1:
+        raise InputError.at(name, "ITEM: UNITS is not the same in all frames: write it anew")
+    scale = scales[0] if scales else read_units(units)
+    return frames._replace(
+        units=scale, times=scale.time * frames.times, sides=scale.length * frames.sides
+    )
 
 
 def _open(path: Path) -> IO[bytes]:
@@ -154,8 +238,14 @@ def _text(line: bytes) -> str:
     return short(line.decode(errors="replace").strip())
 
 
-def _whole_frames(name: str, opened: IO[bytes], grains: int) -> Iterator[_Frame]:
-    """Yield each whole frame; frames cut short are left out."""
+def _whole_frames(
+    name: str,
+    opened: IO[bytes],
+    grains: int,
+    units: str | Sequence[float] | None,
+    scales: list[Units],
+) -> Iterator[_Frame]:
+    """Yield each whole frame; frames cut short are left out. Units of frames go to `scales`."""
     lines = _lines(name, opened)
     time = np.nan
     frame = _Frame(time, [])
@@ -167,22 +257,13 @@ def _whole_frames(name: str, opened: IO[bytes], grains: int) -> Iterator[_Frame]
             frame = _Frame(time, [])
             time = np.nan
         elif UNITS in line:
-            _check_units(name, next(lines, b""))
+            scales.append(read_units(units, _text(next(lines, b""))))
         elif TIME in line:
             time = _time(name, next(lines, b""))
         elif len(frame.lines) < HEADER + grains:
             frame.lines.append(line)
     if _is_whole(name, frame, grains):
         yield frame
-
-
-def _check_units(name: str, line: bytes) -> None:
-    if line.strip() != b"si":
-        raise InputError.at(
-            name,
-            f"ITEM: UNITS says {_text(line)}, where lengths in m and times in s are needed: run "
-            "LAMMPS in units si",
-        )
 
 
 def _time(name: str, line: bytes) -> float:
@@ -268,6 +349,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
         sides=np.array([sides[step] for step in steps]),
         periodic=periodic,
         columns=columns,
+        units=STYLES["si"],
     )
 
 

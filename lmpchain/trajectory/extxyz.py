@@ -9,7 +9,10 @@ import numpy as np
 from ..util.files import write_aside
 from .record import Record
 
-PROPERTIES = "species:S:1:pos:R:3:velo:R:3:id:I:1:radius:R:1:displacement:R:1"
+# OVITO reads velocities from velo, and ASE from momenta and masses.
+PROPERTIES = (
+    "species:S:1:pos:R:3:velo:R:3:id:I:1:radius:R:1:masses:R:1:displacement:R:1:momenta:R:3"
+)
 
 
 def write(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
@@ -26,13 +29,16 @@ def write(record: Record, path: str | PathLike[str], overwrite: bool = False) ->
         f'Lattice="{2 * side} 0 0 0 {2 * side} 0 0 0 {high - low}" Origin="{-side} {-side} {low}" '
         f'pbc="F F F" Properties={PROPERTIES}'
     )
-    named = list(zip(grains.tolist(), radii.tolist(), strict=True))
+    masses = chain.masses[grains - 1]
+    named = list(zip(grains.tolist(), radii.tolist(), masses.tolist(), strict=True))
     with write_aside(path, overwrite) as aside, open(aside, "w", encoding="ascii") as out:
         for sample, time in enumerate(record.time.tolist()):
             u = np.asarray(record.displacement[sample])
             v = np.asarray(record.velocity[sample])
-            rows = zip((rest - u).tolist(), (0.0 - v).tolist(), named, u.tolist(), strict=True)
+            columns = (rest - u, 0.0 - v, u, 0.0 - masses * v)
+            rows = zip(*(column.tolist() for column in columns), named, strict=True)
             out.write(f"{grains.size}\n{box} Time={time}\n")
             out.writelines(
-                f"X 0 0 {z} 0 0 {vz} {id} {radius} {moved}\n" for z, vz, (id, radius), moved in rows
+                f"X 0 0 {z} 0 0 {vz} {id} {radius} {mass} {moved} 0 0 {pz}\n"
+                for z, vz, moved, pz, (id, radius, mass) in rows
             )

@@ -51,6 +51,7 @@ def read(
     scene: Scene,
     equilibrium: Sequence[float] | Array | None = None,
     axis: str | None = None,
+    units: str | Sequence[float] | None = None,
 ) -> Record:
     """Read a LAMMPS dump as the trajectory of a scene; see `lmpchain.Trajectory.from_dump`.
 
@@ -66,21 +67,22 @@ def read(
             "axis", f"must be x, y or z, along which the column stands (got {shown(axis)})"
         )
     rest = None if equilibrium is None else _check_rest(equilibrium, scene.chain.grains)
-    frames = read_frames(path, scene.chain.grains, most=2 * scene.samples)
+    frames = read_frames(path, scene.chain.grains, most=2 * scene.samples, units=units)
     check_frames(name, scene, frames)
     axis = axis or _find_axis(name, frames)
     check_jumps(name, frames, axis)
-    columns = frames.columns
+    columns = frames.in_si()
     if f"v{axis}" not in columns:
         raise InputError.at(
             name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}"
         )
     # as they stand in the file: sums with the lengths of a box have other digits
-    written = columns[frames.position_columns[AXES.index(axis)]]
+    written = frames.columns[frames.position_columns[AXES.index(axis)]]
+    length, *_, velocity = frames.units
     z = frames.positions(axis)
     v_phi = columns.get("v_phi")
     spacing = float(np.spacing(np.abs(z[0]).max()))
-    rounding = 2 * _last_digit(written[0]) + 4 * spacing
+    rounding = 2 * length * _last_digit(written[0]) + 4 * spacing
     column = _Column(z, columns[f"v{axis}"], v_phi, rounding)
     # lmpchain deck writes v_phi, and its z points up
     directions = [-1.0] if v_phi is not None and axis == "z" else _directions(scene, z[0], rest)
@@ -88,14 +90,18 @@ def read(
     check_grains(name, scene, columns, motion.order, gauge_of(scene, motion, first))
     mover = motion.order[int(np.abs(motion.velocity).sum(0).argmax())]
     if v_phi is None:
-        _check_digits(name, written[:, mover], float(np.ptp(z[:, mover])))
+        _check_digits(name, written[:, mover], length, float(np.ptp(z[:, mover])))
         origin = f"heights less those {'at first' if rest is None else 'given'}"
     else:
         origin = "v_phi"
-    numbers = (written if v_phi is None else v_phi)[:, mover]
+    speeds = frames.columns[f"v{axis}"][:, mover]
+    numbers = (written if v_phi is None else frames.columns["v_phi"])[:, mover]
     total = int(frames.steps[-1] - frames.steps[0])
     # grains far from z = 0 have larger last digits than the one that moves most
-    digit = _last_digit(numbers) if v_phi is not None else max(_last_digit(numbers), rounding / 2)
+    digit = length * _last_digit(numbers)
+    if v_phi is None:
+        digit = max(digit, rounding / 2)
+    speed_digit = velocity * _last_digit(speeds)
     check_course(name, scene, motion, total, digit, spacing)
     recorded = scene.recorded - 1
     return Record(
@@ -122,9 +128,9 @@ def read(
             "dump": name,
             "displacement": origin,
             "column": f"along {axis}, {axis} points {'up' if motion.down < 0 else 'down'}",
-            "precision": _describe_precision(numbers, column.vz[:, mover], motion),
+            "precision": _describe_precision(length * _last_digit(numbers), speed_digit, motion),
             "displacement_digit": repr(digit),
-            "velocity_digit": repr(_last_digit(column.vz[:, mover])),
+            "velocity_digit": repr(speed_digit),
         },
     )
 
@@ -168,14 +174,14 @@ def _find_axis(name: str, frames: Frames) -> str:
     return AXES[longest]
 
 
-def _describe_precision(heights: Array, speeds: Array, motion: Motion) -> str:
-    """Return the precision of a dump in words, from numbers of the grain that moves most."""
+def _describe_precision(digit: float, speed_digit: float, motion: Motion) -> str:
+    """Return the precision of a dump in words, from the last digits that it has, m and m/s."""
     texts = []
-    for quantity, unit, numbers, values in (
-        ("displacement", "m", heights, motion.displacement),
-        ("velocity", "m/s", speeds, motion.velocity),
+    for quantity, unit, last, values in (
+        ("displacement", "m", digit, motion.displacement),
+        ("velocity", "m/s", speed_digit, motion.velocity),
     ):
-        half = _last_digit(numbers) / 2
+        half = last / 2
         largest = float(np.abs(values).max())
         share = half / (largest or np.inf)
         texts.append(f"{quantity} within {half:.2g} {unit}, {share:.1g} of the largest")
@@ -222,10 +228,13 @@ def _last_digit(values: Array) -> float:
     return float(np.spacing(np.abs(single).max() if (single == values).all() else largest))
 
 
-def _check_digits(name: str, heights: Array, motion: float) -> None:
-    """Raise `InputError` if the digits of heights, (T,) m, are too few to resolve a motion, m."""
+def _check_digits(name: str, heights: Array, unit: float, motion: float) -> None:
+    """Raise `InputError` if the digits of heights, (T,), are too few to resolve a motion, m.
+
+    The `unit` of the heights is in m.
+    """
     digit = _last_digit(heights)
-    if heights.any() and motion < CHECKS.levels * digit:
+    if heights.any() and motion < CHECKS.levels * unit * digit:
         digits = round(np.log10(np.abs(heights).max() / digit) + 0.5)
         cure = "write them with dump_modify format float %.17g, or dump v_phi"
         raise InputError.at(

@@ -117,12 +117,16 @@ class Cost(NamedTuple):
         >>> cost.steps_over(5e-5)
         '100 steps of 5e-07 s on average, 1e-06 s at most'
         """
-        steps = counted(self.steps, "step")
-        # those that adapt are shorter where contacts open and close
-        if self.steps * self.step_s > duration * (1 + ROUNDED):
-            mean = duration / self.steps
-            return f"{steps} of {mean:.4g} s on average, {self.step_s:.4g} s at most"
-        return f"{steps} of {self.step_s:.4g} s"
+        return steps_over(self.steps, self.step_s, duration)
+
+
+def steps_over(count: int, step: float, duration: float) -> str:
+    """Return the number and the length of the steps of a run; `step` is the largest, s."""
+    steps = counted(count, "step")
+    # those that adapt are shorter where contacts open and close
+    if count * step > duration * (1 + ROUNDED):
+        return f"{steps} of {duration / count:.4g} s on average, {step:.4g} s at most"
+    return f"{steps} of {step:.4g} s"
 
 
 class Block(NamedTuple):

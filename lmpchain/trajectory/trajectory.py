@@ -16,6 +16,7 @@ from ..util.files import expanded
 from ..util.notebook import Shown
 from ..util.tables import counted
 from ..util.tabular import Tabular
+from .other_formats import describe_other_format
 from .record import Record, read_result, select_gathered
 
 if TYPE_CHECKING:
@@ -130,10 +131,12 @@ class Trajectory(Shown, Record, Tabular):
         """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
 
         The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z =
-        0 (as in a deck), id (number of the grain), radius in m, and displacement in m, from
-        equilibrium and positive downward; every number is written with all its digits. The file is
-        written atomically. A file that lmpchain did not write is replaced only if `overwrite` is
-        true.
+        0 (as in a deck), id (number of the grain), radius in m, masses in kg, displacement in m,
+        from equilibrium and positive downward, and momenta in kg m/s; every number is written with
+        all its digits. OVITO takes velocities from velo. ASE takes them from momenta and masses:
+        `get_velocities` returns m/s, as all of the file is in SI units, and not in those of ASE.
+        The other columns are in its `arrays`. The file is written atomically. A file that lmpchain
+        did not write is replaced only if `overwrite` is true.
         """
         from .extxyz import write
 
@@ -172,6 +175,7 @@ class Trajectory(Shown, Record, Tabular):
         scene: Scene,
         equilibrium: Sequence[float] | Array | None = None,
         axis: str | None = None,
+        units: str | Sequence[float] | None = None,
     ) -> Trajectory:
         """Read a LAMMPS dump of `lmpchain deck` or of your own deck as the trajectory of a scene.
 
@@ -191,7 +195,7 @@ class Trajectory(Shown, Record, Tabular):
         Parameters
         ----------
         path : path
-            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z, or
+            A text dump, or one compressed by gzip (.gz), with the columns id x y z, or
             id xu yu zu, and vz (vx, vy for a column along x, y), and v_phi if it can be had, in any
             order; a frame a sample of the scene. Of a periodic box, xu yu zu or image flags ix iy
             iz beside x y z; the lines of dump_modify units and time are read, too.
@@ -202,6 +206,9 @@ class Trajectory(Shown, Record, Tabular):
             frame, which differs from rest by the displacement that the scene starts with.
         axis : "x", "y" or "z", optional
             Along which the column stands, if the first frame does not say it.
+        units : str or (length, time, mass), optional
+            The unit style of LAMMPS, or its units in m, s and kg (of lj, which has no scale of its
+            own). By default what the dump says, or si.
 
         Raises
         ------
@@ -210,7 +217,7 @@ class Trajectory(Shown, Record, Tabular):
         """
         from .lammps_dump import read
 
-        return cls(**vars(read(path, scene, equilibrium, axis)))
+        return cls(**vars(read(path, scene, equilibrium, axis, units)))
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Trajectory:
@@ -235,6 +242,8 @@ class Trajectory(Shown, Record, Tabular):
                 str(path),
                 "is no file, but a device or a pipe" if device else "there is no such file",
             )
+        if not folder and (fault := describe_other_format(path)):
+            raise InputError.at(str(path), fault)
         try:
             attributes, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
             time = arrays["time"]

@@ -12,6 +12,15 @@ from xarray.backends import BackendEntrypoint
 
 from .zarr_store import NAME
 
+DECODERS = (
+    "mask_and_scale",
+    "decode_times",
+    "concat_characters",
+    "use_cftime",
+    "decode_timedelta",
+    "decode_coords",
+)
+
 
 class RunFolderBackend(BackendEntrypoint):
     """Opens a folder that `lmpchain run -o folder/` wrote, also while the run goes on.
@@ -22,12 +31,22 @@ class RunFolderBackend(BackendEntrypoint):
     """
 
     description = "Open run folders of lmpchain"
-    open_dataset_parameters = ("filename_or_obj", "drop_variables")
+    open_dataset_parameters = ("filename_or_obj", "drop_variables", *DECODERS)
 
     def open_dataset(  # type: ignore[override]
-        self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
+        self,
+        filename_or_obj: Any,
+        *,
+        drop_variables: str | Iterable[str] | None = None,
+        **decoders: Any,
     ) -> xarray.Dataset:
-        """Return the dataset of a run folder, without the variables that are to be dropped."""
+        """Return the dataset of a run folder, without the variables that are to be dropped.
+
+        The `decoders` of xarray change nothing: values are stored as they are, and times are
+        numbers of seconds.
+        """
+        if unknown := decoders.keys() - DECODERS:
+            raise TypeError(f"lmpchain has no option {', '.join(sorted(unknown))}")
         from .trajectory import Trajectory
 
         dataset = Trajectory.load(filename_or_obj).to_xarray()

@@ -217,10 +217,10 @@ CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
     "with a word as time": (odd_times, "ITEM: TIME must be a number of seconds .got noon."),
     "with a time lost": (lost_time, "by ITEM: TIME"),
     "with uneven times": (uneven_times, "by ITEM: TIME"),
-    "in units lj": (timed(2e-7, units="lj"), "ITEM: UNITS says lj"),
-    "in units micro": (timed(2e-7, units="micro"), "ITEM: UNITS says micro, .*run LAMMPS in units"),
-    "in units real": (timed(2e-7, units="real"), "ITEM: UNITS says real"),
-    "in units cgs": (timed(2e-7, units="cgs"), "ITEM: UNITS says cgs"),
+    "in units lj": (timed(2e-7, units="lj"), "lj has no scale: give"),
+    "in units micro": (timed(2e-7, units="micro"), "apart by ITEM: TIME"),
+    "in units real": (timed(2e-7, units="real"), "apart by ITEM: TIME"),
+    "in units cgs": (timed(2e-7, units="cgs"), "grains 1 and 2 are .* m apart"),
     "wrapped with flags": (wrapped(flags=True, lowest=-0.0056), ""),
     "wrapped often, with flags": (wrapped(flags=True, lowest=0.0844), ""),
     "not wrapped, with flags": (wrapped(flags=True, lowest=-0.03), ""),
@@ -242,6 +242,55 @@ CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
     "a third of the frames": (every(3), "14 whole frames.*samples = 14, duration = 2.6e-06"),
     "the first half": (lambda frames: frames.__delitem__(slice(21, None)), "21 whole frames"),
 }
+
+
+# m, s and kg of one unit, and m/s of one of velocity; by the tables of LAMMPS and CODATA
+STYLES = {
+    "cgs": (1e-2, 1.0, 1e-3, 1e-2),
+    "micro": (1e-6, 1e-6, 1e-15, 1.0),
+    "nano": (1e-9, 1e-9, 1e-21, 1.0),
+    "metal": (1e-10, 1e-12, 1.66053906660e-27, 1e2),
+    "real": (1e-10, 1e-15, 1.66053906660e-27, 1e5),
+    "electron": (5.29177210903e-11, 1e-15, 1.66053906660e-27, 5.29177210903e-11 / 1.03275e-15),
+    "lj": (1e-3, 1e-6, 1e-9, 1e3),
+}
+
+
+@pytest.mark.parametrize("said", [True, False])
+@pytest.mark.parametrize("style", STYLES)
+def test_dumps_in_other_units_are_converted(original: Path, style: str, said: bool, tmp_path: Path):
+    length, time, mass, velocity = STYLES[style]
+    frames = frames_of(original)
+    timed(2e-7 / time, units=style)(frames)
+    if not said:
+        frames[0].above = frames[0].above.partition(f"{style}\n")[2]
+    lengths = "x y z xu yu zu v_phi radius diameter"
+    columns = ((lengths, length), ("vz", velocity), ("v_time", time), ("mass", mass))
+    for names, unit in columns:
+        scaled(names, 1 / unit)(frames)
+    path = write(tmp_path / "changed.dump", frames)
+    scales = (length, time, mass)
+    units = scales if style == "lj" else None if said else style
+    t = Trajectory.from_dump(path, SCENE, units=units)
+    truth = Trajectory.from_dump(original, SCENE)
+    # heights of 12 mm round when they are converted
+    for field, rounding in (("displacement", 4 * np.spacing(0.012)), ("velocity", 0.0)):
+        close = 1e-9 * np.abs(getattr(truth, field)).max() + rounding
+        assert getattr(t, field) == pytest.approx(getattr(truth, field), rel=0.0, abs=close)
+    if said and style != "lj":
+        with pytest.raises(InputError, match=f"units: si contradicts .*, {style}"):
+            Trajectory.from_dump(path, SCENE, units="si")
+
+
+def test_units_that_are_none(original: Path):
+    for units, fault in (
+        ("lj", "lj has no scale: give its units of length, time and mass"),
+        ("imperial", "must be lj . si"),
+        ("1,2,x", "above 0 .got '1,2,x'"),
+        ((1e-3, 0.0, 1.0), "above 0"),
+    ):
+        with pytest.raises(InputError, match=f"units: .*{fault}"):
+            Trajectory.from_dump(original, SCENE, units=units)
 
 
 @pytest.mark.parametrize("name", CHANGES)

@@ -253,12 +253,17 @@ def test_a_run_folder_brings_no_commands(stopped: Path):
     path = stopped / "run.json"
     (stopped / "more.in").write_text(f"shell touch {mark}\n")
     asked = json.loads(path.read_text())
-    for options in ({"include": str(stopped / "more.in")}, {"template": str(stopped / "more.in")}):
+    for options, fault in (
+        ({"include": str(stopped / "more.in")}, "has the command shell"),
+        ({"include": f"shell touch {mark}\n"}, "has the command shell"),
+        ({"include": f'print x "file" {mark}\n'}, "give a plain file name"),
+        ({"template": str(stopped / "more.in")}, "leave it out with a run folder"),
+    ):
         asked |= {"engine": "lammps", "options": options | {"integrator": "verlet", "step": 1e-7}}
         path.write_text(
             json.dumps(asked | {"sha256": tasks._seal(asked, (stopped / "scene.toml").read_text())})
         )
-        with pytest.raises(InputError, match="leave it out with a run folder"):
+        with pytest.raises(InputError, match=fault):
             resume(stopped)
     assert not mark.exists()
 

@@ -120,6 +120,8 @@ def test_extxyz(trajectory: Trajectory, tmp_path: Path):
         assert np.array_equal(
             frame.arrays["velo"], trajectory.velocity[sample][:, None] * [0, 0, -1]
         )
+        assert frame.get_velocities() == pytest.approx(frame.arrays["velo"], rel=1e-15, abs=1e-30)
+        assert frame.get_masses() == pytest.approx(trajectory.scene.chain.masses[[4, 0, 1]])
         heights = rest(trajectory) - trajectory.displacement[sample]
         assert frame.positions[:, 2] == pytest.approx(heights, rel=1e-15, abs=1e-18)
         assert not frame.positions[:, :2].any()
@@ -288,7 +290,7 @@ def test_dumps_without_what_is_needed(tmp_path: Path):
     with pytest.raises(InputError, match="has no column x, y, z: "):
         Trajectory.from_dump(timed, OWN)
     timed.write_text("ITEM: UNITS\nlj\n" + scaled.read_text())
-    with pytest.raises(InputError, match=r"ITEM: UNITS says lj, .*: run LAMMPS in units si"):
+    with pytest.raises(InputError, match=r"units: lj has no scale: give"):
         Trajectory.from_dump(timed, OWN)
 
 

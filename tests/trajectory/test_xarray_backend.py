@@ -40,6 +40,22 @@ def test_a_run_folder_is_a_dataset(folder: Path):
         assert list(displacements) == ["displacement"]
 
 
+@pytest.mark.parametrize(
+    "option", ["decode_times", "mask_and_scale", "decode_timedelta", "decode_coords", "decode_cf"]
+)
+@pytest.mark.parametrize("value", [True, False])
+def test_options_of_xarray_do_what_they_do_to_a_netcdf_file(
+    option: str, value: bool, folder: Path, tmp_path: Path
+):
+    lmpchain.Trajectory.load(folder).save(tmp_path / "run.nc")
+    options = {option: value}
+    with (
+        xarray.open_dataset(folder, engine=RunFolderBackend, **options) as dataset,
+        xarray.open_dataset(tmp_path / "run.nc", **options) as same,
+    ):
+        xarray.testing.assert_equal(dataset, same)
+
+
 def test_xarray_knows_the_folders_of_runs(folder: Path, tmp_path: Path):
     backend = RunFolderBackend()
     assert backend.guess_can_open(folder)

@@ -48,6 +48,14 @@ def read_user_text(key: str, path: str | PathLike[str]) -> str:
     return text
 
 
+def read_include(include: str | PathLike[str]) -> str:
+    """Return the commands of a file, or a text of commands with a line break itself."""
+    text = os.fspath(include)
+    if "\n" not in text:
+        text = read_user_text("include", include)
+    return text if text.endswith("\n") or not text else f"{text}\n"
+
+
 def refuse_run(key: str, text: str, cure: str) -> None:
     """Raise `InputError` if commands of the user run the column or end LAMMPS."""
     for number, line in enumerate(text.splitlines(), 1):

@@ -29,12 +29,28 @@ EXPONENTS = {"hertz": 1.5, "hooke": 1.0}
 HEAVIEST = 1e5  # kg/m3: denser grains are drawn with a gauge diameter
 SAME_NUMBER = 1e-6  # relative difference of numbers that were written and read
 GAPS = 1e-4  # of an overlap, by which heights at rest may differ
-# lines that say how long steps and run are, and where files lie; of a composition the variables do
-FREE = {"verlet": {"timestep", "run", "thermo"}, "kahan-li6": {"thermo"}}
+# Arguments of these commands may differ, and they may be repeated: the last one counts, runs
+# add up.
+FREE = {
+    "verlet": {"timestep", "run", "thermo", "dump_modify"},
+    "kahan-li6": {"thermo", "dump_modify"},
+}
 FREE_VARIABLES = {"data", "every", "samples", "dump", "dt"}
-FLOAT_FORMAT = re.compile(r"%(?:\.(\d{1,2}))?g")
-PRODUCT = re.compile(r"\$\(v_(\w+)\*v_(\w+)\)")
-VARIABLE = re.compile(r"\$\{(\w+)\}")
+FLOAT_FORMAT = re.compile(r"%(?:\.(\d{1,2}))?g", re.ASCII)
+PRODUCT = re.compile(r"\$\((?:v_(\w+)|(\d+))\*v_(\w+)\)", re.ASCII)
+PIECE_END = re.compile(r"\$\(floor\((\S+)/v_(\w+)\)\)", re.ASCII)
+VARIABLE = re.compile(r"\$\{(\w+)\}", re.ASCII)
+USED = re.compile(r"(?:\$\{|v_)(\w+)", re.ASCII)
+LAMMPS_NUMBER = re.compile(
+    r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII
+)  # as LAMMPS reads one
+PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
+# of the rows of a data file: whole numbers at the beginning, and numbers that must be 0
+DATA_ROWS = {
+    "Atoms # sphere": (7, 2, [4, 5]),
+    "Velocities": (7, 1, [1, 2, 4, 5, 6]),
+    "Rest": (2, 1, []),
+}
 
 
 class Deck(NamedTuple):
@@ -69,6 +85,8 @@ class _Line(NamedTuple):
 class _Grains(NamedTuple):
     """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up."""
 
+    path: Path
+    header: list[list[str]]
     types: list[int]
     diameters: Array
     densities: Array
@@ -87,13 +105,18 @@ class _Script:
 
     def __init__(self, path: Path):
         self.path = path
-        text = deck.read_user_text("deck", path)
-        self.lines = _commands(text)
-        self.variables = {
-            line.words[1]: line.words[3]
-            for line in self.lines
-            if line.words[0] == "variable" and line.words[2:3] == ["index"] and len(line.words) > 3
-        }
+        self.lines = _commands(deck.read_user_text("deck", path))
+        self.variables: dict[str, _Line] = {}
+        for line in self.lines:
+            if not all(map(str.isascii, line.words)) or line.words[-1].endswith("&"):
+                raise self.refuse(line, "must be a line of plain ASCII, without & at its end")
+            if _is_index(line.words):
+                # LAMMPS ignores a variable that is there already
+                self.variables.setdefault(line.words[1], line)
+        for line in self.lines:
+            for name in USED.findall(" ".join(line.words)):
+                if name in self.variables and line.number < self.variables[name].number:
+                    raise self.refuse(line, f"uses the variable {name} before it is set")
 
     def refuse(self, line: _Line | None, why: str) -> InputError:
         """Return the fault of a line, or of the file."""
@@ -116,29 +139,83 @@ class _Script:
     def value(self, text: str, line: _Line) -> float:
         """Return a number, a variable or a product of two; raises `InputError`."""
         if match := PRODUCT.fullmatch(text):
-            return math.prod(self.value(f"${{{name}}}", line) for name in match.groups())
-        if match := VARIABLE.fullmatch(text):
-            text = self.variables.get(match[1], "")
-        try:
-            number = float(text)
-        except ValueError:
-            raise self.refuse(line, "holds no number that can be read without LAMMPS") from None
-        if not math.isfinite(number):
+            first, factor, second = match.groups()
+            product = [factor or f"${{{first}}}", f"${{{second}}}"]
+            return math.prod(self.value(part, line) for part in product)
+        if match := PIECE_END.fullmatch(text):
+            step = self.value(f"${{{match[2]}}}", line)
+            return math.floor(self.value(match[1], line) / step) if step else 0
+        if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
+            text = self.variables[match[1]].words[3]
+        if not LAMMPS_NUMBER.fullmatch(text):
+            raise self.refuse(line, "holds no number that can be read without LAMMPS")
+        if not math.isfinite(number := float(text)):
             raise self.refuse(line, "must hold a finite number")
         return number
+
+    def argument(self, line: _Line, place: int) -> str:
+        """Return a word of a command; raises `InputError`."""
+        if place >= len(line.words):
+            raise self.refuse(line, "is too short")
+        return line.words[place]
 
     def variable(self, name: str, missing: float = 0.0) -> float:
         """Return the value of an index variable."""
         if name not in self.variables:
             return missing
-        return self.value(f"${{{name}}}", self.need("variable", name))
+        return self.value(f"${{{name}}}", self.variables[name])
 
-    def count(self, text: str, line: _Line) -> int:
-        """Return a whole number from 1; raises `InputError`."""
+    def count(self, text: str, line: _Line, least: int = 1) -> int:
+        """Return a whole number from `least`; raises `InputError`."""
         number = self.value(text, line)
-        if not (number >= 1 and number == int(number)):
-            raise self.refuse(line, f"must hold a whole number from 1 (got {number:g})")
+        if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
+            text = self.variables[match[1]].words[3]
+        # LAMMPS takes no 1e2 where it counts
+        whole = text.isdigit() or text.startswith("$(")
+        if not (whole and least <= number <= deck.STEPS_OF_A_RUN and number == int(number)):
+            fault = f"must hold a whole number from {least} to {deck.STEPS_OF_A_RUN}"
+            raise self.refuse(line, f"{fault} (got {number:g})")
         return int(number)
+
+    def runs(self) -> tuple[float, int, int]:
+        """Return the step of the runs, s, how many steps they do together, and digits of dumps.
+
+        Raises
+        ------
+        InputError
+            If two runs differ in step or digits.
+        """
+        step = math.nan
+        digits = steps = 0
+        kinds: dict[tuple[float, int], None] = {}
+        for line in self.lines:
+            if line.words[0] == "timestep":
+                step = self.value(self.argument(line, 1), line)
+                if not step > 0:
+                    raise self.refuse(line, f"must be a time above 0 (got {step:g})")
+            elif line.words[0] == "dump_modify":
+                digits = self.digits(line)
+            elif line.words[0] == "run":
+                count = self.count(self.argument(line, 1), line, least=0)
+                if line.words[2:] not in ([], ["upto"], ["upto", "pre", "no"]):
+                    raise self.refuse(line, "must be `run` with a number of steps")
+                if line.words[2:] and count < steps:
+                    raise self.refuse(line, f"ends before it begins, at step {steps}")
+                steps = count if line.words[2:] else steps + count
+                kinds[step, digits] = None
+                if len(kinds) > 1:
+                    fault = "has another time step, or format of dumps, than the run before"
+                    raise self.refuse(line, f"{fault}: leave one of each")
+        (step, digits), *_ = kinds
+        return step, steps, digits
+
+    def digits(self, line: _Line) -> int:
+        """Return the digits of the numbers in the dump."""
+        match = FLOAT_FORMAT.fullmatch(line.words[-1])
+        if not match:
+            raise self.refuse(line, "must end in a format such as %.17g")
+        # of C: six digits where none are given, and one where these are 0
+        return max(1, int(match[1] or 6))
 
 
 def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
@@ -166,23 +243,25 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     if not folder.is_dir():
         raise InputError.at("deck", f"there is no folder {folder}")
     script = _Script(folder / "in.column")
-    grains = _read_data(folder / "column.data")
+    data = script.variables.get("data")
+    path = data.words[3] if data else "column.data"
+    if data and not PLAIN_PATH.fullmatch(path):
+        raise script.refuse(data, "must be a plain path")
+    grains = _read_data(folder / path)
     composed = script.find("variable", "part") is not None
     integrator = "kahan-li6" if composed else "verlet"
-    timestep = script.need("timestep")
-    step = script.variable("dt") if composed else script.value(timestep.words[1], timestep)
-    if not step > 0:
-        raise script.refuse(timestep, f"must be a time above 0 (got {step:g})")
+    script.need("timestep")
     output = script.need("dump", "out", "all", "custom")
-    every = script.variable("every") if composed else script.value(output.words[4], output)
-    every = script.count(repr(every), output)
-    script.need("run")
-    # through points, there is a run for each piece
-    run = [line for line in script.lines if line.words[0] == "run"][-1]
+    format_ = script.need("dump_modify", "out")
+    run = script.need("run")
+    every = script.count("${every}", output)
     if composed:
-        samples = script.count(repr(script.variable("samples")), script.need("variable", "samples"))
+        step = script.variable("dt")
+        samples = script.count("${samples}", script.need("variable", "macro"))
+        digits = script.digits(format_)
     else:
-        samples = script.count(run.words[1], run) // every
+        step, steps, digits = script.runs()
+        samples = steps // every
     if not samples:
         raise script.refuse(run, f"ends before the first dump, after {every} steps")
     gauge = float(grains.diameters[0]) if grains.densities.min() > HEAVIEST else 0.0
@@ -192,50 +271,73 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
         scene = Scene(chain=chain, excitation=_excitation(script, grains), **recording)
     else:
         scene = scene.replace(**recording)
-    _check_heights(folder / "column.data", scene, grains)
+    _check_heights(scene, grains)
     if scene.excitation.does_work and step != script.variable("dt"):
         fault = "is not the variable dt, by which force or drive tell the time: set that one"
-        raise script.refuse(timestep, fault)
-    _check_commands(script, scene, gauge, integrator, step)
-    return Deck(scene, integrator, step, gauge, _digits(script))
+        raise script.refuse(script.need("timestep"), fault)
+    column = Column(scene, gauge, script.argument(script.need("pair_style"), 1))
+    _check_data(column, grains)
+    _check_commands(script, column, integrator, step)
+    return Deck(scene, integrator, step, gauge, digits)
 
 
 def _commands(text: str) -> list[_Line]:
     """Return the commands of a text without comments."""
     lines = []
-    for number, line in enumerate(text.splitlines(), 1):
-        if words := line.partition("#")[0].split():
+    for number, line in enumerate(text.split("\n"), 1):
+        # LAMMPS joins lines before it looks for comments
+        command, _, comment = line.partition("#")
+        words = command.split() + (["&"] if comment.rstrip().endswith("&") else [])
+        if words:
             lines.append(_Line(number, words))
     return lines
+
+
+def _is_index(words: Sequence[str]) -> bool:
+    """Return whether a command sets a variable that `-var` replaces."""
+    return len(words) == 4 and words[0] == "variable" and words[2] == "index"
 
 
 def _read_data(path: Path) -> _Grains:
     """Return the grains of a data file in the order of their numbers; raises `InputError`."""
     text = deck.read_user_text("deck", path)
-    rows: dict[str, list[list[str]]] = {"Atoms": [], "Velocities": [], "Rest": []}
-    section: list[list[str]] = []
-    for line in text.splitlines()[1:]:
-        words = line.partition("#")[0].split()
-        if words and words[0] in rows and len(words) == 1:
-            section = rows[words[0]]
-        elif words:
-            section.append(words)
+    _, *paragraphs = re.split(r"\n[ \t\r]*\n", text.rstrip())
+    parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
+    titles = [" ".join(words) for part in parts[1::2] for words in part]
     try:
-        atoms, speeds, rest = (
-            np.array(sorted((list(map(float, row)) for row in part), key=lambda row: row[0]))
-            for part in rows.values()
-        )
+        if titles != list(DATA_ROWS):
+            raise ValueError
+        atoms, speeds, rest = map(_rows, parts[2::2], DATA_ROWS.values())
         numbers = np.arange(1, len(atoms) + 1)
         if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest)):
             raise ValueError
-        columns = atoms.T[1:4], atoms[:, 6], speeds[:, 3], rest[:, 1]
-        if not all(np.isfinite(column).all() for column in columns):
-            raise ValueError
-    except (ValueError, IndexError):
+    except ValueError:
         fault = "is no data file of a column: it needs Atoms # sphere, Velocities and Rest"
         raise InputError.at(str(path), fault) from None
+    for part, title, (_, _, zeros) in zip(
+        (atoms, speeds), DATA_ROWS, DATA_ROWS.values(), strict=False
+    ):
+        if (off := part[:, zeros].any(1)).any():
+            worst = int(off.argmax())
+            fault = f"grain {worst + 1} does not move on the axis ({title.split()[0]})"
+            raise InputError.at(str(path), f"{fault}: x, y and their velocities must be 0")
     types = atoms[:, 1].astype(int).tolist()
-    return _Grains(types, atoms[:, 2], atoms[:, 3], atoms[:, 6], speeds[:, 3], rest[:, 1])
+    columns = atoms[:, 2], atoms[:, 3], atoms[:, 6], speeds[:, 3], rest[:, 1]
+    return _Grains(path, parts[0], types, *columns)
+
+
+def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
+    """Return the rows of a section by their number; raises `ValueError`."""
+    length, whole, _ = form
+    for row in rows:
+        if len(row) != length or not all(map(LAMMPS_NUMBER.fullmatch, row)):
+            raise ValueError
+        if not all(word.isdigit() for word in row[:whole]):
+            raise ValueError
+    values = np.array(sorted((list(map(float, row)) for row in rows), key=lambda row: row[0]))
+    if not np.isfinite(values).all():
+        raise ValueError
+    return values
 
 
 def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
@@ -269,7 +371,7 @@ def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
     """Return the ends of the chain of a deck, and the constants of its walls."""
     count = diameters.size
     mobile = script.need("group", "mobile", "id")
-    first, _, last = mobile.words[3].partition(":")
+    first, _, last = script.argument(mobile, 3).partition(":")
     if not (first in ("1", "2") and last in (str(count), str(count - 1))):
         raise script.refuse(mobile, "moves other grains than a column of lmpchain does")
     above, below = (script.find("fix", name, f"at_{name}") for name in ("top", "bottom"))
@@ -301,14 +403,14 @@ def _load(script: _Script, grains: _Grains, constant: float, exponent: float) ->
 def _load_grain(script: _Script) -> int:
     """Return the grain on which the load acts."""
     line = script.find("group", "top", "id")
-    return script.count(line.words[3], line) if line else 1
+    return script.count(script.argument(line, 3), line) if line else 1
 
 
 def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]:
     """Return the model, and stiffness and damping of each contact between grains, (N-1,)."""
     style = script.need("pair_style")
     words = style.words[1:]
-    if words[0] == "gran/hertz/history" and len(words) == 7:
+    if words[:1] == ["gran/hertz/history"] and len(words) == 7:
         alike = np.ones(len(types) - 1)
         stiffness, damping = (script.value(words[k], style) * alike for k in (1, 3))
         return "hertz", stiffness, damping
@@ -320,7 +422,9 @@ def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]
         if len(line.words) < 6 or line.words[3] not in EXPONENTS:
             raise script.refuse(line, "is no contact that lmpchain writes")
         first, second, model = line.words[1:4]
-        key = None if first == "*" else (int(first), int(second))
+        key = None
+        if first != "*":
+            key = script.count(first, line), script.count(second, line)
         table[key] = (script.value(line.words[4], line), script.value(line.words[5], line))
     if words != ["granular"] or not table:
         raise script.refuse(style, "is no force that lmpchain writes")
@@ -342,9 +446,10 @@ def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
     """Return the damping of a deck."""
     drag = 0.0
     if line := script.find("fix", "drag", "mobile", "viscous"):
-        drag = script.value(line.words[4], line) / float(masses[0])
+        drag = script.value(script.argument(line, 4), line) / float(masses[0])
     elif line := script.find("variable", "drag", "atom"):
-        drag = script.value(line.words[3].removesuffix("*mass*vz").removeprefix("-"), line)
+        force = script.argument(line, 3)
+        drag = script.value(force.removesuffix("*mass*vz").removeprefix("-"), line)
     alike = np.ptp(viscous) <= SAME_NUMBER * np.abs(viscous).max(initial=0.0)
     return Damping(viscoelastic=float(viscous.mean()) if alike else viscous, drag=drag)
 
@@ -352,7 +457,8 @@ def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
 def _excitation(script: _Script, grains: _Grains) -> Excitation:
     """Return what sets the column of a deck in motion."""
     if struck := script.find("group", "struck", "id"):
-        return Impulse(velocity=script.variable("v0"), grain=script.count(struck.words[3], struck))
+        grain = script.count(script.argument(struck, 3), struck)
+        return Impulse(velocity=script.variable("v0"), grain=grain)
     if line := script.find("variable", "c0"):
         fault = "acts through points, which the deck does not hold: give its scene, --scene"
         raise script.refuse(line, fault)
@@ -365,7 +471,7 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
         if name in script.variables
     }
     if pushed := script.find("group", "pushed", "id"):
-        wave["grain"] = script.count(pushed.words[3], pushed)
+        wave["grain"] = script.count(script.argument(pushed, 3), pushed)
         if script.find("variable", "end") and "cycles" not in wave:
             # half a period
             wave |= {"shape": "half-sine", "duration": 0.5 / wave.pop("frequency")}
@@ -373,21 +479,11 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
     return Drive(**wave) if script.find("group", "driven") else Drive(grain=0, **wave)
 
 
-def _digits(script: _Script) -> int:
-    """Return the digits of the numbers in the dump."""
-    line = script.need("dump_modify", "out")
-    match = FLOAT_FORMAT.fullmatch(line.words[-1])
-    if not match:
-        raise script.refuse(line, "must end in a format such as %.17g")
-    # of C: six digits where none are given
-    return int(match[1] or 6)
-
-
-def _check_heights(path: Path, scene: Scene, grains: _Grains) -> None:
+def _check_heights(scene: Scene, grains: _Grains) -> None:
     """Raise `InputError` unless grains rest and start where the scene has them."""
     if scene.chain.grains != grains.rest.size:
         fault = f"has {grains.rest.size} grains, the scene {scene.chain.grains}"
-        raise InputError.at(str(path), fault)
+        raise InputError.at(str(grains.path), fault)
     gaps = grains.rest[:-1] - grains.rest[1:]
     overlaps = (grains.diameters[:-1] + grains.diameters[1:]) / 2 - gaps
     expected = scene.chain.equilibrium_overlap
@@ -396,53 +492,98 @@ def _check_heights(path: Path, scene: Scene, grains: _Grains) -> None:
     if (off > 0).any():
         worst = int(off.argmax())
         raise InputError.at(
-            str(path),
+            str(grains.path),
             f"grains {worst + 1} and {worst + 2} overlap by {overlaps[worst]:.6g} m at rest, but "
             f"by {expected[worst]:.6g} under gravity, load and contacts of in.column: write the "
             "deck anew, lmpchain deck",
         )
     u, v = scene.initial()
-    starts = [(grains.rest - grains.heights, u, 4 * np.spacing(np.abs(grains.rest).max()))]
-    if not isinstance(scene.excitation, Impulse):
+    if isinstance(scene.excitation, Impulse):
         # a deck strikes by itself
-        starts.append((0.0 - grains.speeds, v, 0.0))
+        v = np.zeros_like(v)
+    rounding = 4 * np.spacing(np.abs(grains.rest).max())
+    starts = [(grains.rest - grains.heights, u, rounding), (0.0 - grains.speeds, v, 0.0)]
     for values, start, rounding in starts:
         if (np.abs(values - start) > rounding + SAME_NUMBER * np.abs(start).max()).any():
             worst = int(np.abs(values - start).argmax())
             raise InputError.at(
-                str(path),
+                str(grains.path),
                 f"grain {worst + 1} starts with {values[worst]:.6g}, in the scene "
                 f"{start[worst]:.6g}: give the scene that the deck was written for, --scene",
             )
 
 
-def _check_commands(
-    script: _Script, scene: Scene, gauge: float, integrator: str, step: float
-) -> None:
-    """Raise `InputError` at the first command that lmpchain would not write for a scene."""
-    style = script.need("pair_style").words[1]
-    column = Column(scene, gauge, style)
+def _check_data(column: Column, grains: _Grains) -> None:
+    """Raise `InputError` unless the rest of a data file is what lmpchain would write."""
+    low, high, bottom, top = map(repr, column.box)
+    header = [
+        [str(grains.rest.size), "atoms"],
+        [str(column.type_count), "atom", "types"],
+        [low, high, "xlo", "xhi"],
+        [low, high, "ylo", "yhi"],
+        [bottom, top, "zlo", "zhi"],
+    ]
+    wrong = [words for words in grains.header if not any(_alike(words, ours) for ours in header)]
+    if wrong or len(grains.header) != len(header):
+        fault = f"has another header than a column of {grains.rest.size} grains"
+        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+    for key in ("types", "diameters"):
+        values, ours = (np.asarray(getattr(part, key)) for part in (grains, column))
+        if not np.allclose(values, ours, rtol=SAME_NUMBER, atol=0.0):
+            worst = int(np.abs(values - ours).argmax()) + 1
+            fault = (
+                f"grain {worst} has another of the {key} than lmpchain writes, {ours[worst - 1]:g}"
+            )
+            raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+
+
+def _check_commands(script: _Script, column: Column, integrator: str, step: float) -> None:
+    """Raise `InputError` at the first command that lmpchain would not write for a column."""
     expected = _commands(deck.script(column, step, SPLITTINGS[integrator]))
-    ours = [line for line in expected if not _is_free(line.words, integrator)]
-    theirs = [line for line in script.lines if not _is_free(line.words, integrator)]
     cure = "a deck that does more than lmpchain deck writes cannot be foreseen"
-    for line, other in zip(theirs, ours, strict=False):
-        if not _alike(line.words, other.words):
-            raise script.refuse(line, f"is not `{short(' '.join(other.words))}`: {cure}")
-    if len(theirs) > len(ours):
-        raise script.refuse(theirs[len(ours)], f"is not known: {cure}")
-    if len(theirs) < len(ours):
-        missing = " ".join(ours[len(theirs)].words)
-        raise script.refuse(None, f"lacks `{short(missing)}`: {cure}")
+    ours = {line.words[1]: line for line in expected if _is_index(line.words)}
+    _check_variables(script, ours, cure)
+    rest = [line.words for line in expected if not _is_index(line.words)]
+    rest += [ours[name].words for name in ours.keys() - script.variables.keys()]
+    _check_order(script, rest, FREE[integrator], cure)
 
 
-def _is_free(words: Sequence[str], integrator: str) -> bool:
-    """Return whether a command says only how long a run is, or where files lie."""
-    if words[0] == "variable":
-        return words[1] in FREE_VARIABLES
+def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: str) -> None:
+    """Raise `InputError` at the first command that is not the next one of `rest`, or free."""
+    # through points, runs end where the next piece begins
+    pieces = sum(words[0] == "run" for words in rest) > 1
+    free = free - ({"run"} if pieces else set())
+    repeated = set()
+    for line in script.lines:
+        words = line.words
+        if _is_index(words):
+            continue
+        loose = _is_free(script, line, free)
+        if rest and (_alike(words, rest[0]) or (loose and words[0] == rest[0][0])):
+            repeated.add(rest.pop(0)[0])
+        elif not loose or words[0] not in repeated:
+            fault = f"is not `{short(' '.join(rest[0]))}`" if rest else "is not known"
+            raise script.refuse(line, f"{fault}: {cure}")
+    if rest:
+        raise script.refuse(None, f"lacks `{short(' '.join(rest[0]))}`: {cure}")
+
+
+def _check_variables(script: _Script, ours: dict[str, _Line], cure: str) -> None:
+    """Raise `InputError` at the first variable that lmpchain would not set."""
+    for name, line in script.variables.items():
+        known = name in ours and (name in FREE_VARIABLES or _alike(line.words, ours[name].words))
+        if not known:
+            raise script.refuse(line, f"is not known: {cure}")
+
+
+def _is_free(script: _Script, line: _Line, free: set[str]) -> bool:
+    """Return whether a command says only how long a run is, or what is printed."""
+    words = line.words
     if words[0] == "dump_modify":
-        return words[1:-1] == ["out", "sort", "id", "format", "float"]
-    return words[0] in FREE[integrator]
+        return words[1:-1] in (["out", "sort", "id", "format", "float"], ["out", "format", "float"])
+    if words[0] == "thermo":
+        script.count(script.argument(line, 1), line, least=0)
+    return words[0] in free and (words[0] == "run" or len(words) == 2)
 
 
 def _alike(words: Sequence[str], others: Sequence[str]) -> bool:
@@ -453,7 +594,5 @@ def _alike(words: Sequence[str], others: Sequence[str]) -> bool:
 
 
 def _near(one: str, other: str) -> bool:
-    try:
-        return math.isclose(float(one), float(other), rel_tol=SAME_NUMBER, abs_tol=1e-300)
-    except ValueError:
-        return False
+    numbers = LAMMPS_NUMBER.fullmatch(one) and LAMMPS_NUMBER.fullmatch(other)
+    return bool(numbers) and math.isclose(float(one), float(other), rel_tol=SAME_NUMBER)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -35,7 +36,7 @@ from ..step_control import (
     loosen,
     solve_to_tolerance,
 )
-from . import deck
+from . import deck, watching
 from .column import PAIR_STYLES, Column
 from .launch import gather
 from .stepper import LammpsStepper, word
@@ -43,7 +44,7 @@ from .stepper import LammpsStepper, word
 # in a run folder
 LOG = "log.lammps"
 DECK = "deck"
-UNKEPT = ("keep", "template", "include")  # options with which a run cannot go on in another process
+UNKEPT = ("keep", "template")  # options with which a run cannot go on in another process
 DIAMETERS = ("auto", "physical", "gauge")
 
 
@@ -98,9 +99,11 @@ class Lammps(TimeSteppingEngine):
         named there, for Jinja2 in a sandbox. Dump and run commands come from `{% include
         "run.column" %}`, which is empty where the library runs the column, as here; so it may have
         none of its own.
-    include : path, optional
+    include : path or str, optional
         File of LAMMPS commands, taken as they stand, at the end of the set-up: fixes, computes,
-        dumps. What it does to the motion is not in the scene, and shows as an error of the answer.
+        dumps; a text with a line break is the commands themselves. What it does to the motion is
+        not in the scene, and shows as an error of the answer. In a run folder its commands may
+        only watch the run, and each start of LAMMPS writes their files to a new folder in it.
 
     Raises
     ------
@@ -118,6 +121,8 @@ class Lammps(TimeSteppingEngine):
     seconds_per_grain_step: ClassVar[float] = 7e-8
     # file for the messages of LAMMPS; of splittings the set-up only, as each drift is a run
     log: Path | None = None
+    # run folder for the files of the commands of the user
+    run_folder: Path | None = None
 
     def __init__(
         self,
@@ -141,7 +146,7 @@ class Lammps(TimeSteppingEngine):
         self.pair_style = pair_style
         self.ranks = ranks
         self.template = "" if template is None else deck.read_user_text("template", template)
-        self.include = "" if include is None else deck.read_user_text("include", include)
+        self.include = "" if include is None else deck.read_include(include)
         cure = "it holds fixes, computes and dumps, and the run comes after it"
         deck.refuse_run("include", self.include, cure)
         self.keep = None if keep is None else expanded(keep)
@@ -317,6 +322,10 @@ class Lammps(TimeSteppingEngine):
         (scene,) = scenes
         schedule = schedules[0]
         column = self.column(scene, candidate)
+        if self.run_folder and self.include:
+            word(self.run_folder)
+            outputs = watching.make_outputs(self.run_folder.absolute())
+            column = replace(column, include=watching.move_outputs(self.include, outputs))
         log = "none"
         if self.keep is not None:
             log = word(self.keep / "log.lammps")
@@ -358,19 +367,25 @@ class Lammps(TimeSteppingEngine):
         Raises
         ------
         InputError
-            If it keeps files of LAMMPS or runs commands of the user, which may hold a state of
-            their own.
+            If it keeps files of LAMMPS, or runs commands of the user that do more than watch, which
+            may hold a state of their own.
         """
         fault = "LAMMPS cannot go on with that after a stop; leave it out with a run folder"
-        if faults := [(key, fault) for key in UNKEPT if getattr(self, key)]:
+        faults = [(key, fault) for key in UNKEPT if getattr(self, key)]
+        if fault := watching.find_fault(self.include):
+            faults.append(("include", fault))
+        if faults:
             raise InputError(faults)
         options = {key: value for key, value in super().options().items() if key not in UNKEPT}
+        if not self.include:
+            del options["include"]
         # what the scene asks for is chosen again
         return options | {"integrator": None} if self._free else options
 
     def prepare(self, folder: Path) -> Self:
         """Return an engine whose LAMMPS writes its log to this run folder."""
         prepared = super().prepare(folder)
+        prepared.run_folder = folder
         log = folder / LOG
         try:
             word(log)

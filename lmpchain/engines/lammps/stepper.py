@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,8 @@ class LammpsStepper:
     """
 
     stride = 1
+    # Each step is a command or a loop of LAMMPS, slower than compiled kernels.
+    guessed_rate = 1e6
 
     def __init__(
         self,
@@ -70,6 +73,11 @@ class LammpsStepper:
             driven=bool(scene.excitation.driven),
             pushed=scene.excitation.acts_on - 1 if kicks else None,
         )
+        include = ""
+        if state and column.include:
+            # a first frame or average would be of the heights in the data file
+            include = column.include
+            column = replace(column, include="# these follow when the state is set")
         try:
             with deck.data_file(column, keep) as data:
                 setup = deck.setup(column, word(data), step, splitting, self._done)
@@ -82,7 +90,7 @@ class LammpsStepper:
                 start: tuple[Array, ...] = state["z"], state["vz"], state["fz"]
             else:
                 start = () if deck.holds_motion(column, keep) else column.start
-            communicator.ask("begin", plan, start)
+            communicator.ask("begin", plan, start, include)
             self._take()
             self._check()
         except BaseException:

