@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError, LmpchainError
 from ..scene.excitation import Drive, Force
 from ..scene.scene import Scene
-from ..scene.trace_file import smoothed
+from ..scene.trace_file import smooth
 from ..simulation.api import simulate
 from ..util.arrays import Array
 from ..util.lazy import listed
@@ -21,7 +21,7 @@ __dir__ = listed(__name__)
 MOST_POINTS = 2000
 
 
-def thinned(scene: Scene, tolerance: float) -> tuple[Scene, str]:
+def thin_trace(scene: Scene, tolerance: float) -> tuple[Scene, str]:
     """Return a scene whose force or drive has fewer points, and a sentence about the difference.
 
     A low pass at half of the highest frequency that the remaining points can show comes first. The
@@ -46,7 +46,7 @@ def thinned(scene: Scene, tolerance: float) -> tuple[Scene, str]:
     lowpass = 0.25 * (times.size - 1) / (every * (times[-1] - times[0]))
     options = f"every={every}, lowpass={lowpass:.3g}"
     try:
-        values = smoothed(times, values[:, None], lowpass)[:, 0]
+        values = smooth(times, values[:, None], lowpass)[:, 0]
     except InputError:
         # a filter needs points at equal distances
         options = f"every={every}"

@@ -54,13 +54,13 @@ def compare(arguments: argparse.Namespace) -> int:
         lambda: check_positive("budget", arguments.budget),
     )
     from ..benchmark import comparison
-    from ..benchmark.dense_traces import thinned
+    from ..benchmark.dense_traces import thin_trace
     from ..benchmark.truth import truth
     from ..engines.cost_model import budget
 
     engines_of_scene, refusals = _able(names, scene)
     with budget(arguments.budget):
-        scene, remark = thinned(scene, arguments.tolerance)
+        scene, remark = thin_trace(scene, arguments.tolerance)
     tolerances = dict.fromkeys(engines_of_scene, arguments.tolerance)
     trajectories, failures, remarks = _solve(scene, tolerances, arguments.budget)
     beginning = min((each.scene for each in trajectories), key=_count_samples, default=scene)

@@ -473,7 +473,7 @@ def _close(
     `sampled` has those by the samples. `changes` has the sign with which each is a change of a sum,
     that sum and its error, and the other term of the balance.
     """
-    summed = _summed(trajectory)
+    summed = _find_sums(trajectory)
     terms = sampled | summed
     balanced: list[str] = []
     if not math.isfinite(trajectory.error_estimate.total):
@@ -488,7 +488,7 @@ def _close(
     return terms, balanced
 
 
-def _summed(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
+def _find_sums(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
     """Return the energies that the run has summed up, with their errors, by name."""
     gathered = trajectory.gathered
     return {

@@ -242,7 +242,7 @@ class TraceFile(TableFile):
         values, words = self._calibrate_columns(table, present, self._window(time))
         words = [word, *words]
         if self.lowpass is not None:
-            values = smoothed(time, values, self.lowpass)
+            values = smooth(time, values, self.lowpass)
             words.append(f"low pass of {self.lowpass:g} Hz")
         if self.trigger is not None:
             time, values, before = self._from_trigger(time, values, from_zero)
@@ -381,7 +381,7 @@ class TraceFile(TableFile):
         return np.append(0.0, since), np.vstack([begin, values[first:]]), first
 
 
-def smoothed(time: Array, values: Array, lowpass: float) -> Array:
+def smooth(time: Array, values: Array, lowpass: float) -> Array:
     """Return values (R, K) without frequencies above one, Hz, and without delay.
 
     Raises

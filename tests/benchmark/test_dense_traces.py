@@ -91,7 +91,7 @@ def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.
     excitation = Drive(times=force.times, displacement=path - path[0]) if driven else force
     chain = Chain(grains=2, diameter=5e-3, gravity=0.0, top_load=5.0, bottom="wall")
     scene = Scene(chain=chain, excitation=excitation, duration=1e-4, samples=51)
-    thinner, words = dense_traces.thinned(scene, 1e-8)
+    thinner, words = dense_traces.thin_trace(scene, 1e-8)
     kept = int((thinner.excitation.times < 1e-4).sum()) + 1
     assert words.startswith(f"trace: through {kept} of the 2501 points of this run (every=26, ")
     assert kept < 100
@@ -103,7 +103,7 @@ def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.
         for a, b in ((whole.displacement, part.displacement), (whole.velocity, part.velocity))
     ]
     assert f"changes the answer by {max(changes):.1e}"[:-5] in words
-    assert dense_traces.thinned(thinner, 1e-8) == (thinner, "")
+    assert dense_traces.thin_trace(thinner, 1e-8) == (thinner, "")
 
 
 def test_compare_ends_soon_on_a_hammer_of_25_megasamples(
