@@ -12,7 +12,7 @@ from ..errors import InputError, shown
 Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
-SMALLEST = 5e-324  # above 0
+SMALLEST = float(np.nextafter(0.0, 1.0))  # above 0
 # the bits of a double without its sign; those of positive ones compare like the numbers
 MAGNITUDE = (1 << 63) - 1
 # what numpy would turn into numbers, by the letter of its kind

@@ -24,7 +24,7 @@ from ...util.files import expanded, make_folder
 from ...util.remarks import warn
 from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
-from ..cost_model import announce
+from ..cost_model import announce, check_time
 from ..native import Native
 from ..native.companion_run import CompanionRun
 from ..native.step_choice import StepChoice
@@ -465,6 +465,7 @@ def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[
             attempt.candidate.cost_s,
             f"the native trial that finds the step of LAMMPS, {attempt.work(scene.samples)},",
             "a larger tolerance, a shorter duration or a given step takes less",
+            spent_s=attempt.spent_s,
         )
 
     first = first_attempt(native, scene, tolerance)
@@ -487,7 +488,7 @@ def _largest_motion(run: Run) -> tuple[Array, float]:
     """Run; return the largest displacement and velocity, m, m/s, and the closest approach, m."""
     assert isinstance(run, CompanionRun)
     for _ in run.blocks():
-        pass
+        check_time()
     return run.peaks[0], float(run.closest[0])
 
 
