@@ -74,7 +74,8 @@ class EnergyLedger(Shown, Tabular):
     drive_error, impulse_error, dissipated_error : float
         Their uncertainty, J and N s, with that by the error of the trajectory if that is known. Of
         an integral over samples it is the shift when every second sample is used; infinite for
-        fewer than three samples. Where forces are smooth and well sampled, the true error is about
+        fewer than three samples, or samples farther apart than half a period of the fastest motion.
+        Where forces are smooth and well sampled, the true error is about
         1/15 of that shift.
     balanced : tuple of str
         Those of `drive`, `dissipated` and `impulse` that follow from the balance of energy or
@@ -402,13 +403,13 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
 
     def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
         # the rates of viscous forces follow from no sample
-        return _integral(time, value, None if chain.damped else slope, known)
+        return _integral(scene, time, value, None if chain.damped else slope, known)
 
     momentum = v @ chain.masses
     drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
     if chain.damped:
-        impulse, impulse_error = _integral(time, -(v @ _drag(scene)))
+        impulse, impulse_error = _integral(scene, time, -(v @ _drag(scene)))
         impulse_error += _area(time, fast * _drag(scene).sum())
     push = scene.excitation.push(chain, time, force, rate, v)
     pieces = _known_pieces(scene, time, push, u, v) if push else None
@@ -560,7 +561,7 @@ def _sum_losses(
     drag = _drag(scene)
     if not scene.chain.damped:
         return EnergyLosses(time, np.zeros(contacts.power.shape), np.zeros(v.shape), 0.0)
-    taken, error = _integral(time, np.hstack((contacts.power, drag * v**2)))
+    taken, error = _integral(scene, time, np.hstack((contacts.power, drag * v**2)))
     doubt = contacts.power_doubt.sum(1) + (drag * fast * (2 * np.abs(v) + fast)).sum(1)
     count = scene.chain.grains + 1
     return EnergyLosses(time, taken[:, :count], taken[:, count:], error + _area(time, doubt))
@@ -653,12 +654,18 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
 
 
 def _integral(
-    time: Array, value: Array, slope: Array | None = None, known: Array | None = None
+    scene: Scene,
+    time: Array,
+    value: Array,
+    slope: Array | None = None,
+    known: Array | None = None,
 ) -> tuple[Array, float]:
     """Return the integral of samples up to each, (T, ...), and its shift with every second one.
 
-    Without slopes, it is that of a spline of degree 7. Integrals over intervals that are `known`
-    otherwise are (T-1,), NaN of the others; then the shift without them counts, too.
+    The shift says nothing if samples are farther apart than half a period of the fastest motion:
+    infinity takes its place. Without slopes, it is that of a spline of degree 7. Integrals over
+    intervals that are `known` otherwise are (T-1,), NaN of the others; then the shift without them
+    counts, too.
     """
     smooth = _integrate(time, value, slope)
     fine = smooth
@@ -670,7 +677,8 @@ def _integral(
     shifts = (
         np.abs(x).reshape(len(x), -1).sum(1).max() for x in (fine[::2] - coarse, fine - smooth)
     )
-    return fine, float(max(shifts))
+    unresolved = scene.highest_frequency * np.diff(time).max(initial=0.0) > math.pi
+    return fine, math.inf if unresolved else float(max(shifts))
 
 
 def _integrate(time: Array, value: Array, slope: Array | None) -> Array:

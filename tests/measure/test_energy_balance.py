@@ -295,3 +295,28 @@ def test_stated_errors_hold_in_random_scenes(seed: int, acts: bool):
     scale = max(map(largest, (total, found.dissipated, found.drive)))
     off = largest(found.dissipated - found.drive - (total[0] - total))
     assert off <= found.dissipated_error + found.drive_error + 1e-15 * scale
+
+
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        Drive(amplitude=1e-8, frequency=5e3),
+        Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1e-4),
+    ],
+    ids=["drive", "force"],
+)
+@pytest.mark.parametrize("samples", [3, 5, 9, 41, 401])
+def test_energies_of_a_linear_engine_are_within_their_errors(excitation, samples):
+    """Springs that stay closed are linear, so the engine native solves the same equation.
+
+    The engine modes sums up no energies: samples that do not resolve the motion show none.
+    """
+    damping = {"viscoelastic": 4e-7, "drag": 50.0}
+    chain = Chain(**STEEL | {"diameter": 5e-3, "top_load": 10.0}, gravity=0.0, damping=damping)
+    scene = Scene(chain=chain, excitation=excitation, duration=6e-4, samples=samples)
+    summed = energy.ledger(simulate(scene, "native", 1e-10))
+    linear = energy.ledger(simulate(scene, "modes", 1e-10))
+    for name in ("dissipated", "drive"):
+        off = np.abs(getattr(linear, name) - getattr(summed, name)).max()
+        assert off <= getattr(linear, f"{name}_error") + getattr(summed, f"{name}_error")
+    assert np.isfinite(linear.drive_error) == (samples == 401)
