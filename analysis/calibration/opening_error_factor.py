@@ -45,7 +45,7 @@ def jobs(scenes: list[Scene], *engines: Native, tolerances: tuple = TOLERANCES) 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each field."""
-    count = 5 if quick else 100
+    count = 20 if quick else 100
     strong = drawn(count, 11, lambda s: 0.3 < s.largest_strain < math.inf)
     calm = drawn(count, 12, lambda s: s.largest_strain < 0.3, strength=(-4.0, -0.3))
     unbounded = drawn(count, 13, lambda s: s.largest_strain == math.inf)

@@ -258,8 +258,8 @@ def dask(address: str) -> Iterator[Executor]:
     except ImportError:
         raise InputError.at("scheduler", 'needs Dask: pip install "lmpchain[cluster]"') from None
     # Exceptions report failures. Dask sets the levels of some of its loggers one by one.
-    for name in ("distributed", *logging.root.manager.loggerDict):
-        if name.partition(".")[0] == "distributed":
+    for name in ("distributed", "tornado", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=TASKS.scheduler_s)
