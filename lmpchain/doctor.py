@@ -25,6 +25,7 @@ from typing import Any, Literal, NamedTuple
 # all else is imported by the check that needs it, as it may be broken
 from .errors import LmpchainError
 from .util import mpi
+from .util.memory import machine_memory
 from .util.remarks import warn
 
 
@@ -299,8 +300,8 @@ def _cores() -> Iterator[Finding]:
 
 @_check("memory", "end other programs, or record fewer samples and grains")
 def _memory() -> Iterator[Finding]:
-    kilobytes = dict(re.findall(r"(\w+): +(\d+) kB", Path("/proc/meminfo").read_text()))
-    free, total = (int(kilobytes[key]) * 1.024e-6 for key in ("MemAvailable", "MemTotal"))
+    sizes = machine_memory()
+    free, total = (sizes[key] * 1e-9 for key in ("MemAvailable", "MemTotal"))
     yield Finding("memory", "ok", f"{free:.1f} of {total:.1f} GB are free")
     if free < DIAGNOSIS_LIMITS.memory_gb:
         warn("memory is scarce", stacklevel=1)

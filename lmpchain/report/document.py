@@ -13,7 +13,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, LmpchainError
 from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
-from ..util.files import check_replaceable, expanded, write_aside
+from ..util.files import write_aside
 from ..util.plotting import si
 from ..util.progress import ProgressBar
 from ..util.tables import counted
@@ -62,7 +62,6 @@ def write(
     overwrite : bool
         Whether to replace a file that lmpchain did not write; otherwise `InputError` is raised.
     """
-    check_replaceable(expanded(path), overwrite)
     with write_aside(path, overwrite) as aside:
         aside.write_text(page(trajectory, progress, origin), encoding="utf-8")
 

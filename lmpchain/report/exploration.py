@@ -19,7 +19,7 @@ from ..sweeps.file import Sweep, read
 from ..sweeps.tasks import announced_work
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import plain
-from ..util.files import check_replaceable, expanded, write_aside
+from ..util.files import check_not_foreign, expanded, write_aside
 from ..util.progress import ProgressBar
 from ..util.provenance import command
 from ..util.remarks import warnings_aside
@@ -114,7 +114,7 @@ def explore(
     >>> with TemporaryDirectory() as folder:
     ...     lmpchain.explore({"scene": scene, "over": over}, f"{folder}/page.html")
     """
-    check_replaceable(expanded(path), overwrite)
+    check_not_foreign(expanded(path), overwrite)
     plan, axes = _read(source)
     grid = _make_grid(plan)
     views: list[View | str] = []

@@ -147,7 +147,7 @@ def _is_sealed(path: Path) -> bool:
     return True
 
 
-def check_replaceable(path: Path, overwrite: bool) -> None:
+def check_not_foreign(path: Path, overwrite: bool) -> None:
     """Raise `InputError` if a file is foreign, unless `overwrite` allows to replace it."""
     if not overwrite and is_foreign(path):
         cure = "name another file, or pass overwrite=True to replace it"
@@ -167,7 +167,7 @@ def write_aside(path: str | PathLike[str], overwrite: bool = False) -> Iterator[
     try:
         if path.exists() and not path.is_file():
             raise InputError.at(str(path), "is a folder or a device; name a file")
-        check_replaceable(path, overwrite)
+        check_not_foreign(path, overwrite)
         with replacing(path) as aside:
             yield aside
             with suppress(OSError, AttributeError):

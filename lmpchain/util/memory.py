@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -42,6 +43,12 @@ def free_memory() -> float:
     return max(min(limits), 0.0)
 
 
+def machine_memory() -> dict[str, int]:
+    """Return the memory of the machine by the names of `/proc/meminfo`, bytes."""
+    sizes = re.findall(r"(\w+): +(\d+) kB", Path("/proc/meminfo").read_text())
+    return {name: 1024 * int(kilobytes) for name, kilobytes in sizes}
+
+
 def _address_space() -> int | None:
     """Return the size of the address space of this process, bytes; None if it is unknown."""
     try:
@@ -52,13 +59,11 @@ def _address_space() -> int | None:
 
 
 def _available() -> float:
-    """Return the memory that the machine has left, bytes."""
+    """Return the memory that the machine has left, bytes; infinite if that is unknown."""
     try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        kilobytes = next(line.split()[1] for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration):
+        return machine_memory()["MemAvailable"]
+    except (OSError, KeyError):
         return float("inf")
-    return 1024.0 * int(kilobytes)
 
 
 def _control_group() -> Iterator[float]:

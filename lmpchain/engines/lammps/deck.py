@@ -18,7 +18,7 @@ from ...errors import InputError
 from ...integrators.splittings import Splitting
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.files import check_replaceable, expanded, write_aside
+from ...util.files import check_not_foreign, expanded, write_aside
 from ...util.templates import render, render_pieces, render_text
 from . import drive
 from .column import Column
@@ -105,7 +105,7 @@ def check_folder(folder: Path) -> None:
     path = folder / "in.column"
     if not path.exists():
         for name in ("column.data", "column.lammpstrj", "log.lammps"):
-            check_replaceable(folder / name, overwrite=False)
+            check_not_foreign(folder / name, overwrite=False)
         return
     text, _, seal = read_user_text("folder", path).rstrip().rpartition("\n")
     if seal != _seal(text):
