@@ -19,8 +19,8 @@ from figures import TABLES, write_table
 
 from lmpchain import Chain, Impulse, Profile, Scene, simulate
 from lmpchain.engines import Native
-from lmpchain.engines.native import companion_run
-from lmpchain.engines.native.companion_run import Looks
+from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping.companion_run import JudgingTimes
 
 COLUMNS = (
     "scene",
@@ -52,7 +52,7 @@ def springs() -> Scene:
 def unseen() -> Iterator[None]:
     """Have every attempt run to its end."""
     looks = companion_run.LOOKS
-    companion_run.LOOKS = Looks(begin_s=np.inf)  # type: ignore[misc]
+    companion_run.LOOKS = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
     try:
         yield
     finally:

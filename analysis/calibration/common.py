@@ -19,8 +19,8 @@ from lmpchain import Scene
 from lmpchain.benchmark.reference import Reference, reference
 from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
 from lmpchain.engines.native import Native
-from lmpchain.engines.native.companion_run import CompanionRun
 from lmpchain.engines.step_control import first_attempt, solve_to_tolerance
+from lmpchain.engines.stepping.companion_run import CompanionRun
 from lmpchain.errors import RunFailed, ToleranceNotMet
 from lmpchain.util.provenance import processor
 from lmpchain.util.tables import align

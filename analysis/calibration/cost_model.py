@@ -28,7 +28,7 @@ from lmpchain.engines.linear.closed_form import Bessel
 from lmpchain.engines.linear.engine import Chebyshev, LinearEngine, Modes
 from lmpchain.engines.linear.model_error import dense, evaluations
 from lmpchain.engines.native import Native
-from lmpchain.engines.native.time_stepping import EVALUATION_OVERHEAD
+from lmpchain.engines.stepping.time_stepping import EVALUATION_OVERHEAD
 from lmpchain.integrators.kernels.chebyshev import SPAN, terms
 from lmpchain.simulation.api import simulate
 

@@ -27,8 +27,8 @@ from scenes import drawn
 from lmpchain import Chain, Profile, Scene
 from lmpchain.engines.base import Candidate
 from lmpchain.engines.native import Native
-from lmpchain.engines.native.round_off import ROUNDING, interpolation_loss
-from lmpchain.engines.native.step_choice import INTERPOLATION
+from lmpchain.engines.stepping.round_off import ROUNDING, interpolation_loss
+from lmpchain.engines.stepping.step_choice import INTERPOLATION
 
 STEPS = 8  # from one sample on which one ends to the next
 REPEATS = 7  # of which the shortest time counts

@@ -27,8 +27,8 @@ from scenes import drawn
 from lmpchain import Scene
 from lmpchain.engines.base import Candidate
 from lmpchain.engines.native import Native, companions
-from lmpchain.engines.native.companions import FEWEST_STEPS, OPENINGS
-from lmpchain.engines.native.estimate import TRUST
+from lmpchain.engines.stepping.companions import FEWEST_STEPS, OPENINGS
+from lmpchain.engines.stepping.estimate import TRUST
 from lmpchain.integrators import step_schedule
 from lmpchain.integrators.step_schedule import MANY_STEPS
 

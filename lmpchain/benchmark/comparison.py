@@ -113,7 +113,7 @@ def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Arra
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparisonRow:
     """True error, estimated error and cost of one engine.
 
     Attributes
@@ -159,8 +159,8 @@ class Comparison(Shown, Tabular):
 
     reference: Reference
     trajectories: tuple[Trajectory, ...]
-    rows: tuple[Row, ...]
-    lossless: Row | None = None
+    rows: tuple[ComparisonRow, ...]
+    lossless: ComparisonRow | None = None
 
     def errors_over_time(self) -> list[Array]:
         """Return the error of every trajectory sample by sample, (T,) each."""
@@ -229,7 +229,7 @@ class Comparison(Shown, Tabular):
         return of_rows([_numbers(row) for row in self.rows])
 
 
-def _numbers(row: Row) -> dict[str, Any]:
+def _numbers(row: ComparisonRow) -> dict[str, Any]:
     """Return a row for a JSON file."""
     fields = finite(asdict(row))
     del fields["integrator"]
@@ -263,9 +263,9 @@ def compare(
     return Comparison(reference, tuple(trajectories), rows, row)
 
 
-def _row(answer: Trajectory, reference: Reference) -> Row:
+def _row(answer: Trajectory, reference: Reference) -> ComparisonRow:
     displacement, velocity = errors(answer, reference)
-    return Row(
+    return ComparisonRow(
         engine=answer.engine,
         equation=answer.equation,
         integrator=answer.cost.integrator,

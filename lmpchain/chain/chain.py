@@ -31,11 +31,11 @@ from .damping import NO_DAMPING, OneDamping
 from .equilibrium import Equilibrium, Grains, derive_chain
 from .impurities import Impurities, Kinds, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
-from .picture import AtRest
+from .picture import ChainPicture
 from .plausible import LIMITS, least_compression, remarks, too_compressed
 
 
-class Chain(AtRest, Checked):
+class Chain(ChainPicture, Checked):
     """A vertical column of grains that touch, numbered 1 to N from the top.
 
     Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0

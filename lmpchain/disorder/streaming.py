@@ -88,7 +88,7 @@ class Average:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Averages(Shown):
+class StreamedAverages(Shown):
     """Options and errors of averages over disordered chains; `Ensemble` explains them."""
 
     scene: Scene
@@ -123,7 +123,7 @@ def take_average(
     first: Average,
     progress: bool,
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the average over a number of chains, and its fields of `Averages`.
+    """Return the average over a number of chains, and its fields of `StreamedAverages`.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ Answer = TypeVar("Answer")
 SAFETY = 2.5
 
 
-class Attempt(NamedTuple, Generic[Answer]):
+class HalvedAnswer(NamedTuple, Generic[Answer]):
     """An answer with steps of one length, and how accurate it is.
 
     Attributes
@@ -35,7 +35,7 @@ class Attempt(NamedTuple, Generic[Answer]):
     excess: float
 
 
-def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]:
+def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnswer[Answer]:
     """Return the most accurate answer as steps are halved until its error is allowed.
 
     It ends there, or after a number of answers, when round-off or chaos leaves a larger error.

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..util.arrays import Array
 from ..util.caching import cached_property
-from .kernels.layout import Stages
+from .kernels.layout import SplittingStages
 from .method import March
 from .openings import shorten_steps
 from .step_schedule import StepSchedule
@@ -61,8 +61,8 @@ class Splitting:
         return len(self.drifts)
 
     @cached_property
-    def _stages(self) -> Stages:
-        return Stages(np.array(self.kicks), np.array(self.drifts), np.cumsum(self.drifts))
+    def _stages(self) -> SplittingStages:
+        return SplittingStages(np.array(self.kicks), np.array(self.drifts), np.cumsum(self.drifts))
 
     @cached_property
     def reach(self) -> tuple[float, ...]:

@@ -32,7 +32,7 @@ NOTHING = np.empty((0, 0, 0, 0))
 UNFIT = "the state that was kept does not fit"
 
 
-class Work(NamedTuple):
+class ThreadShare(NamedTuple):
     """The share of a thread in a batch: chains, their method and clocks.
 
     Attributes
@@ -177,11 +177,11 @@ class NativeStepper:
                 raise ValueError(UNFIT)
             self._history[:] = state["history"]
         borders = [share * self._size // shares for share in range(shares + 1)]
-        self._work: list[Work] = []
+        self._work: list[ThreadShare] = []
         for thread_state, member in zip(self._states, self._teams, strict=True):
             arrays = chains.arrays(self._x, self._v, self._history, thread_state, member)
             self._work += [
-                Work(
+                ThreadShare(
                     arrays,
                     march.method,
                     march.make_work(arrays, march.method),
@@ -261,7 +261,7 @@ class NativeStepper:
         goal = Goal(begin, end, until, noted.ends.size)
         return self._by_step(*given, fields, goal, noted)
 
-    def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
+    def _move(self, work: ThreadShare, fields: Fields, until: int, max_steps: int) -> int:
         """Move the chains of one thread."""
         *given, begin, end = work
         try:

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..scene.scene import Scene
 from ..trajectory.between.derivatives import (
     UNKNOWN,
-    Block,
+    SampledBlock,
     by_body,
     derive,
     imposed_on,
@@ -137,11 +137,11 @@ class Motion:
         return not (self._column[1 : self.scene.chain.movable + 1] == UNKNOWN).any()
 
     @cached_property
-    def _block(self) -> Block:
+    def _block(self) -> SampledBlock:
         """Block of all samples."""
         law = law_of(self.scene.chain, self._equation == 3)
         imposed = imposed_on(self.scene, self.step, 0, self.scene.samples)
-        return Block(
+        return SampledBlock(
             u=by_body(self.displacement),
             v=by_body(self.velocity),
             column=self._column,

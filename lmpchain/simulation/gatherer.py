@@ -11,7 +11,14 @@ import numpy as np
 
 from ..scene.recording import OF_CONTACTS
 from ..scene.scene import Scene
-from ..trajectory.between.derivatives import STILL, Block, by_body, derive, imposed_on, law_of
+from ..trajectory.between.derivatives import (
+    STILL,
+    SampledBlock,
+    by_body,
+    derive,
+    imposed_on,
+    law_of,
+)
 from ..trajectory.between.fronts import Rules, arrivals
 from ..trajectory.between.maxima import Largest, Log, Window, approach, events_of, reduce
 from ..trajectory.between.viscous_forces import ViscousContact, largest_force
@@ -113,7 +120,7 @@ class Gatherer:
         # where no law gives accelerations, four samples do
         enough = not self._part.chain.damped or last == self._final or len(rows_u) > 3
         if begin < end and enough:
-            block = Block(
+            block = SampledBlock(
                 by_body(rows_u),
                 by_body(rows_v),
                 self._column,
@@ -155,7 +162,7 @@ class Gatherer:
         law = chain.contacts.of(np.array([number]))
         return ViscousContact(law, float(chain.contact_viscosity[number]))
 
-    def _take_intervals(self, block: Block, window: Window) -> None:
+    def _take_intervals(self, block: SampledBlock, window: Window) -> None:
         """Take in largest values, events and approaches of contacts in some intervals."""
         state = self._state
         size = self._part.chain.grains

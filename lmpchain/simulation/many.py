@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ..engines.base import Engine
-from ..engines.native.time_stepping import alike
 from ..engines.step_control import Attempt, first_attempt, next_attempt
+from ..engines.stepping.time_stepping import alike
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost

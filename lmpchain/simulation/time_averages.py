@@ -14,8 +14,8 @@ import numpy as np
 
 from ..engines.cost_model import announce, seconds
 from ..engines.native import Native
-from ..engines.native.amplification import perturb
-from ..engines.native.step_choice import FIRST_STEP
+from ..engines.stepping.amplification import perturb
+from ..engines.stepping.step_choice import FIRST_STEP
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.batch import ChainBatch
 from ..integrators.splittings import SPLITTINGS, Splitting

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..engines.base import Candidate
 from ..engines.native import Native
-from ..engines.native.amplification import separate
+from ..engines.stepping.amplification import separate
 from ..errors import InputError, RunFailed
 from ..integrators.methods import BY_NAME
 from ..scene.scene import Scene
@@ -17,7 +17,7 @@ from ..util.arrays import Array
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredGrowth:
     """Columns for which `growth_rate` was measured; analysis/calibration/predictability.py.
 
     Attributes
@@ -36,7 +36,7 @@ class Measured:
     most: int = 40
 
 
-MEASURED = Measured()
+MEASURED = MeasuredGrowth()
 # change at t = 0 that grows as all rounding of a run does: measured median, 1e-15.4 to 1e-12.4
 # analysis/calibration/amplified_rounding.py
 SEED = 1e-14

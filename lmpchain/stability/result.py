@@ -63,7 +63,7 @@ class Boundary:
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class MeasuredCurve:
     """A measured curve, for the picture.
 
     Attributes
@@ -94,7 +94,7 @@ class Stability(Shown, Tabular):
 
     scene: Scene
     boundaries: tuple[Boundary, ...]
-    curves: tuple[Curve, ...]
+    curves: tuple[MeasuredCurve, ...]
     left_out: tuple[str, ...]
 
     def table(self) -> str:

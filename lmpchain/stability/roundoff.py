@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..chain.contacts import Contacts
 from ..chain.equilibrium import force_at_rest
 from ..engines import Lammps, Native
-from ..engines.native.time_stepping import TimeSteppingEngine
+from ..engines.stepping.time_stepping import TimeSteppingEngine
 from ..errors import InputError
 from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene

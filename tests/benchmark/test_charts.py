@@ -10,7 +10,7 @@ import pytest
 from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory
 from lmpchain.benchmark.chart import FRONT
 from lmpchain.benchmark.comparison import Comparison, compare
-from lmpchain.benchmark.curves import Curve, Point, WorkPrecision, machine
+from lmpchain.benchmark.curves import CurvePoint, EngineCurve, WorkPrecision, machine
 from lmpchain.benchmark.pareto import front, time_to
 from lmpchain.benchmark.reference import Reference
 from lmpchain.trajectory.record import Cost, ErrorEstimate
@@ -24,7 +24,7 @@ TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 2e-15, "a seri
 
 def point(
     engine: str, integrator: str, seconds: float, error: float, count: int, **more: Any
-) -> Point:
+) -> CurvePoint:
     whole = {"tolerance": None, "setup_s": 0.5, "estimate_s": 0.25, "seconds": seconds,
              "step_s": 1e-8,
              "grain_steps_per_s": 1e6}  # fmt: skip
@@ -33,13 +33,15 @@ def point(
            "error_velocity": error / 2, "expected_error": 2 * error, "integration_s": seconds,
            "steps": count,
            "force_evaluations": 2 * count, "compile_s": 0.0}  # fmt: skip
-    return Point(**row | whole | more)
+    return CurvePoint(**row | whole | more)
 
 
-def curve(engine: str, integrator: str, rows: list[tuple[float, float, int]], **more: Any) -> Curve:
+def curve(
+    engine: str, integrator: str, rows: list[tuple[float, float, int]], **more: Any
+) -> EngineCurve:
     points = [point(engine, integrator, *row, longest=number == 0 and not more, **more)
               for number, row in enumerate(rows)]  # fmt: skip
-    return Curve(engine, "" if more else integrator, tuple(points))
+    return EngineCurve(engine, "" if more else integrator, tuple(points))
 
 
 CURVES = (

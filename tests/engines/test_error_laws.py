@@ -26,21 +26,21 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 from lmpchain.engines.base import Candidate, ErrorBudget
-from lmpchain.engines.native.amplification import (
+from lmpchain.engines.stepping.amplification import (
     GROWTH,
     amplify_rounding,
     could_grow,
     perturb,
 )
-from lmpchain.engines.native.estimate import TRUST, estimate_truncation
-from lmpchain.engines.native.round_off import (
+from lmpchain.engines.stepping.estimate import TRUST, estimate_truncation
+from lmpchain.engines.stepping.round_off import (
     accumulate,
     interpolation_loss,
     native_floor,
     plain_loss,
     rounded_energy,
 )
-from lmpchain.engines.native.step_choice import STEP_CONTROL
+from lmpchain.engines.stepping.step_choice import STEP_CONTROL
 from lmpchain.stability.predictability import divergence
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util.arrays import EPSILON

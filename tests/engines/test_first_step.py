@@ -23,8 +23,8 @@ from lmpchain import (
 )
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.native.companions import OPENINGS, Companions, recurs
-from lmpchain.engines.native.step_choice import FIRST_STEP, choose_step, expected_reach, land
+from lmpchain.engines.stepping.companions import OPENINGS, Companions, recurs
+from lmpchain.engines.stepping.step_choice import FIRST_STEP, choose_step, expected_reach, land
 from lmpchain.integrators.methods import METHODS
 
 VACUUM = Scene(

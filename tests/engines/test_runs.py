@@ -12,8 +12,8 @@ from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
-from lmpchain.engines.native import companion_run
-from lmpchain.engines.native.time_stepping import alike, kind
+from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping.time_stepping import alike, kind
 from lmpchain.integrators.methods import METHODS
 
 CHAIN = Chain(grains=10, diameter=1e-3)

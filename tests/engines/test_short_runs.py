@@ -12,7 +12,7 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Displacement, Impulse, RunFailed, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.native.companions import Companions
+from lmpchain.engines.stepping.companions import Companions
 from lmpchain.integrators.methods import METHODS
 
 

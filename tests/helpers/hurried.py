@@ -9,7 +9,7 @@ So a run of a second has as many attempts and checkpoints to be killed at as one
 import sys
 
 from lmpchain.cli import command_line
-from lmpchain.engines.native import companion_run, time_stepping
+from lmpchain.engines.stepping import companion_run, time_stepping
 from lmpchain.simulation import run_folder
 
 LONGER = 20  # than the steps that it would choose

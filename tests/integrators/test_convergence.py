@@ -10,7 +10,7 @@ from helpers.whole_runs import blocks_of
 from scipy.integrate import simpson
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.stepping import companion_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 

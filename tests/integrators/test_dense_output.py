@@ -10,10 +10,10 @@ from numba import njit
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.native import Native
-from lmpchain.engines.native.companions import Companions
+from lmpchain.engines.stepping.companions import Companions
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.dense_output import Rates, fill_samples
-from lmpchain.integrators.kernels.layout import CLOCK, LEAST_SHARE, PAD, STATE, Row, Span
+from lmpchain.integrators.kernels.dense_output import DenseRates, fill_samples
+from lmpchain.integrators.kernels.layout import CLOCK, LEAST_SHARE, PAD, STATE, SampleRow, Span
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -72,8 +72,8 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
             ends,
             clock,
             span,
-            Rates(rows[0], rows[2], rows[0], rows[3]),
-            Row(u, v, 0, np.zeros((0, 2))),
+            DenseRates(rows[0], rows[2], rows[0], rows[3]),
+            SampleRow(u, v, 0, np.zeros((0, 2))),
         )
         time = 0.8 - h / 2 + np.arange(1, 24) * h / 24
         errors.append(

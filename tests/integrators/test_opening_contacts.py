@@ -13,7 +13,7 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.native import companion_run, step_choice
+from lmpchain.engines.stepping import companion_run, step_choice
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])

@@ -20,7 +20,7 @@ from helpers.standalone_lammps import lmp
 
 from lmpchain import Force, InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.stepping import companion_run
 from lmpchain.simulation import task as tasks
 from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read as read_sweep

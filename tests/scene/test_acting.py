@@ -32,7 +32,7 @@ from lmpchain import (
 )
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.stepping import companion_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.measure import contact, energy

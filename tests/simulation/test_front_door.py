@@ -25,8 +25,8 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Native
-from lmpchain.engines.native import companion_run
 from lmpchain.engines.step_control import first_attempt
+from lmpchain.engines.stepping import companion_run
 from lmpchain.simulation import api, checkpoints, many, run_folder
 from lmpchain.simulation import task as tasks
 from lmpchain.simulation.folder_files import check_new, remove

@@ -34,7 +34,7 @@ from lmpchain import Chain, EngineUnavailable, Impulse, Scene, Trajectory, engin
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.native import companion_run, time_stepping
+from lmpchain.engines.stepping import companion_run, time_stepping
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.run_folder import status
 from lmpchain.simulation.task import is_run

@@ -32,7 +32,7 @@ from lmpchain.cli.command_line import main
 from lmpchain.engines import Modes, Native
 from lmpchain.engines import cost_model as speed
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.native import time_stepping
+from lmpchain.engines.stepping import time_stepping
 from lmpchain.simulation import selection
 from lmpchain.trajectory.trajectory import Trajectory
 

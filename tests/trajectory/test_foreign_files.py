@@ -23,7 +23,7 @@ from numcodecs.abc import Codec
 
 from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.stepping import companion_run
 from lmpchain.report.origin import origin
 from lmpchain.simulation import task as tasks
 from lmpchain.util.files import seal

@@ -26,9 +26,6 @@ from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
 from ..cost_model import announce, check_time
 from ..native import Native
-from ..native.companion_run import CompanionRun
-from ..native.step_choice import StepChoice
-from ..native.time_stepping import TimeSteppingEngine
 from ..step_control import (
     Attempt,
     Outcome,
@@ -36,8 +33,11 @@ from ..step_control import (
     loosen,
     solve_to_tolerance,
 )
+from ..stepping.companion_run import CompanionRun
+from ..stepping.step_choice import StepChoice
+from ..stepping.time_stepping import TimeSteppingEngine
 from . import deck, watching
-from .column import PAIR_STYLES, Column
+from .column import PAIR_STYLES, LammpsColumn
 from .launch import gather
 from .stepper import LammpsStepper, word
 
@@ -184,7 +184,9 @@ class Lammps(TimeSteppingEngine):
             for gauge in {"physical": (0.0,), "gauge": (small,), "auto": (0.0, small)}[
                 self.diameter
             ]:
-                column = Column(scene, gauge, self.pair_style, (), self.template, self.include)
+                column = LammpsColumn(
+                    scene, gauge, self.pair_style, (), self.template, self.include
+                )
                 _ = column.types, column.drag
             if self.template:
                 deck.check_template(column, self.splitting(scene))
@@ -284,7 +286,7 @@ class Lammps(TimeSteppingEngine):
         velocity the same error counts times the highest frequency. In 60 random scenes the measured
         round-off was 0.05 to 1.5 times this in nine of ten; reflections amplified it up to tenfold.
         """
-        column = Column(scene, gauge, self.pair_style)
+        column = LammpsColumn(scene, gauge, self.pair_style)
         ulp = np.spacing(np.abs(column.heights).max())
         walk = HEIGHTS.rounding * ulp * math.sqrt(steps * self.splitting(scene).evaluations)
         # what does not move has no relative error
@@ -348,7 +350,7 @@ class Lammps(TimeSteppingEngine):
             communicator.ask("commands", "log none")
         return stepper
 
-    def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> Column:
+    def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> LammpsColumn:
         """Return the column of a candidate, with the choices as remarks for the head of a deck."""
         error = candidate.solver_error
         expected = "not estimated beforehand" if math.isnan(error) else f"{error:.1g}"
@@ -357,7 +359,7 @@ class Lammps(TimeSteppingEngine):
             f"{self.splitting(scene).name}, expected error {expected}",
             *([remark] if remark else []),
         )
-        return Column(
+        return LammpsColumn(
             scene, _gauge_of(candidate), self.pair_style, remarks, self.template, self.include
         )
 

@@ -21,10 +21,10 @@ from ...chain.chain import Chain
 from ...integrators.kernels.phase_error import (
     STATE,
     Evaluations,
-    Imposed,
-    Law,
-    Links,
-    Sums,
+    ImposedMotion,
+    LinearLinks,
+    PhaseSums,
+    StrainError,
     accumulate,
     start,
 )
@@ -62,7 +62,7 @@ class Factors:
 
 
 @dataclass(frozen=True)
-class Looks:
+class EvaluationTimes:
     """When a linear solution is evaluated besides its samples.
 
     Attributes
@@ -94,7 +94,7 @@ class Looks:
 
 
 FACTORS = Factors()
-LOOKS = Looks()
+LOOKS = EvaluationTimes()
 
 
 class PhaseError:
@@ -115,7 +115,7 @@ class PhaseError:
         inverse_mass[chain.movable :] = 0.0
         inverse_mass[: scene.excitation.driven] = 0.0
         overlap = np.where(contacts.pressed, contacts.overlap, np.inf)
-        self._links = Links(contacts.stiffness, 1 / overlap, inverse_mass)
+        self._links = LinearLinks(contacts.stiffness, 1 / overlap, inverse_mass)
         self._excess = excess(scene)
         self._excitation = scene.excitation
         self._grain = first_moved(scene) - 1
@@ -123,7 +123,7 @@ class PhaseError:
         # a little more than half of the time from one close evaluation to the next
         near = 0.6 / LOOKS.resolved / self._fastest
         opening = LOOKS.opening if may_open(scene) else -np.inf
-        self._law = Law(self._excess / 4, near, opening)
+        self._law = StrainError(self._excess / 4, near, opening)
         self._decidable = decidable(scene)
         self._resonance = Resonance(scene)
         self._in_phase = in_phase(scene)
@@ -142,7 +142,7 @@ class PhaseError:
             acceleration = wave.at(solution.time, 2)
         elif wave:
             acceleration = wave.at(solution.time) * self._links.inverse_mass[self._grain]
-        imposed = Imposed(wall, self._grain, acceleration)
+        imposed = ImposedMotion(wall, self._grain, acceleration)
         accumulate(self._state, self._links, solution, imposed, self._law)
 
     @property
@@ -245,9 +245,9 @@ class PhaseError:
         return np.where(largest > 0, largest, np.inf)
 
     @property
-    def sums(self) -> Sums:
+    def sums(self) -> PhaseSums:
         """Sums along the solution so far."""
-        return Sums(*self._state[0].item())
+        return PhaseSums(*self._state[0].item())
 
     @property
     def remark(self) -> str:

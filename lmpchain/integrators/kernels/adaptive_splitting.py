@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from .contact_forces import compiled_march, fma, inlined, pasted
-from .dense_output import Rates, fill_jerk, fill_samples, keep, passes
-from .layout import PAD, RESOLUTION, Chains, Rows, Shortening, Stages, make_rows
+from .dense_output import DenseRates, fill_jerk, fill_samples, keep, passes
+from .layout import PAD, RESOLUTION, Chains, Rows, Shortening, SplittingStages, make_rows
 from .openings import shorten
 from .right_hand_side import (
     accelerate,
@@ -120,10 +120,12 @@ def _advance(chain, method, work, clock, span, out, landed):
     return 1
 
 
-def make_work(chains: Chains, method: tuple[Stages, Shortening]) -> tuple[Rows, Rates]:
+def make_work(
+    chains: Chains, method: tuple[SplittingStages, Shortening]
+) -> tuple[Rows, DenseRates]:
     """Return what a thread works in."""
     rows = make_rows(method[0].drifts.size - 1, chains.imposed.acts)
-    return rows, Rates(*np.zeros((4, chains.x.shape[1])))
+    return rows, DenseRates(*np.zeros((4, chains.x.shape[1])))
 
 
 # `method` is `layout.Stages` and `layout.Shortening`

@@ -15,7 +15,7 @@ from .contact_forces import fma, inlined
 from .layout import PAD, WHOLE_ROWS
 
 
-class Rates(NamedTuple):
+class DenseRates(NamedTuple):
     """Forces on bodies, accelerations, rates of the forces, and jerks, (W,) arrays."""
 
     force: Array

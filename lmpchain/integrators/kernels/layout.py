@@ -197,7 +197,7 @@ class Chains(NamedTuple):
     team: Team
 
 
-class Chain(NamedTuple):
+class BatchMember(NamedTuple):
     """One chain of a batch, its number in it, and that of its schedule."""
 
     x: Array
@@ -239,7 +239,7 @@ def make_rows(count: int, acts: bool) -> Rows:
     return Rows(kick, drift, carried, path[: count if acts else 0])
 
 
-class Stages(NamedTuple):
+class SplittingStages(NamedTuple):
     """Kicks (S+1,) and drifts (S,) of a splitting, and their sums (S,), as fractions of a step."""
 
     kicks: Array
@@ -341,7 +341,7 @@ class Fields(NamedTuple):
     balance: Array
 
 
-class Row(NamedTuple):
+class SampleRow(NamedTuple):
     """Where samples of one chain go: (B, N) arrays, from the sample `first` on; see `Fields`."""
 
     u: Array

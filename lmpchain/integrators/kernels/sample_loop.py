@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from .contact_forces import inlined, pasted
-from .layout import Chain, Imposed, Links, Row, Span
+from .layout import BatchMember, Imposed, Links, SampleRow, Span
 from .window import record
 
 # of the time between two landings: shorter steps would not move the clock, and there would be too
@@ -33,7 +33,7 @@ def chain_of(chains, real, schedule):
     """Return one chain of a batch, as a schedule moves it."""
     imposed = chains.imposed
     row = schedule * chains.omega.size + real
-    return Chain(
+    return BatchMember(
         x=chains.x[row],
         v=chains.v[row],
         history=chains.history[row],
@@ -61,8 +61,8 @@ def _row(fields, real, schedule):
     """Return where the samples of a chain go."""
     balance = fields.balance[schedule, real]
     if schedule == 0:
-        return Row(fields.u[real], fields.v[real], fields.first, balance)
-    return Row(
+        return SampleRow(fields.u[real], fields.v[real], fields.first, balance)
+    return SampleRow(
         fields.others_u[schedule - 1, real],
         fields.others_v[schedule - 1, real],
         fields.first,

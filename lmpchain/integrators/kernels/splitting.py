@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .contact_forces import compiled_march, inlined, pasted
-from .layout import PAD, Chains, Rows, Stages, make_rows
+from .layout import PAD, Chains, Rows, SplittingStages, make_rows
 from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
 from .sample_loop import sample_loop
 from .window import LOOKS, look, watch, widen
@@ -100,7 +100,7 @@ def _advance(chain, method, work, clock, span, out, landed):
     return burst
 
 
-def make_work(chains: Chains, method: Stages) -> Rows:
+def make_work(chains: Chains, method: SplittingStages) -> Rows:
     """Return what a thread works in."""
     return make_rows(ROWS + 2 * method.drifts.size, chains.imposed.acts)
 

@@ -20,7 +20,7 @@ TINY = 1e-19
 NOTHING = 1e-40
 
 
-class Looks(NamedTuple):
+class WindowLooks(NamedTuple):
     """How often the largest motion is looked for.
 
     Attributes
@@ -38,7 +38,7 @@ class Looks(NamedTuple):
     longest: float = 2.0**30
 
 
-LOOKS = Looks()
+LOOKS = WindowLooks()
 
 
 @inlined

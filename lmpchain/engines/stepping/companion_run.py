@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import RunFailed
 from ...integrators.batch import ROUNDED, ChainBatch
-from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, Runs, compare
+from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, AuxiliaryRuns, compare
 from ...integrators.method import Method
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper, Stepper, room_for
@@ -50,7 +50,7 @@ BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no 
 
 
 @dataclass(frozen=True)
-class Looks:
+class JudgingTimes:
     """When a run is judged on the way; analysis/lost_attempts.py.
 
     Attributes
@@ -71,7 +71,7 @@ class Looks:
     steepest: float = 12.0
 
 
-LOOKS = Looks()
+LOOKS = JudgingTimes()
 TINY = 1e-300
 # factor on the error of an energy: a single number may agree by chance where motions differ
 SUMMED = 4.0
@@ -85,7 +85,7 @@ MakeStepper = Callable[[Sequence[StepSchedule], Mapping[str, Array]], Stepper]
 Fill = Callable[[int, int], int]  # to a sample, by no more than so many steps; returns the steps
 
 
-class Motion(NamedTuple):
+class LargestMotion(NamedTuple):
     """How much moves in a realisation, by which errors and round-off are measured.
 
     Attributes
@@ -330,7 +330,7 @@ class CompanionRun(Run):
         """Check samples `first` ... `stop` - 1, and keep their distances from the companions."""
         began = clock()
         companions = self._companions
-        runs = Runs(*self._fields, companions.against, companions.strides)
+        runs = AuxiliaryRuns(*self._fields, companions.against, companions.strides)
         verdict = compare(
             u, v, runs, first, self._chains.masses, self._allowed, self._differences, self._peaks
         )
@@ -392,7 +392,8 @@ class CompanionRun(Run):
         evaluations = self.native.steps * self._rounded_in_step
         table = np.column_stack((scale, lowest, evaluations)).tolist()
         return [
-            self._estimate(real, Motion(*row), distances[:, real]) for real, row in enumerate(table)
+            self._estimate(real, LargestMotion(*row), distances[:, real])
+            for real, row in enumerate(table)
         ]
 
     @property
@@ -415,7 +416,7 @@ class CompanionRun(Run):
         scale[scale == 0.0] = 1.0
         return scale
 
-    def _estimate(self, real: int, motion: Motion, distances: Array) -> ErrorBudget:
+    def _estimate(self, real: int, motion: LargestMotion, distances: Array) -> ErrorBudget:
         """Return the estimate for one realisation from the distances between its runs, (S, 2)."""
         scene = self._scenes[real]
         companions = self._companions
@@ -564,16 +565,16 @@ class CompanionRun(Run):
         recurs = self._companions.recurrent[real]
         return recurs and could_grow(self._scenes[real], evaluations) > size
 
-    def _flights(self, real: int, motion: Motion) -> float:
+    def _flights(self, real: int, motion: LargestMotion) -> float:
         """Return how far the fastest grain would come in the whole run, over all that it moves."""
         return motion.velocity * self._scenes[real].duration / motion.displacement
 
-    def _free_flights(self, real: int, motion: Motion) -> float:
+    def _free_flights(self, real: int, motion: LargestMotion) -> float:
         """Return the same where contacts open: none turns faster than the fastest motion."""
         radians = self._scenes[real].highest_frequency * self._scenes[real].duration
         return max(min(self._flights(real, motion), radians), 1.0)
 
-    def _round(self, real: int, motion: Motion, flights: float) -> float:
+    def _round(self, real: int, motion: LargestMotion, flights: float) -> float:
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
         radians = scene.highest_frequency * scene.duration
@@ -593,7 +594,7 @@ class CompanionRun(Run):
             roundoff += reduced_loss(scene, displacement, closer) / motion.velocity
         return roundoff
 
-    def _may_amplify(self, real: int, motion: Motion, estimate: float) -> bool:
+    def _may_amplify(self, real: int, motion: LargestMotion, estimate: float) -> bool:
         """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self._sample == self.scene.samples - 1

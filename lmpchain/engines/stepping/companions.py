@@ -27,7 +27,7 @@ from .estimate import estimate_truncation
 
 
 @dataclass(frozen=True)
-class Openings:
+class OpeningOrder:
     """Effect of openings of contacts on the order of a method.
 
     Measured by analysis/calibration/richardson_estimate.py.
@@ -80,7 +80,7 @@ class Openings:
         return self.coarse_order if candidate.coarse_openings else self.order
 
 
-OPENINGS = Openings()
+OPENINGS = OpeningOrder()
 STRIKES = (Impulse, Displacement)  # of one grain
 LONGER = (2.0, 4.0)  # steps of companions over those of the answer
 DIVIDING = (2.0, 3.0, 4.0)  # the same where each is to land on every sample

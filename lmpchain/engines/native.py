@@ -7,20 +7,20 @@ from typing import ClassVar
 
 import numba
 
-from ...errors import InputError, ToleranceNotMet, shown
-from ...integrators.batch import FORCES, ChainBatch, force_form, name_of
-from ...integrators.kernels.contact_forces import ROOTS
-from ...integrators.kernels.layout import PAD
-from ...integrators.methods import BY_NAME, METHODS
-from ...integrators.step_schedule import StepSchedule
-from ...integrators.stepper import NativeStepper
-from ...scene.scene import Scene
-from ...util.arrays import Array, check_flags
-from ...util.suggestions import not_among
-from ..base import Candidate
-from .round_off import native_floor, plain_loss
-from .step_choice import StepChoice
-from .time_stepping import TimeSteppingEngine
+from ..errors import InputError, ToleranceNotMet, shown
+from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
+from ..integrators.kernels.contact_forces import ROOTS
+from ..integrators.kernels.layout import PAD
+from ..integrators.methods import BY_NAME, METHODS
+from ..integrators.step_schedule import StepSchedule
+from ..integrators.stepper import NativeStepper
+from ..scene.scene import Scene
+from ..util.arrays import Array, check_flags
+from ..util.suggestions import not_among
+from .base import Candidate
+from .stepping.round_off import native_floor, plain_loss
+from .stepping.step_choice import StepChoice
+from .stepping.time_stepping import TimeSteppingEngine
 
 
 class Native(TimeSteppingEngine):
