@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
-from .contacts import Contacts, dynamical_matrix, hertz_constant, pair_value
+from .contact_law import ContactLaw
+from .contacts import Contacts, dynamical_matrix, pair_value
 from .plausible import LIMITS
 
 
@@ -34,8 +35,9 @@ class Grains(NamedTuple):
         Pa; NaN where it is that of the grain which touches the wall.
     wall_constants : two of float
         N/m^delta; NaN where it follows from the wall's material.
-    top_load, gravity, exponent : float
-        N, m/s2, and delta.
+    top_load, gravity : float
+        N and m/s2.
+    law : ContactLaw
     load_grain : int
         The grain, from 1, that the load acts on.
     """
@@ -50,7 +52,7 @@ class Grains(NamedTuple):
     wall_constants: Sequence[float] | Array
     top_load: float
     gravity: float
-    exponent: float
+    law: ContactLaw
     load_grain: int = 1
 
 
@@ -120,7 +122,7 @@ def derive_chain(grains: Grains) -> Equilibrium:
     weight = grains.gravity * masses.cumsum(-1, dtype=np.longdouble)
     force = force_at_rest(weight, grains.top_load, grains.load_grain).astype(float)
     force = np.where(constants > 0, force, 0.0)
-    contacts = Contacts.at_rest(constants, force, grains.exponent)
+    contacts = Contacts.at_rest(constants, force, grains.law)
     return Equilibrium(contacts, *map(read_only, (lengths, diameters, masses)))
 
 
@@ -153,7 +155,7 @@ def _contact_constants(grains: Grains, lengths: Array) -> Array:
     modulus = pair_value(_with_ends(grains.moduli, *planes))
     radius = pair_value(_with_ends(grains.diameters / 2, math.inf, math.inf))
     # Hertz's constants, which given ones replace
-    natural = hertz_constant(modulus, radius, lengths, grains.exponent)
+    natural = grains.law.constant(modulus, radius, lengths)
     fixed = grains.contact_constants
     between = np.where(np.isnan(fixed), natural[..., 1:-1], fixed)
     ends: list[Any] = []

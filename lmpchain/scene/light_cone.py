@@ -80,14 +80,14 @@ def reached(
 def _fastest(chain: Chain, first: int, last: int, energy: float) -> float:
     """Bound sqrt(k_max / m_min), rad/s, of grains first ... last with this energy above rest, J."""
     if chain.grains <= FEW_GRAINS:
-        stiffness = chain.contacts.stiffness_at(chain.contacts.overlap_bound(energy))
+        stiffness = chain.contacts.stiffness_bound(chain.contacts.overlap_bound(energy))
         # contacts between these grains, and those with the walls of the chain
         stiffness = stiffness[first - (first == 1) : last + (last == chain.grains)]
         masses = chain.masses[first - 1 : last]
     else:
         # the arrays of a long chain take long: those of the piece suffice
         piece = chain.part(first, last)
-        stiffness = piece.contacts.stiffness_at(piece.contacts.overlap_bound(energy))
+        stiffness = piece.contacts.stiffness_bound(piece.contacts.overlap_bound(energy))
         masses = piece.masses
     return math.sqrt(float(stiffness.max()) / masses.min())
 

@@ -314,7 +314,7 @@ class Scene(Recording):
     def _pair_frequency(self) -> float:
         """Bound on the frequency of two grains pressed together by the strike, rad/s."""
         overlap = first_overlaps(self.chain, self.excitation)
-        stiffness = self.chain.contacts.stiffness_at(overlap).max()
+        stiffness = self.chain.contacts.stiffness_bound(overlap).max()
         return math.sqrt(2 * stiffness / self.chain.masses.min())
 
     @cached_property

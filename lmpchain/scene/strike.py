@@ -126,7 +126,7 @@ def strike_remarks(
     """Yield remarks on overlaps beyond Hertz's law, and on grains faster than sound in them."""
     limit = LIMITS.hertz_compression
     # a chain that is squeezed so at rest says it of itself
-    if chain.exponent == 1.5 and compression > limit > chain.equilibrium.compression.max():
+    if chain.law.power == 1.5 and compression > limit > chain.equilibrium.compression.max():
         yield f"{_strength(excitation)}: {beyond_hertz(compression)}"
     speed = np.abs(around.excitation.largest(around.chain)[1])
     sound = around.chain.by_grain("sound_speed")

@@ -49,7 +49,7 @@ class OpeningOrder:
     far : float
         Strain from which a contact that is pressed by equal steps began as good as open.
     kinked_below : float
-        Exponent below which the force has a kink at an opening.
+        Power of the overlap, with which a force sets in, below which it has a kink at an opening.
     returning : float
         Phase of the fastest motion, in radians a grain, after which waves come back to contacts
         that opened: errors scatter from there on.
@@ -69,9 +69,9 @@ class OpeningOrder:
     nearby: float = 1.5
     nearby_kinked: float = 1.75
 
-    def kinks(self, exponent: float) -> bool:
-        """Say whether the force of contacts of this exponent has a kink at an opening."""
-        return exponent < self.kinked_below
+    def kinks(self, onset: float) -> bool:
+        """Say whether a force that sets in with this power has a kink at an opening."""
+        return onset < self.kinked_below
 
     def trusted_order(self, candidate: Candidate) -> float:
         """Return the highest order that is trusted where contacts open, or nearly so."""
@@ -122,14 +122,13 @@ class Companions:
     ):
         self._method = method
         self._candidate = candidate
-        exponent = scenes[0].chain.exponent
         self._order_at_openings = min(method.order, OPENINGS.trusted_order(candidate))
         longer = longer_steps(method, scenes[0], candidate)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._far = [scene.largest_strain > OPENINGS.far for scene in scenes]
         self._nearby = len(longer) == 2 and candidate.adaptive and any(self.recurrent)
         if self._nearby:
-            kinks = OPENINGS.kinks(exponent)
+            kinks = OPENINGS.kinks(scenes[0].chain.law.onset)
             longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
         self.answer = candidate.schedule()
         arrangement = _arrange(
@@ -292,4 +291,4 @@ def recurs(scene: Scene) -> bool:
     returns = scene.highest_frequency * scene.duration > OPENINGS.returning * crossed
     opens = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
     chain = scene.chain
-    return opens and (returns or OPENINGS.kinks(chain.exponent) or not chain.linearisable)
+    return opens and (returns or OPENINGS.kinks(chain.law.onset) or not chain.linearisable)
