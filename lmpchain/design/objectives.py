@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array, whole_numbers
-from .seen import Slopes, Seen, contact_force, quadrature
+from .seen import Seen, Slopes, contact_force, quadrature
 
 
 class Objective(Protocol):
