@@ -24,7 +24,7 @@ from ..util.arrays import Array, check_flags
 from ..util.memory import free_memory
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
-from .gathering import GatheringRun, at_samples, of_engine
+from .accumulation import GatheringRun, at_samples, of_engine
 from .policy import policy_for, record
 from .task import Task
 

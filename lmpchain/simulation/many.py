@@ -16,8 +16,8 @@ from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from .accumulation import GatheringRun, at_samples
 from .api import check_on_miss, simulate
-from .gathering import GatheringRun, at_samples
 from .policy import damping_record, policy_for, record
 
 # samples x grains of the scenes of a batch, which then stay in the cache of a processor
