@@ -26,7 +26,7 @@ from ..util.memory import free_memory
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
 from .accumulation import GatheringRun, at_samples, of_engine
-from .choice import choose, engine_for, fall_back, obstacles, record
+from .choice import choose, engine_for, fall_back, record, refusals
 
 if TYPE_CHECKING:
     from .run_folder import RunFolder
@@ -100,7 +100,7 @@ def simulate(
     check_on_miss(on_miss)
     check_flags(progress=progress)
     chosen = engine_for(engine, **options)
-    if reasons := obstacles(scene, chosen):
+    if reasons := refusals(scene, chosen):
         raise InputError(reasons)
     asked = scene, chosen, tolerance, on_miss == "warn"
     if folder is None:
