@@ -127,7 +127,7 @@ class Bench:
 
     def over_steps(self, name: str, integrator: str) -> Iterator[CurvePoint]:
         """Yield points at ever shorter steps, from the longest stable one to round-off."""
-        interval = self.scene.duration / (self.scene.samples - 1)
+        interval = self.scene.sampling_interval
 
         def at(steps: int) -> Engine:
             return engines.get(name, integrator=integrator, step=interval / steps)

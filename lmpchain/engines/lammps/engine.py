@@ -506,7 +506,7 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """
     contacts = scene.chain.contacts
     driven = scene.excitation.does_work
-    overlap = contacts.overlap + closest if driven else contacts.overlap_bound(scene.energy)
+    overlap = contacts.overlap + closest if driven else scene.overlap_bounds
     gauge = HEIGHTS.headroom * float(overlap.max())
     return gauge if gauge < scene.chain.diameters.min() else 0.0
 

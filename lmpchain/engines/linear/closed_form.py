@@ -103,7 +103,7 @@ class Bessel(ClosedForm):
         from ...theory import bessel
 
         unit = scene.chain.time_scale
-        strike = scene.excitation.strike_velocity
+        strike = scene.strike_velocity
         n = scene.recorded
         T = times[:, None] / unit
         return strike * unit * bessel.free_end_impulse(n, T), strike * bessel.free_end(n, T)
@@ -129,7 +129,7 @@ class Continuum(ClosedForm):
         from ...theory import continuum
 
         unit = scene.chain.time_scale
-        strike = scene.excitation.strike_velocity
+        strike = scene.strike_velocity
         phi, speed = continuum.impulse_of_grain(
             scene.recorded, times[:, None] / unit, scene.chain.exponent
         )

@@ -59,7 +59,7 @@ class LinearEngine(Engine):
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the one way there is."""
         return Candidate(
-            step=scene.duration / (scene.samples - 1),
+            step=scene.sampling_interval,
             active_grains=scene.chain.grains,
             model_error=expected_error(scene),
             solver_error=self.round_off(scene),
@@ -314,11 +314,11 @@ class LinearRun(Run):
             integration_s=self._integration_s,
             estimate_s=self._estimate_s,
             setup_s=self._setup_s,
-            steps=self._scene.samples - 1,
+            steps=self._scene.intervals,
             force_evaluations=sum(solution.work for solution in self._solutions),
             active_grains=self._scene.chain.grains,
             integrator=self._engine.name,
-            step_s=self._scene.duration / (self._scene.samples - 1),
+            step_s=self._scene.sampling_interval,
             ranks=1,
         )
 

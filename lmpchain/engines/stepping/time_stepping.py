@@ -99,7 +99,7 @@ class TimeSteppingEngine(Engine):
         """Propose the steps of a choice."""
         fixed = self.step is not None
         candidate = Candidate(
-            step=scene.duration / (scene.samples - 1) * choice.stride / choice.steps,
+            step=scene.sampling_interval * choice.stride / choice.steps,
             active_grains=scene.chain.grains,
             model_error=0.0,
             solver_error=math.nan if fixed else tolerance,
