@@ -114,13 +114,13 @@ def in_batches(
         with suppress(LmpchainError):
             attempt = first_attempt(engine, engine.part(scene), tolerance)
             # else the light cone saves more than a batch
-            if 2 * attempt.candidate.active_grains >= scene.chain.grains:
+            if 2 * attempt.proposal.active_grains >= scene.chain.grains:
                 attempts[number] = attempt
     while attempts:
         groups: dict[Any, list[int]] = {}
         for number, attempt in attempts.items():
             scene = scenes[number]
-            key = scene.quantities, *alike(scene.fine, attempt.candidate)
+            key = scene.quantities, *alike(scene.fine, attempt.proposal)
             groups.setdefault(key, []).append(number)
         following: dict[int, Attempt] = {}
         for numbers in _split(scenes, groups.values()):
@@ -150,10 +150,10 @@ def _solve(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
     """Run scenes together; return answer, next attempt, and reason of a miss for each."""
-    candidate = attempts[0].candidate
+    proposal = attempts[0].proposal
     parts = [scene.fine for scene in scenes]
     gathering = None
-    with closing(engine.start(parts, candidate)) as answering:
+    with closing(engine.start(parts, proposal)) as answering:
         run = answering
         if scenes[0].quantities:
             run = gathering = GatheringRun(run, engine, scenes, parts, {})
@@ -168,7 +168,7 @@ def _solve(
     for scene, quantities, summed in zip(scenes, gathered, energies, strict=False):
         quantities |= at_samples(scene, summed)
     cost = _share(cost, attempts)
-    provenance = record(engine, scenes[0], candidate, tolerance)
+    provenance = record(engine, scenes[0], proposal, tolerance)
     results = []
     for row, (scene, attempt, error) in enumerate(zip(scenes, attempts, errors, strict=True)):
         following, missed = next_attempt(engine, scene.fine, attempt, error)

@@ -7,14 +7,14 @@ from functools import partial
 from typing import Any
 
 from .. import engines
-from ..engines.base import Candidate, Engine, ErrorBudget
+from ..engines.base import Engine, ErrorBudget, Proposal
 from ..engines.step_control import Attempt, first_attempt, loosen
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
 from ..util.compilation import clock, compiled_s
 from ..util.provenance import versions
 from ..util.suggestions import not_among
-from .selection import Proposal, cheapest, propose, reason
+from .selection import cheapest, propose, reason
 
 AUTO = "auto"
 GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
@@ -91,7 +91,7 @@ class Auto:
 
     def engine(self, attempt: Attempt) -> Engine:
         """Return the engine that was chosen."""
-        return engines.plain(attempt.engine)
+        return engines.plain(attempt.proposal.engine)
 
     def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
         """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
@@ -120,7 +120,7 @@ class Auto:
                 f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}"
             )
         best = cheapest(exact)
-        expected = f"expected were {attempt.candidate.model_error:.1g}"
+        expected = f"expected were {attempt.proposal.model_error:.1g}"
         redone = (
             f"{left_out} along the run of {before.name}, {expected}: "
             f"run again with {best.engine}, Eq. (1)"
@@ -142,9 +142,7 @@ def _cheapest(scene: Scene, tolerance: float) -> Attempt:
 
 def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
     """Return the first attempt of a proposal, which keeps on record why it was chosen."""
-    assert proposal.candidate
-    choices = {**proposal.candidate.choices, **why}
-    return Attempt(proposal.engine, proposal.candidate._replace(choices=choices), tolerance)
+    return Attempt(proposal._replace(choices={**proposal.choices, **why}), tolerance)
 
 
 def policy_for(engine: str | Engine, **options: Any) -> Policy:
@@ -162,14 +160,14 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 
-def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
+def record(engine: Engine, scene: Scene, proposal: Proposal, tolerance: float) -> dict[str, str]:
     """Return the record of an answer: versions, choices, and the remarks of the engine."""
     asked = GIVEN_STEP if engine.step else f"{tolerance:g}"
     return {
         **versions(),
         "tolerance": asked,
-        **candidate.choices,
-        **engine.describe(scene, candidate),
+        **proposal.record(),
+        **engine.describe(scene, proposal),
         **damping_record(scene),
     }
 

@@ -8,82 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 from .. import engines
-from ..engines.base import Candidate, Engine
+from ..engines.base import Engine, Proposal
 from ..engines.cost_model import speed
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
-from ..util.tables import finite
 
 # by the equation that it solves
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
-COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
-           "step", "cost_s", "kept", "why")  # fmt: skip
 SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
-
-
-class Proposal(NamedTuple):
-    """An engine's candidate and the verdict on it.
-
-    Attributes
-    ----------
-    engine : str
-    equation : int or None
-        Number in the paper of the equation that it solves; None if the engine was not asked.
-    candidate : Candidate or None
-        None if it has nothing to propose.
-    kept : bool
-        Whether it is expected to meet the tolerance.
-    why : str
-        Why it is kept or not.
-    """
-
-    engine: str
-    equation: int | None = None
-    candidate: Candidate | None = None
-    kept: bool = False
-    why: str = ""
-
-    @property
-    def integrator(self) -> str:
-        """The method that steps through time; empty where the solution is exact."""
-        return self.candidate.integrator if self.candidate else ""
-
-    @property
-    def model_error(self) -> float:
-        """Expected relative error of the equation; NaN if it is not known."""
-        return self.candidate.model_error if self.candidate else math.nan
-
-    @property
-    def solver_error(self) -> float:
-        """Expected relative error of the numerical solution; NaN if it is not known."""
-        return self.candidate.solver_error if self.candidate else math.nan
-
-    @property
-    def active_grains(self) -> int | None:
-        """Grains that are computed; the others are out of reach."""
-        return self.candidate.active_grains if self.candidate else None
-
-    @property
-    def step(self) -> float:
-        """Time step, s; of an exact solution, the time between two samples."""
-        return self.candidate.step if self.candidate else math.nan
-
-    @property
-    def cost_s(self) -> float:
-        """Expected time, s."""
-        return self.candidate.cost_s if self.candidate else math.nan
-
-    @property
-    def price_s(self) -> float:
-        """Expected time, s; infinite if it is not kept."""
-        return self.cost_s if self.kept else math.inf
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields for a JSON file; numbers that are not known are null."""
-        return finite({name: getattr(self, name) for name in COLUMNS})
 
 
 def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposal]:
@@ -113,7 +47,7 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
 
 def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) -> list[Proposal]:
     """Return the proposals of engines that are asked only where no other one can do the scene."""
-    if any(proposal.candidate for proposal in others):
+    if any(proposal.possible for proposal in others):
         why = "only if asked for by name, or if no other engine can do the scene"
         return [Proposal(name, why=why) for name in engines.ON_REQUEST]
     return [ask(engines.plain(name), scene, tolerance) for name in engines.ON_REQUEST]
@@ -131,7 +65,7 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     Returns
     -------
     Proposal
-        Without a candidate where the engine cannot do the scene or meet the tolerance.
+        Without steps where the engine cannot do the scene or meet the tolerance.
     """
     name = engine.name
     equation = engine.equation
@@ -139,17 +73,17 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
         why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, equation, why=why)
     try:
-        candidate = engine.candidate(engine.part(scene), tolerance)
+        proposal = engine.propose(engine.part(scene), tolerance)
     except ToleranceNotMet as error:
         return Proposal(name, equation, why=error.reason)
     except InputError as error:
         why = "; ".join(f"{key}: {fault}" for key, fault in error.faults)
         return Proposal(name, equation, why=why)
-    return judge(Proposal(name, equation, candidate), scene, tolerance)
+    return judge(proposal, scene, tolerance)
 
 
 def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
-    """Return a proposal with the verdict on its candidate."""
+    """Return a proposal with the verdict on it."""
     theory = THEORY.get(proposal.equation or 1, f"Eq. ({proposal.equation})")
     if proposal.model_error + proposal.solver_error <= tolerance * SUM_ROUNDING:
         return proposal._replace(kept=True, why="within the tolerance")
@@ -181,7 +115,7 @@ def cheapest(proposals: Sequence[Proposal]) -> Proposal:
     best = min(proposals, key=lambda proposal: proposal.price_s)
     if not best.kept:
         # an engine that cannot do the scene at all says nothing of the tolerance
-        asked = [proposal for proposal in proposals if proposal.candidate or proposal.equation == 1]
+        asked = [proposal for proposal in proposals if proposal.possible or proposal.equation == 1]
         raise ToleranceNotMet("; ".join(f"{proposal.engine}: {proposal.why}" for proposal in asked))
     return best
 

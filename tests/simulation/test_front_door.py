@@ -187,7 +187,7 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
         1e-6,
     )
     assert kept["best_effort"] is False
-    assert kept["step_s"] == Native().candidate(SCENE, 1e-6).step
+    assert kept["step_s"] == Native().propose(SCENE, 1e-6).step
     assert kept["error_estimate"] == lmpchain.Trajectory.load(folder).error_estimate.total
     assert kept["pid"] > 0
     first_s = kept["wall_s"]
@@ -353,7 +353,8 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
             resume(folder)
 
     noted(attempt=whole | {"candidate": whole["candidate"] | {"step": 0.0}})
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"steps_per_landing": 0}})
+    steps = whole["proposal"]["steps"] | {"per_landing": 0}
+    noted(attempt=whole | {"proposal": whole["proposal"] | {"steps": steps}})
     noted(attempt=whole | {"tolerance": 1.0})
     noted(attempt=whole | {"tolerance": 0.0})
     noted(attempt=whole | {"engine": "fast"})

@@ -246,7 +246,7 @@ def test_no_double_precision_run_holds_beyond_the_predictability_time():
     true = reference(scene)
     said = {tolerance: predictability_time(scene, tolerance) for tolerance in (1e-9, 1e-6)}
     for engine in (Native("rkn6"), Native("dop853")):
-        run = engine.start([scene], engine.candidate(scene, 1e-11))
+        run = engine.start([scene], engine.propose(scene, 1e-11))
         pairs = zip((x[0] for x in blocks_of(run)), (true.displacement, true.velocity), strict=True)
         error = np.max([np.abs(x - y).max(1) / np.abs(y).max() for x, y in pairs], axis=0)
         for tolerance, end in said.items():
@@ -331,7 +331,7 @@ def test_no_random_scene_is_refused_that_can_be_answered():
                     **scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)}
                 )
             tolerance = 10 ** rng.uniform(-6, -3)
-            if Native().candidate(scene, tolerance).cost_s > 0.005:
+            if Native().propose(scene, tolerance).cost_s > 0.005:
                 continue
         except (InputError, ToleranceNotMet):
             continue
