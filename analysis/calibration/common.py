@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -264,7 +264,7 @@ class Job(NamedTuple):
             evaluations.append(run.cost().force_evaluations)
 
         try:
-            attempt = first_attempt(self.engine, self.scene, self.tolerance)
+            attempt = first_attempt(partial(self.engine.propose, self.scene), self.tolerance)
             if self.longer > 1:
                 steps = math.ceil(attempt.proposal.steps.per_landing / self.longer)
                 attempt = attempt._replace(

@@ -100,7 +100,7 @@ def _uses_ranks(argv: Sequence[str] | None) -> bool:
             # wrong, as the first process is about to say
             return False
     if arguments.command is resume:
-        from ..simulation.task import engine_of
+        from ..simulation.folder_files import engine_of
 
         return engine_of(arguments.folder) == "lammps"
     return arguments.command is run and arguments.engine == "lammps"
@@ -174,7 +174,7 @@ def _main(argv: Sequence[str] | None) -> int:
 
 def _describe_rest(arguments: argparse.Namespace) -> str:
     """Return in words what a stopped command has left on the disk."""
-    from ..simulation.task import is_run, resume_command
+    from ..simulation.folder_files import is_run, resume_command
 
     if arguments.command is sweep:
         return f"what is done is kept in {arguments.output}; the same command continues from there"

@@ -62,7 +62,6 @@ PATIENCE = Patience()
 # what chaos leaves to know, and its call
 AVERAGES = "averages over time (lmpchain.averages)"
 Collected = TypeVar("Collected")  # of the blocks of a run
-Proposed = TypeVar("Proposed")
 
 
 class Attempt(NamedTuple):
@@ -161,22 +160,34 @@ class _Lost(Exception):
 
 
 def first_attempt(
-    engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False
+    propose: Callable[[float], Proposal], tolerance: float, best_effort: bool = False
 ) -> Attempt:
-    """Return the first attempt; `best_effort` loosens a tolerance that the engine refuses.
+    """Return the first attempt, from the proposal for a tolerance.
+
+    If the tolerance is refused, `best_effort` asks for four times as much, and so on.
 
     Raises
     ------
     ToleranceNotMet
-        If the engine knows beforehand that it cannot meet the tolerance.
+        If it is known beforehand that the tolerance cannot be met, or with `best_effort` that
+        nothing tighter than 0.1 can.
     """
     began = clock()
     compiled = compiled_s()
-    propose = partial(engine.propose, scene)
-    proposal, tolerance, refusal = loosen(propose, tolerance, best_effort)
+    reason = ""
+    while True:
+        try:
+            proposal = propose(tolerance)
+            break
+        except ToleranceNotMet as refusal:
+            if tolerance > 0.1 or not best_effort:
+                raise
+            reason = reason or refusal.reason
+            # a refusal names no tolerance that would do
+            tolerance *= 4
     planned_s = clock() - began
     compiled = compiled_s() - compiled
-    return Attempt(proposal, tolerance, refusal, planned_s=planned_s, compiled_s=compiled)
+    return Attempt(proposal, tolerance, reason, planned_s=planned_s, compiled_s=compiled)
 
 
 def solve_to_tolerance(
@@ -386,33 +397,6 @@ def _shorten(
     if better is None and error.truncation > floor:
         better = engine.refine(proposal, error._replace(roundoff=0.0), floor)
     return better
-
-
-def loosen(
-    propose: Callable[[float], Proposed], tolerance: float, best_effort: bool = True
-) -> tuple[Proposed, float, str]:
-    """Return the proposal for a tolerance; by `best_effort`, for a looser one that can be met.
-
-    Returns
-    -------
-    the proposal, the tolerance it is for, and why the one asked for was refused (empty if it was
-    not)
-
-    Raises
-    ------
-    ToleranceNotMet
-        If nothing tighter than 0.1 can be met, or not even this tolerance without `best_effort`.
-    """
-    reason = ""
-    while True:
-        try:
-            return propose(tolerance), tolerance, reason
-        except ToleranceNotMet as refusal:
-            if tolerance > 0.1 or not best_effort:
-                raise
-            reason = reason or refusal.reason
-            # a refusal names no tolerance that would do
-            tolerance *= 4
 
 
 def _stalls(attempt: Attempt) -> bool:

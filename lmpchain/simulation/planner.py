@@ -18,7 +18,7 @@ from ..util.notebook import Shown
 from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
 from ..util.tables import align, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
-from .selection import ask, cheapest, propose, reason
+from .choice import ask, cheapest, propose, reason
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

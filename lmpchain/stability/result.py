@@ -63,7 +63,7 @@ class Boundary:
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredCurve:
+class Curve:
     """A measured curve, for the picture.
 
     Attributes
@@ -94,7 +94,7 @@ class Stability(Shown, Tabular):
 
     scene: Scene
     boundaries: tuple[Boundary, ...]
-    curves: tuple[MeasuredCurve, ...]
+    curves: tuple[Curve, ...]
     left_out: tuple[str, ...]
 
     def table(self) -> str:

@@ -71,7 +71,6 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
         fill(
             ends,
             clock,
-            span,
             DenseRates(rows[0], rows[2], rows[0], rows[3]),
             SampleRow(u, v, 0, np.zeros((0, 2))),
         )

@@ -1,6 +1,7 @@
 """The floor of round-off and the predictability time, held against extended precision."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -293,7 +294,7 @@ def answerable(scene, tolerance, patient):
     None where it breaks down.
     """
     native = Native()
-    attempt = first_attempt(native, scene, tolerance)
+    attempt = first_attempt(partial(native.propose, scene), tolerance)
     try:
         outcome = solve_to_tolerance(
             native, [scene], attempt, lambda run: [None for _ in run.blocks()], patient=patient
@@ -309,7 +310,7 @@ def test_what_can_be_answered_is_not_refused():
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
         scene = Scene(**whole.given() | {"duration": part * end})
-        first = first_attempt(Native(), scene, 1e-6)
+        first = first_attempt(partial(Native().propose, scene), 1e-6)
         outcome = solve_to_tolerance(Native(), [scene], first, lambda run: list(run.blocks()))
         assert outcome.missed == ""
 

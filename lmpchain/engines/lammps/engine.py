@@ -30,7 +30,6 @@ from ..step_control import (
     Attempt,
     Outcome,
     first_attempt,
-    loosen,
     solve_to_tolerance,
 )
 from ..stepping.companion_run import CompanionRun
@@ -199,7 +198,7 @@ class Lammps(TimeSteppingEngine):
         Only its first attempt is foreseen.
         """
         try:
-            return first_attempt(self._trial(scene), scene, tolerance / 2).proposal.cost_s
+            return self._trial(scene).propose(scene, tolerance / 2).cost_s
         except ToleranceNotMet:
             return math.inf
 
@@ -425,13 +424,14 @@ class Lammps(TimeSteppingEngine):
         """
         if not overwrite:
             deck.check_folder(folder)
-        proposal, _, refusal = loosen(partial(self.propose, self.part(scene)), tolerance)
+        attempt = first_attempt(partial(self.propose, self.part(scene)), tolerance, True)
+        refusal = attempt.refusal
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
-        column = self.column(scene, proposal, remark)
+        column = self.column(scene, attempt.proposal, remark)
         make_folder(folder)
         deck.write_data(column, folder / "column.data")
         path = folder / "in.column"
-        return deck.write_deck(column, path, proposal.step, self.splitting(scene))
+        return deck.write_deck(column, path, attempt.proposal.step, self.splitting(scene))
 
     def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
         """Return the pair style, the version of LAMMPS, and the text of the user's template."""
@@ -472,7 +472,7 @@ def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[
             spent_s=attempt.spent_s,
         )
 
-    first = first_attempt(native, scene, tolerance)
+    first = first_attempt(partial(native.propose, scene), tolerance)
     trial = solve_to_tolerance(native, [scene], first, _largest_motion, begin)
     longer = native.lengthen(scene, trial.attempt.proposal, trial.error, tolerance)
     if trial.missed or not longer:

@@ -1,23 +1,122 @@
-"""Engine selection: the cheapest engine that is expected to meet the tolerance.
+"""Choice of the engine: the one that was named, or with "auto" the cheapest one for the scene.
 
-Nothing here knows one engine from another: what counts is which equation they solve, what they
-cost, and how far they expect to be off.
+With "auto" nothing here distinguishes one engine from another: what counts is which equation they
+solve, what they cost, and how large they expect their errors to be.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 from .. import engines
-from ..engines.base import Engine, Proposal
+from ..engines.base import Engine, ErrorBudget, Proposal
 from ..engines.cost_model import speed
+from ..engines.step_control import Attempt, first_attempt
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
+from ..util.compilation import clock
+from ..util.provenance import versions
+from ..util.suggestions import not_among
 
+AUTO = "auto"
+GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
 # by the equation that it solves
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
 SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
+
+
+def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
+    """Return an engine by its name; None for "auto", with which each scene gets its own engine.
+
+    Options without a name are those of the native engine.
+
+    Raises
+    ------
+    InputError
+        If there is no such engine or an option is wrong.
+    """
+    if engine == AUTO and not options:
+        return None
+    if isinstance(engine, str) and engine != AUTO and engine not in engines.REGISTRY:
+        raise InputError.at("engine", not_among(engine, (AUTO, *engines.names())))
+    return engines.get("native" if engine == AUTO else engine, **options)
+
+
+def obstacles(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
+    """Return why an engine, or with None any engine, cannot do a scene, as (key, reason)."""
+    if engine:
+        return engine.obstacles(scene)
+    reasons = []
+    # one engine that can is enough; its faults are told only if none can
+    for other in map(engines.plain, (*engines.automatic(), *engines.ON_REQUEST)):
+        faults = other.obstacles(scene)
+        if not faults:
+            return []
+        reasons += faults
+    return reasons
+
+
+def choose(
+    scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool = False
+) -> Attempt:
+    """Return the first attempt of an engine, or with None of the cheapest engine.
+
+    `best_effort` loosens a tolerance that cannot be met.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If it is known beforehand that the tolerance cannot be met.
+    """
+    ask = partial(engine.propose, engine.part(scene)) if engine else partial(_choose, scene)
+    return first_attempt(ask, tolerance, best_effort)
+
+
+def _choose(scene: Scene, tolerance: float) -> Proposal:
+    """Return the proposal of the cheapest engine, or raise `ToleranceNotMet`."""
+    proposals = propose(scene, tolerance)
+    best = cheapest(proposals)
+    return _explained(best, plan=f"{best.engine}: {reason(best, proposals)}")
+
+
+def _explained(proposal: Proposal, **why: str) -> Proposal:
+    """Return a proposal that keeps on record why it was chosen."""
+    return proposal._replace(choices={**proposal.choices, **why})
+
+
+def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
+    """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If there is none.
+    """
+    before = engines.plain(attempt.proposal.engine)
+    tolerance = attempt.tolerance
+    if before.equation == 1 or (error.bound <= tolerance and not error.remark):
+        return None
+    began = clock()
+    bound = max(error.model, error.model_bound)
+    left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the solution"
+    if error.remark:
+        left_out += f", {error.remark}"
+    # engines that were not asked are listed with their reason, too
+    exact = [each for each in propose(scene, tolerance) if each.equation in (1, None)]
+    if not any(proposal.kept for proposal in exact):
+        why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
+        raise ToleranceNotMet(f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}")
+    best = cheapest(exact)
+    expected = f"expected were {attempt.proposal.model_error:.1g}"
+    redone = (
+        f"{left_out} along the run of {before.name}, {expected}: "
+        f"run again with {best.engine}, Eq. (1)"
+    )
+    best = _explained(best, plan=f"{best.engine}: {redone}", redone=redone)
+    return Attempt(best, tolerance, planned_s=clock() - began)
 
 
 def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposal]:
@@ -127,3 +226,20 @@ def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
         if proposal.cost_s < best.cost_s:
             return f"{why}; {proposal.engine} would cost less, but {proposal.why}"
     return why
+
+
+def record(engine: Engine, scene: Scene, proposal: Proposal, tolerance: float) -> dict[str, str]:
+    """Return the record of an answer: versions, choices, and the remarks of the engine."""
+    asked = GIVEN_STEP if engine.step else f"{tolerance:g}"
+    return {
+        **versions(),
+        "tolerance": asked,
+        **proposal.record(),
+        **engine.describe(scene, proposal),
+        **damping_record(scene),
+    }
+
+
+def damping_record(scene: Scene) -> dict[str, str]:
+    """Return the record of damping: what leaving it out would change."""
+    return {"damping": scene.damping_remark} if scene.chain.damped else {}
