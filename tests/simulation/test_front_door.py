@@ -7,6 +7,7 @@ import json
 import signal
 import time
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -192,7 +193,7 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
         1e-6,
     )
     assert kept["best_effort"] is False
-    assert kept["step_s"] == Native().candidate(SCENE, 1e-6).step
+    assert kept["step_s"] == Native().propose(SCENE, 1e-6).step
     assert kept["error_estimate"] == lmpchain.Trajectory.load(folder).error_estimate.total
     assert kept["pid"] > 0
     first_s = kept["wall_s"]
@@ -358,7 +359,8 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
             resume(folder)
 
     noted(attempt=whole | {"candidate": whole["candidate"] | {"step": 0.0}})
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"steps_per_landing": 0}})
+    steps = whole["proposal"]["steps"] | {"per_landing": 0}
+    noted(attempt=whole | {"proposal": whole["proposal"] | {"steps": steps}})
     noted(attempt=whole | {"tolerance": 1.0})
     noted(attempt=whole | {"tolerance": 0.0})
     noted(attempt=whole | {"engine": "fast"})
@@ -468,7 +470,8 @@ def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
     scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in (1.0e-4, 1.1e-4, 1.2e-4)]
     engine = Native()
     attempts = [
-        first_attempt(engine, scene, 1e-6)._replace(planned_s=0.3, spent_s=0.6) for scene in scenes
+        first_attempt(partial(engine.propose, scene), 1e-6)._replace(planned_s=0.3, spent_s=0.6)
+        for scene in scenes
     ]
     honest = engine.start
     costs = []
