@@ -110,7 +110,7 @@ def waveforms(run: Trajectory) -> Panel:
     above.set_ylabel("velocity downward")
     above.yaxis.set_major_formatter(UnitFormatter("m/s"))
     legend(above)
-    below.axhline(0, color=COLOURS["lammps"], lw=0.8)
+    below.axhline(0, color=COLOURS["vermilion"], lw=0.8)
     below.set(xlabel="grain, from the top", ylabel="difference\n/ largest")
     end = np.abs(run.velocity[-1])
     peak = f"grain {run.grains[end.argmax()]}, {si(end.max(), 'm/s', 1)}"
@@ -178,7 +178,7 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     chain = run.scene.chain
     excitation = run.scene.excitation
     single = chain.grains == 1 or not is_uniform(chain)
-    if single or not excitation.strike_velocity or chain.law.power is None:
+    if single or not run.scene.strike_velocity or chain.law.power is None:
         return None, ""
     # without compression a strike breaks up into waves that keep their heights
     if not chain.compressed:
