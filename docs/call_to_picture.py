@@ -36,7 +36,7 @@ STATIONS = (
     Station(
         "Engine",
         "proposes a step, with\nits error and its cost",
-        ("engines/base.py", "engines/stepping/\n    step_choice.py", "simulation/policy.py"),
+        ("engines/base.py", "engines/stepping/\n    step_choice.py", "simulation/choice.py"),
         "#B34E00",
     ),
     Station(

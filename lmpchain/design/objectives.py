@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array, whole_numbers
-from .seen import Differentiated, Seen, contact_force, quadrature
+from .seen import Seen, Slopes, contact_force, quadrature
 
 
 class Objective(Protocol):
@@ -29,7 +29,7 @@ class Objective(Protocol):
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the grains whose motion counts; raises `InputError` if there is no such value."""
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the value and its derivatives."""
 
 
@@ -83,7 +83,7 @@ class PeakForce:
         ends = (self.contact, self.contact + 1)
         return [grain for grain in ends if 1 <= grain <= scene.chain.grains]
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the smooth maximum and its derivatives."""
         force = contact_force(view, self.contact)
         largest = force.value.max()
@@ -139,7 +139,7 @@ class _AtTime:
 class KineticEnergy(_AtTime):
     """The kinetic energy of a group of grains at one of the samples, J."""
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the energy and its derivatives."""
         look = self._look(view)
         m = view.scene.chain.masses[view.grains - 1]
@@ -165,7 +165,7 @@ class Energy(_AtTime):
         near = {other for grain in group for other in (grain - 1, grain, grain + 1)}
         return sorted(near & set(range(1, scene.chain.grains + 1)))
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the energy and its derivatives."""
         look = self._look(view)
         chain = view.scene.chain
@@ -199,7 +199,7 @@ class Energy(_AtTime):
 class Momentum(_AtTime):
     """The momentum of a group of grains at one of the samples, kg m/s, positive downward."""
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the momentum and its derivatives."""
         look = self._look(view)
         m = view.scene.chain.masses[view.grains - 1]
@@ -231,7 +231,7 @@ class ArrivalTime:
         """Return the grain."""
         return _check_grains(scene, [self.grain])
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the time and its derivatives; raises `InputError` if the grain is too slow."""
         from scipy.optimize import brentq
 
@@ -296,7 +296,7 @@ class Misfit:
             raise InputError.at("values", message)
         return _check_grains(scene, self.group)
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the misfit and its derivatives."""
         difference = (getattr(view, self.field) - self.values) / self.scale
         slopes = view.slopes(float((difference**2).sum() / 2))
@@ -322,7 +322,7 @@ class DriveWork:
             raise InputError.at("objective", message)
         return [1, 2]
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the work and its derivatives."""
         force = contact_force(view, 1)
         # where it opens its force has a vertical tangent: no sum over times knows the derivative
@@ -367,7 +367,7 @@ class Function:
         """Return the group."""
         return _check_grains(scene, self.group)
 
-    def __call__(self, view: Seen) -> Differentiated:
+    def __call__(self, view: Seen) -> Slopes:
         """Return the value and the derivatives that the function gives."""
         value, displacement, velocity = self.function(view.time, view.displacement, view.velocity)
         return view.slopes(float(value))._replace(displacement=displacement, velocity=velocity)

@@ -31,19 +31,19 @@ class Seen(NamedTuple):
     displacement: Array
     velocity: Array
 
-    def slopes(self, value: float) -> Differentiated:
+    def slopes(self, value: float) -> Slopes:
         """Return a value with derivatives of 0, to be filled in."""
         chain = self.scene.chain
         contacts = np.zeros((3, chain.grains + 1))
         motion = (np.zeros(self.displacement.shape), np.zeros(self.velocity.shape))
-        return Differentiated(value, *motion, np.zeros(chain.grains), *contacts)
+        return Slopes(value, *motion, np.zeros(chain.grains), *contacts)
 
     def column(self, grain: int) -> int:
         """Return the column of a grain."""
         return int(np.flatnonzero(self.grains == grain)[0])
 
 
-class Differentiated(NamedTuple):
+class Slopes(NamedTuple):
     """A value and its derivatives.
 
     Attributes

@@ -16,6 +16,7 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
+from ..util.plotting import COLOURS
 from ..util.suggestions import not_among
 from .base import Candidate
 from .stepping.round_off import native_floor, plain_loss
@@ -51,6 +52,8 @@ class Native(TimeSteppingEngine):
 
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
+    auto = "cheapest"
+    style = (COLOURS["blue"], "s")
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
     batches: ClassVar[bool] = True
     twin: ClassVar[bool] = False

@@ -49,8 +49,8 @@ def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnsw
 
     Examples
     --------
-    >>> halve(lambda halvings: Attempt(0.5**halvings, 100 * 0.25**halvings), 12)
-    Attempt(answer=0.0625, excess=0.390625)
+    >>> halve(lambda halvings: HalvedAnswer(0.5**halvings, 100 * 0.25**halvings), 12)
+    HalvedAnswer(answer=0.0625, excess=0.390625)
     """
     best = attempt = solve(0)
     for halvings in range(1, most):

@@ -110,7 +110,7 @@ def waveforms(run: Trajectory) -> Panel:
     above.set_ylabel("velocity downward")
     above.yaxis.set_major_formatter(UnitFormatter("m/s"))
     legend(above)
-    below.axhline(0, color=COLOURS["lammps"], lw=0.8)
+    below.axhline(0, color=COLOURS["vermilion"], lw=0.8)
     below.set(xlabel="grain, from the top", ylabel="difference\n/ largest")
     end = np.abs(run.velocity[-1])
     peak = f"grain {run.grains[end.argmax()]}, {si(end.max(), 'm/s', 1)}"

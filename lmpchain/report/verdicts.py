@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .. import engines
 from ..errors import InputError
 from ..measure import front
 from ..scene.scene import Scene
@@ -50,8 +51,6 @@ UNITS_OF_KEYS = {
     "youngs_modulus": "Pa",
     "mass": "kg",
 }
-# engines of linear theory: the second takes damped chains, too
-LINEAR_ENGINES = ("chebyshev", "modes")
 
 
 def unit_of(name: str, kind: str) -> str:
@@ -67,14 +66,14 @@ def linear_theory(run: Trajectory) -> Trajectory | None:
 # the parts of a page ask for it one after the other
 @lru_cache(maxsize=1)
 def _linear_run(scene: Scene) -> Trajectory | None:
-    for engine in LINEAR_ENGINES:
-        try:
-            with warnings_aside():
-                # the difference is shown
-                return simulate(scene, engine)
-        except InputError:
-            continue
-    return None
+    linear = [engine for engine in map(engines.plain, engines.names()) if engine.equation == 3]
+    able = [engine for engine in linear if not engines.obstacles(engine, scene)]
+    if not able:
+        return None
+    cheapest = min(able, key=lambda engine: engine.candidate(engine.part(scene), 0.5).cost_s)
+    with warnings_aside():
+        # the difference is shown
+        return simulate(scene, cheapest)
 
 
 def departure(run: Trajectory, linear: Trajectory) -> float:

@@ -10,15 +10,14 @@ import numpy as np
 
 from ..engines.base import Engine
 from ..engines.step_control import Attempt, first_attempt, next_attempt
-from ..engines.stepping.time_stepping import alike
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from .accumulation import GatheringRun, at_samples
 from .api import check_on_miss, simulate
-from .gathering import GatheringRun, at_samples
-from .policy import damping_record, policy_for, record
+from .choice import damping_record, engine_for, record, refusals
 
 # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 BATCH_NUMBERS = 2**18
@@ -80,13 +79,12 @@ def simulate_many(
     check_on_miss(on_miss)
     if isinstance(scenes, Scene) or not isinstance(scenes, Iterable):
         raise InputError.at("scenes", "must be a list of scenes; simulate takes one alone")
-    policy = policy_for(engine, **options)
+    chosen = engine_for(engine, **options)
     numbered = dict(enumerate(scenes))
     for number, scene in numbered.items():
         check_scene(scene, f"scenes.{number}")
-        if reasons := policy.refuses(scene):
+        if reasons := refusals(scene, chosen):
             raise InputError(InputError(reasons).under(f"scenes.{number}"))
-    chosen = policy.chosen
     batches = dict(in_batches(chosen, numbered, tolerance)) if chosen else {}
     answers = []
     for number, scene in numbered.items():
@@ -120,7 +118,7 @@ def in_batches(
         groups: dict[Any, list[int]] = {}
         for number, attempt in attempts.items():
             scene = scenes[number]
-            key = scene.quantities, *alike(scene.fine, attempt.candidate)
+            key = scene.quantities, engine.batch_key(scene.fine, attempt.candidate)
             groups.setdefault(key, []).append(number)
         following: dict[int, Attempt] = {}
         for numbers in _split(scenes, groups.values()):

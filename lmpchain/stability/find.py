@@ -27,7 +27,7 @@ from ..util.remarks import warnings_aside
 from .linear_theory import strike_number_where
 from .overlap import deepest
 from .predictability import amplifies, growth, predictability_time_of, predicted_time
-from .result import TOLERANCE, Boundary, MeasuredCurve, Stability
+from .result import TOLERANCE, Boundary, Curve, Stability
 from .roundoff import floor, long_double, measured_floor
 from .step_limit import blow_up, energy_error, limit
 
@@ -58,7 +58,7 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     check_scene(scene)
     scene.chain.refuse_damping("the search for limits")
     boundaries: list[Boundary] = []
-    curves: list[MeasuredCurve] = []
+    curves: list[Curve] = []
     left_out: list[str] = []
     tasks = list(_tasks(scene.ungathered))
     work = announced(
@@ -82,7 +82,7 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     return Stability(scene, tuple(boundaries), tuple(curves), tuple(left_out))
 
 
-def _tasks(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary | MeasuredCurve]]]]:
+def _tasks(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary | Curve]]]]:
     """Yield all causes of failure by name, and functions that yield their limits."""
     for integrator in METHODS:
         yield f"longest step, {integrator}", partial(_step, scene, "native", integrator)
@@ -129,7 +129,7 @@ def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
     yield Boundary("longest step", f"{engine} {integrator}", "s", predicted, measured)
 
 
-def _energy(scene: Scene, integrator: str) -> Iterator[MeasuredCurve]:
+def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
     if scene.excitation.does_work:
         raise InputError.at("kind", "a drive does work: the energy is not that of the start")
     if not scene.chain.compressed:
@@ -140,7 +140,7 @@ def _energy(scene: Scene, integrator: str) -> Iterator[MeasuredCurve]:
     # of a run that is far longer than the scene: its energy is asked for, not its motion
     with warnings_aside():
         energy = energy_error(scene, integrator, step, PERIODS, samples=401)
-    yield MeasuredCurve("energy", integrator, energy.time, np.abs(energy.error))
+    yield Curve("energy", integrator, energy.time, np.abs(energy.error))
 
 
 def _floor(
@@ -157,12 +157,12 @@ def _name(engine: str, diameter: str) -> str:
     return engine if engine == "native" else f"{engine}, {diameter} diameter"
 
 
-def _predictability(scene: Scene) -> Iterator[Boundary | MeasuredCurve]:
+def _predictability(scene: Scene) -> Iterator[Boundary | Curve]:
     predicted = predicted_time(scene, TOLERANCE) if amplifies(scene) else math.nan
     measured = math.nan
     if not _too_long(scene):
         times, apart = growth(scene)
-        yield MeasuredCurve("growth", "", times, apart)
+        yield Curve("growth", "", times, apart)
         measured = predictability_time_of(times, apart, TOLERANCE)
     beyond = measured < scene.duration
     name = "predictable to 1e-6 until"
@@ -187,18 +187,18 @@ def _overlap(scene: Scene) -> Iterator[Boundary]:
     yield Boundary(name, "Eq. (1)", "", LIMITS.compression, here=strain, beyond=beyond)
 
 
-def _strength(scene: Scene) -> Iterator[MeasuredCurve]:
+def _strength(scene: Scene) -> Iterator[Curve]:
     linear = engines.Chebyshev()
     scenes = [scene.replace(excitation=scene.excitation.scaled(factor)) for factor in STRENGTHS]
     if not linear.refuses(scene.reached):
         looks = [linear.look(other.reached) for other in scenes]
         estimates = np.array([look.error for look in looks])
         bounds = np.array([look.at_most for look in looks])
-        yield MeasuredCurve("strength", "Eq. (3), estimate", STRENGTHS, estimates)
-        yield MeasuredCurve("strength", "Eq. (3), at most", STRENGTHS, bounds)
+        yield Curve("strength", "Eq. (3), estimate", STRENGTHS, estimates)
+        yield Curve("strength", "Eq. (3), at most", STRENGTHS, bounds)
     for engine, diameter in ROUNDINGS:
         floors = np.array([floor(other, engine, diameter) for other in scenes])
-        yield MeasuredCurve("strength", f"{_name(engine, diameter)}, round-off", STRENGTHS, floors)
+        yield Curve("strength", f"{_name(engine, diameter)}, round-off", STRENGTHS, floors)
 
 
 def _too_long(scene: Scene) -> bool:

@@ -12,7 +12,7 @@ from ..measure.motion import RESOLVED, RESOLVED_BY_DIFFERENCES, Motion
 from ..measure.recorded import columns
 from ..scene.recording import contact_of
 from ..scene.scene import Scene
-from ..simulation.gatherer import FRACTION, PEAK
+from ..simulation.accumulation import FRACTION, PEAK
 from ..trajectory import gathered
 from ..trajectory.between.derivatives import UNKNOWN
 from ..util.arrays import Array

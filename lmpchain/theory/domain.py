@@ -58,7 +58,7 @@ def exponents(delta: float) -> PaperExponents:
     Examples
     --------
     >>> exponents(1.0)
-    Exponents(xi=0.0, eta=2.0, nu=0.5)
+    PaperExponents(xi=0.0, eta=2.0, nu=0.5)
     """
     require(("delta", np.isfinite(delta) and delta >= 1, f"must be 1 or more (got {shown(delta)})"))
     return PaperExponents(xi=1 - 1 / delta, eta=1 + 1 / delta, nu=1 / (1 + delta))

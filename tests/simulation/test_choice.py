@@ -16,14 +16,18 @@ from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, engines
 from lmpchain.engines import Native, cost_model
 from lmpchain.engines.base import Candidate, ErrorBudget
 from lmpchain.engines.step_control import Attempt
-from lmpchain.simulation import calibration, planner, policy
-from lmpchain.simulation.selection import (
+from lmpchain.simulation import calibration, planner
+from lmpchain.simulation.choice import (
     Proposal,
     cheapest,
+    choose,
+    engine_for,
+    fall_back,
     judge,
     percent,
     propose,
     reason,
+    record,
 )
 
 SCENE = paper("fig5 g", 6)
@@ -228,42 +232,38 @@ def test_the_picture_of_a_plan():
     assert ax.xaxis.get_major_formatter()(1e-3) == "1 ms"
 
 
-# --- policies
+# --- engines by name, and "auto"
 
 
-def test_policies_by_name():
-    assert policy.policy_for("auto").name == "auto"
-    assert policy.policy_for("auto").options() == {}
-    named = policy.policy_for("auto", step=1e-7)
-    assert (named.name, named.chosen.step) == ("native", 1e-7)
-    assert policy.policy_for("modes").options() == {}
+def test_engines_by_name():
+    assert engine_for("auto") is None
+    named = engine_for("auto", step=1e-7)
+    assert (named.name, named.step) == ("native", 1e-7)
+    assert engine_for("modes").options() == {}
     given = Native("rkn4")
-    assert policy.policy_for(given).chosen is given
+    assert engine_for(given) is given
     with pytest.raises(InputError, match=r"engine: must be auto \| lammps \| native"):
-        policy.policy_for("natve")
+        engine_for("natve")
 
 
 def test_a_record_says_what_was_asked():
     made = Native().candidate(SCENE, 1e-6)
-    assert policy.record(Native(), SCENE, made, 1e-6)["tolerance"] == "1e-06"
-    assert (
-        policy.record(Native(step=1e-7), SCENE, made, 1e-6)["tolerance"]
-        == "none, for a step was given"
-    )
-    record = policy.record(Native(), SCENE, made, 1e-6)
-    assert record["force"] == made.choices["force"]
-    assert {"numba", "numpy", "lmpchain"} <= set(record)
+    given = record(Native(step=1e-7), SCENE, made, 1e-6)
+    assert given["tolerance"] == "none, for a step was given"
+    kept = record(Native(), SCENE, made, 1e-6)
+    assert kept["tolerance"] == "1e-06"
+    assert kept["force"] == made.choices["force"]
+    assert {"numba", "numpy", "lmpchain"} <= set(kept)
 
 
 def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
     """Its own words: what it leaves out, what was expected, which engine does it again."""
-    auto = policy.policy_for("auto")
     attempt = Attempt("modes", candidate(3e-7), 1e-6)
     good = ErrorBudget(0.0, 1e-12, 1.0, model=5e-7, model_bound=9e-7)
-    assert auto.fallback(SCENE, attempt, good) is None
-    assert auto.fallback(SCENE, attempt._replace(engine="native"), good._replace(model=1.0)) is None
+    assert fall_back(SCENE, attempt, good) is None
+    assert fall_back(SCENE, attempt._replace(engine="native"), good._replace(model=1.0)) is None
     for error in (good._replace(model_bound=2e-6), good._replace(remark="contact 3 opens")):
-        following = auto.fallback(SCENE, attempt, error)
+        following = fall_back(SCENE, attempt, error)
         assert following.engine == "native"
         assert following.tolerance == 1e-6
         most = max(error.model, error.model_bound)
@@ -279,11 +279,11 @@ def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
     with pytest.raises(
         ToleranceNotMet, match=r"with the tolerance of 1e-16 exceeded; native: round-off alone"
     ):
-        auto.fallback(SCENE, attempt._replace(tolerance=1e-16), good)
+        fall_back(SCENE, attempt._replace(tolerance=1e-16), good)
 
 
 def test_best_effort_loosens_what_no_engine_can():
-    attempt = policy.policy_for("auto").first(SCENE, 1e-16, True)
+    attempt = choose(SCENE, None, 1e-16, True)
     assert 1e-16 < attempt.tolerance < 1e-12
     assert "round-off alone" in attempt.refusal
     assert attempt.planned_s >= 0

@@ -6,7 +6,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from lmpchain import Chain, Displacement, Impulse, Profile, Scene, engines, simulate
 from lmpchain.engines import Native
-from lmpchain.simulation.gathering import GatheringRun, of_engine
+from lmpchain.simulation.accumulation import GatheringRun, of_engine
 from lmpchain.theory.modes import eigenmodes
 
 ASKED = [

@@ -36,8 +36,8 @@ from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
 from lmpchain.engines.stepping import companion_run, time_stepping
 from lmpchain.simulation import run_folder
+from lmpchain.simulation.folder_files import is_run
 from lmpchain.simulation.run_folder import status
-from lmpchain.simulation.task import is_run
 from lmpchain.util import files, leftovers
 
 CHAIN = Chain(grains=200, diameter=1e-3)

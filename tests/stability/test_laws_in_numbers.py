@@ -29,7 +29,7 @@ from lmpchain.stability.predictability import (
     predicted_time,
     reflection_time,
 )
-from lmpchain.stability.result import Boundary, MeasuredCurve, Stability
+from lmpchain.stability.result import Boundary, Curve, Stability
 from lmpchain.stability.roundoff import floor
 from lmpchain.stability.step_limit import (
     EnergyError,
@@ -367,15 +367,11 @@ def shown() -> Stability:
     )
     x = np.array([0.0, 1e-4, 1e-3])
     curves = (
-        MeasuredCurve("energy", "verlet", x, np.array([0.0, 1e-5, 0.0])),
-        MeasuredCurve("growth", "", x, np.array([1e-13, 1e-9, np.inf])),
-        MeasuredCurve("strength", "Eq. (3), estimate", x, np.array([1e-3, 1e-2, 1e-1])),
-        MeasuredCurve(
-            "strength", "lammps, physical diameter, round-off", x, np.array([1e-9, 1e-10, 0.0])
-        ),
-        MeasuredCurve(
-            "strength", "lammps, gauge diameter, round-off", x, np.array([1e-10, 1e-11, 1e-12])
-        ),
+        Curve("energy", "verlet", x, np.array([0.0, 1e-5, 0.0])),
+        Curve("growth", "", x, np.array([1e-13, 1e-9, np.inf])),
+        Curve("strength", "Eq. (3), estimate", x, np.array([1e-3, 1e-2, 1e-1])),
+        Curve("strength", "lammps, physical diameter, round-off", x, np.array([1e-9, 1e-10, 0.0])),
+        Curve("strength", "lammps, gauge diameter, round-off", x, np.array([1e-10, 1e-11, 1e-12])),
     )
     return Stability(STRUCK, rows, curves, ("overlap: too long",))
 

@@ -21,6 +21,7 @@ from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import Array
 from ...util.files import expanded, make_folder
+from ...util.plotting import COLOURS
 from ...util.remarks import warn
 from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
@@ -113,6 +114,9 @@ class Lammps(TimeSteppingEngine):
 
     name: ClassVar[str] = "lammps"
     equation: ClassVar[int] = 1
+    auto = "last"
+    style = (COLOURS["vermilion"], "o")
+    citation = "LAMMPS, which solved it: doi:10.1016/j.cpc.2021.108171"
     integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
     inputs: ClassVar[tuple[str, ...]] = (f"{DECK}/in.column", f"{DECK}/column.data")
     logs: ClassVar[tuple[str, ...]] = (LOG,)

@@ -175,6 +175,12 @@ class TimeSteppingEngine(Engine):
         gains = candidate.steps_per_landing >= STEP_CONTROL.least * steps
         return candidate.with_steps(steps) if gains and not candidate.fixed else None
 
+    def batch_key(self, scene: Scene, candidate: Candidate) -> tuple:
+        """Return a key of scenes of one kind that take the same steps."""
+        longer = longer_steps(BY_NAME[candidate.integrator], scene, candidate)
+        schedule = candidate.schedule()
+        return *kind(scene), schedule, candidate.integrator, *longer, *candidate.choices.items()
+
     def start(
         self,
         scenes: Sequence[Scene],
@@ -208,15 +214,3 @@ def kind(scene: Scene) -> tuple:
     built = chain.grains, *ends, chain.exponent, chain.compressed, chain.damped
     acted = excitation.driven, excitation.does_work
     return *built, *acted, scene.samples, scene.duration, scene.grains
-
-
-def alike(scene: Scene, candidate: Candidate) -> tuple:
-    """Return a key of scenes whose answers and errors in a batch are those that they have alone."""
-    longer = longer_steps(BY_NAME[candidate.integrator], scene, candidate)
-    return (
-        *kind(scene),
-        candidate.schedule(),
-        candidate.integrator,
-        *longer,
-        *candidate.choices.items(),
-    )

@@ -1,22 +1,29 @@
-"""Engine selection: the cheapest engine that is expected to meet the tolerance.
+"""Choice of the engine: the one that was named, or with "auto" the cheapest one for the scene.
 
-Nothing here knows one engine from another: what counts is which equation they solve, what they
-cost, and how far they expect to be off.
+With "auto" nothing here distinguishes one engine from another: what counts is which equation they
+solve, what they cost, and how large they expect their errors to be.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from .. import engines
-from ..engines.base import Candidate, Engine
+from ..engines.base import Candidate, Engine, ErrorBudget
 from ..engines.cost_model import speed
+from ..engines.step_control import Attempt, first_attempt, loosen
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
+from ..util.compilation import clock, compiled_s
+from ..util.provenance import versions
+from ..util.suggestions import not_among
 from ..util.tables import finite
 
+AUTO = "auto"
+GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
 # by the equation that it solves
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
 COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
@@ -86,6 +93,105 @@ class Proposal(NamedTuple):
         return finite({name: getattr(self, name) for name in COLUMNS})
 
 
+def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
+    """Return an engine by its name; None for "auto", with which each scene gets its own engine.
+
+    Options without a name are those of the native engine.
+
+    Raises
+    ------
+    InputError
+        If there is no such engine or an option is wrong.
+    """
+    if engine == AUTO and not options:
+        return None
+    if isinstance(engine, str) and engine != AUTO and engine not in engines.REGISTRY:
+        raise InputError.at("engine", not_among(engine, (AUTO, *engines.names())))
+    return engines.get("native" if engine == AUTO else engine, **options)
+
+
+def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
+    """Return why an engine, or with None any engine, cannot do a scene, as (key, reason)."""
+    if engine:
+        return engines.obstacles(engine, scene)
+    reasons = []
+    # one engine that can is enough; its faults are told only if none can
+    for other in map(engines.plain, (*engines.automatic(), *engines.automatic("last"))):
+        faults = engines.obstacles(other, scene)
+        if not faults:
+            return []
+        reasons += faults
+    return reasons
+
+
+def choose(
+    scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool = False
+) -> Attempt:
+    """Return the first attempt of an engine, or with None of the cheapest engine.
+
+    `best_effort` loosens a tolerance that cannot be met.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If it is known beforehand that the tolerance cannot be met.
+    """
+    if engine:
+        return first_attempt(engine, engine.part(scene), tolerance, best_effort)
+    began = clock()
+    compiled = compiled_s()
+    attempt, _, refusal = loosen(partial(_cheapest, scene), tolerance, best_effort)
+    return attempt._replace(
+        refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled
+    )
+
+
+def _cheapest(scene: Scene, tolerance: float) -> Attempt:
+    """Return the first attempt of the cheapest engine, or raise `ToleranceNotMet`."""
+    proposals = propose(scene, tolerance)
+    best = cheapest(proposals)
+    return _attempt(best, tolerance, plan=f"{best.engine}: {reason(best, proposals)}")
+
+
+def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
+    """Return the first attempt of a proposal, which keeps on record why it was chosen."""
+    assert proposal.candidate
+    choices = {**proposal.candidate.choices, **why}
+    return Attempt(proposal.engine, proposal.candidate._replace(choices=choices), tolerance)
+
+
+def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
+    """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If there is none.
+    """
+    before = engines.plain(attempt.engine)
+    tolerance = attempt.tolerance
+    if before.equation == 1 or (error.bound <= tolerance and not error.remark):
+        return None
+    began = clock()
+    bound = max(error.model, error.model_bound)
+    left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the solution"
+    if error.remark:
+        left_out += f", {error.remark}"
+    # engines that were not asked are listed with their reason, too
+    exact = [each for each in propose(scene, tolerance) if each.equation in (1, None)]
+    if not any(proposal.kept for proposal in exact):
+        why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
+        raise ToleranceNotMet(f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}")
+    best = cheapest(exact)
+    expected = f"expected were {attempt.candidate.model_error:.1g}"
+    redone = (
+        f"{left_out} along the run of {before.name}, {expected}: "
+        f"run again with {best.engine}, Eq. (1)"
+    )
+    following = _attempt(best, tolerance, plan=f"{best.engine}: {redone}", redone=redone)
+    return following._replace(planned_s=clock() - began)
+
+
 def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposal]:
     """Return the proposals of the engines, with the verdicts.
 
@@ -115,8 +221,8 @@ def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) 
     """Return the proposals of engines that are asked only where no other one can do the scene."""
     if any(proposal.candidate for proposal in others):
         why = "only if asked for by name, or if no other engine can do the scene"
-        return [Proposal(name, why=why) for name in engines.ON_REQUEST]
-    return [ask(engines.plain(name), scene, tolerance) for name in engines.ON_REQUEST]
+        return [Proposal(name, why=why) for name in engines.automatic("last")]
+    return [ask(engines.plain(name), scene, tolerance) for name in engines.automatic("last")]
 
 
 def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
@@ -135,7 +241,7 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     """
     name = engine.name
     equation = engine.equation
-    if reasons := engine.obstacles(scene):
+    if reasons := engines.obstacles(engine, scene):
         why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, equation, why=why)
     try:
@@ -193,3 +299,20 @@ def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
         if proposal.cost_s < best.cost_s:
             return f"{why}; {proposal.engine} would cost less, but {proposal.why}"
     return why
+
+
+def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
+    """Return the record of an answer: versions, choices, and the remarks of the engine."""
+    asked = GIVEN_STEP if engine.step else f"{tolerance:g}"
+    return {
+        **versions(),
+        "tolerance": asked,
+        **candidate.choices,
+        **engine.describe(scene, candidate),
+        **damping_record(scene),
+    }
+
+
+def damping_record(scene: Scene) -> dict[str, str]:
+    """Return the record of damping: what leaving it out would change."""
+    return {"damping": scene.damping_remark} if scene.chain.damped else {}
