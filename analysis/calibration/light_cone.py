@@ -18,7 +18,7 @@ from unittest import mock
 from common import Row, best, command
 
 from lmpchain import Chain, Impulse, Scene
-from lmpchain.engines.base import Candidate, Engine
+from lmpchain.engines.base import Engine, Proposal
 from lmpchain.engines.lammps.engine import Lammps
 from lmpchain.engines.linear.engine import Modes
 from lmpchain.engines.native import Native
@@ -38,7 +38,7 @@ def struck(grains: int, periods: float, strike_number: float = 0.01, samples: in
     )
 
 
-def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:
+def through(engine: Engine, scene: Scene, candidate: Proposal) -> None:
     """Run a scene."""
     run = engine.start([scene], candidate)
     for _ in run.blocks():
@@ -80,7 +80,7 @@ def fresh(engine: Engine, scene: Scene) -> None:
     """Answer a scene of which nothing is known yet."""
     new = Scene(**scene.given())
     part = engine.part(new)
-    through(engine, part, engine.candidate(part, 1e-4))
+    through(engine, part, engine.propose(part, 1e-4))
 
 
 def _short(quick: bool) -> Row:
@@ -92,7 +92,7 @@ def _short(quick: bool) -> Row:
     repeats = 5 if quick else 25
     for bodies in (4, 8, 11, 14, 20, 30, 60):
         scene = struck(max(2, bodies * PAD - 2 * PAD), 12.0)
-        candidate = Native().candidate(scene, 1e-6)
+        candidate = Native().propose(scene, 1e-6)
         times = []
         for short in (0, 10**6):
             with mock.patch.object(batch, "WINDOW_MIN", short):

@@ -313,7 +313,7 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
                 if kind in engine.integrators
             ]
         # every engine meets a tolerance of one half
-        elif (cost := engine.candidate(engine.part(scene), 0.5).cost_s) > budget_s / 10:
+        elif (cost := engine.propose(engine.part(scene), 0.5).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:
             scans.append(Scan(name, "", partial(Bench.once, name=name)))

@@ -70,7 +70,7 @@ def _linear_run(scene: Scene) -> Trajectory | None:
     able = [engine for engine in linear if not engines.obstacles(engine, scene)]
     if not able:
         return None
-    cheapest = min(able, key=lambda engine: engine.candidate(engine.part(scene), 0.5).cost_s)
+    cheapest = min(able, key=lambda engine: engine.propose(engine.part(scene), 0.5).cost_s)
     with warnings_aside():
         # the difference is shown
         return simulate(scene, cheapest)

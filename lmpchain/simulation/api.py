@@ -177,7 +177,7 @@ def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Ou
     with output.requests:
         while True:
             scene = output.scene.until(attempt.known_until)
-            engine = output.prepare(output.engine or engines.plain(attempt.engine))
+            engine = output.prepare(output.engine or engines.plain(attempt.proposal.engine))
             try:
                 outcome, gathered = _solve(scene, engine, attempt, output, progress)
             except ToleranceNotMet as limit:
@@ -267,7 +267,7 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
 
     `left` is the share of the samples that remains.
     """
-    cost_s = left * attempt.candidate.cost_s
+    cost_s = left * attempt.proposal.cost_s
     cures = ["a shorter duration"]
     if cost_s > PATIENCE_S:
         cures += _cheaper(scene, attempt, cost_s)
@@ -277,18 +277,18 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
 
 def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
     """Yield choices that take less time than an attempt, with their expected times."""
-    if attempt.candidate.fixed:
+    if attempt.proposal.fixed:
         yield "a longer step"
         return
     tolerance = attempt.tolerance
-    method = BY_NAME.get(attempt.candidate.integrator)
+    method = BY_NAME.get(attempt.proposal.integrator)
     if method and 10 * tolerance < 1:
         tenth_s = cost_s / 10 ** (1 / method.order)
         yield f"a tolerance of {10 * tolerance:.2g} (about {in_words(tenth_s)})"
     with suppress(LmpchainError):
         best = choose(scene, None, tolerance, True)
-        if best.candidate.cost_s < cost_s / 2:
-            yield f"the engine {best.engine} (about {in_words(best.candidate.cost_s)})"
+        if best.proposal.cost_s < cost_s / 2:
+            yield f"the engine {best.proposal.engine} (about {in_words(best.proposal.cost_s)})"
 
 
 def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
@@ -408,7 +408,7 @@ class _Memory:
             velocity=velocity,
             error_estimate=outcome.error.estimate,
             cost=outcome.cost,
-            provenance=record(engine, scene, outcome.attempt.candidate, self.tolerance),
+            provenance=record(engine, scene, outcome.attempt.proposal, self.tolerance),
             gathered=gathered,
         )
 

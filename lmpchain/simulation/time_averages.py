@@ -19,8 +19,8 @@ from ..engines.stepping.step_choice import FIRST_STEP
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.batch import ChainBatch
 from ..integrators.splittings import SPLITTINGS, Splitting
-from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
+from ..integrators.steps import Steps
 from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array, check_flags
 from ..util.notebook import Shown
@@ -487,7 +487,7 @@ def averages(
                     f"the average over {copies * steps * samples} steps of {method.name}",
                     "a shorter time, fewer copies or a larger tolerance takes less",
                 )
-            schedule = StepSchedule(steps, 1, longer.sampling_interval / steps, adaptive=False)
+            schedule = Steps.spread(longer.sampling_interval, steps)
             try:
                 sums = _follow(course, scenes, observables, method, schedule, tolerance, bar)
             except _TooLong as fault:
@@ -600,7 +600,7 @@ def _follow(
     scenes: Sequence[Scene],
     observables: Sequence[Observable],
     method: Splitting,
-    schedule: StepSchedule,
+    schedule: Steps,
     tolerance: float,
     bar: ProgressBar,
 ) -> _Sums:
@@ -658,7 +658,7 @@ def _conclude(
     course: _Course,
     observables: Mapping[str, Observable],
     sums: _Sums,
-    schedule: StepSchedule,
+    schedule: Steps,
     integrator: str,
 ) -> Averages:
     """Return the averages that follow from sums over stretches."""

@@ -63,7 +63,7 @@ def test_what_is_left_out_makes_no_difference(name: str, tolerance: float):
     first, last = find_reached(scene)
     assert last - first < 400, "most grains are left out"
     native = engines.Native()
-    candidate = native.candidate(native.part(scene), tolerance)
+    candidate = native.propose(native.part(scene), tolerance)
     assert candidate.active_grains == last - first + 1
     steps = {"integrator": candidate.integrator, "step": candidate.step}
     alone, whole = (simulate(scene, engine(**steps)) for engine in (engines.Native, Whole))
