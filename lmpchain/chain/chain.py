@@ -316,12 +316,12 @@ class Chain(ChainPicture, Checked):
         """Stiffness between grains at rest, delta K_n eps_n^(delta-1) of a power, (N-1,) N/m."""
         return self.contacts.stiffness[1:-1]
 
-    @property
+    @cached_property
     def compressed(self) -> bool:
         """Whether contacts carry a force at rest; if not, the chain is a sonic vacuum."""
         return self.gravity > 0 or self.top_load > 0
 
-    @property
+    @cached_property
     def loose_grains(self) -> int:
         """How many grains at the top only touch, above the load and without weight; 0 if none."""
         return self.load_grain - 1 if self.top_load > 0 and self.gravity == 0 else 0
@@ -354,7 +354,7 @@ class Chain(ChainPicture, Checked):
         """Constant force on the grain that the load acts on, N; 0 if a wall presses instead."""
         return self.top_load - self.wall_load
 
-    @property
+    @cached_property
     def damped(self) -> bool:
         """Whether contacts or a drag take energy."""
         return self.damping.acts
@@ -375,7 +375,7 @@ class Chain(ChainPicture, Checked):
         """Rate gamma at which every grain alone comes to rest, (N,) 1/s; 0 without damping."""
         return self.damping.rates(self.grains)
 
-    @property
+    @cached_property
     def movable(self) -> int:
         """Number of grains that move: N - 1 with a fixed bottom, N otherwise."""
         return self.grains - (self.bottom == "fixed")

@@ -83,7 +83,7 @@ class SceneFacts(Recording):
         """Recorded times, (T,) s."""
         return read_only(np.linspace(0.0, self.duration, self.samples))
 
-    @property
+    @cached_property
     def intervals(self) -> int:
         """Number of sampling intervals."""
         return self.samples - 1
