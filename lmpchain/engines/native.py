@@ -17,6 +17,7 @@ from ..integrators.stepper import NativeStepper
 from ..integrators.steps import Steps
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
+from ..util.plotting import COLOURS
 from ..util.suggestions import not_among
 from .base import Proposal
 from .stepping.round_off import native_floor, plain_loss
@@ -51,6 +52,8 @@ class Native(TimeSteppingEngine):
 
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
+    auto = "cheapest"
+    style = (COLOURS["blue"], "s")
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
     batches: ClassVar[bool] = True
     twin: ClassVar[bool] = False
@@ -82,8 +85,8 @@ class Native(TimeSteppingEngine):
         proposal = super().propose_steps(scene, tolerance, method, steps)
         # a given step is taken, whatever it leaves, and what is held has no error
         if not proposal.fixed and scene.recorded[0] <= scene.chain.movable:
-            evaluations = steps.total(scene.samples - 1) * method.evaluations
-            floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
+            evaluations = steps.total(scene.intervals) * method.evaluations
+            floor = native_floor(evaluations, scene.total_phase)
             if floor > tolerance:
                 cure = "ask for less"
                 if self.integrator != "auto" and method.order < METHODS["rkn6"].order:
@@ -102,9 +105,7 @@ class Native(TimeSteppingEngine):
 
         The phase shifts by a quarter of what `native_floor` allows for.
         """
-        walk = native_floor(
-            steps * self.methods(scene)[0].evaluations, scene.highest_frequency * scene.duration / 4
-        )
+        walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
         if force_form(scene, self.force) in ROOTS:
             walk += plain_loss(scene, steps) / speed
         return walk
@@ -113,7 +114,7 @@ class Native(TimeSteppingEngine):
         """Return the grains that a step computes, on average: those that waves have reached."""
         first, last = scene.excitation.reach(scene.chain)
         # a front runs at half the highest frequency, so on average the cone has half its width
-        reached = last - first + 1 + 2 * PAD + scene.highest_frequency * scene.duration / 4
+        reached = last - first + 1 + 2 * PAD + scene.total_phase / 4
         return min(scene.chain.grains, reached)
 
     def stepper(

@@ -124,8 +124,8 @@ class NativeStepper:
             self._check_state(state["state"])
             self._state[:] = state["state"]
         self.stride = schedule.stride
-        final = scenes[0].samples - 1
-        interval = scenes[0].duration / final
+        final = scenes[0].intervals
+        interval = scenes[0].sampling_interval
         march = method.march(chains, self._schedules)
         self._march = march.run
         self._by_step = march.by_step
@@ -255,7 +255,7 @@ class NativeStepper:
         """Part of all landings that are done."""
         samples = self._state["sample"].reshape(-1, self._size).mean(1)
         rates = [1 / schedule.stride for schedule in self._schedules]
-        return float(samples @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
+        return float(samples @ rates) / (sum(rates) * self.chains.scenes[0].intervals)
 
     @property
     def watched(self) -> NDArray[Any]:

@@ -13,7 +13,7 @@ from helpers.independent_integrators import extended_reference, relative_error
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
 from lmpchain.engines.stepping import companion_run
-from lmpchain.engines.stepping.time_stepping import alike, kind
+from lmpchain.engines.stepping.time_stepping import kind
 from lmpchain.integrators.methods import METHODS
 
 CHAIN = Chain(grains=10, diameter=1e-3)
@@ -205,6 +205,7 @@ def test_scenes_of_a_batch_are_of_one_kind():
             ValueError, match="a batch needs chains of one kind and length, recorded alike"
         ):
             engine.start([SCENE, other], candidate)
+    key = engine.batch_key(SCENE, candidate)
     for changed in (
         {"steps": candidate.steps._replace(per_landing=3)},
         {"steps": candidate.steps._replace(stride=2)},
@@ -214,7 +215,7 @@ def test_scenes_of_a_batch_are_of_one_kind():
         {"integrator": "verlet"},
         {"choices": {"force": "plain"}},
     ):
-        assert alike(SCENE, candidate._replace(**changed)) != alike(SCENE, candidate)
+        assert engine.batch_key(SCENE, candidate._replace(**changed)) != key
 
 
 def test_progress_in_lammps_is_that_of_the_time(monkeypatch):

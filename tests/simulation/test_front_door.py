@@ -34,6 +34,7 @@ from lmpchain.simulation.folder_files import (
     check_new,
     load_checkpoints,
     remove,
+    renew,
     resume_command,
     save_checkpoint,
 )
@@ -358,17 +359,46 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
         ):
             resume(folder)
 
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"step": 0.0}})
-    steps = whole["proposal"]["steps"] | {"per_landing": 0}
-    noted(attempt=whole | {"proposal": whole["proposal"] | {"steps": steps}})
+    proposal = whole["proposal"]
+    for wrong in ({"step": 0.0}, {"per_landing": 0}):
+        noted(attempt=whole | {"proposal": proposal | {"steps": proposal["steps"] | wrong}})
     noted(attempt=whole | {"tolerance": 1.0})
     noted(attempt=whole | {"tolerance": 0.0})
-    noted(attempt=whole | {"engine": "fast"})
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"colour": 1}})
+    noted(attempt=whole | {"proposal": proposal | {"engine": "fast"}})
+    noted(attempt=whole | {"proposal": proposal | {"colour": 1}})
     noted(spent=kept["spent"] | {"wall_s": -1.0})
     noted(spent=kept["spent"] | {"more_s": 1.0})
     save_checkpoint(folder, kept, state)
     assert resume(folder).time.size == 61
+
+
+def test_a_checkpoint_without_a_record_of_steps_goes_on_with_the_same_bits(tmp_path, small_blocks):
+    """Earlier versions wrote the fields of the steps beside the others, and diameters as text."""
+    folder = tmp_path / "run"
+    stopped(folder)
+    kept, state = next(load_checkpoints(folder))
+    attempt = kept["attempt"]
+    new = attempt.pop("proposal")
+    steps = new["steps"]
+    old = {
+        "step": steps["step"],
+        **{key: new[key] for key in ("active_grains", "model_error", "solver_error", "cost_s")},
+        "tolerance": new["tolerance"],
+        "steps_per_landing": steps["per_landing"],
+        "stride": steps["stride"],
+        "fixed": new["fixed"],
+        "adaptive": steps["adaptive"],
+        "coarse_openings": steps["coarse_openings"],
+        "integrator": new["integrator"],
+        "choices": new["choices"] | {"drawn_m": "1.5e-07"},
+    }
+    attempt |= {"engine": new["engine"], "candidate": old, "best": [1e-3, list(old.values())]}
+    save_checkpoint(folder, kept, state)
+    renewed = renew(attempt)
+    assert renewed["proposal"]["choices"].pop("drawn_m") == 1.5e-7
+    assert renewed["proposal"] == new
+    assert renewed["best"][1]["steps"] == steps
+    assert np.array_equal(resume(folder).velocity, simulate(SCENE, "native", 1e-6).velocity)
 
 
 def test_a_finished_run_that_missed_tells_it_again(tmp_path):

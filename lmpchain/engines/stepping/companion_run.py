@@ -225,9 +225,7 @@ class CompanionRun(Run):
             self.native = NativeStepper(chains, self.method, answer, start, companions=beside)
             self._answer = make((answer,), restrict("answer", state))
             steppers = [self._answer, self.native]
-            evaluations = (
-                self.proposal.steps.total(self.scene.samples - 1) * self.method.evaluations
-            )
+            evaluations = self.proposal.steps.total(self.scene.intervals) * self.method.evaluations
             self._allowed = chains.arrays.allowed + 3 * rounded_energy(self.scene, evaluations)
         else:
             self._answer = make((answer, *beside), restrict("native", state))
@@ -267,7 +265,7 @@ class CompanionRun(Run):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer; samples that a restored state already had are not repeated."""
-        final = self.scene.samples - 1
+        final = self.scene.intervals
         while self._sample < final:
             if self._sample in self._looks:
                 self.judge(self)
@@ -351,7 +349,7 @@ class CompanionRun(Run):
         return Block(slice(first, stop), u, v)
 
     def _describe_breakdown(self, sample: int, cause: str) -> str:
-        t = sample * self.scene.duration / (self.scene.samples - 1)
+        t = self.scene.time[sample]
         step = self.proposal.step
         return (
             f"{cause}, after t = {t:.4g} s at steps of {step:.3g} s: "
@@ -383,7 +381,7 @@ class CompanionRun(Run):
     @property
     def _done(self) -> Array:
         """Part of the steps done by an answer that is not native, and by its twin, (2,)."""
-        answer = float(self._answer.steps.max()) / self.proposal.steps.total(self.scene.samples - 1)
+        answer = float(self._answer.steps.max()) / self.proposal.steps.total(self.scene.intervals)
         return np.array([answer, self.native.progress])
 
     def errors(self) -> list[ErrorBudget]:
@@ -536,7 +534,7 @@ class CompanionRun(Run):
         field = late.argmax(1)[:, None]
         grown = np.take_along_axis(np.fmax(late, TINY) / np.fmax(early, TINY), field, 1)[:, 0]
         power = np.clip(np.log(grown) / math.log(LOOKS.window), 0.0, LOOKS.steepest)
-        remaining = (self.scene.samples - 1) / self._sample
+        remaining = self.scene.intervals / self._sample
         budgets = []
         for real, error in enumerate(self.errors()):
             truncation = error.truncation * remaining ** float(power[real])
@@ -574,13 +572,13 @@ class CompanionRun(Run):
 
     def _free_flights(self, real: int, motion: LargestMotion) -> float:
         """Return the same where contacts open: none turns faster than the fastest motion."""
-        radians = self._scenes[real].highest_frequency * self._scenes[real].duration
+        radians = self._scenes[real].total_phase
         return max(min(self._flights(real, motion), radians), 1.0)
 
     def _round(self, real: int, motion: LargestMotion, flights: float) -> float:
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
-        radians = scene.highest_frequency * scene.duration
+        radians = scene.total_phase
         # what moves at all moves by more than the smallest double
         path = max(motion.velocity * scene.duration, SMALLEST)
         digit = last_digit(min(motion.displacement, motion.velocity, path))
@@ -600,7 +598,7 @@ class CompanionRun(Run):
     def _may_amplify(self, real: int, motion: LargestMotion, estimate: float) -> bool:
         """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
-        complete = self._sample == self.scene.samples - 1
+        complete = self._sample == self.scene.intervals
         counts = min(estimate, self.proposal.tolerance)
         return complete and self._may_grow(real, motion.evaluations, counts)
 
