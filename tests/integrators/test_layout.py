@@ -252,7 +252,7 @@ def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
     excitation, body = ACTS[what]
     laid = batch(*chains(**BETWEEN), excitation=excitation)
     wave = excitation.waveform
-    imposed = laid.imposed
+    imposed = laid.arrays
     rows = imposed.wave, imposed.knots, imposed.pieces, imposed.reach
     for course, knots, pieces, reach in zip(*rows, strict=True):
         count = 0 if wave.spline is None else wave.spline.x.size
@@ -269,7 +269,7 @@ def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
 
 def test_where_nothing_acts_the_last_body_comes_before_the_first():
     laid = batch(*chains())
-    imposed = laid.imposed
+    imposed = laid.arrays
     assert not imposed.acts
     assert (imposed.reach[:, 0] > imposed.reach[:, 1]).all()
     assert all(not any(wave) for wave in imposed.wave.tolist())
