@@ -11,6 +11,7 @@ from ...errors import InputError, ToleranceNotMet, shown
 from ...integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ...integrators.kernels.contact_forces import ROOTS
 from ...integrators.kernels.layout import PAD
+from ...integrators.damped_verlet import LAGGED
 from ...integrators.methods import BY_NAME, METHODS
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper
@@ -52,6 +53,7 @@ class Native(TimeSteppingEngine):
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
+    foreign: ClassVar[tuple[str, ...]] = (LAGGED.name,)
     batches: ClassVar[bool] = True
     twin: ClassVar[bool] = False
     start_up_s: ClassVar[float] = 1e-4

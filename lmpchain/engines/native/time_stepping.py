@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from ...errors import InputError, shown
 from ...integrators.method import Method
-from ...integrators.methods import BY_NAME, DAMPED, methods_of
+from ...integrators.methods import BY_NAME, methods_of
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import Stepper
 from ...scene.scene import Scene
@@ -42,10 +42,12 @@ class TimeSteppingEngine(Engine):
 
     adaptive: bool = False
     twin: ClassVar[bool] = True
+    # Methods of other programs, which `lmpchain check` asks for.
+    foreign: ClassVar[tuple[str, ...]] = ()
     dissipates: ClassVar[bool] = True
 
     def __init__(self, integrator: str, step: float | None):
-        if integrator not in self.integrators:
+        if integrator not in (*self.integrators, *self.foreign):
             raise InputError.at("integrator", not_among(integrator, self.integrators))
         if step is not None and not (
             isinstance(step, int | float)
@@ -65,11 +67,14 @@ class TimeSteppingEngine(Engine):
         return [methods_of(damped)[name] for name in names]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why a scene cannot be done: a method that cannot move a chain with damping."""
-        if not scene.chain.damped or self.integrator in ("auto", *DAMPED):
+        """Return why a scene cannot be done: its chain has damping, and the method cannot, or not.
+        """
+        names = methods_of(scene.chain.damped)
+        if self.integrator in ("auto", *names):
             return []
-        cure = f"use {' or '.join(DAMPED)}, or leave it out"
-        fault = f"{self.integrator} is a method for chains without damping: {cure}"
+        cure = f"use {' or '.join(name for name in names if name in self.integrators)}"
+        kind = "without" if scene.chain.damped else "with"
+        fault = f"{self.integrator} is a method for chains {kind} damping: {cure}, or leave it out"
         return [("integrator", fault)]
 
     @abstractmethod
