@@ -326,9 +326,10 @@ def _read_data(path: Path) -> _Grains:
             worst = int(off.argmax())
             fault = f"grain {worst + 1} does not move on the axis ({title.split()[0]})"
             raise InputError.at(str(path), f"{fault}: x, y and their velocities must be 0")
-    types, *columns = atoms[:, COLUMNS[titles[0]]].T
-    kinds = types.astype(int).tolist()
-    return _Grains(path, titles[0], parts[0], kinds, *columns, speeds[:, 3], rest[:, 1])
+    kinds, diameters, densities, heights = atoms[:, COLUMNS[titles[0]]].T
+    types = kinds.astype(int).tolist()
+    motion = diameters, densities, heights, speeds[:, 3], rest[:, 1]
+    return _Grains(path, titles[0], parts[0], types, *motion)
 
 
 def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:

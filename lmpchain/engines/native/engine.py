@@ -9,9 +9,9 @@ import numba
 
 from ...errors import InputError, ToleranceNotMet, shown
 from ...integrators.batch import FORCES, ChainBatch, force_form, name_of
+from ...integrators.damped_verlet import LAGGED
 from ...integrators.kernels.contact_forces import ROOTS
 from ...integrators.kernels.layout import PAD
-from ...integrators.damped_verlet import LAGGED
 from ...integrators.methods import BY_NAME, METHODS
 from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper

