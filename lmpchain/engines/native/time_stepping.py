@@ -131,12 +131,16 @@ class TimeSteppingEngine(Engine):
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""
-        grain_steps = method.evaluations * steps * (self.computed(scene) + EVALUATION_OVERHEAD)
+        grain_steps = method.evaluations * steps * (self.computed(scene) + self.overhead(method))
         return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
 
     @abstractmethod
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict the relative round-off of so many steps; `speed` is the largest velocity, m/s."""
+
+    def overhead(self, method: Method) -> int:
+        """Return what a force evaluation takes besides its grains, in grains."""
+        return EVALUATION_OVERHEAD
 
     def computed(self, scene: Scene) -> float:
         """Return how many grains it computes in each step, on average."""
