@@ -14,7 +14,7 @@ from .impurities import Kinds
 
 
 @dataclass(frozen=True)
-class Limits:
+class ChainLimits:
     """Limits of a chain.
 
     Attributes
@@ -44,7 +44,7 @@ class Limits:
     long_chain: int = 10**6
 
 
-LIMITS = Limits()
+LIMITS = ChainLimits()
 
 
 def beyond_hertz(compression: float) -> str:

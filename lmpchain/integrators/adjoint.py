@@ -30,8 +30,8 @@ from ..chain.contacts import Contacts
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels import adjoint as kernels
-from .kernels.adjoint_rows import Above, Adjoint, Bodies, Law, Way
-from .kernels.adjoint_tangent import Change, Response, tangent
+from .kernels.adjoint_rows import Above, Adjoint, AdjointForce, Bodies, Way
+from .kernels.adjoint_tangent import Directions, ForceResponse, tangent
 from .kernels.contact_forces import ROOTS, Form
 from .kernels.course import Course, Looks, Stretch
 from .kernels.layout import PAD, Links
@@ -221,7 +221,7 @@ class DifferentiableRun(ObservedRun):
         self._above = Above(*above)
         way = _way(chain, links)
         less = chain.exponent - 1.0
-        self._law = Law(
+        self._law = AdjointForce(
             way=int(way),
             pressed=links.precompressed,
             touching=float(links.uncompressed[0]),
@@ -377,8 +377,8 @@ class DifferentiableRun(ObservedRun):
         fixed = self._mobility[PAD : PAD + grains] == 0
         inverse = np.divide(1.0, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists)
         power, force, slope, soften = np.zeros((4, width))
-        response = Response(power, force, slope, soften, links(inverse), links(contacts.force))
-        changes = Change(
+        response = ForceResponse(power, force, slope, soften, links(inverse), links(contacts.force))
+        changes = Directions(
             x=bodies(np.where(fixed, 0.0, change.displacement)),
             v=bodies(np.where(fixed, 0.0, change.velocity)),
             mass=bodies(change.masses / chain.masses),

@@ -217,7 +217,7 @@ class Shock(Shown, Tabular):
         return self._source + (way if self._downward else -way)
 
 
-class _Wave(NamedTuple):
+class _TravellingWave(NamedTuple):
     """Motion of a wave that travels towards larger numbers: the arrays of an upward one mirrored.
 
     Attributes
@@ -350,7 +350,7 @@ def _medium(trajectory: Trajectory) -> Medium:
     return Medium(chain.exponent, float(constants[0]), float(masses[0]))
 
 
-def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _Wave:
+def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWave:
     """Return the motion while nothing but the wave from the source matters."""
     scene = trajectory.scene
     time = trajectory.time
@@ -398,7 +398,7 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _Wave:
     if reached - source < FEWEST:
         passed = f"the wave has passed {reached - source} contacts"
         raise InputError.at("duration", f"{passed}, fewer than {FEWEST}: {cure}")
-    return _Wave(time[:last], velocity[:last], overlap[:last], source, start, reached)
+    return _TravellingWave(time[:last], velocity[:last], overlap[:last], source, start, reached)
 
 
 def _source(scene: Scene, upward: bool) -> int:
@@ -470,7 +470,7 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
         raise InputError.at("excitation", f"does not push steadily in {used}: {cure}")
 
 
-def _plateau(wave: _Wave, gas: Medium, ahead: State) -> tuple[State, State]:
+def _plateau(wave: _TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
     """Return mean velocity and overlap behind the wave, and how much they vary."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
@@ -510,7 +510,7 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
     return np.array(crests)
 
 
-def _leading_crest(wave: _Wave, ahead: State, jump: float) -> Edge:
+def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
     """Return the leading solitary wave, followed through the later two thirds of the way."""
     # the crest is a few contacts behind the front
     first = wave.source + (wave.reached - wave.source) // 3
@@ -532,7 +532,7 @@ def _leading_crest(wave: _Wave, ahead: State, jump: float) -> Edge:
     return Edge(speed, error, height, drift, float(np.nanmean(velocities[:, 1])))
 
 
-def _trailing_edge(wave: _Wave, ahead: State, behind: State) -> Edge:
+def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
     """Return where oscillations would end, from their sizes at several contacts.
 
     The wave is self-similar: at the speed n / t they have one size, which grows smoothly from the
@@ -580,7 +580,7 @@ def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
         return np.nan
 
 
-def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:
+def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
     """Return both edges, from the places between at which the speed of sound is known."""
     sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
     places = []
@@ -612,7 +612,7 @@ def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) ->
     )
 
 
-def _dispersive_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:
+def _dispersive_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
     """Return the leading crest, the trailing edge, and the theories of both."""
     leading = _leading_crest(wave, ahead, behind.overlap - ahead.overlap)
     trailing = _trailing_edge(wave, ahead, behind)
@@ -633,7 +633,7 @@ def _thickness(gas: Medium, ahead: State, behind: State, viscosity: float) -> fl
     return np.nan
 
 
-def _steady_front(wave: _Wave, ahead: State, behind: State) -> _Answer:
+def _steady_front(wave: _TravellingWave, ahead: State, behind: State) -> _Answer:
     """Return the edge at half the jump, and the thickness in grains."""
     jump = behind.overlap - ahead.overlap
     total = wave.reached - wave.source

@@ -10,6 +10,7 @@ from os import PathLike
 import numpy as np
 
 from ..chain.chain import Chain
+from ..engines import class_of
 from ..errors import InputError, LmpchainError
 from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
@@ -145,8 +146,8 @@ def _citation(trajectory: Trajectory) -> str:
         f"  version = {{{release}}}",
         "}",
     ]
-    if trajectory.engine == "lammps":
-        lines.append("and LAMMPS, which solved it: doi:10.1016/j.cpc.2021.108171")
+    if cited := class_of(trajectory.engine).citation:
+        lines.append(f"and {cited}")
     return "\n".join(lines)
 
 

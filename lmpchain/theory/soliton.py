@@ -36,7 +36,7 @@ from .soliton_limits import (
     nesterenko_speed,
     sen_displacement,
 )
-from .soliton_series import Series, law, long_wave_speed, rows, solve_series
+from .soliton_series import SolitonSeries, law, long_wave_speed, rows, solve_series
 
 __all__ = [
     "Soliton",
@@ -322,7 +322,7 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     return _make_soliton(float(delta), True, solve_series(float(delta), near, float(velocity)))
 
 
-def _make_soliton(delta: float, loaded: bool, series: Series) -> Soliton:
+def _make_soliton(delta: float, loaded: bool, series: SolitonSeries) -> Soliton:
     return Soliton(
         delta,
         loaded,

@@ -25,7 +25,7 @@ from lmpchain import (
 )
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
-from lmpchain.engines.lammps.column import Column
+from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.deck import write_data
 from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
@@ -182,7 +182,7 @@ def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path
     scene = small(damping=Damping(viscoelastic=2e-7, drag=1e3))
     if integrator == "lagged-verlet":
         # decks of earlier versions, and the fixes and atoms that most users have
-        monkeypatch.setattr(Column, "predicts", False)
+        monkeypatch.setattr(LammpsColumn, "predicts", False)
     dump = run(scene, tmp_path, step=1e-7, pair_style=pair_style)
     monkeypatch.undo()
     found = check(dump, scene)
@@ -198,8 +198,8 @@ def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path
 def test_atoms_of_another_style_than_that_of_the_deck_are_refused(tmp_path: Path, monkeypatch):
     scene = small(damping=Damping(viscoelastic=2e-7))
     write_deck(scene, tmp_path, step=1e-7)
-    monkeypatch.setattr(Column, "predicts", False)
-    write_data(Column(scene, 0.0), tmp_path / "column.data")
+    monkeypatch.setattr(LammpsColumn, "predicts", False)
+    write_data(LammpsColumn(scene, 0.0), tmp_path / "column.data")
     monkeypatch.undo()
     with pytest.raises(InputError, match="has another header"):
         read_deck(tmp_path)

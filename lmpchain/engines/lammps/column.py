@@ -50,7 +50,7 @@ class Wall:
 
 
 @dataclass(frozen=True)
-class Column:
+class LammpsColumn:
     """A scene in the terms of LAMMPS.
 
     Parameters

@@ -65,7 +65,7 @@ def check_packages(instance: Any, *names: str) -> None:
         )
 
 
-class _Closed:
+class _ClosedInstance:
     """An instance of LAMMPS that is no more, and has no destructor."""
 
 
@@ -75,7 +75,7 @@ def close_lammps(instance: Any) -> None:
         instance.close()
         # LAMMPS's destructor runs whenever Python collects garbage, and Python drops a Ctrl-C that
         # comes in a destructor
-        instance.__class__ = _Closed
+        instance.__class__ = _ClosedInstance
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from ...util.arrays import Array
 from ...util.caching import cached_property
 
 if TYPE_CHECKING:
-    from ...theory.modes import Modes
+    from ...theory.modes import Eigenmodes
 
 # grains up to which all pairs of waves are gone through; analysis/calibration/linear_openings.py
 FEW = 12
@@ -110,7 +110,7 @@ class Resonance:
             detuning=detuning.reshape(-1, modes.frequency.size),
         )
 
-    def _waves(self, modes: Modes, squeezed: Array) -> tuple[Array, Array]:
+    def _waves(self, modes: Eigenmodes, squeezed: Array) -> tuple[Array, Array]:
         """Return by how much each wave squeezes each contact, and the frequencies of the waves."""
         drive = self._scene.drive
         first = self._scene.excitation.driven

@@ -20,7 +20,7 @@ from ...util.plotting import SHADES, axes_in_units, legend
 from ...util.tabular import Tabular
 from ..front import FEWEST, Exponents, PowerLaw, asymptotic, exponent, fit_power
 from .column_front import bottom, front_before_echo, strike_at_top
-from .table import Fitted, Row
+from .table import Fitted, FittedNumber
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,12 +80,12 @@ class FrontLaw(Fitted, Tabular):
     error: Array
     expected: Array
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield exponent and factor of the law."""
         exponent, factor = self.expected.tolist()
         errors = self.error.tolist()
-        yield Row("continuum", "exponent of the front", self.exponent, errors[0], exponent)
-        yield Row("continuum", "factor of the front", self.factor, errors[1], factor)
+        yield FittedNumber("continuum", "exponent of the front", self.exponent, errors[0], exponent)
+        yield FittedNumber("continuum", "factor of the front", self.factor, errors[1], factor)
 
     @property
     def law(self) -> Array:
@@ -153,13 +153,13 @@ class ContinuumFit(Fitted, Tabular):
     residual: float
     front: FrontLaw | None
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield the amplitude, the law of the front, and what the amplitude leaves."""
         name = "amplitude C of Eq. (35)"
-        yield Row("continuum", name, self.amplitude, self.error, self.expected)
+        yield FittedNumber("continuum", name, self.amplitude, self.error, self.expected)
         if self.front:
             yield from self.front.rows()
-        yield Row("continuum", "residual", self.residual, expected=0.0)
+        yield FittedNumber("continuum", "residual", self.residual, expected=0.0)
 
     def notes(self) -> Iterator[str]:
         """Yield which grains were fitted."""
@@ -350,20 +350,24 @@ class ExponentFit(Fitted):
     grain: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     strength: Array = field(default_factory=lambda: np.zeros(0))
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield the local exponents at the deepest grains, and the exponents of great depth."""
         if self.strength.size:
-            yield Row("exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1]))
+            yield FittedNumber(
+                "exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1])
+            )
         for name, power in self.expected.items():
             if name in self.local:
                 local = self.local[name]
                 depth = f"{name} near grain {local.depth[-1] + 0.5:.0f}"
                 value = float(local.exponent[-1])
-                yield Row("exponents", depth, value, float(local.error[-1]), power)
+                yield FittedNumber("exponents", depth, value, float(local.error[-1]), power)
             if name in self.laws and not self._strong:
                 law = self.laws[name]
                 limit = f"{name} at great depth"
-                yield Row("exponents", limit, float(law.exponent), float(law.error[0]), power)
+                yield FittedNumber(
+                    "exponents", limit, float(law.exponent), float(law.error[0]), power
+                )
 
     @property
     def _strong(self) -> bool:

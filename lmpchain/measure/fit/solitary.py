@@ -18,7 +18,7 @@ from ...util.plotting import axes_in_units, legend
 from ...util.tabular import Tabular
 from ..front import FEWEST, track
 from .column_front import is_uniform
-from .table import Fitted, Row
+from .table import Fitted, FittedNumber
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,16 +65,16 @@ class SolitonFit(Fitted, Tabular):
     expected: Array
     formula: float
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield height, speed and width, and the speed by the long-wave formula."""
         _, speed, width = self.expected.tolist()
         errors = self.error.tolist()
         # the height is that of the exact wave, with which the others are compared
-        yield Row("soliton", "largest velocity", self.amplitude, errors[0], unit="m/s")
-        yield Row("soliton", "speed", self.speed, errors[1], speed, "grains/s")
-        yield Row("soliton", "width", self.width, errors[2], width, "grains")
+        yield FittedNumber("soliton", "largest velocity", self.amplitude, errors[0], unit="m/s")
+        yield FittedNumber("soliton", "speed", self.speed, errors[1], speed, "grains/s")
+        yield FittedNumber("soliton", "width", self.width, errors[2], width, "grains")
         formula = "speed by long-wave formula"
-        yield Row("soliton", formula, self.formula, expected=speed, unit="grains/s")
+        yield FittedNumber("soliton", formula, self.formula, expected=speed, unit="grains/s")
 
     def notes(self) -> Iterator[str]:
         """Yield which grains were fitted."""
