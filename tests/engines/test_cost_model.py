@@ -80,7 +80,7 @@ def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.Mon
     scene = SCENE.replace(chain=CHAIN.replace(damping={"viscoelastic": 2e-8}))
     monkeypatch.setattr("lmpchain.engines.cost_model.PATIENCE_S", 0.0)
     with pytest.warns(UserWarning, match="the native trial that finds the step") as told:
-        steps = Lammps().propose(scene, 1e-5).steps(scene.samples)
+        steps = Lammps().propose(scene, 1e-5).steps.total(scene.intervals)
     announcements = [str(each.message) for each in told]
     assert len(announcements) > 1
     assert any(f"with {steps} steps of" in text for text in announcements)
