@@ -17,6 +17,7 @@ from ...util.arrays import EPSILON, Array, last_digit
 from ...util.compilation import clock
 from ..base import Candidate, Engine, ErrorBudget, Run
 from ..cost_model import seconds
+from .energies import sum_energies
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
 from .solutions import ChebyshevSolution, ModalSolution, Solution
 
@@ -31,8 +32,15 @@ CANCELS = 40.0
 
 
 class LinearEngine(Engine):
-    """An engine for the linearised chain, Eq. (3), exact to round-off."""
+    """An engine for the linearised chain, Eq. (3), exact to round-off.
 
+    Attributes
+    ----------
+    summed_values : int
+        Number of evaluations times grains that takes some 10 ms.
+    """
+
+    summed_values: ClassVar[int] = 2**14
     equation: ClassVar[int] = 3
     # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
@@ -81,6 +89,16 @@ class LinearEngine(Engine):
         fastest = max(scene.chain.band_edge, scene.excitation.fastest)
         return EPSILON * (10 + fastest * scene.duration)
 
+    def most_summed(self, scene: Scene) -> int:
+        """Return the largest number of evaluations for the energies of a run.
+
+        The quadrature must not make a short run much longer. A run with damping and a forcing is
+        allowed more, because the balance of energy then yields neither term.
+        """
+        both = scene.chain.damped and scene.excitation.does_work
+        values = self.summed_values * (4 if both else 1)
+        return max(values // scene.chain.grains, _evaluations(scene))
+
     @abstractmethod
     def work(self, scene: Scene) -> float:
         """Return the time for all evaluations on the reference machine, s."""
@@ -107,6 +125,7 @@ class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
+    summed_values: ClassVar[int] = 2**17
     start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -298,6 +317,14 @@ class LinearRun(Run):
                 phase.at_most,
             )
             for scene, phase in zip(self._scenes, self._phase_errors, strict=True)
+        ]
+
+    def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
+        """Return the dissipated energy and the work, with their errors, of every realisation."""
+        runs = zip(self._scenes, self._solutions, errors, self._phase_errors, strict=True)
+        return [
+            sum_energies(scene, solution, budget, phase.scale, self._engine.most_summed(scene))
+            for scene, solution, budget, phase in runs
         ]
 
     def cost(self) -> Cost:

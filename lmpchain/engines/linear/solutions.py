@@ -16,6 +16,7 @@ class ChebyshevSolution:
     """The propagator, from one time to the next, each later than the last."""
 
     def __init__(self, scene: Scene, state: Mapping[str, Array]):
+        self._scene = scene
         chain = scene.chain
         drive = scene.drive
         stiffness = chain.contacts.stiffness
@@ -37,6 +38,10 @@ class ChebyshevSolution:
     def work(self) -> int:
         """Polynomials so far: applications of the matrix of the chain."""
         return self._chain.terms
+
+    def restart(self) -> ChebyshevSolution:
+        """Return the solution from t = 0 on."""
+        return ChebyshevSolution(self._scene, {})
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return displacement and velocity at these times, (T, N) m and m/s.
@@ -83,6 +88,10 @@ class ModalSolution:
     def work(self) -> int:
         """Number of modes."""
         return self._modes.frequency.size
+
+    def restart(self) -> ModalSolution:
+        """Return the solution itself, which can be evaluated at any time."""
+        return self
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return displacement and velocity as `ChebyshevSolution.at` does, at any times."""
@@ -145,6 +154,8 @@ class ModalSolution:
         # Both terms cancel near critical damping. The steady motion and a free one, which brings it
         # to rest at t = 0, do not, because such a mode has no resonance.
         near = np.abs(apart) < self._modes.frequency
+        if not near.any():
+            return self._pull * q, self._pull * p
         size = np.where(near, push / ((slow - turn) * (fast - turn)), 0.0)
         steady = size * np.exp(turn * t)
         free = self._modes.free(t, -size.imag, -(turn * size).imag)
