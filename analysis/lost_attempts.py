@@ -19,8 +19,8 @@ from figures import TABLES, write_table
 
 from lmpchain import Chain, Impulse, Profile, Scene, simulate
 from lmpchain.engines import Native
-from lmpchain.engines.native import companion_run
-from lmpchain.engines.native.companion_run import Looks
+from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping.companion_run import JudgingTimes
 
 COLUMNS = (
     "scene",
@@ -52,7 +52,7 @@ def springs() -> Scene:
 def unseen() -> Iterator[None]:
     """Have every attempt run to its end."""
     looks = companion_run.LOOKS
-    companion_run.LOOKS = Looks(begin_s=np.inf)  # type: ignore[misc]
+    companion_run.LOOKS = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
     try:
         yield
     finally:
@@ -94,9 +94,9 @@ def spend(scene: Scene) -> Spent:
 def spend_last(scene: Scene, step_s: float) -> float:
     """Return the processor time of the first attempt that has the steps of the last, s."""
     engine = Native()
-    candidate = engine.candidate(scene, TOLERANCE)
-    steps = round(candidate.steps_per_landing * candidate.step / step_s)
-    run = engine.start([scene], candidate.with_steps(steps))
+    candidate = engine.propose(scene, TOLERANCE)
+    steps = round(candidate.steps.per_landing * candidate.step / step_s)
+    run = engine.start([scene], candidate.with_steps(candidate.steps.shortened(steps)))
     began = time.process_time()
     for _ in run.blocks():
         pass

@@ -17,7 +17,7 @@ from unittest import mock
 
 import lmpchain
 from lmpchain.engines.base import ErrorBudget, Run
-from lmpchain.engines.native.companion_run import CompanionRun
+from lmpchain.engines.stepping.companion_run import CompanionRun
 from lmpchain.trajectory.record import Block
 
 KEEP = ["arrival_time", "peak_velocity"]

@@ -19,7 +19,7 @@ from figures import add_svg, finish
 import lmpchain
 from lmpchain.benchmark.bench import BUDGET_S, work_precision
 from lmpchain.benchmark.chart import draw
-from lmpchain.benchmark.curves import Curve, Point, WorkPrecision
+from lmpchain.benchmark.curves import CurvePoint, EngineCurve, WorkPrecision
 from lmpchain.util.files import write_aside
 
 HERE = Path(__file__).parent
@@ -49,13 +49,14 @@ def again(name: str, path: Path) -> WorkPrecision:
         }
         for row in kept["rows"]
     )
-    rows = [Point(**{"compile_s": 0.0} | row) for row in known]
+    rows = [CurvePoint(**{"compile_s": 0.0} | row) for row in known]
     groups = groupby(
         rows, key=lambda point: (point.engine, "" if point.tolerance else point.integrator)
     )
     points = [(engine, integrator, tuple(each)) for (engine, integrator), each in groups]
     curves = tuple(
-        Curve(*each) if len(each[2]) > 1 else Curve(each[0], "", each[2]) for each in points
+        EngineCurve(*each) if len(each[2]) > 1 else EngineCurve(each[0], "", each[2])
+        for each in points
     )
     reference = SimpleNamespace(**kept["reference"])
     return WorkPrecision(

@@ -36,14 +36,14 @@ STATIONS = (
     Station(
         "Engine",
         "proposes a step, with\nits error and its cost",
-        ("engines/base.py", "engines/native/\n    step_choice.py", "simulation/policy.py"),
+        ("engines/base.py", "engines/stepping/\n    step_choice.py", "simulation/choice.py"),
         "#B34E00",
     ),
     Station(
         "Run",
         "yields samples, and\nestimates their error",
         (
-            "engines/native/\n    companion_run.py\n    estimate.py",
+            "engines/stepping/\n    companion_run.py\n    estimate.py",
             "integrators/stepper.py",
             "integrators/kernels/",
         ),

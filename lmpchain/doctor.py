@@ -29,7 +29,7 @@ from .util.memory import machine_memory
 from .util.remarks import warn
 
 
-class Limits(NamedTuple):
+class CheckLimits(NamedTuple):
     """Limits of the checks.
 
     Attributes
@@ -50,7 +50,7 @@ class Limits(NamedTuple):
     memory_gb: float = 1.0
 
 
-DIAGNOSIS_LIMITS = Limits()
+DIAGNOSIS_LIMITS = CheckLimits()
 SIZES_SEEN = (
     "from lmpchain.util import mpi; w = mpi.library().COMM_WORLD; s = w.gather(w.size); w.rank "
     "or print(s)"

@@ -21,8 +21,8 @@ from common import ALL_BUT_ONE, NINE_IN_TEN, Row, changed, command, label, quant
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines.native.amplification import GROWTH, amplify_rounding
-from lmpchain.engines.native.round_off import native_floor
+from lmpchain.engines.stepping.amplification import GROWTH, amplify_rounding
+from lmpchain.engines.stepping.round_off import native_floor
 from lmpchain.errors import RunFailed
 from lmpchain.integrators.splittings import RKN6
 from lmpchain.stability.predictability import SEED

@@ -31,8 +31,8 @@ from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.engines.native import Native
-from lmpchain.engines.native.companions import OPENINGS
-from lmpchain.engines.native.step_choice import FIRST_STEP
+from lmpchain.engines.stepping.companions import OPENINGS
+from lmpchain.engines.stepping.step_choice import FIRST_STEP
 from lmpchain.integrators.openings import OPENING_STEPS
 
 TOLERANCES = (1e-3, 1e-6, 1e-9)

@@ -17,7 +17,7 @@ import numpy as np
 from common import Row, command
 
 from lmpchain import Chain, Impulse, Scene
-from lmpchain.engines.native.step_choice import FIRST_STEP
+from lmpchain.engines.stepping.step_choice import FIRST_STEP
 from lmpchain.integrators.methods import METHODS
 from lmpchain.stability.pre_run import TRUSTED
 from lmpchain.stability.step_limit import blow_up, limit

@@ -17,7 +17,7 @@ from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.engines.native import Native
-from lmpchain.engines.native.step_choice import STEP_CONTROL
+from lmpchain.engines.stepping.step_choice import STEP_CONTROL
 
 
 def jobs(

@@ -19,14 +19,14 @@ from lmpchain.benchmark.comparison import error
 from lmpchain.benchmark.reference import Reference
 from lmpchain.chain.chain import Chain
 from lmpchain.engines.lammps import deck
-from lmpchain.engines.lammps.column import Column
+from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.library import open_lammps
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.scene.excitation import Impulse, Profile
 from lmpchain.scene.scene import Scene
 from lmpchain.simulation.api import simulate
 from lmpchain.theory import bessel
-from lmpchain.theory.modes import Modes, between
+from lmpchain.theory.modes import Eigenmodes, between
 from lmpchain.trajectory.trajectory import Trajectory
 from lmpchain.util.arrays import EPSILON, Array
 
@@ -91,7 +91,7 @@ def period(scene: Scene) -> float:
     return 2 * total
 
 
-def buckling(chain: Chain, gauge: float = 0.0) -> Modes:
+def buckling(chain: Chain, gauge: float = 0.0) -> Eigenmodes:
     """Return the buckling modes of a column of frictionless spheres.
 
     These are `.frequency`, rates of growth in 1/s, and `.shape`. A contact pushes along the line of
@@ -245,7 +245,7 @@ def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: in
     still = Scene(
         chain=chain, excitation=Impulse(velocity=0.0), duration=duration, samples=samples + 1
     )
-    column = Column(still, gauge)
+    column = LammpsColumn(still, gauge)
     steps = math.ceil(duration / samples * chain.band_edge / STEADY)
     with tempfile.TemporaryDirectory() as folder, closing(open_lammps()) as lammps:
         deck.write_data(column, data := Path(folder) / "column.data")

@@ -24,8 +24,8 @@ from ..trajectory.trajectory import Trajectory
 from ..util.lazy import listed
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
-from .comparison import Row, compare
-from .curves import Curve, Point, WorkPrecision
+from .comparison import ComparisonRow, compare
+from .curves import CurvePoint, EngineCurve, WorkPrecision
 from .pareto import KNOWN, front
 from .reference import Reference, expected_seconds, reference
 
@@ -100,12 +100,12 @@ class Bench:
         """Time that the last engine has taken since it was compiled, s."""
         return time.perf_counter() - self._begun
 
-    def once(self, name: str) -> Iterator[Point]:
+    def once(self, name: str) -> Iterator[CurvePoint]:
         """Yield the one point of an engine that has no steps."""
         self._begun = time.perf_counter()
         yield from self._points(engines.get(name))
 
-    def over_tolerances(self, name: str) -> Iterator[Point]:
+    def over_tolerances(self, name: str) -> Iterator[CurvePoint]:
         """Yield points at ever tighter tolerances, until one is not met.
 
         A tolerance that leads to the same steps as the one before is skipped.
@@ -125,9 +125,9 @@ class Bench:
                 return
             steps = points[0].steps if points else steps
 
-    def over_steps(self, name: str, integrator: str) -> Iterator[Point]:
+    def over_steps(self, name: str, integrator: str) -> Iterator[CurvePoint]:
         """Yield points at ever shorter steps, from the longest stable one to round-off."""
-        interval = self.scene.duration / (self.scene.samples - 1)
+        interval = self.scene.sampling_interval
 
         def at(steps: int) -> Engine:
             return engines.get(name, integrator=integrator, step=interval / steps)
@@ -182,7 +182,7 @@ class Bench:
         """Whether another point, longer than the one begun at `before`, would exceed the time."""
         return self.spent_s + EFFORT.density * (self.spent_s - before) > self.share_s
 
-    def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[Point]:
+    def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[CurvePoint]:
         """Yield the point of an engine, unless the reference is not accurate enough for it."""
         # this first run warms up, too
         row = self._row(self._run(engine, tolerance))
@@ -192,7 +192,7 @@ class Bench:
         costs = repeat(lambda: self._run(engine, tolerance).cost)
         integration = min(cost.integration_s for cost in costs)
         total = min(cost.integration_s + cost.estimate_s for cost in costs)
-        yield Point(
+        yield CurvePoint(
             **vars(row) | {"integration_s": integration},
             tolerance=tolerance,
             setup_s=min(cost.setup_s for cost in costs),
@@ -202,7 +202,7 @@ class Bench:
             grain_steps_per_s=row.force_evaluations * costs[0].active_grains / integration,
         )
 
-    def _row(self, answer: Trajectory) -> Row:
+    def _row(self, answer: Trajectory) -> ComparisonRow:
         return compare([answer], self.reference).rows[0]
 
     def _run(self, engine: Engine, tolerance: float | None = None) -> Trajectory:
@@ -234,7 +234,7 @@ class Scan(NamedTuple):
 
     engine: str
     integrator: str
-    points: Callable[[Bench], Iterator[Point]]
+    points: Callable[[Bench], Iterator[CurvePoint]]
 
 
 def work_precision(
@@ -291,7 +291,7 @@ def work_precision(
                 continue
             left_s -= bench.spent_s
             if points:
-                curves.append(Curve(scan.engine, scan.integrator, points))
+                curves.append(EngineCurve(scan.engine, scan.integrator, points))
     return WorkPrecision(
         scene, solution, _mark_front(curves), bench.dropped, tuple(left_out), bench.versions
     )
@@ -302,9 +302,9 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
     scans = [Scan("native", "", partial(Bench.over_tolerances, name="native"))]
     methods = methods_of(scene.chain.damped)
     refusals = []
-    for name in (*engines.automatic(), *engines.ON_REQUEST):
+    for name in sorted(engines.names(), key=lambda name: engines.class_of(name).auto == "last"):
         engine = engines.get(name)
-        if reasons := engine.obstacles(scene):
+        if reasons := engines.obstacles(engine, scene):
             refusals.append(f"{name}: {reasons[0][1]}")
         elif engine.integrators:
             scans += [
@@ -313,14 +313,14 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
                 if kind in engine.integrators
             ]
         # every engine meets a tolerance of one half
-        elif (cost := engine.candidate(engine.part(scene), 0.5).cost_s) > budget_s / 10:
+        elif (cost := engine.propose(engine.part(scene), 0.5).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:
             scans.append(Scan(name, "", partial(Bench.once, name=name)))
     return scans, refusals
 
 
-def _mark_front(curves: Sequence[Curve]) -> tuple[Curve, ...]:
+def _mark_front(curves: Sequence[EngineCurve]) -> tuple[EngineCurve, ...]:
     """Mark the points of the Pareto front of time and error."""
     points = [point for curve in curves for point in curve.points]
     for index in front([(point.seconds, point.error) for point in points]):

@@ -14,7 +14,7 @@ from ..util.provenance import processor
 from ..util.tables import align, duration, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .chart import draw
-from .comparison import Row
+from .comparison import ComparisonRow
 from .pareto import KNOWN as KNOWN
 from .pareto import front as front
 from .pareto import time_to as time_to
@@ -31,7 +31,7 @@ def machine() -> str:
 
 
 @dataclass(frozen=True)
-class Point(Row):
+class CurvePoint(ComparisonRow):
     """Error and cost of one engine at one step or tolerance, the least time of several runs.
 
     Attributes
@@ -78,7 +78,7 @@ class Choice(NamedTuple):
     error : float
         That it has; NaN if there is none.
     seconds : float
-        As `Point.seconds`.
+        As `CurvePoint.seconds`.
     to_tolerance : bool
         Whether the engine chose the step itself, and its time is that with the error estimate.
     why : str
@@ -111,7 +111,7 @@ WITHOUT = "{}, without the estimate"
 
 
 @dataclass(frozen=True)
-class Curve:
+class EngineCurve:
     """The points of one engine and integrator, from the cheapest on.
 
     Attributes
@@ -123,7 +123,7 @@ class Curve:
 
     engine: str
     integrator: str
-    points: tuple[Point, ...]
+    points: tuple[CurvePoint, ...]
 
     @property
     def to_tolerance(self) -> bool:
@@ -157,14 +157,14 @@ class WorkPrecision(Shown, Tabular):
 
     scene: Scene
     reference: Reference
-    curves: tuple[Curve, ...]
+    curves: tuple[EngineCurve, ...]
     dropped: int
     left_out: tuple[str, ...]
     versions: dict[str, str]
     machine: str = field(default_factory=machine)
 
     @property
-    def points(self) -> list[Point]:
+    def points(self) -> list[CurvePoint]:
         """All points, curve by curve."""
         return [point for curve in self.curves for point in curve.points]
 
@@ -179,7 +179,7 @@ class WorkPrecision(Shown, Tabular):
         curves = [curve for curve in self.curves if engine in ("", curve.engine)]
         return [self._choose(curves, target, engine) for target in TARGETS]
 
-    def _choose(self, curves: Sequence[Curve], target: float, engine: str) -> Choice:
+    def _choose(self, curves: Sequence[EngineCurve], target: float, engine: str) -> Choice:
         """Return the cheapest point of some curves up to an error, or why there is none."""
         points = [point for curve in curves for point in curve.points]
         good = [point for point in points if point.error <= target]
@@ -194,7 +194,7 @@ class WorkPrecision(Shown, Tabular):
         why = self._obstacle(points, engine)
         return Choice(target, "", "", math.nan, math.nan, math.nan, False, why)
 
-    def _obstacle(self, points: Sequence[Point], engine: str) -> str:
+    def _obstacle(self, points: Sequence[CurvePoint], engine: str) -> str:
         """Return why no point of an engine reaches an error."""
         if points:
             least = min(points, key=lambda point: point.error)

@@ -58,7 +58,7 @@ class DigitLimits:
 DIGITS = DigitLimits()
 
 
-class Arrival(NamedTuple):
+class ArrivalError(NamedTuple):
     """Error of the arrival of the front: relative to its travel time, s, and at which grain."""
 
     relative: float
@@ -116,7 +116,7 @@ class RunCheck(Shown):
     error_displacement: float
     error_velocity: float
     error_energy: float
-    arrival: Arrival | None
+    arrival: ArrivalError | None
     integrator: str
     step_s: float
     steps: int
@@ -459,7 +459,7 @@ def _energy_error(answer: Trajectory, true: Trajectory) -> float:
     return float(np.abs(total - exact).max()) / largest if largest else math.nan
 
 
-def _arrival(answer: Trajectory, true: Trajectory) -> Arrival | None:
+def _arrival(answer: Trajectory, true: Trajectory) -> ArrivalError | None:
     """Return the largest error of the travel time of the front, where samples resolve it."""
     try:
         tracked, exact = (front.track(run) for run in (answer, true))
@@ -474,7 +474,7 @@ def _arrival(answer: Trajectory, true: Trajectory) -> Arrival | None:
     late = np.abs(tracked.time[here] - times)
     relative = late / times
     worst = int(relative.argmax())
-    return Arrival(float(relative[worst]), float(late[worst]), int(grains[worst]))
+    return ArrivalError(float(relative[worst]), float(late[worst]), int(grains[worst]))
 
 
 def _percent(value: float) -> str:

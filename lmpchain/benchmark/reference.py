@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..chain.equilibrium import force_at_rest
 from ..errors import RunFailed
 from ..scene.scene import Scene
-from ..scene.strike import first_overlaps
 from ..util.arrays import EPSILON, Array
 from ..util.lazy import listed
 
@@ -27,20 +26,20 @@ NEGLIGIBLE = 1e-6 * EXTENDED
 SHARED = 50 * EXTENDED + EPSILON
 
 
-class Series(NamedTuple):
+class TaylorSettings(NamedTuple):
     """Order of the power series in time, and local error of a step."""
 
     order: int
     tolerance: float
 
 
-ANSWER = Series(32, 0.1 * EXTENDED)
+ANSWER = TaylorSettings(32, 0.1 * EXTENDED)
 # a second run with other steps shows the error
-CHECK = Series(24, 10 * EXTENDED)
+CHECK = TaylorSettings(24, 10 * EXTENDED)
 
 
 @dataclass(frozen=True)
-class Cost:
+class ReferenceCost:
     """Cost of a reference; analysis/calibration/reference_cost.py.
 
     Attributes
@@ -57,7 +56,7 @@ class Cost:
     grain_s: float = 7e-6
 
 
-COST = Cost()
+COST = ReferenceCost()
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +176,7 @@ class _Motion:
         chain = scene.chain
         excitation = scene.excitation
         self.wave = excitation.waveform
-        self.delta = Long(chain.exponent)
+        self.delta = Long(chain.law.power_of("the reference solution"))
         self.driven = bool(excitation.driven)
         self.walled = excitation.wall is not None
         self.pushed = None
@@ -190,7 +189,7 @@ class _Motion:
         carried = force_at_rest(weight, chain.top_load, chain.load_grain)
         pressed = (constant > 0) & (carried > 0)
         overlap = np.where(pressed, carried / np.where(pressed, constant, 1), 0) ** (1 / self.delta)
-        deepest = first_overlaps(chain, excitation).astype(Long)
+        deepest = scene.first_overlaps.astype(Long)
         heavier = np.maximum(np.append(mass[0], mass), np.append(mass, mass[-1]))
         stiffness = self.delta * constant * deepest ** (self.delta - 1)
         fastest = np.sqrt((stiffness / heavier).max())
@@ -216,7 +215,7 @@ class _Motion:
         self.instants = scene.time.astype(Long) / self.time
         self.knots = np.array(self.wave.corners if self.wave else (), dtype=Long) / self.time
 
-    def solve(self, series: Series) -> tuple[Array, Array]:
+    def solve(self, series: TaylorSettings) -> tuple[Array, Array]:
         """Return displacement and velocity, (2, T, N), and the largest at any time, (2,).
 
         In m and m/s.
@@ -268,7 +267,9 @@ class _Motion:
         impulse = self.push[contacts] * (1 + self.viscosity[contacts])
         return impulse * np.maximum(overlap, 0) ** self.delta > tolerance
 
-    def _series(self, t: Long, state: Longs, grains: slice, series: Series) -> tuple[Longs, Longs]:
+    def _series(
+        self, t: Long, state: Longs, grains: slice, series: TaylorSettings
+    ) -> tuple[Longs, Longs]:
         """Return the coefficients of displacements (order + 1, n) and overlaps (..., n + 1)."""
         order = series.order
         contacts = _contacts(grains)

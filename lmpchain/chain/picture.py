@@ -18,7 +18,7 @@ DETAILED_GRAINS = 1_000_000
 DRAWN_POINTS = 2000  # of a curve in a picture
 
 
-class AtRest(Shown):
+class ChainPicture(Shown):
     """The table and the picture of a chain at rest."""
 
     def _summary(self: Any) -> Iterator[Sequence[str]]:

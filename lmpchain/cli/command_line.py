@@ -99,11 +99,17 @@ def _uses_ranks(argv: Sequence[str] | None) -> bool:
         except SystemExit:
             # wrong, as the first process is about to say
             return False
-    if arguments.command is resume:
-        from ..simulation.task import engine_of
+    from ..engines import class_of
 
-        return engine_of(arguments.folder) == "lammps"
-    return arguments.command is run and arguments.engine == "lammps"
+    if arguments.command is resume:
+        from ..simulation.folder_files import engine_of
+
+        name = engine_of(arguments.folder)
+    elif arguments.command is run:
+        name = arguments.engine
+    else:
+        return False
+    return class_of(name).ranks_of_mpi
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -174,7 +180,7 @@ def _main(argv: Sequence[str] | None) -> int:
 
 def _describe_rest(arguments: argparse.Namespace) -> str:
     """Return in words what a stopped command has left on the disk."""
-    from ..simulation.task import is_run, resume_command
+    from ..simulation.folder_files import is_run, resume_command
 
     if arguments.command is sweep:
         return f"what is done is kept in {arguments.output}; the same command continues from there"

@@ -12,22 +12,23 @@ from typing import TYPE_CHECKING
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.remarks import warn
+from ..util.suggestions import either
 from ..util.tables import align, counted
 from .common import beside, complain, gather, on_terminal, output, read
 
 if TYPE_CHECKING:
-    from ..simulation.policy import Policy
+    from ..engines.base import Engine
     from ..trajectory.trajectory import Trajectory
 
 
-def _policy(arguments: argparse.Namespace) -> Policy:
-    """Return the choice of the engine, with its options."""
-    from ..simulation.policy import policy_for
+def _engine(arguments: argparse.Namespace) -> Engine | None:
+    """Return the engine with its options, None for "auto"."""
+    from ..simulation.choice import engine_for
 
     names = ("integrator", "step", "threads", "diameter", "ranks", "template", "include")
     options = {name: getattr(arguments, name) for name in names}
     options = {name: value for name, value in options.items() if value is not None}
-    return policy_for(arguments.engine, **options)
+    return engine_for(arguments.engine, **options)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -35,37 +36,40 @@ def run(arguments: argparse.Namespace) -> int:
     name = arguments.output or beside(arguments.scene, ".nc")
     # a name that ends in / is a folder, even if it is not there yet
     in_folder = run_folder(arguments) is not None
-    scene, path, policy, _ = gather(
+    scene, path, engine, _ = gather(
         lambda: read(arguments.scene),
         lambda: (
             _new_folder(name, arguments.force)
             if in_folder
             else _new_file(name, arguments.scene, arguments.force)
         ),
-        lambda: _policy(arguments),
+        lambda: _engine(arguments),
         lambda: check_tolerance(arguments.tolerance),
     )
+    from .. import engines
     from ..simulation.api import simulate
-    from ..simulation.folder_files import remove
-    from ..simulation.task import is_run
+    from ..simulation.choice import refusals
+    from ..simulation.folder_files import is_run, remove
     from ..stability.pre_run import pre_run_warnings
 
-    if reasons := policy.refuses(scene):
+    if reasons := refusals(scene, engine):
         raise InputError(reasons)
     # only now, when nothing is wrong with the input, is an earlier run taken away
     if in_folder and is_run(path):
         remove(path)
-    for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
+    for warning in pre_run_warnings(scene, engine, arguments.tolerance):
         warn(warning, stacklevel=1)
     if mpi.count_idle():
+        name = engine.name if engine else arguments.engine
+        able = either(each for each in engines.names() if engines.class_of(each).ranks_of_mpi)
         warn(
-            f"the engine {policy.name} runs on one rank; --engine lammps would use them all",
+            f"the engine {name} runs on one rank; --engine {able} would use them all",
             stacklevel=1,
         )
     return _report(
         lambda: simulate(
             scene,
-            policy.chosen or policy.name,
+            engine or arguments.engine,
             arguments.tolerance,
             progress=on_terminal(),
             folder=path if in_folder else None,
@@ -116,8 +120,13 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
 
 
 def _new_folder(name: str, force: bool) -> Path:
-    from ..simulation.folder_files import check_new, check_replaceable
-    from ..simulation.task import is_run, is_sealed, resume_command
+    from ..simulation.folder_files import (
+        check_new,
+        check_replaceable,
+        is_run,
+        is_sealed,
+        resume_command,
+    )
     from ..util.files import expanded
 
     if not (is_run(name) and is_sealed(expanded(name))):
@@ -171,7 +180,7 @@ def _report(
 
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return a summary of the run: engine, steps, error and cost."""
-    from ..simulation.policy import GIVEN_STEP
+    from ..simulation.choice import GIVEN_STEP
     from ..trajectory.gathered import in_words
 
     cost = trajectory.cost

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import InputError, RunFailed, ToleranceNotMet, shown
-from ..integrators.halving import SAFETY, Attempt, halve
-from ..measure.fit.table import Fitted, Row
+from ..integrators.halving import SAFETY, HalvedAnswer, halve
+from ..measure.fit.table import Fitted, FittedNumber
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.tabular import NamedColumn, Tabular
@@ -70,13 +70,13 @@ class Fit(Fitted, Tabular):
         """Standard deviations, (K,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield the fitted numbers; what is a factor has no unit."""
         symbols = self._problem.symbols
         for name, value, error, unit in zip(
             self.names, self.estimate.tolist(), self.error.tolist(), symbols, strict=True
         ):
-            yield Row("traces", name, value, error, unit=unit)
+            yield FittedNumber("traces", name, value, error, unit=unit)
 
     def notes(self) -> Iterator[str]:
         """Yield how well the scene fits, and where its noise comes from."""
@@ -263,14 +263,14 @@ def fit(
     first = problem.looks
     theta = np.zeros(len(problem.names))
 
-    def attempt(halvings: int) -> Attempt[_Estimate]:
+    def attempt(halvings: int) -> HalvedAnswer[_Estimate]:
         nonlocal theta
         problem.looks = first * 2**halvings
         # each from the estimate at longer steps, which is near
         theta = problem.minimise(theta)
         estimate = _estimate(problem, theta)
         allowed = BIAS * np.sqrt(np.diag(estimate.covariance)) + 1e-9
-        return Attempt(estimate, float((estimate.bias / allowed).max()))
+        return HalvedAnswer(estimate, float((estimate.bias / allowed).max()))
 
     # where the motion is chaotic no step is short enough, and every halving takes twice as long
     best, excess = halve(attempt, 8)

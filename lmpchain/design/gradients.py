@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..engines.cost_model import announce
-from ..engines.native.round_off import native_floor
+from ..engines.stepping.round_off import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..integrators.adjoint import Inputs
 from ..integrators.differentiation import (
@@ -20,7 +20,7 @@ from ..integrators.differentiation import (
     differentiable,
     method_for,
 )
-from ..integrators.halving import SAFETY, Attempt, halve
+from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
 from ..util.compilation import clock, compiled_s
@@ -31,7 +31,7 @@ from .seen import Seen
 
 
 @dataclass(frozen=True)
-class Runs:
+class GradientRuns:
     """Runs of which gradients, and the values of an optimum, are made.
 
     Attributes
@@ -52,7 +52,7 @@ class Runs:
     nearby: float = 1.5
 
 
-RUNS = Runs()
+RUNS = GradientRuns()
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +95,10 @@ class Gradient(Mapping[str, Array]):
 
 def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
     """Return the number of times after t = 0 of an objective: samples, or a multiple of them."""
-    looks = scene.samples - 1
+    looks = scene.intervals
     # a peak or a crossing may lie between two samples
     if objective.dense:
-        turn = scene.duration / looks * scene.highest_frequency
-        looks *= finer * max(1, math.ceil(turn / RUNS.look))
+        looks *= finer * max(1, math.ceil(scene.sampling_phase / RUNS.look))
     return looks
 
 
@@ -111,7 +110,7 @@ class Answer(NamedTuple):
     run: AnyRun
 
 
-class Task(NamedTuple):
+class GradientTask(NamedTuple):
     """An objective of a scene, the names of parameters, and how the scene is integrated."""
 
     scene: Scene
@@ -177,7 +176,7 @@ def at_step(
     RunFailed
         If the motion breaks down.
     """
-    task = Task(scene, objective, tuple(names), method, adaptive)
+    task = GradientTask(scene, objective, tuple(names), method, adaptive)
     value, inputs, run = task.solve(step)
     return Answer(value, {name: params.pull(scene, inputs, name) for name in task.names}, run)
 
@@ -213,7 +212,7 @@ def refine(
     before = solve(2 * first, 1)
     spent_s = clock() - compiled_s() - began
 
-    def attempt(halvings: int) -> Attempt[Any]:
+    def attempt(halvings: int) -> HalvedAnswer[Any]:
         nonlocal before
         finer = 2 ** (halvings + 1)
         # the answer of one attempt is what the next is compared with
@@ -231,17 +230,17 @@ def refine(
             few = run.steps <= 2 * (run.time.size - 1)
             step = run.step / RUNS.nearby if few else run.step * RUNS.nearby
             judgement = judge(answer, [coarse, solve(step, finer)])
-        return Attempt(judgement, excess(judgement))
+        return HalvedAnswer(judgement, excess(judgement))
 
     return halve(attempt, answers).answer
 
 
-def _compare(task: Task, answer: Answer, others: Sequence[Answer]) -> Gradient:
+def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gradient:
     """Return a gradient with its errors, from answers with other steps and from round-off."""
     scene = task.scene
     value, inputs, run = answer
     evaluations = run.steps * task.method.evaluations
-    floor = 10 * native_floor(evaluations, scene.highest_frequency * scene.duration)
+    floor = 10 * native_floor(evaluations, scene.total_phase)
     terms = _terms(scene, value, inputs)
     gradients = {}
     errors = {}
@@ -376,7 +375,7 @@ def gradient(
         least = f"longer than {scene.duration / MOST_STEPS:.1g} s, or a run takes hours"
         raise InputError.at("step", f"must be {least} (got {step:g})")
     method = _method(scene, objective, names, integrator, adaptive)
-    task = Task(scene, objective, names, method, adaptive or shortens(scene, method))
+    task = GradientTask(scene, objective, names, method, adaptive or shortens(scene, method))
     answer: Gradient = refine(
         task.solve,
         lambda answer, others: _compare(task, answer, others),

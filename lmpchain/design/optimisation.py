@@ -241,7 +241,7 @@ def optimise(
         limits = [constraint(box.values(at)) for constraint in constraints for at in begins]
         options = (maximise, starts, runs, seed, tolerance)
         subject = (scene.to_text(), objective, names, box.low, box.width, constraints, limits)
-        store = _Store(folder, fingerprint(subject, options), box.start.size)
+        store = _StartStore(folder, fingerprint(subject, options), box.start.size)
         finished = store.read()
     sign = -1.0 if maximise else 1.0
     first = _value(changed(scene, box.values(box.start)), objective, tolerance)
@@ -378,7 +378,7 @@ def _descend(descent: _Descent, begin: Array) -> Start:
     return best._replace(history=np.array(history))
 
 
-class _Store:
+class _StartStore:
     """The folder that keeps finished starts."""
 
     def __init__(self, folder: str | PathLike[str], task: str, size: int):

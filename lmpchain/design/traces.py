@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, shown
 from ..integrators.adjoint import Inputs
 from ..integrators.differentiation import AnyRun
-from ..scene.file_columns import Quantity
+from ..scene.file_columns import ColumnMeaning
 from ..scene.scene import Scene
 from ..scene.trace_file import TraceFile
 from ..util.arrays import Array, check_flags, numbers, whole_numbers
@@ -125,7 +125,7 @@ class Traces(Shown, Tabular):
         field = options.get("field", "velocity")
         unit = FIELD_UNITS.get(field, "")
         quantities = [
-            Quantity(f"{field}_{place}", unit, (f"change_{field}_{place}",))
+            ColumnMeaning(f"{field}_{place}", unit, (f"change_{field}_{place}",))
             for place in np.atleast_1d(whole_numbers(places, "places"))
         ]
         reading = TraceFile(**of_file | {"file": path}).read(quantities)

@@ -15,7 +15,7 @@ from ..util.arrays import Array
 from ..util.remarks import warnings_aside
 from ..util.tabular import Tabular
 from .draws import Law, Of, check, disordered, factors, fault_of_count, fault_of_whole, realisation
-from .streaming import Average, Averages, Draw, draw_mean, take_average
+from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ __all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "reali
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ensemble(Averages, Tabular):
+class Ensemble(StreamedAverages, Tabular):
     """Mean motion of disordered chains of one scene, with standard errors.
 
     Attributes

@@ -14,14 +14,14 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.tabular import Tabular
 from .draws import Law, Of, check, fault_of_count
-from .streaming import Average, Averages, Draw, draw_mean, take_average
+from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Spreading(Averages, Tabular):
+class Spreading(StreamedAverages, Tabular):
     """Spreading of energy in disordered chains of one scene: means and their standard errors.
 
     The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and

@@ -30,8 +30,8 @@ from ..chain.contacts import Contacts
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels import adjoint as kernels
-from .kernels.adjoint_rows import Above, Adjoint, Bodies, Law, Way
-from .kernels.adjoint_tangent import Change, Response, tangent
+from .kernels.adjoint_rows import Above, Adjoint, AdjointForce, Bodies, Way
+from .kernels.adjoint_tangent import Directions, ForceResponse, tangent
 from .kernels.contact_forces import ROOTS, Form
 from .kernels.course import Course, Looks, Stretch
 from .kernels.layout import PAD, Links
@@ -217,11 +217,12 @@ class DifferentiableRun(ObservedRun):
         above = aligned(3, width)
         above[0, 1:] = links.inverse_length[0, :-1]
         above[1, 1:] = links.strength[0, :-1]
-        above[2] = chain.exponent * above[1] * above[0]
+        exponent = chain.law.power_of("derivatives of a run")
+        above[2] = exponent * above[1] * above[0]
         self._above = Above(*above)
         way = _way(chain, links)
-        less = chain.exponent - 1.0
-        self._law = Law(
+        less = exponent - 1.0
+        self._law = AdjointForce(
             way=int(way),
             pressed=links.precompressed,
             touching=float(links.uncompressed[0]),
@@ -377,8 +378,8 @@ class DifferentiableRun(ObservedRun):
         fixed = self._mobility[PAD : PAD + grains] == 0
         inverse = np.divide(1.0, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists)
         power, force, slope, soften = np.zeros((4, width))
-        response = Response(power, force, slope, soften, links(inverse), links(contacts.force))
-        changes = Change(
+        response = ForceResponse(power, force, slope, soften, links(inverse), links(contacts.force))
+        changes = Directions(
             x=bodies(np.where(fixed, 0.0, change.displacement)),
             v=bodies(np.where(fixed, 0.0, change.velocity)),
             mass=bodies(change.masses / chain.masses),
@@ -416,7 +417,7 @@ def _way(chain: Chain, links: Links) -> Way:
     """Choose the way back of the one chain of a batch."""
     # undone where no contact can open: round-off would close or open those that only touch
     form = links.form[0]
-    hertz = chain.exponent == 1.5
+    hertz = chain.law.power == 1.5
     if chain.linearisable and not links.uncompressed[0]:
         if form == Form.POLYNOMIAL:
             return Way.UNDONE_SERIES

@@ -21,16 +21,16 @@ from .batch import ChainBatch
 from .dop853 import DormandPrince
 from .held_steps import schedule_of
 from .kernels import adjoint_dop853 as kernels
-from .kernels.adjoint_rows import Law, Way
+from .kernels.adjoint_rows import AdjointForce, Way
 from .kernels.course import Looks
 from .kernels.dop853 import Weighted
 from .kernels.layout import PAD, Noted
 from .observed_run import ObservedRun
-from .step_schedule import StepSchedule
 from .stepper import NativeStepper, room_for
+from .steps import Steps
 
 
-class Checkpoints(NamedTuple):
+class Dop853Checkpoints(NamedTuple):
     """How far checkpoints of a run are apart.
 
     Attributes
@@ -54,7 +54,7 @@ class Checkpoints(NamedTuple):
     steps_of_call: int = 2**13
 
 
-CHECKPOINTS = Checkpoints()
+CHECKPOINTS = Dop853Checkpoints()
 # times as many as equal ones that adaptive steps are taken to be
 MORE = 4
 
@@ -66,20 +66,20 @@ class Followed(NamedTuple):
     ----------
     steps : list of arrays
         s.
-    pieces : kernels.Pieces
+    pieces : kernels.Dop853Pieces
     values : (2, looks+1, G) array
         Displacements, m, and velocities, m/s.
     """
 
     steps: list[Array]
-    pieces: kernels.Pieces
+    pieces: kernels.Dop853Pieces
     values: Array
 
 
 def follow(
     scene: Scene,
     method: DormandPrince,
-    schedule: StepSchedule,
+    schedule: Steps,
     looks: int,
     grains: NDArray[np.intp],
 ) -> Followed:
@@ -87,7 +87,7 @@ def follow(
     batch = ChainBatch([scene.replace(samples=looks + 1)])
     run = NativeStepper(batch, method, schedule, {})
     width = batch.inverse_mass.shape[1]
-    expected = looks * schedule.steps * (MORE if schedule.adaptive else 1)
+    expected = looks * schedule.per_landing * (MORE if schedule.adaptive else 1)
     # as far apart as the cache allows; further where memory does not hold all
     every = CHECKPOINTS.kept_bytes // (3 * 8 * method.evaluations * width)
     every = max(
@@ -117,7 +117,7 @@ def follow(
     before = np.cumsum(sizes) - sizes
     starts = [n + np.arange(0, size, every) for n, size in zip(before, sizes, strict=True)]
     states = np.concatenate([noted.states for noted in calls])
-    pieces = kernels.Pieces(np.append(np.concatenate(starts), ends.size), states, windows)
+    pieces = kernels.Dop853Pieces(np.append(np.concatenate(starts), ends.size), states, windows)
     landings = ends == 0.0
     lengths = np.where(landings, scene.duration / looks, ends) - np.append(0.0, ends[:-1])
     steps = np.split(lengths, np.flatnonzero(landings)[:-1] + 1)
@@ -145,7 +145,7 @@ class DifferentiableDampedRun(ObservedRun):
         super().__init__(scene, followed.steps, looks, grains)
         look = np.full(self.steps + 1, -1)
         look[self._before] = np.arange(looks + 1)
-        self._steps = kernels.Steps(self._lengths, look)
+        self._steps = kernels.StepsAndLooks(self._lengths, look)
         self._pieces = followed.pieces
         self._longest = int(np.diff(self._pieces.starts).max())
         self._lay_out(method)
@@ -161,26 +161,27 @@ class DifferentiableDampedRun(ObservedRun):
         damped = kernels.Damped(mobility, *np.zeros((5, width)))
         damped.inverse_length[1:] = links.inverse_length[0, :-1]
         damped.strength[1:] = links.strength[0, :-1]
-        damped.stiffness[:] = chain.exponent * damped.strength * damped.inverse_length
+        exponent = chain.law.power_of("derivatives of a run")
+        damped.stiffness[:] = exponent * damped.strength * damped.inverse_length
         damped.viscosity[self._contacts] = chain.contact_viscosity
         # what is held or driven moves as it is told
         damped.drag[self._bodies] = np.where(mobility[self._bodies] > 0, chain.drag, 0.0)
         # a correction for strains serves no contact that only touches, whose strains have no bound
-        hertz = chain.exponent == 1.5 and not chain.loose_grains
-        law = Law(
+        hertz = exponent == 1.5 and not chain.loose_grains
+        law = AdjointForce(
             way=int(Way.HERTZ if hertz else Way.OTHER),
             pressed=links.precompressed,
             touching=float(links.uncompressed[0]),
-            less=chain.exponent - 1.0,
+            less=exponent - 1.0,
             terms=links.coefficients,
         )
         if law.touching > 0:
-            damped.stiffness[PAD] = chain.exponent * law.touching
+            damped.stiffness[PAD] = exponent * law.touching
         tableau = kernels.Tableau(*method.tables)
         # see `layout.Dissipation`
         alike = self._batch.dissipation.alike
         lag = float(chain.contact_viscosity[0]) if alike else 0.0
-        self._system = kernels.System(law, damped, tableau, not alike, lag)
+        self._system = kernels.DampedSystem(law, damped, tableau, not alike, lag)
 
     @property
     def _bodies(self) -> slice:
@@ -192,12 +193,14 @@ class DifferentiableDampedRun(ObservedRun):
         """Contacts in a row of those above each body."""
         return slice(PAD, PAD + self.scene.chain.grains + 1)
 
-    def _memory(self, steps: int, others: kernels.Sums | kernels.Rates) -> kernels.Memory:
+    def _memory(
+        self, steps: int, others: kernels.AdjointSums | kernels.StageRates
+    ) -> kernels.Dop853Memory:
         """Return arrays for the stages of so many steps, and one stage more."""
         stages = self._system.tableau.nodes.size
         width = self._x.shape[1]
-        return kernels.Memory(
-            kernels.Stages(*np.zeros((3, steps + 1, stages, width))),
+        return kernels.Dop853Memory(
+            kernels.StageStates(*np.zeros((3, steps + 1, stages, width))),
             kernels.rates_of(np.zeros((2 * stages, width))),
             Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64)),
             others,
@@ -236,7 +239,7 @@ class DifferentiableDampedRun(ObservedRun):
         width = self._x.shape[1]
         stages = self._system.tableau.nodes.size
         x, w, power, force, viscosity, mass, drag, *room = np.zeros((11, width))
-        sums = kernels.Sums(
+        sums = kernels.AdjointSums(
             x, w, power, force, viscosity, mass, drag, np.zeros((stages, width)), *room
         )
         # a grain that the run never moves would have moved from another start

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
-from ..scene.strike import first_overlaps
 from ..util.arrays import Array
 from ..util.caching import cached_property
 from .kernels import waveform
@@ -120,10 +119,10 @@ class ChainBatch:
             form=np.array(forms),
             loops=np.array([addresses(form) for form in forms]),
             precompressed=float(chain.compressed),
-            coefficients=series(chain.exponent),
+            coefficients=series(chain.law.power_of("a compiled force")),
         )
         self.plain = [form in ROOTS and chain.compressed for form in forms]
-        self.opening_power = chain.exponent
+        self.opening_power = chain.law.onset
         self.imposed = self._imposed()
 
     def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
@@ -236,7 +235,7 @@ def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array, Array]
     stiffness = contacts.stiffness.copy()
     stiffness[:, 1 : loose + 1] = 0.0
     overlap[:, 1 : loose + 1] = TOUCHING
-    force[:, 1 : loose + 1] = contacts.constant[:, 1 : loose + 1] * TOUCHING**contacts.exponent
+    force[:, 1 : loose + 1] = contacts.law.force(TOUCHING, contacts.constant[:, 1 : loose + 1])
     return overlap, force, stiffness
 
 
@@ -261,7 +260,7 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     The plain form is wrong by the last digit of the force at rest, which is nothing in strong
     waves.
     """
-    exponent = scene.chain.exponent
+    exponent = scene.chain.law.power_of("a compiled force")
     roots = int(4 * exponent) if 4 * exponent in ROOTS else None
     if exponent == 1:
         return Form.SPRING
@@ -284,7 +283,7 @@ def _strong(scene: Scene) -> bool:
     if not chain.loose_grains:
         return scene.strike_number > STRONG
     # the strike number of a grain that only touches is infinite, however gently it strikes others
-    deepest = first_overlaps(chain, scene.excitation).max()
+    deepest = scene.first_overlaps.max()
     return bool(deepest > (1 + STRONG) * chain.contacts.overlap.max())
 
 

@@ -21,7 +21,7 @@ Answer = TypeVar("Answer")
 SAFETY = 2.5
 
 
-class Attempt(NamedTuple, Generic[Answer]):
+class HalvedAnswer(NamedTuple, Generic[Answer]):
     """An answer with steps of one length, and how accurate it is.
 
     Attributes
@@ -35,7 +35,7 @@ class Attempt(NamedTuple, Generic[Answer]):
     excess: float
 
 
-def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]:
+def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnswer[Answer]:
     """Return the most accurate answer as steps are halved until its error is allowed.
 
     It ends there, or after a number of answers, when round-off or chaos leaves a larger error.
@@ -49,8 +49,8 @@ def halve(solve: Callable[[int], Attempt[Answer]], most: int) -> Attempt[Answer]
 
     Examples
     --------
-    >>> halve(lambda halvings: Attempt(0.5**halvings, 100 * 0.25**halvings), 12)
-    Attempt(answer=0.0625, excess=0.390625)
+    >>> halve(lambda halvings: HalvedAnswer(0.5**halvings, 100 * 0.25**halvings), 12)
+    HalvedAnswer(answer=0.0625, excess=0.390625)
     """
     best = attempt = solve(0)
     for halvings in range(1, most):

@@ -14,7 +14,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from .batch import ChainBatch
 from .imposed import ImposedCourse
-from .kernels.adjoint import Path
+from .kernels.adjoint import ImposedPath
 from .kernels.course import Looks
 from .kernels.layout import PAD
 
@@ -103,13 +103,13 @@ class ObservedRun:
         """Velocity of the grains looked at, (looks+1, G) m/s."""
         return self._looks.values[1]
 
-    def _path(self, *rows: Any) -> Path:
+    def _path(self, *rows: Any) -> ImposedPath:
         """Return the imposed motion or force in rows that `_times` knows, or none."""
         if self.imposed is None:
-            return Path(0, np.empty(0), np.empty(0))
+            return ImposedPath(0, np.empty(0), np.empty(0))
         body = int(self._chains.imposed.wave["body"][0])
         imposed = self.imposed.waveform.at(self._times(*rows))
-        return Path(body, imposed, np.zeros(imposed.size))
+        return ImposedPath(body, imposed, np.zeros(imposed.size))
 
     def _fill_motion_of_driven(self, values: Array) -> None:
         """Fill what is seen of a driven grain, whose velocity the loops leave out."""

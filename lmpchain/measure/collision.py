@@ -87,8 +87,8 @@ class Collision(Shown, Tabular):
     exact_speed: Array
     toda: Array
     kdv: Array
-    _before: tuple[_Line, _Line]
-    _after: tuple[_Line, _Line]
+    _before: tuple[_CrestLine, _CrestLine]
+    _after: tuple[_CrestLine, _CrestLine]
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw how far each wave is ahead of where it would be alone; returns the axes."""
@@ -110,7 +110,7 @@ class Collision(Shown, Tabular):
         return ax
 
 
-class _Line(NamedTuple):
+class _CrestLine(NamedTuple):
     """Crests of a wave while it is alone, and the line through them."""
 
     grain: Array
@@ -127,7 +127,7 @@ class _Line(NamedTuple):
         return self.origin + self.speed * (time - self.middle)
 
 
-class _Wave(NamedTuple):
+class _IncomingWave(NamedTuple):
     """A wave at the beginning: place, counted from 0, way, and the exact one as high."""
 
     grain: float
@@ -226,7 +226,7 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     return _compare(chain, waves, before, after, place)
 
 
-def _two_waves(chain: Chain, velocity: Array) -> tuple[_Wave, _Wave]:
+def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingWave]:
     """Return the two highest waves of a snapshot, from the top."""
     size = np.abs(velocity)
     tops = 1 + np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:]))
@@ -241,23 +241,23 @@ def _two_waves(chain: Chain, velocity: Array) -> tuple[_Wave, _Wave]:
         place = (low - next_one) / (2 * bend)
         height = float(np.exp(high - (low - next_one) ** 2 / (8 * bend)))
         exact, unit = exact_wave(chain, height)
-        waves.append(_Wave(top + float(place), int(np.sign(velocity[top])), exact, unit))
+        waves.append(_IncomingWave(top + float(place), int(np.sign(velocity[top])), exact, unit))
     return waves[0], waves[1]
 
 
-def _in_si(chain: Chain, wave: _Wave, velocity: float) -> float:
+def _in_si(chain: Chain, wave: _IncomingWave, velocity: float) -> float:
     """Return a velocity of the exact wave in m/s."""
     return velocity * (chain.length_scale / wave.unit if wave.exact.loaded else 1.0)
 
 
 def _line(
     passages: crests.Crests,
-    wave: _Wave,
+    wave: _IncomingWave,
     chain: Chain,
     begin: float,
     end: float,
     through: tuple[float, float],
-) -> _Line:
+) -> _CrestLine:
     """Return the line of a wave between two times, near that of the exact one through a point.
 
     Of times behind that point the later half counts.
@@ -294,7 +294,7 @@ def _line(
         passages.time_error[near].max() + np.abs(t - t.mean() - slope * (x - x.mean())).max()
     )
     speed_off = abs(float(pieces[0] - pieces[1])) + 3 * noise / float(np.ptp(x))
-    return _Line(
+    return _CrestLine(
         grain=x,
         time=t,
         height=float(passages.height[near].mean()),
@@ -306,7 +306,7 @@ def _line(
     )
 
 
-def _crossing(first: _Line, second: _Line) -> tuple[float, float]:
+def _crossing(first: _CrestLine, second: _CrestLine) -> tuple[float, float]:
     """Return where, counted from 0, and when two lines cross."""
     gap = float(second.at(first.middle)) - first.origin
     time = first.middle + gap / (first.speed - second.speed)
@@ -315,9 +315,9 @@ def _crossing(first: _Line, second: _Line) -> tuple[float, float]:
 
 def _compare(
     chain: Chain,
-    waves: tuple[_Wave, _Wave],
-    before: list[_Line],
-    after: list[_Line],
+    waves: tuple[_IncomingWave, _IncomingWave],
+    before: list[_CrestLine],
+    after: list[_CrestLine],
     place: tuple[float, float],
 ) -> Collision:
     """Return the shifts, and the laws beside."""

@@ -29,7 +29,7 @@ LINES = 6  # contacts drawn as lines; more are drawn as a map
 
 
 @dataclass(frozen=True, order=True)
-class Event:
+class ContactEvent:
     """A contact opens or closes, at `time` in s; events sort by time."""
 
     time: float
@@ -63,7 +63,7 @@ class ContactHistory(Shown, Tabular):
     force: Array
     change: Array
 
-    def events(self) -> list[Event]:
+    def events(self) -> list[ContactEvent]:
         """Return openings and closings in the order of time.
 
         Their times are roots of the cubic Hermite interpolant through overlap and rate; the error
@@ -97,7 +97,7 @@ class ContactHistory(Shown, Tabular):
             if changed[i, c] or len(roots) == 2:
                 # of two events between samples the second undoes the first
                 for time, opens in zip(roots, (not gap[i, c], bool(gap[i, c])), strict=False):
-                    events.append(Event(float(time), int(self.contact[c]), opens))
+                    events.append(ContactEvent(float(time), int(self.contact[c]), opens))
         return sorted(events)
 
     def plot(self, ax: Axes | None = None, above_rest: bool = False) -> Axes:

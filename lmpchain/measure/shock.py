@@ -217,7 +217,7 @@ class Shock(Shown, Tabular):
         return self._source + (way if self._downward else -way)
 
 
-class _Wave(NamedTuple):
+class _TravellingWave(NamedTuple):
     """Motion of a wave that travels towards larger numbers: the arrays of an upward one mirrored.
 
     Attributes
@@ -337,7 +337,8 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
 def _medium(trajectory: Trajectory) -> Medium:
     """Return the chain as a gas, if it is uniform and wholly recorded."""
     chain = trajectory.scene.chain
-    if chain.gravity or chain.loose_grains or chain.exponent == 1:
+    exponent = chain.law.power_of("a shock")
+    if chain.gravity or chain.loose_grains or exponent == 1:
         rule = "no gravity, an exponent above 1 and a load, if any, on grain 1"
         raise InputError.at("chain", f"a shock is measured with {rule}")
     masses = chain.masses[: chain.movable]
@@ -347,10 +348,10 @@ def _medium(trajectory: Trajectory) -> Medium:
     recorded = trajectory.grains.size
     if recorded < chain.grains:
         raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
-    return Medium(chain.exponent, float(constants[0]), float(masses[0]))
+    return Medium(exponent, float(constants[0]), float(masses[0]))
 
 
-def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _Wave:
+def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWave:
     """Return the motion while nothing but the wave from the source matters."""
     scene = trajectory.scene
     time = trajectory.time
@@ -398,7 +399,7 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _Wave:
     if reached - source < FEWEST:
         passed = f"the wave has passed {reached - source} contacts"
         raise InputError.at("duration", f"{passed}, fewer than {FEWEST}: {cure}")
-    return _Wave(time[:last], velocity[:last], overlap[:last], source, start, reached)
+    return _TravellingWave(time[:last], velocity[:last], overlap[:last], source, start, reached)
 
 
 def _source(scene: Scene, upward: bool) -> int:
@@ -470,7 +471,7 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
         raise InputError.at("excitation", f"does not push steadily in {used}: {cure}")
 
 
-def _plateau(wave: _Wave, gas: Medium, ahead: State) -> tuple[State, State]:
+def _plateau(wave: _TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
     """Return mean velocity and overlap behind the wave, and how much they vary."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
@@ -510,7 +511,7 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
     return np.array(crests)
 
 
-def _leading_crest(wave: _Wave, ahead: State, jump: float) -> Edge:
+def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
     """Return the leading solitary wave, followed through the later two thirds of the way."""
     # the crest is a few contacts behind the front
     first = wave.source + (wave.reached - wave.source) // 3
@@ -532,7 +533,7 @@ def _leading_crest(wave: _Wave, ahead: State, jump: float) -> Edge:
     return Edge(speed, error, height, drift, float(np.nanmean(velocities[:, 1])))
 
 
-def _trailing_edge(wave: _Wave, ahead: State, behind: State) -> Edge:
+def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
     """Return where oscillations would end, from their sizes at several contacts.
 
     The wave is self-similar: at the speed n / t they have one size, which grows smoothly from the
@@ -580,7 +581,7 @@ def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
         return np.nan
 
 
-def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:
+def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
     """Return both edges, from the places between at which the speed of sound is known."""
     sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
     places = []
@@ -612,7 +613,7 @@ def _rarefaction_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) ->
     )
 
 
-def _dispersive_edges(wave: _Wave, gas: Medium, ahead: State, behind: State) -> _Answer:
+def _dispersive_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
     """Return the leading crest, the trailing edge, and the theories of both."""
     leading = _leading_crest(wave, ahead, behind.overlap - ahead.overlap)
     trailing = _trailing_edge(wave, ahead, behind)
@@ -633,7 +634,7 @@ def _thickness(gas: Medium, ahead: State, behind: State, viscosity: float) -> fl
     return np.nan
 
 
-def _steady_front(wave: _Wave, ahead: State, behind: State) -> _Answer:
+def _steady_front(wave: _TravellingWave, ahead: State, behind: State) -> _Answer:
     """Return the edge at half the jump, and the thickness in grains."""
     jump = behind.overlap - ahead.overlap
     total = wave.reached - wave.source

@@ -123,7 +123,7 @@ class Train(Shown, Tabular):
         return ax
 
 
-class _Wave(NamedTuple):
+class _FollowedWave(NamedTuple):
     """A solitary wave as a `Train` has it, its width in grains, and when it was first followed."""
 
     grain: float
@@ -249,7 +249,7 @@ def _useful(velocity: Array, direction: str) -> int:
     return last
 
 
-def _waves(chain: Chain, time: Array, velocity: Array, upward: bool) -> list[_Wave]:
+def _waves(chain: Chain, time: Array, velocity: Array, upward: bool) -> list[_FollowedWave]:
     """Return the solitary waves, the first of them first."""
     final = velocity[-1]
     tops = 1 + np.flatnonzero((final[1:-1] >= final[:-2]) & (final[1:-1] > final[2:]))
@@ -268,7 +268,7 @@ def _waves(chain: Chain, time: Array, velocity: Array, upward: bool) -> list[_Wa
 
 def _wave(
     chain: Chain, found: crests.Crests, top: int, end: float, height: float, upward: bool
-) -> _Wave | None:
+) -> _FollowedWave | None:
     """Return the wave whose crest is at a grain at the end, or None if it is not solitary."""
     piece = chain.part(*sorted((_number(chain, top - 1, upward), _number(chain, top + 1, upward))))
     if not is_uniform(piece):
@@ -301,7 +301,7 @@ def _wave(
     mass = float(piece.masses[0])
     # in a sonic vacuum the unit of velocity is 1 m/s
     scale = mass * (piece.length_scale / unit) ** 2 if wave.loaded else mass
-    return _Wave(
+    return _FollowedWave(
         grain=float(grains[0] + speed * (end - found.time[later[0]])),
         speed=speed,
         speed_error=error,
@@ -341,7 +341,7 @@ def _spread(values: Array) -> float:
 
 
 def _energy(
-    time: Array, velocity: Array, density: Array, unsure: Array, wave: _Wave
+    time: Array, velocity: Array, density: Array, unsure: Array, wave: _FollowedWave
 ) -> tuple[float, float]:
     """Return the energy of a wave between its troughs, J, and by how much it may be off."""
     samples = np.flatnonzero(time >= wave.start)

@@ -14,7 +14,7 @@ from .continuation import family_curve
 from .family import Event
 from .flow import Flow
 from .orbit import Orbit, orbit_of
-from .shooting import Point, estimate_error, plane
+from .shooting import OrbitPoint, estimate_error, plane
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def switch(event: Event) -> Orbit:
     raise RunFailed(f"no orbit of twice the period is found beside {event.value:g}")
 
 
-def _differs(flow: Flow, mesh: Array, point: Point, share: float) -> bool:
+def _differs(flow: Flow, mesh: Array, point: OrbitPoint, share: float) -> bool:
     """Return whether an orbit differs from itself half a period later, by more than round-off."""
     half = replace(flow, cycles=max(flow.cycles // 2, 1))
     later = half.run(point.state, point.period / 2, mesh).end

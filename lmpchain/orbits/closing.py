@@ -10,7 +10,7 @@ import numpy as np
 
 from ..util.arrays import Array
 from .events import Member
-from .shooting import Constraint, Equations, Point, Solution, plane
+from .shooting import Constraint, Equations, OrbitPoint, Solution, plane
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ def aspects(equations: Equations, member: Member) -> list[Aspect]:
     if equations.reversible:
         flow = equations.flow_at(point.value)
         half = flow.run(point.state, point.period, mesh[: mesh.size // 2])
-        later = equations.pack(Point(half.end, point.period, point.value))
+        later = equations.pack(OrbitPoint(half.end, point.period, point.value))
         if not _equal(later, member.unknown, member.orbit.error):
             states.append(Aspect(later, member.orbit.error))
     return states
 
 
 def returns(
-    solver: Callable[[Point, Constraint, Member], Solution | None],
+    solver: Callable[[OrbitPoint, Constraint, Member], Solution | None],
     equations: Equations,
     earlier: Sequence[Aspect],
     start: Member,

@@ -32,7 +32,7 @@ from .orbit import Orbit, orbit_of
 from .shooting import (
     Constraint,
     Equations,
-    Point,
+    OrbitPoint,
     Solution,
     estimate_error,
     fixed,
@@ -45,7 +45,7 @@ ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
 
 @dataclass(frozen=True)
-class Steps:
+class ContinuationSteps:
     """Lengths of steps along a family, and limits beyond which it is given up.
 
     Attributes
@@ -80,7 +80,7 @@ class Steps:
     crowded: float = 5e6
 
 
-STEPS = Steps()
+STEPS = ContinuationSteps()
 
 
 class Ending(Enum):
@@ -95,7 +95,7 @@ class Ending(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class SolutionBranch:
     """The family that an orbit belongs to.
 
     Attributes
@@ -114,7 +114,7 @@ class Curve:
     exact: bool = False
 
     def solve(
-        self, guess: Point, constraint: Constraint, near: Member | None = None
+        self, guess: OrbitPoint, constraint: Constraint, near: Member | None = None
     ) -> Solution | None:
         """Return the orbit of the family near a guess that a constraint selects.
 
@@ -211,7 +211,7 @@ class Curve:
         state = member.unknown[: self.equations.period_at(member.unknown)]
         return float(np.linalg.norm(state))
 
-    def value(self, point: Point) -> float:
+    def value(self, point: OrbitPoint) -> float:
         """Return the parameter of an orbit."""
         if self.parameter == "energy":
             return self.equations.flow_at(point.value).energy(point.state)[0]
@@ -244,7 +244,7 @@ class _March:
     """
 
     def __init__(
-        self, curve: Curve, start: Member, target: Constraint, points: int, events: bool
+        self, curve: SolutionBranch, start: Member, target: Constraint, points: int, events: bool
     ) -> None:
         self.curve = curve
         self.target = target
@@ -471,7 +471,7 @@ def family_curve(
     start: float | None,
     until: float,
     hold: str,
-) -> tuple[Curve, Point]:
+) -> tuple[SolutionBranch, OrbitPoint]:
     """Return the family that an orbit belongs to, and the point of the orbit there."""
     if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
         raise InputError.at("until", f"must be a number (got {shown(until)})")
@@ -488,7 +488,7 @@ def family_curve(
             raise InputError.at("until", f"must be above 0 for the {parameter} (got {until:g})")
         equations = _equations(orbit, lambda _: orbit.flow, 0.0)
         name = str(parameter).removeprefix("drive.")
-        return Curve(equations, (), name), Point(orbit.state, orbit.period)
+        return SolutionBranch(equations, (), name), OrbitPoint(orbit.state, orbit.period)
     system_at, value = _vary(orbit, parameter, start)
 
     # every residual at one value of the parameter runs the same flow
@@ -502,7 +502,7 @@ def family_curve(
     equations = _equations(orbit, flow_at, max(abs(value), abs(until)) or 1.0)
     constraint = fixed(equations, hold, orbit.period if hold == "period" else orbit.energy)
     state = flow_at(value).canonical(orbit.displacement, orbit.velocity)
-    return Curve(equations, (constraint,), "value"), Point(state, orbit.period, value)
+    return SolutionBranch(equations, (constraint,), "value"), OrbitPoint(state, orbit.period, value)
 
 
 def _equations(orbit: Orbit, flow_at: Callable[[float], Flow], scale: float) -> Equations:

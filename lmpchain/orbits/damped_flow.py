@@ -8,15 +8,15 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..integrators.dop853 import DormandPrince
-from ..integrators.kernels.damped_tangent import Body, Course, Method, march
+from ..integrators.kernels.damped_tangent import Body, ImposedStages, RungeKutta, march
 from ..integrators.kernels.layout import PAD
-from ..integrators.kernels.tangent import Deviations, Motion
+from ..integrators.kernels.tangent import BodyRow, Deviations
 from ..scene.excitation import Drive, Force
 from ..util.arrays import Array
 from .flow import Flow
 
 NODES, _, (_, WEIGHTS), INNER = DormandPrince().tables
-METHOD = Method(np.ascontiguousarray(INNER), np.ascontiguousarray(WEIGHTS))
+METHOD = RungeKutta(np.ascontiguousarray(INNER), np.ascontiguousarray(WEIGHTS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class DampedFlow(Flow):
         return np.asarray(creep - chain.drag * displacement)
 
     def _march(
-        self, motion: Motion, deviations: Deviations, mesh: Array, period: float, nodes: Array
+        self, motion: BodyRow, deviations: Deviations, mesh: Array, period: float, nodes: Array
     ) -> None:
         links, inverse_mass = self._kernel_arrays
         chain = self.chain
@@ -74,7 +74,7 @@ class DampedFlow(Flow):
         values = self._imposed(begin[:, None] + mesh[:, None] * NODES)
         pushes = isinstance(self.drive, Force)
         place = PAD - 1 + (self.drive.grain if isinstance(self.drive, Drive | Force) else 0)
-        course = Course(place, pushes, values)
+        course = ImposedStages(place, pushes, values)
         march(links, body, motion, deviations, METHOD, mesh * period, course, nodes)
 
     def _complete(self, nodes: Array, wall: Array) -> None:

@@ -11,7 +11,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..integrators.batch import ChainBatch
 from ..integrators.kernels.layout import PAD, Links
-from ..integrators.kernels.tangent import Deviations, Held, Motion, Steps, march
+from ..integrators.kernels.tangent import BodyRow, Deviations, Held, TangentSteps, march
 from ..integrators.splittings import KAHAN_LI8
 from ..scene.excitation import Drive, Force, Profile
 from ..scene.scene import Scene
@@ -183,7 +183,7 @@ class Flow:
         longer = np.zeros(begin.shape[2])
         longer[longer.size - stretch :] = 1.0
         nodes = np.zeros((2, mesh.size + 1, grains))
-        motion = Motion(rows[0], rows[1])
+        motion = BodyRow(rows[0], rows[1])
         self._march(motion, Deviations(columns[0], columns[1], longer), mesh, period, nodes)
         end = nodes[:, -1, self.free] * self.units
         wall = np.zeros((2, mesh.size + 1))
@@ -198,11 +198,11 @@ class Flow:
         return Passage(nodes[0], nodes[1], wall, end, changed)
 
     def _march(
-        self, motion: Motion, deviations: Deviations, mesh: Array, period: float, nodes: Array
+        self, motion: BodyRow, deviations: Deviations, mesh: Array, period: float, nodes: Array
     ) -> None:
         """Advance a motion and its deviations, and fill nodes (2, K+1, N) between the steps."""
         links, inverse_mass = self._kernel_arrays
-        steps = Steps(np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period)
+        steps = TangentSteps(np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period)
         path = np.zeros(0)
         if self.drive is not None:
             begin = np.cumsum(mesh) - mesh

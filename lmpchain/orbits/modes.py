@@ -19,7 +19,7 @@ from .search import check_number, find, linear_mode
 
 
 @dataclass(frozen=True)
-class Limits:
+class KnownLimits:
     """Orbits of limits in which they are known, from which families begin.
 
     Attributes
@@ -41,7 +41,7 @@ class Limits:
     alone: tuple[float, float] = (1e-4, 1e2)
 
 
-LIMITS = Limits()
+LIMITS = KnownLimits()
 
 
 def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = False) -> Orbit:

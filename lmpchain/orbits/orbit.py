@@ -21,7 +21,7 @@ from ..util.plotting import axes_in_units, legend
 from ..util.tabular import NamedColumn, Tabular
 from . import floquet
 from .flow import Flow, Passage
-from .shooting import Equations, Point, Solution
+from .shooting import Equations, OrbitPoint, Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -292,7 +292,7 @@ class Orbit(Shown, Tabular):
 
 def orbit_of(equations: Equations, solution: Solution, error: float) -> Orbit:
     """Return the orbit of a solution."""
-    point: Point = solution.point
+    point: OrbitPoint = solution.point
     flow = equations.flow_at(point.value)
     passage = flow.run(point.state, point.period, solution.mesh)
     u = passage.displacement

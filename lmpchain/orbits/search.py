@@ -18,7 +18,7 @@ from .continuation import follow
 from .damped_flow import flow_of
 from .flow import Flow, check_sine
 from .orbit import Orbit, orbit_of
-from .shooting import Equations, Point, fixed, solve_accurately
+from .shooting import Equations, OrbitPoint, fixed, solve_accurately
 
 Guess = Profile | tuple[Array, Array] | None
 WEAK = 1e-2  # of a drive: one so much weaker has nearly the linear answer
@@ -98,7 +98,7 @@ def find(
     target = fixed(equations, key, value)
     name = f"a period of {period:g} s"
     try:
-        solution, error = solve_accurately(equations, Point(state, period), [target], name)
+        solution, error = solve_accurately(equations, OrbitPoint(state, period), [target], name)
     except RunFailed:
         if guess is not None or drive is None:
             raise

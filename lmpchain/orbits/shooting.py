@@ -14,7 +14,7 @@ from scipy.linalg import LinAlgError, LinAlgWarning, lstsq
 from scipy.linalg import solve as solve_square
 
 from ..errors import InputError, RunFailed
-from ..integrators.halving import SAFETY, Attempt, halve
+from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..util.arrays import EPSILON, Array
 from . import mesh as meshes
 from .flow import Flow, Passage
@@ -52,7 +52,7 @@ NEWTON = Newton()
 FILTERS = Lock()  # of warnings: one list for all threads, which they change in turns
 
 
-class Point(NamedTuple):
+class OrbitPoint(NamedTuple):
     """Unknowns of an orbit: a canonical state (2, M), a period in s, and a parameter."""
 
     state: Array
@@ -84,29 +84,29 @@ class Equations:
     scale: float = 0.0
     time: float = 1.0
 
-    def pack(self, point: Point) -> Array:
+    def pack(self, point: OrbitPoint) -> Array:
         """Return the unknowns (U,): state, log(period) and parameter."""
         state = point.state[0] if self.reversible else point.state.ravel()
         parameter = [point.value / self.scale] if self.scale else []
         return np.concatenate((state / self.unit, [np.log(point.period / self.time)], parameter))
 
-    def unpack(self, unknown: Array) -> Point:
+    def unpack(self, unknown: Array) -> OrbitPoint:
         """Return the point of these unknowns."""
         end = self.period_at(unknown)
         state = unknown[:end] * self.unit
         state = np.stack((state, np.zeros(end))) if self.reversible else state.reshape(2, -1)
         value = float(unknown[-1] * self.scale) if self.scale else 0.0
-        return Point(state, float(np.exp(unknown[end]) * self.time), value)
+        return OrbitPoint(state, float(np.exp(unknown[end]) * self.time), value)
 
     def period_at(self, unknown: Array) -> int:
         """Return the index of log(period) among the unknowns, behind those of the state."""
         return unknown.size - 1 - bool(self.scale)
 
-    def closure(self, point: Point, mesh: Array) -> Array:
+    def closure(self, point: OrbitPoint, mesh: Array) -> Array:
         """Return the change of the state over a period, or the momenta after half of one, (R,)."""
         return self._closure(self.flow_at(point.value), point, mesh)[0]
 
-    def linearise(self, point: Point, mesh: Array) -> tuple[Array, Array]:
+    def linearise(self, point: OrbitPoint, mesh: Array) -> tuple[Array, Array]:
         """Return the closure (R,) and its derivatives (R, U) by the unknowns."""
         flow = self.flow_at(point.value)
         # the displacements at t = 0 are unknown, and the momenta unless all grains begin at rest
@@ -131,7 +131,7 @@ class Equations:
             slopes = np.hstack((slopes, by_value))
         return residual, slopes
 
-    def by_value(self, point: Point, quantity: Callable[[Flow], Any]) -> Any:
+    def by_value(self, point: OrbitPoint, quantity: Callable[[Flow], Any]) -> Any:
         """Return the derivative of a quantity by the parameter, over its scale, by differences."""
         nudge = NEWTON.nudge
         for up, down in ((nudge, -nudge), (nudge, 0.0), (0.0, -nudge)):
@@ -145,14 +145,21 @@ class Equations:
         raise RunFailed(f"the parameter can be nothing but {point.value:g}")
 
     def _closure(
-        self, flow: Flow, point: Point, mesh: Array, columns: Array | None = None, stretch: int = 0
+        self,
+        flow: Flow,
+        point: OrbitPoint,
+        mesh: Array,
+        columns: Array | None = None,
+        stretch: int = 0,
     ) -> tuple[Array, Array]:
         passage = flow.run(point.state, point.period, self._steps(mesh), columns, stretch)
         end = passage.end
         residual = end[1] if self.reversible else (end - point.state).ravel()
         return residual / self.unit, passage.deviation.reshape(2 * flow.size, -1)
 
-    def mesh(self, point: Point, reach: float, before: Array | None = None) -> tuple[Array, bool]:
+    def mesh(
+        self, point: OrbitPoint, reach: float, before: Array | None = None
+    ) -> tuple[Array, bool]:
         """Return steps for a point, and whether contacts open, around which they are shorter."""
         flow = self.flow_at(point.value)
         if before is None:
@@ -165,7 +172,7 @@ class Equations:
         mesh = meshes.graded(flow, point.period, passage.displacement, times, reach)
         return mesh, bool(times.size)
 
-    def _run(self, flow: Flow, point: Point, mesh: Array) -> Passage:
+    def _run(self, flow: Flow, point: OrbitPoint, mesh: Array) -> Passage:
         """Return the motion over a period, or over half of one that is symmetric in time."""
         return flow.run(point.state, point.period, self._steps(mesh))
 
@@ -176,7 +183,7 @@ class Equations:
 class Constraint(NamedTuple):
     """A further equation: from unknowns and their point, a residual and its derivatives (U,)."""
 
-    of: Callable[[Array, Point], tuple[float, Array]]
+    of: Callable[[Array, OrbitPoint], tuple[float, Array]]
 
 
 def plane(through: Array, normal: Array) -> Constraint:
@@ -200,7 +207,7 @@ class Solution(NamedTuple):
         Steps of Newton's method, and those of them after the mesh was laid anew.
     """
 
-    point: Point
+    point: OrbitPoint
     mesh: Array
     slopes: Array
     residual: float
@@ -214,23 +221,23 @@ def fixed(equations: Equations, name: str, value: float) -> Constraint:
     The frequency is that of the drive.
     """
 
-    def period(unknown: Array, point: Point) -> tuple[float, Array]:
+    def period(unknown: Array, point: OrbitPoint) -> tuple[float, Array]:
         row = np.zeros(unknown.size)
         row[equations.period_at(unknown)] = 1.0
         return float(np.log(point.period / value)), row
 
-    def frequency(unknown: Array, point: Point) -> tuple[float, Array]:
+    def frequency(unknown: Array, point: OrbitPoint) -> tuple[float, Array]:
         row = np.zeros(unknown.size)
         row[equations.period_at(unknown)] = -1.0
         present = equations.flow_at(point.value).cycles / point.period
         return float(np.log(present / value)), row
 
-    def parameter(unknown: Array, point: Point) -> tuple[float, Array]:
+    def parameter(unknown: Array, point: OrbitPoint) -> tuple[float, Array]:
         row = np.zeros(unknown.size)
         row[-1] = 1.0
         return (point.value - value) / equations.scale, row
 
-    def energy(unknown: Array, point: Point) -> tuple[float, Array]:
+    def energy(unknown: Array, point: OrbitPoint) -> tuple[float, Array]:
         present, slope = equations.flow_at(point.value).energy(point.state)
         row = np.zeros(unknown.size)
         inner = slope[0] if equations.reversible else slope.ravel()
@@ -244,7 +251,7 @@ def fixed(equations: Equations, name: str, value: float) -> Constraint:
     return Constraint(kinds[name])
 
 
-class System(NamedTuple):
+class OrbitSystem(NamedTuple):
     """All equations of an orbit with given steps: its closure and its constraints."""
 
     equations: Equations
@@ -298,7 +305,7 @@ class Descent(NamedTuple):
 
 def solve(
     equations: Equations,
-    guess: Point,
+    guess: OrbitPoint,
     constraints: Sequence[Constraint],
     reach: float = meshes.MESH.reach,
     near: Solution | None = None,
@@ -318,7 +325,7 @@ def solve(
     iterations = 0
     relaid = 0
     for number in range(NEWTON.rounds):
-        system = System(equations, constraints, mesh)
+        system = OrbitSystem(equations, constraints, mesh)
         orbit = _newton(system, unknown, slopes, origin, near is not None)
         if orbit is None:
             return None
@@ -339,7 +346,7 @@ def solve(
 
 
 def _newton(
-    system: System, unknown: Array, slopes: Array | None, origin: Array | None, near: bool
+    system: OrbitSystem, unknown: Array, slopes: Array | None, origin: Array | None, near: bool
 ) -> Solution | None:
     """Return the orbit with given steps; derivatives are taken anew where old ones do not serve.
 
@@ -379,7 +386,7 @@ def _newton(
 
 
 def _descend(
-    system: System, unknown: Array, slopes: Array, residual: Array | None = None
+    system: OrbitSystem, unknown: Array, slopes: Array, residual: Array | None = None
 ) -> Descent:
     """Take Newton steps with these derivatives while each divides the residual by ten."""
     period_at = system.equations.period_at(unknown)
@@ -415,7 +422,7 @@ def _distance(unknown: Array, other: Array) -> float:
     return float(np.abs(unknown - other).max() / np.abs(unknown).max())
 
 
-def _solution(system: System, descent: Descent, steps: int) -> Solution:
+def _solution(system: OrbitSystem, descent: Descent, steps: int) -> Solution:
     point = system.equations.unpack(descent.unknown)
     return Solution(point, system.mesh, descent.slopes, descent.residual, steps)
 
@@ -449,7 +456,7 @@ def estimate_error(
 
 
 def solve_accurately(
-    equations: Equations, guess: Point, constraints: Sequence[Constraint], name: str
+    equations: Equations, guess: OrbitPoint, constraints: Sequence[Constraint], name: str
 ) -> tuple[Solution, float]:
     """Return an orbit and the error of its steps, below 1e-12 if round-off allows that.
 
@@ -461,7 +468,7 @@ def solve_accurately(
     start = guess
     iterations = 0
 
-    def attempt(halvings: int) -> Attempt[Solution | None]:
+    def attempt(halvings: int) -> HalvedAnswer[Solution | None]:
         nonlocal start, iterations
         solution = solve(equations, start, constraints, meshes.MESH.reach / 2**halvings)
         if solution is None and not halvings:
@@ -469,10 +476,12 @@ def solve_accurately(
                 f"no periodic orbit found near {name}: give a guess or a period closer to one"
             )
         if solution is None:
-            return Attempt(solution, np.inf)
+            return HalvedAnswer(solution, np.inf)
         start = solution.point
         iterations += solution.iterations
-        return Attempt(solution, estimate_error(equations, solution, constraints) / NEWTON.closed)
+        return HalvedAnswer(
+            solution, estimate_error(equations, solution, constraints) / NEWTON.closed
+        )
 
     solution, excess = halve(attempt, NEWTON.rounds)
     assert solution is not None

@@ -26,7 +26,7 @@ from ..util.remarks import warnings_aside
 from ..util.suggestions import did_you_mean
 from . import live
 from .html import render_live
-from .live import Axis, View
+from .live import Slider, View
 from .verdicts import facts, front_below, linear_theory, short_power, unit_of
 
 SOURCE_KEYS = ("scene", "over", "engine", "tolerance")
@@ -129,7 +129,7 @@ def explore(
         aside.write_text(page, encoding="utf-8")
 
 
-def _read(source: Mapping[str, Any]) -> tuple[Sweep, list[Axis]]:
+def _read(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
     """Return the sweep and the sliders of a page; raises `InputError` with every fault."""
     if not isinstance(source, Mapping):
         raise InputError.at("source", 'must be a mapping, such as {"scene": scene, "over": {...}}')
@@ -194,7 +194,7 @@ def _check_values(sweep: Any) -> list[float]:
     return values
 
 
-def _axis(key: str, values: list[float], scene: Any, kind: str) -> Axis:
+def _axis(key: str, values: list[float], scene: Any, kind: str) -> Slider:
     """Return the slider of a key; evenly spaced ratios are those of a logarithmic one."""
     name = key.rpartition(".")[2]
     unit = unit_of(name, kind)
@@ -210,7 +210,7 @@ def _axis(key: str, values: list[float], scene: Any, kind: str) -> Axis:
     if isinstance(own, int | float) and (own > 0 or not log):
         size = np.log if log else np.positive
         start = int(np.abs(size(values) - size(own)).argmin())
-    return Axis(key, unit, values, log, start)
+    return Slider(key, unit, values, log, start)
 
 
 class _Grid(NamedTuple):
@@ -224,7 +224,7 @@ class _Grid(NamedTuple):
 def _make_grid(plan: Sweep) -> _Grid:
     with warnings_aside():
         scenes = [plan.scene(plan.place(number)) for number in range(plan.count)]
-    turn = max(scene.highest_frequency * scene.duration for scene in scenes)
+    turn = max(scene.total_phase for scene in scenes)
     # such that samples show the front, as far as they may
     samples = min(max(*(s.samples for s in scenes), math.ceil(turn) + 1), PAGE.samples)
     with warnings_aside():
@@ -281,7 +281,7 @@ def _view(run: Trajectory, between: tuple[int, int], plan: Sweep) -> View:
     return full.thinned(*PAGE.views[0])
 
 
-def _fit(views: list[View | str], axes: list[Axis], plan: Sweep, grid: _Grid) -> str:
+def _fit(views: list[View | str], axes: list[Slider], plan: Sweep, grid: _Grid) -> str:
     """Return the page with as many times and grains as it has room for."""
     for times, grains in PAGE.views:
         thin = [view if isinstance(view, str) else view.thinned(times, grains) for view in views]
@@ -297,7 +297,7 @@ def _fit(views: list[View | str], axes: list[Axis], plan: Sweep, grid: _Grid) ->
 def _render(
     numbers: dict[str, Any],
     views: Sequence[View | str],
-    axes: Sequence[Axis],
+    axes: Sequence[Slider],
     plan: Sweep,
     grid: _Grid,
 ) -> str:

@@ -220,7 +220,7 @@ def _law(trajectory: Trajectory, grains: np.ndarray) -> Array | None:
     return travel_time(chain, max(1, source))[grains - 1]
 
 
-class Axis(NamedTuple):
+class Slider(NamedTuple):
     """A slider: its key and unit, its values, log-spaced or not, and where it begins."""
 
     key: str
@@ -231,7 +231,7 @@ class Axis(NamedTuple):
 
 
 def numbers(
-    views: Sequence[View | str], axes: Sequence[Axis] = (), levels: int = VIEW.levels
+    views: Sequence[View | str], axes: Sequence[Slider] = (), levels: int = VIEW.levels
 ) -> dict[str, Any]:
     """Return the numbers for the script of the figure.
 
@@ -249,7 +249,7 @@ def numbers(
     dict
         For JSON. Arrays are integers times a unit, in `data`, where equal ones stand once.
     """
-    store = _Store(levels)
+    store = _ViewStore(levels)
     runs = [{"reason": v} if isinstance(v, str) else store.record(v) for v in views]
     return {
         "axes": [axis._asdict() for axis in axes],
@@ -259,7 +259,7 @@ def numbers(
     }
 
 
-class _Store:
+class _ViewStore:
     """Arrays of many views, each as differences from row to row in 16 bits, and lists."""
 
     def __init__(self, levels: int):

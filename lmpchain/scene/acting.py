@@ -16,7 +16,7 @@ from ..util.arrays import Array
 from ..util.caching import cached_property
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
 from .base import Excitation, Number, OneGrain, Push
-from .file_columns import Quantity
+from .file_columns import ColumnMeaning
 from .measured import Measured
 from .profile import Profile
 from .trace_file import Reading, TraceFile
@@ -68,7 +68,7 @@ class _Acting(Measured):
     @classmethod
     def _arrays(cls, file: TraceFile) -> tuple[Reading, dict[str, Array]]:
         name = cls.strength[1]
-        reading = file.read([Quantity(name, cls.unit)], from_zero=True)
+        reading = file.read([ColumnMeaning(name, cls.unit)], from_zero=True)
         if reading.time[0] < 0:
             begins = f"the trace begins at {reading.time[0]:g} s"
             cure = (

@@ -30,7 +30,7 @@ OFF_GRID = 0.01
 OWN_NAMES = re.compile(r"(change_(force|contact)|force_contact)_\d+")
 
 
-class Quantity(NamedTuple):
+class ColumnMeaning(NamedTuple):
     """What a column is to hold: its name in a header, its unit in SI, and names that go first."""
 
     name: str
@@ -49,7 +49,7 @@ class Quantity(NamedTuple):
         )
 
 
-INSTANT = Quantity("time", "s")
+INSTANT = ColumnMeaning("time", "s")
 
 
 def time_factor(table: NumberTable, place: int) -> float:
@@ -95,7 +95,7 @@ def _in_seconds(table: NumberTable, place: int) -> bool:
 
 
 def find_columns(
-    table: NumberTable, quantities: Sequence[Quantity], columns: Any
+    table: NumberTable, quantities: Sequence[ColumnMeaning], columns: Any
 ) -> list[int | None]:
     """Return the places of quantities that columns or the header name; None of others."""
     if columns is None:
@@ -113,7 +113,7 @@ def find_columns(
 
 
 def find_time_and_columns(
-    table: NumberTable, quantities: Sequence[Quantity], columns: Any
+    table: NumberTable, quantities: Sequence[ColumnMeaning], columns: Any
 ) -> list[int | None]:
     """Return the places of the times, None if there are none, and of all quantities.
 
@@ -185,7 +185,7 @@ def _on_grid(table: NumberTable, place: int) -> bool:
     return bool(interval and (np.abs(steps - interval) < OFF_GRID * interval).all())
 
 
-def _find_by_header(table: NumberTable, quantities: Sequence[Quantity]) -> list[int | None]:
+def _find_by_header(table: NumberTable, quantities: Sequence[ColumnMeaning]) -> list[int | None]:
     """Return the places of time and quantities by the header, or because there are no others."""
     places = find_columns(table, quantities, None)
     if places[0] is None:
@@ -253,7 +253,7 @@ def _list(table: NumberTable) -> str:
     return "it has " + ", ".join(map(table.describe, table.numeric))
 
 
-def ambiguous(table: NumberTable, quantities: Sequence[Quantity]) -> InputError:
+def ambiguous(table: NumberTable, quantities: Sequence[ColumnMeaning]) -> InputError:
     """Return the error of a file whose columns are not told apart."""
     names = ", ".join(quantity.name for quantity in quantities)
     cure = f"say which are {names} by columns = [number or name, ...]"

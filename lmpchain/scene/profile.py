@@ -11,7 +11,7 @@ from ..chain.chain import Chain
 from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Vector
-from .file_columns import Quantity
+from .file_columns import ColumnMeaning
 from .measured import Measured
 from .trace_file import Reading, TableFile
 
@@ -38,7 +38,7 @@ class Profile(Measured):
 
     @classmethod
     def _arrays(cls, file: TableFile) -> tuple[Reading, dict[str, Array]]:
-        reading = file.read([Quantity("displacement", "m"), Quantity("velocity", "m/s")])
+        reading = file.read([ColumnMeaning("displacement", "m"), ColumnMeaning("velocity", "m/s")])
         return reading, dict(zip(reading.names, reading.values.T, strict=True))
 
     @property

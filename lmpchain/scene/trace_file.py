@@ -21,7 +21,7 @@ from .file_columns import (
     OFF_GRID,
     TIME_UNITS,
     VALUE_UNITS,
-    Quantity,
+    ColumnMeaning,
     ambiguous,
     find_columns,
     find_time_and_columns,
@@ -129,7 +129,7 @@ class TableFile(Checked):
     scale: Annotated[Array, BeforeValidator(_scale)] = NOT_GIVEN
     offset: Annotated[Array, BeforeValidator(_each)] = NOT_GIVEN
 
-    def read(self, quantities: Sequence[Quantity]) -> Reading:
+    def read(self, quantities: Sequence[ColumnMeaning]) -> Reading:
         """Return the columns of some of these quantities, those that the file has.
 
         Raises
@@ -155,7 +155,10 @@ class TableFile(Checked):
         return Reading(np.empty(0), values, self._text(table, words), [q.name for q, _ in present])
 
     def _calibrate_columns(
-        self, table: NumberTable, present: Sequence[tuple[Quantity, Any]], base: Array | None = None
+        self,
+        table: NumberTable,
+        present: Sequence[tuple[ColumnMeaning, Any]],
+        base: Array | None = None,
     ) -> tuple[Array, list[str]]:
         """Return the values of columns in SI units, and in words how they came about."""
         values = table.values([place for _, place in present])
@@ -217,7 +220,7 @@ class TraceFile(TableFile):
         if self.baseline is not None and self.offset is not None:
             yield "baseline", "is an offset that the trace tells: take one of both out"
 
-    def read(self, quantities: Sequence[Quantity], from_zero: bool = False) -> Reading:
+    def read(self, quantities: Sequence[ColumnMeaning], from_zero: bool = False) -> Reading:
         """Return the times and the values of all quantities.
 
         Parameters
@@ -426,7 +429,7 @@ class Calibration(NamedTuple):
 
 
 def _calibrate(
-    table: NumberTable, place: int, quantity: Quantity, scale: float | None
+    table: NumberTable, place: int, quantity: ColumnMeaning, scale: float | None
 ) -> Calibration:
     """Return how the numbers in a column become those of a quantity."""
     text = table.unit(place, *VALUE_UNITS)

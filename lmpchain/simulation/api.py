@@ -12,21 +12,22 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from .. import engines
 from ..engines.base import Engine, Run
 from ..engines.cost_model import PATIENCE_S, announce, check_time, in_words
 from ..engines.step_control import AVERAGES, PATIENCE, Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, LmpchainError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.methods import BY_NAME
-from ..scene.scene import LightCone, Scene, check_scene
+from ..scene.facts import LightCone
+from ..scene.scene import Scene, check_scene
 from ..trajectory.record import LARGEST_ERROR, Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
 from ..util.memory import free_memory
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
-from .gathering import GatheringRun, at_samples, of_engine
-from .policy import policy_for, record
-from .task import Task
+from .accumulation import GatheringRun, at_samples, of_engine
+from .choice import choose, engine_for, fall_back, record, refusals
 
 if TYPE_CHECKING:
     from .run_folder import RunFolder
@@ -99,22 +100,23 @@ def simulate(
     check_tolerance(tolerance)
     check_on_miss(on_miss)
     check_flags(progress=progress)
-    policy = policy_for(engine, **options)
-    if reasons := policy.refuses(scene):
+    chosen = engine_for(engine, **options)
+    if reasons := refusals(scene, chosen):
         raise InputError(reasons)
-    task = Task(scene, policy, tolerance, on_miss == "warn")
+    asked = scene, chosen, tolerance, on_miss == "warn"
     if folder is None:
         if max_wall is not None:
             raise InputError.at(
                 "max_wall", "goes with a run folder, which keeps what is done; name one"
             )
-        return _conclude(task, *_answer(task, _Memory(task), progress))
+        memory = _Memory(*asked)
+        return _conclude(memory, *_answer(memory, progress))
     from .run_folder import RunFolder
     from .signals import Requests
 
-    with RunFolder(folder, Requests(max_wall), task) as output:
-        answer = _answer(output.task, output, progress)
-    return _conclude(task, *answer)
+    with RunFolder(folder, Requests(max_wall), *asked) as output:
+        answer = _answer(output, progress)
+    return _conclude(output, *answer)
 
 
 def check_on_miss(on_miss: Any) -> None:
@@ -165,27 +167,26 @@ def resume(
             raise ToleranceNotMet(state["reason"], trajectory)
         return trajectory
     with RunFolder(folder, Requests(max_wall), ranks=ranks) as output:
-        answer = _answer(output.task, output, progress)
-    return _conclude(output.task, *answer)
+        answer = _answer(output, progress)
+    return _conclude(output, *answer)
 
 
-def _answer(
-    task: Task, output: _Memory | RunFolder, progress: bool
-) -> tuple[Trajectory, Outcome[Any]]:
-    """Solve what is left of a task, with another engine if the first one leaves out too much."""
-    policy = task.policy
-    attempt = output.attempt or policy.first(task.scene, task.tolerance, task.best_effort)
+def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
+    """Solve what is left of a scene, with another engine if the first one leaves out too much."""
+    attempt = output.attempt or _first(output, output.scene)
     with output.requests:
         while True:
-            scene = task.scene.until(attempt.known_until)
-            engine = output.prepare(policy.engine(attempt))
+            scene = output.scene.until(attempt.known_until)
+            engine = output.prepare(output.engine or engines.plain(attempt.proposal.engine))
             try:
-                outcome, gathered = _solve(task, scene, engine, attempt, output, progress)
+                outcome, gathered = _solve(scene, engine, attempt, output, progress)
             except ToleranceNotMet as limit:
-                attempt = _shorten(task, scene, limit)
+                attempt = _shorten(output, scene, limit)
                 continue
             try:
-                following = policy.fallback(scene, outcome.attempt, outcome.error)
+                # an engine that was named stays
+                error = outcome.error
+                following = None if output.engine else fall_back(scene, outcome.attempt, error)
             except ToleranceNotMet as refusal:
                 outcome = outcome._replace(missed=attempt.refusal or refusal.reason)
                 break
@@ -203,7 +204,12 @@ def _answer(
     return output.finish(outcome, gathered), outcome
 
 
-def _shorten(task: Task, scene: Scene, limit: ToleranceNotMet) -> Attempt:
+def _first(output: _Memory | RunFolder, scene: Scene) -> Attempt:
+    """Return the first attempt at a scene, or at the beginning of it."""
+    return choose(scene, output.engine, output.tolerance, output.best_effort)
+
+
+def _shorten(output: _Memory | RunFolder, scene: Scene, limit: ToleranceNotMet) -> Attempt:
     """Return the first attempt at the beginning of a scene, as long as it can be predicted.
 
     Raises
@@ -214,12 +220,11 @@ def _shorten(task: Task, scene: Scene, limit: ToleranceNotMet) -> Attempt:
     beginning = scene.until(limit.known_until)
     if beginning is scene:
         raise limit
-    attempt = task.policy.first(beginning, task.tolerance, task.best_effort)
+    attempt = _first(output, beginning)
     return attempt._replace(refusal=limit.reason, known_until=limit.known_until)
 
 
 def _solve(
-    task: Task,
     scene: Scene,
     engine: Engine,
     attempt: Attempt,
@@ -250,7 +255,7 @@ def _solve(
         with closing(_show_progress(run, engine.name, scene.samples, output.samples)) as blocks:
             return output.collect(run, _expand(_on_time(blocks), cone))
 
-    outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, task.best_effort)
+    outcome = solve_to_tolerance(engine, [scene_part], attempt, collect, begin, output.best_effort)
     gathered = gathering.results([outcome.error.total])[0] if gathering else {}
     for energies in solved.energies(outcome.errors) if solved else []:
         gathered |= at_samples(scene, energies)
@@ -262,7 +267,7 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
 
     `left` is the share of the samples that remains.
     """
-    cost_s = left * attempt.candidate.cost_s
+    cost_s = left * attempt.proposal.cost_s
     cures = ["a shorter duration"]
     if cost_s > PATIENCE_S:
         cures += _cheaper(scene, attempt, cost_s)
@@ -272,18 +277,18 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
 
 def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
     """Yield choices that take less time than an attempt, with their expected times."""
-    if attempt.candidate.fixed:
+    if attempt.proposal.fixed:
         yield "a longer step"
         return
     tolerance = attempt.tolerance
-    method = BY_NAME.get(attempt.candidate.integrator)
+    method = BY_NAME.get(attempt.proposal.integrator)
     if method and 10 * tolerance < 1:
         tenth_s = cost_s / 10 ** (1 / method.order)
         yield f"a tolerance of {10 * tolerance:.2g} (about {in_words(tenth_s)})"
     with suppress(LmpchainError):
-        best = policy_for("auto").first(scene, tolerance, True)
-        if best.candidate.cost_s < cost_s / 2:
-            yield f"the engine {best.engine} (about {in_words(best.candidate.cost_s)})"
+        best = choose(scene, None, tolerance, True)
+        if best.proposal.cost_s < cost_s / 2:
+            yield f"the engine {best.proposal.engine} (about {in_words(best.proposal.cost_s)})"
 
 
 def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
@@ -293,7 +298,7 @@ def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
         check_time()
 
 
-def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
+def _expand(blocks: Iterator[Block], cone: LightCone[Scene] | None) -> Iterator[Block]:
     """Return blocks of the light cone as blocks of the whole scene."""
     if cone is None:
         return blocks
@@ -305,19 +310,21 @@ def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
     )
 
 
-def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
+def _conclude(
+    output: _Memory | RunFolder, trajectory: Trajectory, outcome: Outcome[Any]
+) -> Trajectory:
     """Return the trajectory, with warnings; raise `ToleranceNotMet` if the tolerance was missed."""
     if "redone" in trajectory.provenance:
         warn(trajectory.provenance["redone"], stacklevel=3)
     model = trajectory.error_estimate.model
     bound = min(outcome.error.model_bound, LARGEST_ERROR)
-    if model > task.tolerance:
+    if model > output.tolerance:
         limit = f" (at most {bound:.2g})" if bound > model else ""
         size = f"about {model:.2g} of the solution{limit}"
         if model == LARGEST_ERROR:
             size = f"all of the solution, an error of {LARGEST_ERROR:g}"
         error = f"Eq. ({trajectory.equation}) leaves out {size}"
-        remark = f"{error}, more than {task.tolerance:g}. {outcome.error.remark}"
+        remark = f"{error}, more than {output.tolerance:g}. {outcome.error.remark}"
         warn(remark.rstrip(". "), stacklevel=3)
     if not outcome.missed and outcome.known_until < math.inf:
         # a step was given, and so there is no tolerance to name
@@ -325,7 +332,7 @@ def _conclude(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Traj
         time_s = f"from about t = {outcome.known_until:.4g} s on"
         warn(f"{cannot} {time_s}, where no step predicts it: take {AVERAGES}", stacklevel=3)
     if outcome.missed:
-        if not task.best_effort:
+        if not output.best_effort:
             raise ToleranceNotMet(outcome.missed, trajectory, outcome.known_until)
         warn(outcome.missed, stacklevel=3)
     return trajectory
@@ -335,7 +342,7 @@ LARGE_BYTES = 2**26  # of samples; fewer begin without a look at the free memory
 
 
 class _Memory:
-    """Gathers the blocks of a run in memory."""
+    """What is asked of a run, whose blocks are collected in memory; `engine` is None for "auto"."""
 
     attempt: Attempt | None = None
     # done before
@@ -343,17 +350,20 @@ class _Memory:
     # to stop are none: signals act at once
     requests: AbstractContextManager[Any] = nullcontext()
 
-    def __init__(self, task: Task):
-        self._task = task
+    def __init__(self, scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool):
+        self.scene = scene
+        self.engine = engine
+        self.tolerance = tolerance
+        self.best_effort = best_effort
 
     def prepare(self, engine: Engine) -> Engine:
         """Take note of the engine that answers."""
-        self._engine = engine
+        self._answering = engine
         return engine
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Start at the beginning."""
-        self._scene = scene = self._task.scene.until(attempt.known_until)
+        self._known = scene = self.scene.until(attempt.known_until)
         # Pages of grains that the wave does not reach are never written.
         cone = scene.light_cone
         moving = (scene.recorded if cone is None else scene.recorded[cone.columns]).size
@@ -363,7 +373,7 @@ class _Memory:
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, G) m and m/s."""
-        scene = self._scene
+        scene = self._known
         u = v = np.empty(0)
         for block in blocks:
             # the whole answer in one block needs no copy
@@ -385,8 +395,8 @@ class _Memory:
         self, outcome: Outcome[tuple[Array, Array]], gathered: dict[str, Array]
     ) -> Trajectory:
         """Return the answer."""
-        scene = self._scene
-        engine = self._engine
+        scene = self._known
+        engine = self._answering
         displacement, velocity = outcome.collected
         return Trajectory(
             scene=scene,
@@ -398,7 +408,7 @@ class _Memory:
             velocity=velocity,
             error_estimate=outcome.error.estimate,
             cost=outcome.cost,
-            provenance=record(engine, scene, outcome.attempt.candidate, self._task.tolerance),
+            provenance=record(engine, scene, outcome.attempt.proposal, self.tolerance),
             gathered=gathered,
         )
 

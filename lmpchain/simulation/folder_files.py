@@ -1,23 +1,61 @@
-"""Files of a run folder: those that lmpchain wrote, known by their seals, and their removal."""
+"""Files of a run folder: the order of the run, checkpoints and hashes; what lmpchain wrote itself.
+
+Each file that lmpchain writes bears a seal, by which it is recognised, or stands in SHA256SUMS.
+Other files are never replaced or removed.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
+import os
 import re
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from .. import engines
-from ..errors import InputError, short
+from ..engines.base import Engine, Proposal
+from ..errors import InputError, check_tolerance, short
+from ..integrators.steps import Steps
+from ..scene.scene import Scene
 from ..trajectory import zarr_store as store
-from ..util.files import is_aside, path_of, read_sealed_json, replacing
+from ..util import mpi
+from ..util.arrays import Array
+from ..util.files import (
+    SEALED,
+    check_tree,
+    is_aside,
+    path_of,
+    read_sealed_json,
+    replacing,
+    sealed_json,
+    unpack,
+)
 from ..util.locks import LOCK, describe_holder, is_lock, take_lock
-from ..util.provenance import checksum, checksums
-from . import checkpoints
-from .task import AT_WORK, RUN, SCENE, STATUS, check_run, is_run, is_sealed, resume_command
+from ..util.provenance import checksum, checksums, describe_session
+from ..util.remarks import warn
+from .choice import AUTO, engine_for, refusals
 
+SCENE = "scene.toml"
+RUN = "run.json"
+STATUS = "status.json"
 SUMS = "SHA256SUMS"
+CHECKPOINTS = ("checkpoint", "checkpoint-before")
+# A proposal in the notes of older versions, in this order where it is a list.
+OLD_PROPOSAL = ("step", "active_grains", "model_error", "solver_error", "cost_s", "tolerance",
+                "steps_per_landing", "stride", "fixed", "adaptive", "coarse_openings", "integrator",
+                "choices")  # fmt: skip
+UNSEALED = ("sha256", "sessions", SEALED)  # in run.json: what is no part of the order
+STATE = "state."  # before the names of the arrays of a state, so that they never meet another
+HASH = hashlib.sha256
+LENGTH = HASH().digest_size
 SUM = re.compile(r"([0-9a-f]{64})  (.+)")  # a line of it
 # files of the Zarr store: descriptions and chunks, also half written ones
 IN_STORE = re.compile(
@@ -26,6 +64,250 @@ IN_STORE = re.compile(
 )
 FOLDER_IN_STORE = re.compile(rf"{re.escape(store.NAME)}(/[^/]+(/c(/\d+)*)?)?")
 NAMED = 5  # files that an error line names
+
+
+def resume_command(folder: str | PathLike[str]) -> str:
+    """Return the command that goes on with a run."""
+    return f"lmpchain resume {shlex.quote(str(folder))}"
+
+
+def is_run(folder: str | PathLike[str]) -> bool:
+    """Return whether this is a run folder."""
+    path = path_of(folder)
+    return (path / SCENE).exists() and (path / RUN).exists()
+
+
+def is_sealed(folder: Path) -> bool:
+    """Return whether lmpchain wrote the order in a folder, and nobody has changed it since."""
+    order = read_sealed_json(folder / RUN)
+    try:
+        text = (folder / SCENE).read_bytes().decode("utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return order is not None and order["sha256"] == _seal(order, text)
+
+
+def engine_of(folder: str | PathLike[str]) -> str:
+    """Return the engine that a run folder asks for, empty where it does not say."""
+    try:
+        return str(json.loads((path_of(folder) / RUN).read_bytes())["engine"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return ""
+
+
+def at_work(folder: Path) -> str:
+    """Return in words that another process has the lock of a run folder, and the cure."""
+    return f"{describe_holder(folder)} is at work here; wait for it, or stop it"
+
+
+def check_run(folder: str | PathLike[str]) -> Path:
+    """Return the path of a run folder; raises `InputError` if it is none."""
+    if not is_run(folder):
+        raise InputError.at(
+            str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one"
+        )
+    try:
+        check_tree(path_of(folder))
+    except OSError as error:
+        raise InputError.at(str(folder), error.strerror or str(error)) from None
+    return path_of(folder)
+
+
+def write_order(
+    folder: Path, scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool
+) -> None:
+    """Write what is asked of a new run, and this session; None stands for the engine "auto".
+
+    The scene comes last, which makes a run folder of it.
+    """
+    order: dict[str, Any] = {
+        "engine": engine.name if engine else AUTO,
+        "options": engine.options() if engine else {},
+        "tolerance": tolerance,
+        "best_effort": best_effort,
+    }
+    seal = _seal(order, scene.to_text())
+    sessions = [_session(order["options"])]
+    _write_order(folder, order | {"sha256": seal, "sessions": sessions})
+    scene.to_toml(folder / SCENE)
+
+
+def _seal(order: dict[str, Any], scene: str) -> str:
+    """Return a hash of the order, by which a change to its files is noticed."""
+    fixed = {key: value for key, value in order.items() if key not in UNSEALED}
+    return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
+
+
+def check_known(engine: Engine | None) -> None:
+    """Raise `InputError` if an engine cannot work in a run folder."""
+    if engine is None:
+        return
+    name = engine.name
+    if name not in engines.names() or type(engine) is not type(engines.get(name)):
+        raise InputError.at(
+            "engine", "a run folder knows engines by name only, and this is none of lmpchain's"
+        )
+    engine.options()
+
+
+def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | None, float, bool]:
+    """Return what `write_order` took from a run folder, and note that this session works on it.
+
+    Raises
+    ------
+    InputError
+        If the files of the order were changed, or its engine cannot use these ranks.
+    """
+    try:
+        order = json.loads((folder / RUN).read_text(encoding="utf-8"))
+        text = (folder / SCENE).read_bytes().decode("utf-8")
+        scene = Scene.from_text(text)
+        options = dict(order["options"])
+        old_versions = dict(order["sessions"][-1]["packages"])
+        # a folder may come from elsewhere: what it asks for must be what lmpchain wrote
+        if order["sha256"] != _seal(order, text):
+            raise ValueError("they are not those that the run began with")
+        parallel = "ranks" in options
+        if parallel and (ranks is not None or mpi.current_world()):
+            # those of mpirun serve
+            options["ranks"] = ranks
+        engine = engine_for(str(order["engine"]), **options)
+        # no commands of whoever wrote this folder
+        check_known(engine)
+        check_tolerance(order["tolerance"])
+        if not isinstance(order["best_effort"], bool) or not isinstance(order["sessions"], list):
+            raise ValueError("they do not say what was asked")
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise InputError.at(
+            str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}"
+        ) from None
+    if ranks is not None and not parallel:
+        raise InputError.at(
+            "ranks", f"the engine {order['engine']} runs on one; leave the number of ranks out"
+        )
+    if reasons := refusals(scene, engine):
+        raise InputError(reasons)
+    session = _session(options)
+    _compare_versions(old_versions, session["packages"])
+    _write_order(folder, order | {"sessions": [*order["sessions"], session]})
+    return scene, engine, order["tolerance"], order["best_effort"]
+
+
+def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
+    """Warn of packages with another version than in the last session."""
+    changes = [
+        f"{name} {new.get(name)}, not {version}"
+        for name, version in old.items()
+        if new.get(name) != version
+    ]
+    if changes:
+        warn(
+            f"the run went so far with other versions, and may now differ: {'; '.join(changes)}",
+            stacklevel=3,
+        )
+
+
+def _session(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the record of this session, with its ranks where the engine can use several."""
+    record = describe_session()
+    if "ranks" in options:
+        world = mpi.current_world()
+        record["ranks"] = world.size if world else options["ranks"] or 1
+    return record
+
+
+def _write_order(folder: Path, order: dict[str, Any]) -> None:
+    with replacing(folder / RUN) as aside:
+        aside.write_text(sealed_json(order), encoding="utf-8")
+
+
+def save_checkpoint(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> None:
+    """Write a checkpoint with its hash, so that damage is noticed.
+
+    At every moment one of the two newest is complete on the disk.
+    """
+    # packed in memory first, so that the hash is of what is written
+    packed = io.BytesIO()
+    arrays = {STATE + name: values for name, values in state.items()}
+    np.savez(packed, notes=np.array(json.dumps(notes)), **arrays)  # type: ignore[arg-type]
+    content = packed.getbuffer()
+    newest, before = (folder / name for name in CHECKPOINTS)
+    with replacing(newest) as aside:
+        with open(aside, "wb") as opened:
+            opened.write(HASH(content).digest())
+            opened.write(content)
+        # renamed before the new one is moved into place: a kill leaves one of them whole
+        if newest.exists():
+            os.replace(newest, before)
+
+
+def load_checkpoints(folder: Path) -> Iterator[tuple[dict[str, Any], dict[str, Array]] | None]:
+    """Yield notes and state of the checkpoints, the newest first.
+
+    The state is empty before the first sample. A damaged checkpoint is removed and gives None.
+    """
+    for path in (folder / name for name in CHECKPOINTS):
+        if path.exists():
+            checkpoint = None
+            if is_intact(path):
+                checkpoint = _unpack(memoryview(path.read_bytes())[LENGTH:])
+            if checkpoint is None:
+                path.unlink()
+            yield checkpoint
+
+
+def is_intact(path: Path) -> bool:
+    """Return whether a checkpoint is as it was written."""
+    content = memoryview(path.read_bytes())
+    return HASH(content[LENGTH:]).digest() == content[:LENGTH]
+
+
+def _unpack(content: memoryview) -> tuple[dict[str, Any], dict[str, Array]] | None:
+    try:
+        arrays = unpack(content)
+        notes = json.loads(str(arrays["notes"]))
+        state = {
+            name.removeprefix(STATE): values
+            for name, values in arrays.items()
+            if name.startswith(STATE)
+        }
+        return dict(notes), state
+    except Exception:
+        # whatever it is, it is no checkpoint, though it bears its hash
+        return None
+
+
+def renew(attempt: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the notes of an attempt as this version writes them, from those of any version."""
+    renewed = dict(attempt)
+    if "candidate" in renewed:
+        engine = renewed.pop("engine")
+        renewed["proposal"] = _renew_proposal(engine, renewed.pop("candidate"))
+        if renewed["best"]:
+            error, best = renewed["best"]
+            old = dict(zip(OLD_PROPOSAL, best, strict=True))
+            renewed["best"] = error, _renew_proposal(engine, old)
+    return renewed
+
+
+def _renew_proposal(engine: str, old: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the notes of a proposal from those of older versions, which had no record of steps."""
+    new = {key: old[key] for key in OLD_PROPOSAL}
+    steps = Steps(
+        per_landing=new.pop("steps_per_landing"),
+        stride=new.pop("stride"),
+        step=new.pop("step"),
+        adaptive=new.pop("adaptive"),
+        coarse_openings=new.pop("coarse_openings"),
+        dense=int(old["stride"] > 1),
+    )
+    # Diameters were written as text.
+    choices = {
+        key: float(text) if key.endswith("_m") else text for key, text in old["choices"].items()
+    }
+    equation = engines.get(engine).equation
+    fields = {"engine": engine, "equation": equation, "steps": steps._asdict(), "choices": choices}
+    return Proposal(**new | fields)._asdict()
 
 
 def check_new(folder: str | PathLike[str]) -> Path:
@@ -95,8 +377,8 @@ def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
         return is_sealed(folder)
     if text == SUMS:
         return bool(sums)
-    if text in checkpoints.NAMES:
-        return checkpoints.is_intact(path)
+    if text in CHECKPOINTS:
+        return is_intact(path)
     if text == LOCK:
         return is_lock(path)
     if text in sums:
@@ -111,16 +393,16 @@ def _is_aside(name: Path) -> bool:
 
 
 def _inputs() -> set[str]:
-    return {name for engine in engines.names() for name in engines.get(engine).inputs}
+    return {name for engine in engines.names() for name in engines.class_of(engine).inputs}
 
 
 def _logs() -> set[str]:
-    return {name for engine in engines.names() for name in engines.get(engine).logs}
+    return {name for engine in engines.names() for name in engines.class_of(engine).logs}
 
 
 def _names() -> set[str]:
     """Return the names that files of a run folder may have, but for those of the store."""
-    return {SCENE, RUN, STATUS, SUMS, *checkpoints.NAMES, *_inputs(), *_logs()}
+    return {SCENE, RUN, STATUS, SUMS, *CHECKPOINTS, *_inputs(), *_logs()}
 
 
 def _read_sums(folder: Path) -> dict[str, str]:
@@ -137,7 +419,7 @@ def write_sums(folder: Path, finished: bool) -> None:
     """Write the hashes of what is final: the engine's input, and in the end all but the status."""
     names = _inputs()
     if finished:
-        names |= _names() - {STATUS, SUMS, *checkpoints.NAMES}
+        names |= _names() - {STATUS, SUMS, *CHECKPOINTS}
     by_name = {
         path.relative_to(folder).as_posix(): path
         for path in sorted(folder.rglob("*"))
@@ -166,7 +448,7 @@ def clear(folder: Path) -> None:
     sums = _read_sums(folder)
     present = [path.relative_to(folder) for path in sorted(folder.rglob("*"))]
     own = [name for name in present if _is_own(folder, name, sums)]
-    # the task goes last: a kill on the way leaves a run folder, which can be replaced again
+    # the order goes last: a kill on the way leaves a run folder, which can be replaced again
     last = [Path(name) for name in (SCENE, RUN, LOCK)]
     files = [name for name in own if not (folder / name).is_dir() and name not in last]
     for name in (*files, *(name for name in last if name in own)):
@@ -189,7 +471,7 @@ def remove(folder: Path) -> None:
     check_replaceable(folder)
     lock = take_lock(folder)
     if lock is None:
-        raise InputError.at(str(folder), AT_WORK.format(holder=describe_holder(Path(folder))))
+        raise InputError.at(str(folder), at_work(folder))
     try:
         # under its lock, so that no process writes to it meanwhile
         clear(folder)

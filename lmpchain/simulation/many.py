@@ -9,16 +9,15 @@ from typing import Any, Literal
 import numpy as np
 
 from ..engines.base import Engine
-from ..engines.native.time_stepping import alike
-from ..engines.step_control import Attempt, first_attempt, next_attempt
+from ..engines.step_control import Attempt, next_attempt
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from .accumulation import GatheringRun, at_samples
 from .api import check_on_miss, simulate
-from .gathering import GatheringRun, at_samples
-from .policy import damping_record, policy_for, record
+from .choice import choose, damping_record, engine_for, record, refusals
 
 # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 BATCH_NUMBERS = 2**18
@@ -80,13 +79,12 @@ def simulate_many(
     check_on_miss(on_miss)
     if isinstance(scenes, Scene) or not isinstance(scenes, Iterable):
         raise InputError.at("scenes", "must be a list of scenes; simulate takes one alone")
-    policy = policy_for(engine, **options)
+    chosen = engine_for(engine, **options)
     numbered = dict(enumerate(scenes))
     for number, scene in numbered.items():
         check_scene(scene, f"scenes.{number}")
-        if reasons := policy.refuses(scene):
+        if reasons := refusals(scene, chosen):
             raise InputError(InputError(reasons).under(f"scenes.{number}"))
-    chosen = policy.chosen
     batches = dict(in_batches(chosen, numbered, tolerance)) if chosen else {}
     answers = []
     for number, scene in numbered.items():
@@ -112,15 +110,15 @@ def in_batches(
         return
     for number, scene in scenes.items():
         with suppress(LmpchainError):
-            attempt = first_attempt(engine, engine.part(scene), tolerance)
+            attempt = choose(scene, engine, tolerance)
             # else the light cone saves more than a batch
-            if 2 * attempt.candidate.active_grains >= scene.chain.grains:
+            if 2 * attempt.proposal.active_grains >= scene.chain.grains:
                 attempts[number] = attempt
     while attempts:
         groups: dict[Any, list[int]] = {}
         for number, attempt in attempts.items():
             scene = scenes[number]
-            key = scene.quantities, *alike(scene.fine, attempt.candidate)
+            key = scene.quantities, engine.batch_key(scene.fine, attempt.proposal)
             groups.setdefault(key, []).append(number)
         following: dict[int, Attempt] = {}
         for numbers in _split(scenes, groups.values()):
@@ -150,10 +148,10 @@ def _solve(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
     """Run scenes together; return answer, next attempt, and reason of a miss for each."""
-    candidate = attempts[0].candidate
+    proposal = attempts[0].proposal
     parts = [scene.fine for scene in scenes]
     gathering = None
-    with closing(engine.start(parts, candidate)) as answering:
+    with closing(engine.start(parts, proposal)) as answering:
         run = answering
         if scenes[0].quantities:
             run = gathering = GatheringRun(run, engine, scenes, parts, {})
@@ -168,7 +166,7 @@ def _solve(
     for scene, quantities, summed in zip(scenes, gathered, energies, strict=False):
         quantities |= at_samples(scene, summed)
     cost = _share(cost, attempts)
-    provenance = record(engine, scenes[0], candidate, tolerance)
+    provenance = record(engine, scenes[0], proposal, tolerance)
     results = []
     for row, (scene, attempt, error) in enumerate(zip(scenes, attempts, errors, strict=True)):
         following, missed = next_attempt(engine, scene.fine, attempt, error)

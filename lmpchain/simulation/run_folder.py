@@ -1,7 +1,7 @@
-"""A run folder: the task, the samples so far, and the state to resume the run from bit for bit.
+"""A run folder: the order, the samples so far, and the state to resume the run from bit for bit.
 
 scene.toml, run.json
-    The task (`lmpchain.simulation.task`), and every session that worked on it: command, host,
+    The order: scene, engine, tolerance; and every session that worked on it: command, host,
     versions.
 status.json
     Running, stopped, finished or failed, why, and how far; see `status` for a run that was killed.
@@ -9,7 +9,7 @@ trajectory.zarr
     The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also while the run
     goes on.
 checkpoint, checkpoint-before
-    `lmpchain.simulation.checkpoints`.
+    The two newest states, from which a run goes on.
 deck, log.lammps
     Of a run in LAMMPS: input that `lmp` runs by itself; what LAMMPS said, session by session.
 SHA256SUMS
@@ -42,16 +42,14 @@ from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json
-from ..util.locks import describe_holder, take_lock
+from ..util.locks import take_lock
 from ..util.provenance import now
 from ..util.remarks import warn
 from ..util.tables import finite
-from . import checkpoints
-from . import task as tasks
-from .folder_files import check_new, clear, half_written, write_sums
-from .policy import record
+from . import folder_files as files
+from .choice import record
+from .folder_files import STATUS, check_run, resume_command
 from .signals import Requests, Stopped
-from .task import STATUS, Task, resume_command
 
 STATES = ("running", "stopped", "finished", "failed")
 SPENT = ("integration_s", "estimate_s", "setup_s")
@@ -89,7 +87,7 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
     InputError
         If this is not a run folder.
     """
-    path = tasks.check_run(folder) / STATUS
+    path = check_run(folder) / STATUS
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
         if report["state"] not in STATES or not isinstance(report["reason"], str):
@@ -119,11 +117,16 @@ def _find_kill(path: Path) -> dict[str, str]:
 
 
 class RunFolder:
-    """A run folder at work, locked inside its context: new for a task, or with its task.
+    """A run folder at work, locked inside its context: a new one for a scene, or one to resume.
 
     Attributes
     ----------
-    task : Task
+    scene : Scene
+    engine : Engine or None
+        None with "auto".
+    tolerance : float
+    best_effort : bool
+        Whether to return the best answer if the tolerance cannot be met.
     attempt : Attempt or None
         The one to go on with.
     samples : int
@@ -132,20 +135,28 @@ class RunFolder:
         To stop.
     """
 
-    task: Task
+    scene: Scene
 
     def __init__(
         self,
         folder: str | PathLike[str],
         requests: Requests,
-        task: Task | None = None,
+        scene: Scene | None = None,
+        engine: Engine | None = None,
+        tolerance: float = math.nan,
+        best_effort: bool = False,
         ranks: int | None = None,
     ):
         self._ranks = ranks
         self.name = str(folder)
         self.path = path_of(folder)
         self.requests = requests
-        self._new = task
+        self._is_new = scene is not None
+        if scene:
+            self.scene = scene
+        self.engine = engine
+        self.tolerance = tolerance
+        self.best_effort = best_effort
         self.attempt: Attempt | None = None
         self.samples = 0
         self._state: Mapping[str, Array] = {}
@@ -155,24 +166,25 @@ class RunFolder:
         self._began = time.monotonic()
 
     def __enter__(self) -> RunFolder:
-        if self._new:
-            tasks.check_policy(self._new.policy)
-            self._made = not check_new(self.path).exists()
+        if self._is_new:
+            files.check_known(self.engine)
+            self._made = not files.check_new(self.path).exists()
             make_folder(self.path)
         else:
-            tasks.check_run(self.path)
+            check_run(self.path)
         self._lock = self._take_lock()
         try:
-            for path in half_written(self.path):
+            for path in files.half_written(self.path):
                 path.unlink()
-            if self._new:
-                self.task = self._new
+            if self._is_new:
                 # another may have been faster
-                check_new(self.path)
+                files.check_new(self.path)
                 self._write_status("running")
-                tasks.write(self.path, self.task)
+                asked = self.scene, self.engine, self.tolerance, self.best_effort
+                files.write_order(self.path, *asked)
             else:
-                self.task = tasks.read(self.path, self._ranks)
+                asked = files.read_order(self.path, self._ranks)
+                self.scene, self.engine, self.tolerance, self.best_effort = asked
                 self._load_checkpoint()
                 # the status file also knows of time after the last checkpoint
                 with suppress(InputError, LookupError):
@@ -192,23 +204,22 @@ class RunFolder:
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
         if not lock:
-            raise InputError.at(self.name, tasks.AT_WORK.format(holder=describe_holder(self.path)))
+            raise InputError.at(self.name, files.at_work(self.path))
         return lock
 
     @property
-    def _scene(self) -> Scene:
+    def _known(self) -> Scene:
         """The scene, or its beginning where it cannot be predicted any longer."""
-        scene = self.task.scene
-        return scene.until(self.attempt.known_until) if self.attempt else scene
+        return self.scene.until(self.attempt.known_until) if self.attempt else self.scene
 
     def _load_checkpoint(self) -> None:
         """Load the newest checkpoint that is whole, and whose samples are there."""
         damaged = False
-        for checkpoint in checkpoints.load(self.path):
+        for checkpoint in files.load_checkpoints(self.path):
             if checkpoint:
                 notes, state = checkpoint
                 self.attempt = _read_attempt(notes, self._before)
-                if store.usable(self.path, self._scene, notes.get("samples")):
+                if store.usable(self.path, self._known, notes.get("samples")):
                     self._state = state
                     self.samples = notes["samples"]
                     self._before = notes["spent"]
@@ -224,8 +235,8 @@ class RunFolder:
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         # no run that could be gone on with
-        if isinstance(error, InputError) and self._new and not self.samples:
-            clear(self.path)
+        if isinstance(error, InputError) and self._is_new and not self.samples:
+            files.clear(self.path)
             if self._made:
                 # what came meanwhile keeps it
                 with suppress(OSError):
@@ -246,14 +257,14 @@ class RunFolder:
                 path = error.filename or self.name
                 fault = f"{path}: cannot be written: {error.strerror or error}"
                 kind = LmpchainError
-            done = f"{self.samples} of {self._scene.samples} samples were done"
+            done = f"{self.samples} of {self._known.samples} samples were done"
             cure = f"when that is put right, {resume_command(self.name)} goes on"
             raise kind(f"{fault}; {done} and most are kept; {cure}") from error
 
     def prepare(self, engine: Engine) -> Engine:
         """Return the engine that answers, which writes its messages into this folder."""
-        self._engine = engine.prepare(self.path)
-        return self._engine
+        self._answering = engine.prepare(self.path)
+        return self._answering
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Make ready for an attempt; return the state if the run goes on with it."""
@@ -264,15 +275,15 @@ class RunFolder:
             self.samples = 0
             self._before = self._before | dict.fromkeys(SPENT, 0.0)
             # both checkpoints: none may hold an earlier attempt, whose samples go
-            for _ in checkpoints.NAMES:
-                checkpoints.save(self.path, self._notes(self._before), {})
-            engine = self._engine
-            scene = self._scene
-            choices = record(engine, scene, attempt.candidate, self.task.tolerance)
+            for _ in files.CHECKPOINTS:
+                files.save_checkpoint(self.path, self._notes(self._before), {})
+            engine = self._answering
+            scene = self._known
+            choices = record(engine, scene, attempt.proposal, self.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
-            engine.write_inputs(scene.fine, attempt.candidate, self.task.tolerance, self.path)
-            write_sums(self.path, finished=False)
-        self._writer = store.Writer(self.path, self._scene, self.samples)
+            engine.write_inputs(scene.fine, attempt.proposal, self.tolerance, self.path)
+            files.write_sums(self.path, finished=False)
+        self._writer = store.Writer(self.path, self._known, self.samples)
         self._next = time.monotonic() + INTERVALS.checkpoint_s
         return state or None
 
@@ -298,7 +309,7 @@ class RunFolder:
             if reason:
                 request = min(request, moment)
                 if fresh or moment >= request + INTERVALS.sample_s:
-                    done = f"after {self.samples} of {self._scene.samples} samples"
+                    done = f"after {self.samples} of {self._known.samples} samples"
                     raise Stopped(f"{reason} {done}; {resume_command(self.name)} goes on")
         self._writer.flush()
 
@@ -309,7 +320,7 @@ class RunFolder:
         self._estimate = error.estimate.total
         # the samples are on the disk before the checkpoint says so
         self._writer.note(error.estimate)
-        checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
+        files.save_checkpoint(self.path, self._notes(self._spent(run.cost())), run.state())
         self._write_status("running")
         now = time.monotonic()
         pause = (now - began) / INTERVALS.checkpoint_share
@@ -317,10 +328,10 @@ class RunFolder:
 
     def _notes(self, spent: Mapping[str, float]) -> dict[str, Any]:
         assert self.attempt
-        attempt = self.attempt._asdict()
-        candidate = self.attempt.candidate._asdict()
+        proposal = self.attempt.proposal
+        noted = proposal._asdict() | {"steps": proposal.steps._asdict()}
         return {
-            "attempt": attempt | {"candidate": candidate},
+            "attempt": self.attempt._asdict() | {"proposal": noted},
             "samples": self.samples,
             "spent": spent,
         }
@@ -336,7 +347,7 @@ class RunFolder:
         cost = outcome.cost._replace(**{key: spent[key] for key in SPENT})
         self._estimate = outcome.error.estimate.total
         self._writer.conclude(outcome.error.estimate, cost, gathered)
-        write_sums(self.path, finished=True)
+        files.write_sums(self.path, finished=True)
         self._write_status("finished", outcome.missed)
         return Trajectory.load(self.path)
 
@@ -346,11 +357,11 @@ class RunFolder:
             "state": state,
             "reason": reason,
             "samples_done": self.samples,
-            "samples": self._scene.samples,
+            "samples": self._known.samples,
             "attempt": attempt.number if attempt else 0,
-            "step_s": attempt.candidate.step if attempt else None,
-            "tolerance": self.task.tolerance,
-            "best_effort": self.task.best_effort,
+            "step_s": attempt.proposal.step if attempt else None,
+            "tolerance": self.tolerance,
+            "best_effort": self.best_effort,
             "error_estimate": self._estimate,
             "wall_s": self._before["wall_s"] + time.monotonic() - self._began,
             "updated": now(),
@@ -367,18 +378,19 @@ def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attem
     from pydantic import TypeAdapter, ValidationError
 
     try:
-        attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
-        candidate = attempt.candidate
+        noted = files.renew(notes["attempt"])
+        attempt = TypeAdapter(Attempt).validate_json(json.dumps(noted))
+        proposal = attempt.proposal
         times = dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
-        if not (0 < candidate.step < math.inf and candidate.steps_per_landing > 0):
+        if not (0 < proposal.step < math.inf and proposal.steps.per_landing > 0):
             raise ValueError("it has no steps")
         if not 0 < attempt.tolerance < 1:
             raise ValueError("it has no tolerance")
-        fields = notes["attempt"]["candidate"].keys()
+        fields = noted["proposal"].keys()
         # another version may have more fields, or fewer
-        if candidate._asdict().keys() != fields or times.keys() != spent.keys():
+        if proposal._asdict().keys() != fields or times.keys() != spent.keys():
             raise ValueError("it has other fields")
-        if attempt.engine not in engines.names():
+        if attempt.proposal.engine not in engines.names():
             raise ValueError("it has no engine")
         if not all(0 <= time_s < math.inf for time_s in times.values()):
             raise ValueError("it took no time that there is")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from ..chain.plausible import LIMITS
 from ..engines.base import Engine
-from ..engines.native.step_choice import FIRST_STEP
+from ..engines.stepping.step_choice import FIRST_STEP
 from ..scene.scene import Scene
 from .overlap import deepest, hertz_excess
 from .predictability import amplifies, predicted_time

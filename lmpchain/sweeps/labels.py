@@ -16,7 +16,7 @@ from ..scene.recording import Recording
 from ..util.arrays import Array
 from ..util.remarks import warnings_aside
 from .file import Place, Sweep
-from .store import Column
+from .store import StoredArray
 
 # keys that decide which grains and times a scene records
 SHAPING = ("chain.grains", "chain.file", "recording")
@@ -41,7 +41,7 @@ class Labels(NamedTuple):
     samples: int
     time: Array | None
     grains: np.ndarray
-    extra: dict[str, Column]
+    extra: dict[str, StoredArray]
 
 
 def make_labels(plan: Sweep) -> Labels:
@@ -65,12 +65,12 @@ def make_labels(plan: Sweep) -> Labels:
     if len(times) == 1:
         time = np.linspace(0.0, times.pop()[1], samples)
     else:
-        extra["time"] = Column(("sample",), (samples,), "s", "time since the strike")
+        extra["time"] = StoredArray(("sample",), (samples,), "s", "time since the strike")
     for axis in plan.axes:
         for law in axis.arrays:
             name = f"drawn for every {'contact' if law.of_contacts else 'grain'}"
             length = longest - law.of_contacts
-            extra[law.key] = Column((f"{law.key}.entry",), (length,), "1", name)
+            extra[law.key] = StoredArray((f"{law.key}.entry",), (length,), "1", name)
     grains = recordings.pop() if len(recordings) == 1 else sorted(set().union(*recordings))
     return Labels(samples, time, np.array(grains), extra)
 

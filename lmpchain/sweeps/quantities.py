@@ -12,13 +12,13 @@ from ..measure.motion import RESOLVED, RESOLVED_BY_DIFFERENCES, Motion
 from ..measure.recorded import columns
 from ..scene.recording import contact_of
 from ..scene.scene import Scene
-from ..simulation.gatherer import FRACTION, PEAK
+from ..simulation.accumulation import FRACTION, PEAK
 from ..trajectory import gathered
 from ..trajectory.between.derivatives import UNKNOWN
 from ..util.arrays import Array
 
 
-class Quantity(NamedTuple):
+class SweepQuantity(NamedTuple):
     """A quantity that is kept of a motion.
 
     Attributes
@@ -83,44 +83,44 @@ def _contact_energy(motion: Motion, _: NDArray[np.intp]) -> Array:
 
 
 QUANTITIES = {
-    "displacement": Quantity(
+    "displacement": SweepQuantity(
         ("time", "grain"),
         "m",
         "displacement from equilibrium, positive downward",
         lambda motion, _: (motion.displacement,),
         True,
     ),
-    "velocity": Quantity(
+    "velocity": SweepQuantity(
         ("time", "grain"), "m s-1", "velocity, downward", lambda motion, _: (motion.velocity,), True
     ),
     # those that a run can gather on its way have its names and units
-    "peak_displacement": Quantity(
+    "peak_displacement": SweepQuantity(
         *gathered.QUANTITIES["peak_displacement"],
         lambda motion, _: motion.peaks("displacement")[1:],
     ),
-    "peak_velocity": Quantity(
+    "peak_velocity": SweepQuantity(
         *gathered.QUANTITIES["peak_velocity"], lambda motion, _: motion.peaks("velocity")[1:]
     ),
-    "arrival_time": Quantity(*gathered.QUANTITIES["arrival_time"], _arrival_time),
-    "energy": Quantity(
+    "arrival_time": SweepQuantity(*gathered.QUANTITIES["arrival_time"], _arrival_time),
+    "energy": SweepQuantity(
         ("time",),
         "J",
         "energy above rest of the recorded grains and the contacts between them",
         _energy,
     ),
-    "grain_energy": Quantity(
+    "grain_energy": SweepQuantity(
         ("time", "grain"),
         "J",
         "energy above rest of a grain and its share of contacts (measure.energy.shares)",
         _grain_energy,
     ),
-    "contact_energy": Quantity(
+    "contact_energy": SweepQuantity(
         ("time", "grain"),
         "J",
         "energy above rest of the contact below a grain; NaN if unknown",
         _contact_energy,
     ),
-    "wall_force": Quantity(
+    "wall_force": SweepQuantity(
         (),
         "N",
         "largest force on what holds the bottom, at any time (measure.contact.wall_force)",
@@ -144,13 +144,13 @@ def of_contact(name: str) -> bool:
     return name.partition(":")[0] == PEAK and contact_of(name) is not None
 
 
-def quantity(name: str) -> Quantity:
+def quantity(name: str) -> SweepQuantity:
     """Return one of the quantities, or the largest force of a contact."""
     if name in QUANTITIES:
         return QUANTITIES[name]
     dimensions, units, title = gathered.QUANTITIES[PEAK]
     # it is gathered on the way: there is nothing to measure afterwards
-    return Quantity(dimensions, units, f"{title} {contact_of(name)}", lambda motion, _: ())
+    return SweepQuantity(dimensions, units, f"{title} {contact_of(name)}", lambda motion, _: ())
 
 
 def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scene:
@@ -172,7 +172,7 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     # between samples closer than this the equation of motion leaves no room for a larger value;
     # with damping accelerations follow from samples, which must be closer
     resolved = RESOLVED_BY_DIFFERENCES if scene.chain.damped else RESOLVED
-    swift = scene.highest_frequency * scene.duration / (scene.samples - 1) > resolved
+    swift = scene.sampling_phase > resolved
     # not where it is closest: samples alone do not show the largest force of a viscous contact
     viscous = scene.chain.damping.longest_time > 0
     gathered_names = {

@@ -16,7 +16,7 @@ from ..errors import InputError, short
 from ..util.arrays import Array
 from ..util.files import LARGEST_JSON, check_readable, check_tree, expanded
 from .file import FORMAT, Sweep, is_name, read_text
-from .store import NAME, SCALARS, Layout, open_store, read, read_layout
+from .store import NAME, SCALARS, StoreLayout, open_store, read, read_layout
 
 
 def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
@@ -73,7 +73,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     return xarray.Dataset(data, coordinates, {"engine": plan.engine, "tolerance": plan.tolerance})
 
 
-def _read_labels(results: Path, layout: Layout) -> dict[str, Any]:
+def _read_labels(results: Path, layout: StoreLayout) -> dict[str, Any]:
     """Return the coordinates that are no arrays over the scenes; raises `InputError`."""
     store = open_store(results)
     try:
@@ -89,7 +89,7 @@ def _read_labels(results: Path, layout: Layout) -> dict[str, Any]:
         ) from None
 
 
-def read_results(results: Path) -> tuple[Sweep, Layout]:
+def read_results(results: Path) -> tuple[Sweep, StoreLayout]:
     """Return the sweep of a folder of results, and their layout; raises `InputError`."""
     path = results / NAME
     try:
@@ -126,7 +126,7 @@ class _Stored(BackendArray):
 
     dtype = np.dtype(float)
 
-    def __init__(self, folder: Path, layout: Layout, name: str, swept: tuple[int, ...]):
+    def __init__(self, folder: Path, layout: StoreLayout, name: str, swept: tuple[int, ...]):
         self._folder = folder
         self._layout = layout
         self._name = name

@@ -29,7 +29,7 @@ from .store import (
     NOT_DONE,
     PARTS,
     Coordinates,
-    Layout,
+    StoreLayout,
     clean,
     complete,
     create,
@@ -40,7 +40,7 @@ from .store import (
     whole_parts,
 )
 from .take_over import drop, list_earlier, take_over
-from .tasks import TASKS, Task, announced_work, answer, count_scenes
+from .tasks import TASKS, SweepTask, announced_work, answer, count_scenes
 
 if TYPE_CHECKING:
     import xarray
@@ -114,7 +114,9 @@ def sweep(
             _executor(workers, scheduler, executor) as chosen,
             ProgressBar(layout.count, unit=" scenes", done=work.scenes, shown=progress) as bar,
         ):
-            tasks = (Task(results, plan.folder, layout, grains, first) for first in work.firsts)
+            tasks = (
+                SweepTask(results, plan.folder, layout, grains, first) for first in work.firsts
+            )
             faults = work.do(chosen, tasks, bar, pending)
         # of workers that died on the way
         clean(results, layout)
@@ -148,7 +150,7 @@ def _try_scenes(plan: Sweep) -> int:
     return batch
 
 
-def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, Layout, np.ndarray]:
+def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, StoreLayout, np.ndarray]:
     """Make the folder of the results; return its path, its layout, and the grains."""
     labels = make_labels(plan)
     layout = make_layout(
@@ -285,7 +287,7 @@ LOST = (
 class _Work:
     """Batches of scenes to answer, and shards to gather when all of their batches are there."""
 
-    def __init__(self, folder: Path, layout: Layout):
+    def __init__(self, folder: Path, layout: StoreLayout):
         present = whole_parts(folder).keys()
         self._folder = folder
         self._layout = layout
@@ -300,12 +302,12 @@ class _Work:
         self.scenes = layout.count - missing
 
     def do(
-        self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, limit: int
+        self, executor: Executor, tasks: Iterator[SweepTask], bar: ProgressBar, limit: int
     ) -> list[str]:
         """Do all tasks, at most `limit` at a time; return the faults that prevented some."""
         faults: list[str] = []
-        deaths: Counter[Task | int] = Counter()
-        pending: dict[Future, Task | int] = {}
+        deaths: Counter[SweepTask | int] = Counter()
+        pending: dict[Future, SweepTask | int] = {}
         try:
             for shard in [shard for shard, firsts in self._missing.items() if not firsts]:
                 self._submit(executor, shard, pending)
@@ -325,7 +327,7 @@ class _Work:
                         continue
                     if error is not None:
                         faults.append(_describe(error))
-                    if isinstance(job, Task):
+                    if isinstance(job, SweepTask):
                         bar.advance(job.count)
                         # a shard is gathered once all of its batches are on the disk
                         if error is None and self._completes_shard(job):
@@ -334,14 +336,14 @@ class _Work:
             for future in pending:
                 future.cancel()
 
-    def _submit(self, executor: Executor, job: Task | int, pending: dict[Future, Any]) -> None:
+    def _submit(self, executor: Executor, job: SweepTask | int, pending: dict[Future, Any]) -> None:
         """Answer the scenes of a task, or gather the batches of a shard."""
-        if isinstance(job, Task):
+        if isinstance(job, SweepTask):
             pending[executor.submit(answer, job)] = job
         else:
             pending[executor.submit(gather, self._folder, self._layout, job)] = job
 
-    def _completes_shard(self, task: Task) -> bool:
+    def _completes_shard(self, task: SweepTask) -> bool:
         """Note that a batch is done; return whether it was the last one of its shard."""
         firsts = self._missing[task.first // self._layout.shard]
         firsts.discard(task.first)

@@ -53,7 +53,7 @@ Coordinates = Mapping[str, tuple[tuple[str, ...], Any, Mapping[str, str]]]
 
 
 @dataclass(frozen=True)
-class Column:
+class StoredArray:
     """An array over the scenes: its other dimensions and their lengths, type, unit and name."""
 
     dimensions: tuple[str, ...]
@@ -65,7 +65,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Layout:
+class StoreLayout:
     """Shapes of the arrays and files in the store of a sweep.
 
     Attributes
@@ -80,7 +80,7 @@ class Layout:
 
     count: int
     batch: int
-    columns: Mapping[str, Column]
+    columns: Mapping[str, StoredArray]
 
     @cached_property
     def shard(self) -> int:
@@ -106,8 +106,8 @@ def make_layout(
     batch: int,
     samples: int,
     grains: int,
-    extra: Mapping[str, Column],
-) -> Layout:
+    extra: Mapping[str, StoredArray],
+) -> StoreLayout:
     """Return the layout of a store for these quantities, scenes, and lengths of the arrays."""
     lengths = {"time": samples, "grain": grains}
     columns = dict(extra)
@@ -115,17 +115,17 @@ def make_layout(
         kind = quantity(key)
         name = file_name(key)
         shape = tuple(lengths[dimension] for dimension in kind.dimensions)
-        columns[name] = Column(kind.dimensions, shape, kind.units, kind.long_name)
+        columns[name] = StoredArray(kind.dimensions, shape, kind.units, kind.long_name)
         if not kind.recorded:
             error = f"how far {name} may be off, by sampling and by the error of the solution"
-            columns[f"{name}_error"] = Column(kind.dimensions, shape, kind.units, error)
+            columns[f"{name}_error"] = StoredArray(kind.dimensions, shape, kind.units, error)
     for name, cause in SCALARS.items():
-        columns[name] = Column((), (), "1", f"estimated relative error {cause}")
-    columns["reason"] = Column((), (), "1", "why there is no answer", NOT_DONE, str)
-    return Layout(count, batch, columns)
+        columns[name] = StoredArray((), (), "1", f"estimated relative error {cause}")
+    columns["reason"] = StoredArray((), (), "1", "why there is no answer", NOT_DONE, str)
+    return StoreLayout(count, batch, columns)
 
 
-def read_layout(folder: Path, plan: Sweep) -> Layout:
+def read_layout(folder: Path, plan: Sweep) -> StoreLayout:
     """Return the layout of the store of a sweep on the disk.
 
     Raises
@@ -141,7 +141,7 @@ def read_layout(folder: Path, plan: Sweep) -> Layout:
         for name, array in arrays.items():
             inner = "sample" if name == "time" else f"{name}.entry"
             if (name == "time" or name in laws) and array["dimension_names"] == ["scene", inner]:
-                extra[name] = Column((inner,), (array["shape"][1],), **array["attributes"])
+                extra[name] = StoredArray((inner,), (array["shape"][1],), **array["attributes"])
         samples = extra["time"].shape[0] if "time" in extra else arrays["time"]["shape"][0]
         grains = arrays["grain"]["shape"][0]
         layout = make_layout(plan.keep, plan.count, batch, samples, grains, extra)
@@ -154,7 +154,9 @@ def read_layout(folder: Path, plan: Sweep) -> Layout:
     return layout
 
 
-def _check_column(array: Mapping[str, Any], name: str, column: Column, layout: Layout) -> None:
+def _check_column(
+    array: Mapping[str, Any], name: str, column: StoredArray, layout: StoreLayout
+) -> None:
     """Raise `ValueError` unless an array on the disk is this column of a layout."""
     expected = {
         "shape": [layout.count, *column.shape],
@@ -168,7 +170,7 @@ def _check_column(array: Mapping[str, Any], name: str, column: Column, layout: L
 
 
 def create(
-    folder: Path, layout: Layout, coordinates: Coordinates, swept: Mapping[str, int]
+    folder: Path, layout: StoreLayout, coordinates: Coordinates, swept: Mapping[str, int]
 ) -> None:
     """Make a store without results, or put right what is damaged of one but for its results."""
     import zarr
@@ -284,7 +286,7 @@ def write_part(folder: Path, first: int, columns: Mapping[str, Array], whole: bo
         part_of(folder, first, whole=False).unlink(missing_ok=True)
 
 
-def read_part(path: Path, name: str, column: Column) -> Array:
+def read_part(path: Path, name: str, column: StoredArray) -> Array:
     """Return one array of a part; raises `InputError` if it is damaged."""
     try:
         values: Array = unpack_one(path, name)
@@ -300,7 +302,7 @@ def read_part(path: Path, name: str, column: Column) -> Array:
         raise InputError.at(str(path), f"cannot be read ({error}): sweep again") from None
 
 
-def gather(folder: Path, layout: Layout, shard: int) -> None:
+def gather(folder: Path, layout: StoreLayout, shard: int) -> None:
     """Write a shard of every array from its parts, and remove these."""
     parts = [part_of(folder, first) for first in layout.batches(shard)]
     if not complete(folder, shard):
@@ -315,7 +317,7 @@ def gather(folder: Path, layout: Layout, shard: int) -> None:
         path.unlink(missing_ok=True)
 
 
-def _write_shard(folder: Path, layout: Layout, shard: int, parts: Sequence[Path]) -> None:
+def _write_shard(folder: Path, layout: StoreLayout, shard: int, parts: Sequence[Path]) -> None:
     """Write a shard of every array from its parts, and seal it when it is on the disk."""
     store = open_store(folder, writing=True)
     for name, column in layout.columns.items():
@@ -350,7 +352,7 @@ def _parts(folder: Path, kind: str) -> dict[int, Path]:
     return {int(match[1]): path for match, path in matches if match}
 
 
-def clean(folder: Path, layout: Layout) -> None:
+def clean(folder: Path, layout: StoreLayout) -> None:
     """Remove what killed processes have left half done."""
     for place in (folder / PARTS, folder / RESULTS):
         for path in place.rglob("*.partial*"):
@@ -363,7 +365,7 @@ def clean(folder: Path, layout: Layout) -> None:
             path.unlink(missing_ok=True)
 
 
-def forget_damaged(folder: Path, layout: Layout) -> None:
+def forget_damaged(folder: Path, layout: StoreLayout) -> None:
     """Take what is damaged of the results for not done, so that it is computed again."""
     for shard in range(layout.shards):
         seal = seals.of_shard(folder, shard)
@@ -390,7 +392,7 @@ def remove(folder: Path) -> None:
 
 def read(
     folder: Path,
-    layout: Layout,
+    layout: StoreLayout,
     name: str,
     numbers: np.ndarray,
     entries: Sequence[np.ndarray] = (),

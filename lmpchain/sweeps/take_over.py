@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import InputError
 from .file import Sweep, is_name
 from .results import read_results
-from .store import NAME, NOT_DONE, Layout, clean, forget_damaged, read, remove, write_part
+from .store import NAME, NOT_DONE, StoreLayout, clean, forget_damaged, read, remove, write_part
 
 
 def list_earlier(folder: Path, results: Path) -> list[Path]:
@@ -22,7 +22,7 @@ def list_earlier(folder: Path, results: Path) -> list[Path]:
     )
 
 
-def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None:
+def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) -> None:
     """Write the results of an earlier sweep for these scenes, if both have the same arrays."""
     try:
         old_plan, old_layout = read_results(earlier)
@@ -59,7 +59,7 @@ def take_over(plan: Sweep, layout: Layout, results: Path, earlier: Path) -> None
                 _write(results, first, end, numbers[rows], batch)
 
 
-def _shapes(layout: Layout) -> dict[str, tuple[int, ...]]:
+def _shapes(layout: StoreLayout) -> dict[str, tuple[int, ...]]:
     return {name: column.shape for name, column in layout.columns.items()}
 
 
@@ -75,7 +75,7 @@ def _write(results: Path, first: int, end: int, numbers: np.ndarray, batch: dict
     write_part(results, first, columns, whole=len(numbers) == end - first)
 
 
-def _done(plan: Sweep, layout: Layout, results: Path) -> tuple[np.ndarray, np.ndarray]:
+def _done(plan: Sweep, layout: StoreLayout, results: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the keys of the scenes that are done, in order, and their numbers."""
     reasons = read(results, layout, "reason", np.arange(layout.count))
     numbers = np.flatnonzero(reasons != NOT_DONE)

@@ -26,7 +26,7 @@ from .file import Sweep, read_text
 from .labels import find_recorded
 from .quantities import add_rest, is_extreme, is_gathered, leave_out_unsure, measured, with_gathered
 from .realisations import scenes
-from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
+from .store import NAME, NOT_DONE, StoreLayout, complete, part_of, read_part, write_part
 
 
 class TaskLimits(NamedTuple):
@@ -79,7 +79,7 @@ class Beginning(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class SweepTask:
     """Scenes to answer, from the number `first` on, and the layout of their results.
 
     Attributes
@@ -94,7 +94,7 @@ class Task:
 
     folder: Path
     files: Path
-    layout: Layout
+    layout: StoreLayout
     grains: np.ndarray
     first: int
 
@@ -120,13 +120,13 @@ def announced_work(
     costs = []
     for scene in scenes[:: math.ceil(len(scenes) / TASKS.priced) or 1]:
         with suppress(LmpchainError):
-            costs.append(engine.candidate(engine.part(scene), plan.tolerance).cost_s)
+            costs.append(engine.propose(engine.part(scene), plan.tolerance).cost_s)
     cost_s = total / workers * sum(costs) / max(1, len(costs))
     work = f"{total} scenes by {engine.name} for a tolerance of {plan.tolerance:.2g}"
     return announced(cost_s, work, "fewer scenes, a larger tolerance or more workers takes less")
 
 
-def answer(task: Task) -> None:
+def answer(task: SweepTask) -> None:
     """Answer the scenes of a task, unless that was done before, and write their results."""
     shard = task.first // task.layout.shard
     if part_of(task.folder, task.first).exists() or complete(task.folder, shard):
@@ -155,7 +155,7 @@ def answer(task: Task) -> None:
     write_part(task.folder, task.first, _insert_earlier(columns, task))
 
 
-def _insert_earlier(columns: dict[str, Any], task: Task) -> dict[str, Any]:
+def _insert_earlier(columns: dict[str, Any], task: SweepTask) -> dict[str, Any]:
     """Return the arrays with the results of an earlier sweep in their place.
 
     Those scenes were answered again, so that the others get the bits that they would have in the
@@ -178,7 +178,7 @@ def _read_plan(path: Path, files: Path) -> Sweep:
     return read_text(path.read_text(encoding="utf-8"), files)
 
 
-def _make_columns(task: Task) -> dict[str, Any]:
+def _make_columns(task: SweepTask) -> dict[str, Any]:
     """Return an array of NaN for each quantity, (R, ...) each, and no reasons."""
     columns: dict[str, Any] = {
         name: np.full((task.count, *column.shape), np.nan)
@@ -192,7 +192,7 @@ def _put(
     row: int,
     result: Trajectory | Beginning | LmpchainError,
     plan: Sweep,
-    task: Task,
+    task: SweepTask,
 ) -> None:
     """Put the quantities of an answer in their row, or the reason why there is none."""
     if isinstance(result, LmpchainError):

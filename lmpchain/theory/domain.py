@@ -30,7 +30,7 @@ def whole(key: str, value: ArrayLike, lowest: int | None = None) -> NDArray[np.i
     return number
 
 
-class Exponents(NamedTuple):
+class PaperExponents(NamedTuple):
     """The exponents of the paper that follow from that of the contact force.
 
     ====== ======== ==================================================
@@ -47,7 +47,7 @@ class Exponents(NamedTuple):
     nu: float
 
 
-def exponents(delta: float) -> Exponents:
+def exponents(delta: float) -> PaperExponents:
     """Return xi, eta and nu for the exponent delta of the contact force.
 
     Raises
@@ -58,10 +58,10 @@ def exponents(delta: float) -> Exponents:
     Examples
     --------
     >>> exponents(1.0)
-    Exponents(xi=0.0, eta=2.0, nu=0.5)
+    PaperExponents(xi=0.0, eta=2.0, nu=0.5)
     """
     require(("delta", np.isfinite(delta) and delta >= 1, f"must be 1 or more (got {shown(delta)})"))
-    return Exponents(xi=1 - 1 / delta, eta=1 + 1 / delta, nu=1 / (1 + delta))
+    return PaperExponents(xi=1 - 1 / delta, eta=1 + 1 / delta, nu=1 / (1 + delta))
 
 
 def chi(h: ArrayLike, delta: float = 1.5) -> Array:

@@ -23,7 +23,7 @@ CRITICAL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Eigenmodes:
     """The eigenmodes of a chain whose M grains move.
 
     Attributes
@@ -120,7 +120,7 @@ class Modes:
         return w**2 / fast, fast
 
 
-def eigenmodes(chain: Chain) -> Modes:
+def eigenmodes(chain: Chain) -> Eigenmodes:
     """Return the eigenmodes of the chain linearised about its equilibrium, Eqs. (14)-(16).
 
     The paper leaves out that its lambda is -omega^2; its recursion for X_n from the top overflows
@@ -186,7 +186,7 @@ def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
     ]
 
 
-def damped(modes: Modes, chain: Chain) -> Modes:
+def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
     """Return the modes with the decay that the one A and the one gamma of a chain give them.
 
     Parameters
@@ -205,7 +205,7 @@ def damped(modes: Modes, chain: Chain) -> Modes:
     return replace(modes, decay=decay)
 
 
-def between(stiffness: Array, mass: Array) -> Modes:
+def between(stiffness: Array, mass: Array) -> Eigenmodes:
     """Return the eigenmodes of M grains between two bodies that stand still, or nothing.
 
     Parameters
@@ -232,7 +232,7 @@ def between(stiffness: Array, mass: Array) -> Modes:
     if low > 1:
         shape[:, :low] = _separate(shape[:, :low], stiffness, mass)
         frequency[:low] = _rayleigh(shape[:, :low], stiffness)
-    return Modes(frequency, shape, mass)
+    return Eigenmodes(frequency, shape, mass)
 
 
 def _extend(shape: Array) -> Array:

@@ -41,7 +41,7 @@ COEFFICIENTS = (
 OneOrTwo = Material | str | Sequence[Any]
 
 
-class Collision(NamedTuple):
+class SphereCollision(NamedTuple):
     """Two spheres and how they meet: velocities, m/s, and times A, s."""
 
     pair: Pair
@@ -144,7 +144,7 @@ def _collision(
     material: OneOrTwo,
     diameter: float | Sequence[float],
     exponent: float,
-) -> Collision:
+) -> SphereCollision:
     """Return the collision after a look at the input."""
     speed = real(velocity, "velocity")
     times = real(viscoelastic, "viscoelastic")
@@ -168,4 +168,4 @@ def _collision(
         shapes = f"{times.shape} beside velocities of {speed.shape}"
         raise InputError.at("viscoelastic", f"does not broadcast: {shapes}") from None
     pair = two_spheres(known, np.broadcast_to(diameters, 2).tolist(), float(exponent))
-    return Collision(pair, speed, times)
+    return SphereCollision(pair, speed, times)

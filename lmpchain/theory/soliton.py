@@ -36,7 +36,7 @@ from .soliton_limits import (
     nesterenko_speed,
     sen_displacement,
 )
-from .soliton_series import Series, law, long_wave_speed, rows, solve_series
+from .soliton_series import SolitonSeries, law, long_wave_speed, rows, solve_series
 
 __all__ = [
     "Soliton",
@@ -198,7 +198,7 @@ class Soliton(Shown):
         gravity = "must be 0: contacts that stiffen with depth change a wave"
         load = "must be above 0 for a wave under a load, else 0"
         require(
-            ("chain", chain.exponent == self.delta, exponent),
+            ("chain", chain.law.power == self.delta, exponent),
             ("gravity", chain.gravity == 0, gravity),
             ("top_load", chain.compressed == self.loaded, load),
         )
@@ -322,7 +322,7 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     return _make_soliton(float(delta), True, solve_series(float(delta), near, float(velocity)))
 
 
-def _make_soliton(delta: float, loaded: bool, series: Series) -> Soliton:
+def _make_soliton(delta: float, loaded: bool, series: SolitonSeries) -> Soliton:
     return Soliton(
         delta,
         loaded,

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import roots_legendre
 
+from ..chain.contact_law import power_law
 from ..chain.contacts import Contacts
 from ..errors import InputError
 from ..util.arrays import Array
@@ -51,7 +52,7 @@ class Resolution:
 RESOLUTION = Resolution()
 
 
-class Series(NamedTuple):
+class SolitonSeries(NamedTuple):
     """Speed, reach, coefficients of T_0, T_2, T_4 ..., and largest residual between the points."""
 
     speed: float
@@ -69,7 +70,7 @@ def law(delta: float, loaded: bool) -> Contacts:
     """Return the contact in the units of the module: stiffness 1 at rest, or constant 1."""
     constant = 1 / delta if loaded else 1.0
     force = 1 / delta if loaded else 0.0
-    return Contacts.at_rest(np.array(constant), np.array(force), delta)
+    return Contacts.at_rest(np.array(constant), np.array(force), power_law(delta))
 
 
 def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Array:
@@ -94,7 +95,7 @@ def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Arra
 
 
 @cache
-def solve_series(delta: float, speed: float | None, velocity: float | None = None) -> Series:
+def solve_series(delta: float, speed: float | None, velocity: float | None = None) -> SolitonSeries:
     """Return the wave of this speed under a load, or that of speed 1 in the sonic vacuum.
 
     With a velocity, the largest of a grain, the speed is an approximation to begin with.
@@ -114,7 +115,7 @@ def solve_series(delta: float, speed: float | None, velocity: float | None = Non
     raise InputError.at(key, "its wave is too wide or too sharp: no series resolves it")
 
 
-def _extend(series: Series, delta: float, loaded: bool, x: Array) -> Array:
+def _extend(series: SolitonSeries, delta: float, loaded: bool, x: Array) -> Array:
     """Return log(overlap) by a series that is too short."""
     return rows(x, series.coefficients.size, series.reach, delta, loaded) @ series.coefficients
 
@@ -126,7 +127,7 @@ def _newton(
     terms: int,
     guess: Callable[[Array], Array],
     reach: float,
-) -> Series | None:
+) -> SolitonSeries | None:
     """Return a series with a number of terms, and the speed; None if it does not converge."""
     loaded = speed is not None
     c = speed or 1.0
@@ -190,7 +191,7 @@ def _newton(
     force = contact.force_change(np.exp(basis(between[:, None] + s) @ series)) @ weight
     miss = np.abs(force / c**2 - overlap)
     largest = max(miss.max() / overlap.max(), RESOLUTION.tails * (miss / overlap).max())
-    return Series(c, reach, real(series, "series"), float(largest))
+    return SolitonSeries(c, reach, real(series, "series"), float(largest))
 
 
 def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array], float]:

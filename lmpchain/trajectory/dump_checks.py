@@ -86,7 +86,7 @@ SAMPLED = SampledMotion()
 CURE = "give the scene that the dump was made for"
 
 
-class Motion(NamedTuple):
+class DumpedMotion(NamedTuple):
     """Motion of the grains in their order from the top.
 
     Attributes
@@ -127,7 +127,7 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
     """Raise `InputError` unless the frames are those of the samples."""
     steps = frames.steps
     samples = scene.samples
-    interval = scene.duration / (samples - 1)
+    interval = scene.sampling_interval
     if len(steps) != samples:
         duration = interval * (len(steps) - 1)
         cure = "run LAMMPS to its end"
@@ -157,8 +157,8 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
     if not (np.abs(times - scene.time) <= CHECKS.clock * scene.duration).all():
         raise InputError.at(
             name,
-            f"its frames are {times[-1] / (samples - 1):.6g} s apart by ITEM: TIME or v_time, the "
-            f"samples of the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or "
+            f"its frames are {times[-1] / scene.intervals:.6g} s apart by ITEM: TIME or v_time, "
+            f"the samples of the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or "
             f"{CURE}",
         )
 
@@ -175,7 +175,7 @@ def check_jumps(name: str, frames: Frames, axis: str) -> None:
         )
 
 
-def find_misfit(scene: Scene, motion: Motion, first: FirstFrame) -> str:
+def find_misfit(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
     """Return how the first frame differs from the initial state of the scene, or nothing."""
     gauge = gauge_of(scene, motion, first)
     distance, overlap = ("", "") if gauge else _find_gap(scene, motion, first)
@@ -183,7 +183,7 @@ def find_misfit(scene: Scene, motion: Motion, first: FirstFrame) -> str:
     return distance or _find_start(scene, motion, first) or overlap
 
 
-def _find_start(scene: Scene, motion: Motion, first: FirstFrame) -> str:
+def _find_start(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
     """Return which grain does not begin as in the scene, or nothing."""
     u, v = scene.initial()
     rounding = 1e-15 * np.abs(first.depths).max()
@@ -205,14 +205,14 @@ def _find_start(scene: Scene, motion: Motion, first: FirstFrame) -> str:
     return ""
 
 
-def _gap_limits(scene: Scene, motion: Motion, first: FirstFrame) -> Array:
+def _gap_limits(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> Array:
     """Return the uncertainty of each distance between neighbours in the first frame, (N-1,) m."""
     moved = 2 * np.abs(motion.displacement).max()
     limits = CHECKS.overlap * (scene.chain.equilibrium_overlap + moved) + first.slack
     return np.asarray(limits)
 
 
-def gauge_of(scene: Scene, motion: Motion, first: FirstFrame) -> float:
+def gauge_of(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> float:
     """Return the diameter with which all grains are drawn, m, or 0 if they are drawn as they are.
 
     Decks of ours draw grains a few overlaps large, where heights would lose digits else.
@@ -229,7 +229,7 @@ def gauge_of(scene: Scene, motion: Motion, first: FirstFrame) -> float:
     return gauge if small and np.ptp(diameters) <= spread else 0.0
 
 
-def _find_gap(scene: Scene, motion: Motion, first: FirstFrame) -> tuple[str, str]:
+def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[str, str]:
     """Return which distance of the first frame, or only which overlap, is not that of the scene."""
     chain = scene.chain
     gaps = np.diff(first.depths)
@@ -281,7 +281,7 @@ def check_grains(
 
 
 def check_course(
-    name: str, scene: Scene, motion: Motion, steps: int, digit: float, rounding: float
+    name: str, scene: Scene, motion: DumpedMotion, steps: int, digit: float, rounding: float
 ) -> None:
     """Raise `InputError` if the motion is not one that the scene can have.
 
@@ -304,11 +304,11 @@ def check_course(
     """
     if scene.samples < SAMPLED.fewest:
         return
-    interval = scene.duration / (scene.samples - 1)
-    angle = scene.highest_frequency * interval / 2
+    interval = scene.sampling_interval
+    angle = scene.sampling_phase / 2
     # the angles cubed: integrals of fourth order are off by less, of third order at both ends
     # velocities of a long step of velocity Verlet are off by a sixth of its angle squared
-    slip = CHECKS.course + (scene.highest_frequency * scene.duration / steps) ** 2 / 3
+    slip = CHECKS.course + (scene.total_phase / steps) ** 2 / 3
     single = angle <= SAMPLED.single
     # of a grain that is moved or pushed, velocities may jump between samples
     lawful = _lawful(scene)
@@ -320,7 +320,7 @@ def check_course(
     masses = scene.chain.masses
     sums = (u, v) if single else _grouped(scene, motion, angle)
     # steps below the last digit of a height are lost, all of them alike, and do not add at random
-    lost = rounding * steps / (scene.samples - 1)
+    lost = rounding * steps / scene.intervals
     last = digit + lost * math.sqrt(u.size)
     ratio, doubt = _compare(*sums, interval, last if single else last * masses.max() * masses.size)
     if _excess(ratio, doubt) > slip + (angle**3 / 2 if single else SAMPLED.leak):
@@ -346,7 +346,7 @@ def check_course(
         )
 
 
-def _grouped(scene: Scene, motion: Motion, angle: float) -> tuple[Array, Array]:
+def _grouped(scene: Scene, motion: DumpedMotion, angle: float) -> tuple[Array, Array]:
     """Return the momenta of groups of grains that the samples resolve, and their integrals.
 
     Forces within a group cancel, so that the momentum that a strike gives it changes slowly: the
@@ -393,7 +393,7 @@ def _lawful(scene: Scene) -> np.ndarray:
     return moving[moving != scene.excitation.acts_on - 1]
 
 
-def _accelerations(scene: Scene, motion: Motion) -> Array:
+def _accelerations(scene: Scene, motion: DumpedMotion) -> Array:
     """Return the accelerations of all grains by the forces of their contacts, (T, N) m/s2."""
     wall = scene.excitation.wall
     above = wall.at(scene.time) if wall else None

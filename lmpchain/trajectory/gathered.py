@@ -39,7 +39,7 @@ ENERGIES = {
 }
 
 
-class Layout(NamedTuple):
+class ArrayLayout(NamedTuple):
     """Dimensions and shape of an array, and its attributes in files."""
 
     dimensions: tuple[str, ...]
@@ -58,12 +58,12 @@ def file_name(name: str) -> str:
     return name.replace(":", "_")
 
 
-def arrays(scene: Scene) -> dict[str, Layout]:
+def arrays(scene: Scene) -> dict[str, ArrayLayout]:
     """Return the arrays that are gathered of a scene, by name in `Trajectory.gathered`.
 
     Those of `energies` may be missing.
     """
-    layouts: dict[str, Layout] = {}
+    layouts: dict[str, ArrayLayout] = {}
     sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}
     for name in scene.quantities:
         key, _, contact = name.partition(":")
@@ -71,17 +71,17 @@ def arrays(scene: Scene) -> dict[str, Layout]:
         title = f"{title} {contact}".strip()
         shape = tuple(sizes[dimension] for dimension in dimensions)
         labels = {"units": units, "long_name": title}
-        layouts[name] = Layout(dimensions, shape, labels)
-        layouts[f"{name}_error"] = Layout(
+        layouts[name] = ArrayLayout(dimensions, shape, labels)
+        layouts[f"{name}_error"] = ArrayLayout(
             dimensions, shape, labels | {"long_name": f"error of the {title}"}
         )
         if TIME in dimensions:
             labels = {"units": "s", "long_name": "time since the strike"}
-            layouts[TIME] = Layout(dimensions, shape, labels)
+            layouts[TIME] = ArrayLayout(dimensions, shape, labels)
     return layouts | energies(scene)
 
 
-def energies(scene: Scene) -> dict[str, Layout]:
+def energies(scene: Scene) -> dict[str, ArrayLayout]:
     """Return the arrays of the energies that a run may accumulate, by name."""
     layouts = {}
     present = {"dissipated": scene.chain.damped, "drive": scene.excitation.does_work}
@@ -90,9 +90,9 @@ def energies(scene: Scene) -> dict[str, Layout]:
             continue
         dimensions, units, title = ENERGIES[name]
         labels = {"units": units, "long_name": title}
-        layouts[name] = Layout(dimensions, (scene.samples,), labels)
+        layouts[name] = ArrayLayout(dimensions, (scene.samples,), labels)
         labels = labels | {"long_name": f"error of the {title}"}
-        layouts[f"{name}_error"] = Layout((), (), labels)
+        layouts[f"{name}_error"] = ArrayLayout((), (), labels)
     return layouts
 
 

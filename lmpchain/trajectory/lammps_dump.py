@@ -14,8 +14,8 @@ from ..util.arrays import Array
 from ..util.files import expanded
 from .dump_checks import (
     CHECKS,
+    DumpedMotion,
     FirstFrame,
-    Motion,
     check_course,
     check_frames,
     check_grains,
@@ -137,7 +137,7 @@ def read(
 
 def _orient(
     name: str, scene: Scene, directions: Sequence[float], column: _Column, rest: Array | None
-) -> tuple[Motion, FirstFrame]:
+) -> tuple[DumpedMotion, FirstFrame]:
     """Return the motion along the first of the directions that fits the start of the scene."""
     z, vz, v_phi, slack = column
     faults = []
@@ -152,7 +152,7 @@ def _orient(
             displacement = down * (z[:, order] - z[0, order])
             # the first frame is not at rest if the scene begins with a displacement
             displacement += scene.initial()[0]
-        motion = Motion(down, order, displacement, down * vz[:, order])
+        motion = DumpedMotion(down, order, displacement, down * vz[:, order])
         first = FirstFrame(down * z[0, order], slack, v_phi is not None)
         fault = find_misfit(scene, motion, first)
         if not fault:
@@ -174,7 +174,7 @@ def _find_axis(name: str, frames: Frames) -> str:
     return AXES[longest]
 
 
-def _describe_precision(digit: float, speed_digit: float, motion: Motion) -> str:
+def _describe_precision(digit: float, speed_digit: float, motion: DumpedMotion) -> str:
     """Return the precision of a dump in words, from the last digits that it has, m and m/s."""
     texts = []
     for quantity, unit, last, values in (

@@ -24,7 +24,7 @@ LARGEST_FILE = 2**28  # bytes
 SAMPLED_LINES = 400  # by which the layout is recognised
 
 
-class Layout(NamedTuple):
+class TableLayout(NamedTuple):
     """How the lines of a table are written.
 
     Attributes
@@ -92,7 +92,7 @@ NO_UNIT = ("", "-", "--", "1")
 NAME_AND_UNIT = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
-class Column(NamedTuple):
+class ColumnHeader(NamedTuple):
     """Name and unit of a column, as its header has them; empty if it has none.
 
     The cell is the text of the header with both of them.
@@ -131,12 +131,12 @@ class NumberTable:
     """
 
     path: Path
-    columns: list[Column]
+    columns: list[ColumnHeader]
     numeric: tuple[int, ...]
     facts: Facts
     numbers: Sequence[int]
     lines: list[str]
-    layout: Layout
+    layout: TableLayout
     arrays: Array | None = None
 
     def values(self, places: Sequence[int]) -> Array:
@@ -187,7 +187,7 @@ class NumberTable:
         """Return the number that the file says about a column by one of these names, or None."""
         for cell in (self.word(place, name) for name in names):
             # headers may have points where the numbers have commas
-            for layout in (self.layout, Layout(",", ".")):
+            for layout in (self.layout, TableLayout(",", ".")):
                 if layout.is_number(cell):
                     return layout.number(cell)
         return None
@@ -253,7 +253,7 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
     if names := facts.get("tracename"):
         # Yokogawa has no header directly above the numbers
         traces = [names.get(place, "") for place in range(numeric[-1] + 1)]
-        columns = [Column(name, "", name) for name in traces]
+        columns = [ColumnHeader(name, "", name) for name in traces]
     else:
         columns = _columns(header, numeric)
         # names and values in two lines, as Rigol has the sampling interval
@@ -274,13 +274,15 @@ def _table_of(path: Path, arrays: Arrays, skip: int, fewest: int) -> NumberTable
     facts: Facts = {}
     for place, array in enumerate(chosen):
         name, unit = split_unit(array.name)
-        columns.append(Column(name, array.unit or unit, array.name))
+        columns.append(ColumnHeader(name, array.unit or unit, array.name))
         for fact, value in (arrays.facts | array.facts).items():
             facts.setdefault(fact.lower(), {})[place] = value
     values = np.column_stack([array.values[skip:] for array in chosen]).astype(float)
     numeric = tuple(range(len(chosen)))
     rows = range(skip + 1, length + 1)
-    return NumberTable(path, columns, numeric, facts, rows, [], Layout(arrays.kind, "."), values)
+    return NumberTable(
+        path, columns, numeric, facts, rows, [], TableLayout(arrays.kind, "."), values
+    )
 
 
 def _read_text(path: Path) -> str | Arrays:
@@ -308,7 +310,7 @@ def _read_text(path: Path) -> str | Arrays:
 
 def _recognise(
     path: Path, lines: Sequence[tuple[int, str]], fewest: int
-) -> tuple[Layout, tuple[int, ...]]:
+) -> tuple[TableLayout, tuple[int, ...]]:
     """Return the layout in which most lines hold numbers, and in which columns they do."""
     # a table is the later half of its file at least, or all that has so many columns
     later = lines[len(lines) // 2 :]
@@ -334,14 +336,16 @@ def _recognise(
     return recognised
 
 
-def _layouts(lines: Sequence[str]) -> list[Layout]:
+def _layouts(lines: Sequence[str]) -> list[TableLayout]:
     """Return the layouts that lines may have: where there are tabs or semicolons, no others."""
     marks = [mark for mark in "\t;" if 2 * sum(mark in line for line in lines) > len(lines)]
-    return [Layout(delimiter, decimal) for delimiter in (marks[:1] or ", ") for decimal in ".,"]
+    return [
+        TableLayout(delimiter, decimal) for delimiter in (marks[:1] or ", ") for decimal in ".,"
+    ]
 
 
 def _first_row(
-    path: Path, lines: Sequence[tuple[int, str]], layout: Layout, numeric: tuple[int, ...]
+    path: Path, lines: Sequence[tuple[int, str]], layout: TableLayout, numeric: tuple[int, ...]
 ) -> int:
     """Return the index of the first line of a table; raises `InputError` if it is interrupted."""
     places = set(numeric)
@@ -362,7 +366,7 @@ def _first_row(
     return first
 
 
-def _numbers_and_words(layout: Layout, line: str) -> tuple[set[int], tuple[int, ...]]:
+def _numbers_and_words(layout: TableLayout, line: str) -> tuple[set[int], tuple[int, ...]]:
     """Return the places of the numbers, and of the other cells that are not empty, in a line."""
     cells = layout.cells(line)
     numbers = set(layout.numeric(cells))
@@ -372,7 +376,7 @@ def _numbers_and_words(layout: Layout, line: str) -> tuple[set[int], tuple[int, 
 def _check_above(
     path: Path,
     above: Sequence[tuple[int, str]],
-    layout: Layout,
+    layout: TableLayout,
     numeric: tuple[int, ...],
     kinds: set[tuple[int, ...]],
 ) -> None:
@@ -389,7 +393,7 @@ def _check_above(
 
 
 def _no_number(
-    path: Path, line: tuple[int, str], layout: Layout, places: Sequence[int]
+    path: Path, line: tuple[int, str], layout: TableLayout, places: Sequence[int]
 ) -> InputError:
     """Return the error of the first of these cells of a line that holds no number."""
     cells = layout.cells(line[1])
@@ -401,7 +405,7 @@ def _no_number(
 
 
 def _header(
-    path: Path, above: Sequence[str], layout: Layout, numeric: tuple[int, ...], width: int
+    path: Path, above: Sequence[str], layout: TableLayout, numeric: tuple[int, ...], width: int
 ) -> list[list[str]]:
     """Return the cells of at most two lines above a table, from the last one upward."""
     header: list[list[str]] = []
@@ -420,7 +424,7 @@ def _header(
     return header
 
 
-def _header_cells(line: str, layout: Layout, width: int) -> list[str]:
+def _header_cells(line: str, layout: TableLayout, width: int) -> list[str]:
     """Return the cells of a line of a header; none if they do not fit a table so wide."""
     cells = layout.cells(line)
     if layout.delimiter != " " or len(cells) == width:
@@ -473,11 +477,11 @@ def _note_beside(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> 
             facts.setdefault(name.lower(), {}).update(dict.fromkeys(later, value))
 
 
-def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[Column]:
+def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[ColumnHeader]:
     """Return names and units of columns from the lines of a header, the last one first."""
     width = numeric[-1] + 1
     if not header:
-        return [Column("", "")] * width
+        return [ColumnHeader("", "")] * width
     cells = list(header[0][:width])
     units = [cell.strip("()[] ") for cell in cells]
     # a line of units below that of the names
@@ -485,8 +489,8 @@ def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[
         names = header[1][:width] if len(header) == 2 else [""] * width
         units = ["" if unit in NO_UNIT else unit for unit in units]
         # the name may have a unit, too, or a remark in brackets
-        return [Column(n, unit, n) for n, unit in zip(names, units, strict=True)]
-    return [Column(*split_unit(cell), cell) for cell in cells]
+        return [ColumnHeader(n, unit, n) for n, unit in zip(names, units, strict=True)]
+    return [ColumnHeader(*split_unit(cell), cell) for cell in cells]
 
 
 def _are_units(cells: Sequence[str], below: bool) -> bool:

@@ -20,7 +20,7 @@ _PACKAGE = Path(__file__).parent.parent
 _FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
 
 
-class _Closed(ImmutableSandboxedEnvironment):
+class _Sandbox(ImmutableSandboxedEnvironment):
     """Sandboxed templates, which read their values and call `range` and their own macros only."""
 
     intercepted_binops = frozenset(["**"])
@@ -65,7 +65,7 @@ def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
 
 def render_pieces(name: str, closed: tuple[type, ...] = (), **values: Any) -> Iterator[str]:
     """Fill in a template of the package piece by piece, for text that is long; see `render`."""
-    environment = _Closed(closed, autoescape=name.endswith(".html"))
+    environment = _Sandbox(closed, autoescape=name.endswith(".html"))
     return environment.get_template(name).generate(version=version("lmpchain"), **values)
 
 
@@ -79,7 +79,7 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
     InputError
         Under `key`, if it names what there is not, or does what it may not.
     """
-    environment = _Closed(closed)
+    environment = _Sandbox(closed)
     values = {"version": version("lmpchain"), **values}
     try:
         with memory_limit(LARGEST_TEXT):

@@ -13,7 +13,7 @@ from helpers.example_scenes import smooth
 from lmpchain import RunFailed, ToleranceNotMet
 from lmpchain.benchmark import bench
 from lmpchain.benchmark.bench import Bench, repeat
-from lmpchain.benchmark.comparison import Row
+from lmpchain.benchmark.comparison import ComparisonRow
 from lmpchain.benchmark.reference import Reference
 from lmpchain.trajectory.record import Cost
 
@@ -61,11 +61,11 @@ class Given(Bench):
         )
         return SimpleNamespace(cost=cost, error=error, provenance={})
 
-    def _row(self, answer: Any) -> Row:
+    def _row(self, answer: Any) -> ComparisonRow:
         cost = answer.cost
-        return Row("native", 1, "rkn4", answer.error, answer.error, 0.0, 0.0, cost.integration_s,
-                   cost.steps,
-                   cost.force_evaluations, 0.0)  # fmt: skip
+        times = 0.0, 0.0, cost.integration_s
+        work = cost.steps, cost.force_evaluations, 0.0
+        return ComparisonRow("native", 1, "rkn4", answer.error, answer.error, *times, *work)
 
 
 def timed(monkeypatch: pytest.MonkeyPatch, made: Given) -> Given:

@@ -221,7 +221,7 @@ def scipy_is_broken(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
 def higher_modes(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
     right = modes.eigenmodes
 
-    def higher(chain: lmpchain.Chain) -> modes.Modes:
+    def higher(chain: lmpchain.Chain) -> modes.Eigenmodes:
         found = right(chain)
         return replace(found, frequency=1.001 * found.frequency)
 

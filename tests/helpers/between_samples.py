@@ -9,7 +9,12 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from lmpchain.trajectory.between import hermite
-from lmpchain.trajectory.between.derivatives import Block, Imposed, Law, Series
+from lmpchain.trajectory.between.derivatives import (
+    BodySeries,
+    ChainForces,
+    ImposedSamples,
+    SampledBlock,
+)
 from lmpchain.trajectory.between.fronts import Rules, front_of
 from lmpchain.trajectory.between.maxima import Log, Window, events_of, follow, lowest
 
@@ -37,13 +42,13 @@ def bernstein(curve: Polynomial, degree: int) -> np.ndarray:
 
 def path_of(
     values: np.ndarray, kind: int, h: float, ceiling: np.ndarray | None = None
-) -> hermite.Path:
+) -> hermite.BodyPath:
     """Return a body between its samples, from u, v, a, j and the error of a at each (5, T)."""
     u, v, a, j, off = np.ascontiguousarray(values, float)
     doubt = np.append(np.maximum(off[:-1], off[1:]), 0.0)
     limits = np.zeros(0) if ceiling is None else np.ascontiguousarray(ceiling, float)
     bounds = np.empty((2, u.size - 1))
-    path: hermite.Path = hermite.path(Series(u, v, a, j, doubt), kind, h, limits, bounds)
+    path: hermite.BodyPath = hermite.path(BodySeries(u, v, a, j, doubt), kind, h, limits, bounds)
     return path
 
 
@@ -91,8 +96,8 @@ def block_of(
     linear: bool,
     h: float,
     known: Any = True,
-    imposed: Imposed | None = None,
-) -> Block:
+    imposed: ImposedSamples | None = None,
+) -> SampledBlock:
     """Return samples (T, C) of a chain from constants, forces and
     overlaps of its contacts (3, N+1).
 
@@ -107,8 +112,10 @@ def block_of(
         rows[1, ~pressed] = 0.0
     samples = u.shape[0]
     bodies = len(columns)
-    nothing = Imposed(np.zeros((4, samples)), np.zeros((2, samples)), np.zeros(samples), 0, False)
-    law = Law(rows, inverse_mass, exponent, linear)
+    nothing = ImposedSamples(
+        np.zeros((4, samples)), np.zeros((2, samples)), np.zeros(samples), 0, False
+    )
+    law = ChainForces(rows, inverse_mass, exponent, linear)
     fields = (np.ascontiguousarray(field.T) for field in (u, v))
     obeys = np.broadcast_to(np.asarray(known, bool), bodies).copy()
-    return Block(*fields, np.array(columns), obeys, h, law, imposed or nothing)
+    return SampledBlock(*fields, np.array(columns), obeys, h, law, imposed or nothing)

@@ -8,9 +8,9 @@ import pytest
 from lmpchain.integrators.kernels.phase_error import (
     STATE,
     Evaluations,
-    Imposed,
-    Law,
-    Links,
+    ImposedMotion,
+    LinearLinks,
+    StrainError,
     accumulate,
     start,
 )
@@ -22,7 +22,7 @@ TIME = np.cumsum(RNG.uniform(0.5, 1.5, TIMES))
 U, V = RNG.normal(size=(2, TIMES, GRAINS)) * 0.3
 STIFFNESS, SOFTNESS = RNG.uniform(1, 2, (2, GRAINS + 1))
 MOBILITY = RNG.uniform(0.5, 1, GRAINS)
-LINKS = Links(STIFFNESS, SOFTNESS, MOBILITY)
+LINKS = LinearLinks(STIFFNESS, SOFTNESS, MOBILITY)
 WALL = RNG.normal(size=(TIMES, 3)) * 0.2
 PUSH = RNG.normal(size=TIMES)
 RECORDED = np.array([True, False, True, True, False, True])
@@ -30,7 +30,9 @@ WHOLE = np.array([[0, GRAINS]] * TIMES)
 LEAD = 0.125
 
 
-def plainly(solution: Evaluations, imposed: Imposed, law: Law, links: Links = LINKS) -> np.ndarray:
+def plainly(
+    solution: Evaluations, imposed: ImposedMotion, law: StrainError, links: LinearLinks = LINKS
+) -> np.ndarray:
     """Return the state at the end."""
     state = start()
     now = state[0]
@@ -81,15 +83,17 @@ def plainly(solution: Evaluations, imposed: Imposed, law: Law, links: Links = LI
 
 def compiled(
     solution: Evaluations,
-    imposed: Imposed,
-    law: Law,
-    links: Links = LINKS,
+    imposed: ImposedMotion,
+    law: StrainError,
+    links: LinearLinks = LINKS,
     pieces: tuple[int, ...] = (0, TIMES),
 ) -> np.ndarray:
     state = start()
     for begin, end in pairwise(pieces):
         piece = Evaluations(*(field[begin:end] for field in solution))
-        acting = Imposed(imposed.wall[begin:end], imposed.grain, imposed.acceleration[begin:end])
+        acting = ImposedMotion(
+            imposed.wall[begin:end], imposed.grain, imposed.acceleration[begin:end]
+        )
         accumulate(state, links, piece, acting, law)
     return state
 
@@ -103,8 +107,8 @@ NARROW = np.array([[0, 2], [0, 3], [1, 3], [1, 4], [2, 5], [0, 5]])
 def test_the_state_is_that_of_plain_numpy(reach: np.ndarray, grain: int, size: float, near: float):
     """In one call and in two; for weak waves and such in which contacts open."""
     solution = Evaluations(TIME, RECORDED, size * U, size * V, reach)
-    imposed = Imposed(size * WALL, grain, size * PUSH)
-    law = Law(LEAD, near, -0.9)
+    imposed = ImposedMotion(size * WALL, grain, size * PUSH)
+    law = StrainError(LEAD, near, -0.9)
     expected = plainly(solution, imposed, law)
     for pieces in ((0, TIMES), (0, 2, TIMES)):
         state = compiled(solution, imposed, law, pieces=pieces)
@@ -119,7 +123,7 @@ def test_a_contact_that_opens_between_two_times_is_told():
     not if that is far from here.
     """
     u, v = np.zeros((2, TIMES, GRAINS))
-    links = Links(STIFFNESS, np.ones(GRAINS + 1), MOBILITY)
+    links = LinearLinks(STIFFNESS, np.ones(GRAINS + 1), MOBILITY)
     u[0] = [0, 0, 0.9, 0, 0]  # contact 2 is stretched by 0.9 and comes back
     v[0] = [0, 0, -0.5, 0, 0]
     force = STIFFNESS * -np.diff(np.concatenate(([0], u[0], [0])))
@@ -128,10 +132,12 @@ def test_a_contact_that_opens_between_two_times_is_told():
     assert bend > 0
     lowest = -0.9 - 0.5**2 / (2 * bend)
     solution = Evaluations(TIME, RECORDED, u, v, WHOLE)
-    imposed = Imposed(np.zeros((TIMES, 3)), 0, np.zeros(TIMES))
+    imposed = ImposedMotion(np.zeros((TIMES, 3)), 0, np.zeros(TIMES))
 
     def opened(near: float, opening: float) -> float:
-        return float(compiled(solution, imposed, Law(LEAD, near, opening), links)["opened"][0])
+        return float(
+            compiled(solution, imposed, StrainError(LEAD, near, opening), links)["opened"][0]
+        )
 
     just = lowest * (1 - 1e-9)
     beyond = lowest * (1 + 1e-9)

@@ -102,9 +102,9 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
     march(
         batch.links,
         inverse_mass,
-        tangent.Motion(x, v),
+        tangent.BodyRow(x, v),
         tangent.Deviations(dx, dv, stretch),
-        tangent.Steps(np.array(RKN4.kicks), np.array(RKN4.drifts), steps),
+        tangent.TangentSteps(np.array(RKN4.kicks), np.array(RKN4.drifts), steps),
         tangent.Held(body, path),
         nodes,
     )
@@ -136,9 +136,9 @@ def test_a_flight_of_many_steps_adds_no_rounding():
     march(
         links,
         inverse_mass,
-        tangent.Motion(x, v),
+        tangent.BodyRow(x, v),
         tangent.Deviations(none, none.copy(), np.zeros(0)),
-        tangent.Steps(np.array([0.5, 0.5]), np.array([1.0]), steps),
+        tangent.TangentSteps(np.array([0.5, 0.5]), np.array([1.0]), steps),
         tangent.Held(0, np.empty(0)),
         np.zeros((2, steps.size + 1, GRAINS)),
     )

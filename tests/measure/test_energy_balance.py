@@ -31,7 +31,7 @@ from lmpchain import (
     simulate_many,
 )
 from lmpchain.engines import Modes, Native
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.stepping import companion_run
 from lmpchain.measure import energy
 from lmpchain.trajectory.record import ErrorEstimate
 

@@ -19,7 +19,7 @@ from lmpchain.measure.fit.column import fit_continuum, fit_exponents
 from lmpchain.measure.fit.column_front import bottom, front_before_echo, strike_at_top
 from lmpchain.measure.fit.inverse import Trace, fit_parameter
 from lmpchain.measure.fit.overview import Summary, summary
-from lmpchain.measure.fit.table import Row
+from lmpchain.measure.fit.table import FittedNumber
 from lmpchain.measure.front import Front, asymptotic, exponent, track
 
 Array = NDArray[np.float64]
@@ -375,11 +375,11 @@ def test_trials_that_cannot_be_answered():
 def test_the_table_of_a_summary():
     """Values to the digits that their errors leave; the name of a fit once."""
     rows = (
-        Row("one", "a", 1.23456789, 0.00234, 1.25, "m/s"),
-        Row("one", "b", -123456.789, np.nan, np.nan),
-        Row("two", "c", 0.0, 0.1, 0.0),
-        Row("two", "d", 1.0000004, 1e-20, 1.0),
-        Row("two", "e", 5.4321, 60.0, np.nan),
+        FittedNumber("one", "a", 1.23456789, 0.00234, 1.25, "m/s"),
+        FittedNumber("one", "b", -123456.789, np.nan, np.nan),
+        FittedNumber("two", "c", 0.0, 0.1, 0.0),
+        FittedNumber("two", "d", 1.0000004, 1e-20, 1.0),
+        FittedNumber("two", "e", 5.4321, 60.0, np.nan),
     )
     text = Summary(0.31, rows, (("three", "why: not"),)).table().splitlines()
     assert [line.split() for line in text[:6]] == [

@@ -280,7 +280,7 @@ def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytes
     monkeypatch.setattr(continuation, "STEPS", hasty)
     family = orbits.follow(first, "energy", until, events=False)
     assert (len(family), family.ended[:31]) == (3, "it hardly moves on from energy ")
-    monkeypatch.setattr(continuation.Curve, "along", lambda *_: None)
+    monkeypatch.setattr(continuation.SolutionBranch, "along", lambda *_: None)
     monkeypatch.setattr(continuation, "STEPS", replace(hasty, patience=60))
     family = orbits.follow(first, "energy", until, events=False)
     assert (len(family), family.ended[:34]) == (1, "it cannot be followed beyond energ")

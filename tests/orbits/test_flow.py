@@ -15,7 +15,7 @@ from lmpchain.integrators.halving import SAFETY
 from lmpchain.orbits.flow import Flow
 from lmpchain.orbits.shooting import (
     Equations,
-    Point,
+    OrbitPoint,
     estimate_error,
     fixed,
     solve,
@@ -158,7 +158,7 @@ def test_equations_have_the_derivatives_that_differences_show(
     start[:, 0] *= flow.held == 0
     state = flow.canonical(*start)
     equations = Equations(flow_at, reversible, 0.7 * np.abs(state).max(), scale, 1.7e-5)
-    point = Point(state, PERIOD, value)
+    point = OrbitPoint(state, PERIOD, value)
     steps = np.full(120, 1 / 120)
     unknown = equations.pack(point)
     again = equations.unpack(unknown)
@@ -211,7 +211,7 @@ def test_equations_have_the_derivatives_that_differences_show(
 def test_a_derivative_at_the_end_of_what_a_parameter_may_be_is_one_sided():
     """Gravity is no less than 0; where it may be one value only, that is said."""
     equations = Equations(lambda g: Flow(LOADED.replace(gravity=g), RATE), False, 1.0, 100.0)
-    point = Point(np.zeros((2, 4)), PERIOD, 0.0)
+    point = OrbitPoint(np.zeros((2, 4)), PERIOD, 0.0)
     slope = equations.by_value(point, lambda flow: flow.chain.gravity**2 + flow.chain.gravity)
     assert slope == pytest.approx(100.0, rel=1e-3)
     middle = equations.by_value(point._replace(value=9.0), lambda flow: flow.chain.gravity**2)
@@ -255,7 +255,7 @@ def test_the_error_of_steps_is_a_safe_multiple_of_the_change_by_half_the_steps()
     flow = Flow(chain, 1 / chain.time_scale)
     state = flow.canonical(np.array([0.8 * chain.length_scale, 0.0]), np.zeros(2))
     equations = Equations(lambda _: flow, True, float(np.abs(state).max()), 0.0, chain.time_scale)
-    guess = Point(state, 5.2 * chain.time_scale)
+    guess = OrbitPoint(state, 5.2 * chain.time_scale)
     energy = fixed(equations, "energy", flow.energy(state)[0])
     coarse = solve(equations, guess, [energy], reach=2.5)
     assert coarse is not None

@@ -16,7 +16,7 @@ from lmpchain.errors import RunFailed
 from lmpchain.orbits import Orbit, closing, floquet
 from lmpchain.orbits.closing import Aspect
 from lmpchain.orbits.flow import Flow
-from lmpchain.orbits.shooting import Equations, Point
+from lmpchain.orbits.shooting import Equations, OrbitPoint
 
 CHAIN = Chain(grains=4, diameter=1e-3)
 SCALE = CHAIN.length_scale * CHAIN.masses[0] * 9.81
@@ -294,7 +294,7 @@ def test_an_orbit_beside_the_way_is_met_again():
     asked = []
 
     def solver(shift: float) -> Any:
-        def solved(guess: Point, constraint: Any, near: Any) -> Any:
+        def solved(guess: OrbitPoint, constraint: Any, near: Any) -> Any:
             assert near is there
             unknown = equations.pack(guess)
             left, row = constraint.of(unknown, guess)

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.stepping import companion_run
 
 Tables = dict[str, Any]
 MARK = "INJECTED"  # what no deck may hold

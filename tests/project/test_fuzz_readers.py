@@ -20,8 +20,8 @@ from helpers.standalone_lammps import lmp
 
 from lmpchain import Force, InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.native import companion_run
-from lmpchain.simulation import task as tasks
+from lmpchain.engines.stepping import companion_run
+from lmpchain.simulation import folder_files
 from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read as read_sweep
 from lmpchain.util.files import seal
@@ -222,14 +222,14 @@ def test_checkpoints_and_tasks_with_the_right_hash(originals: Path, tmp_path: Pa
         if turn.random() < 0.3:
             asked = spoilt(json.loads((run / "run.json").read_text()), turn)
             if isinstance(asked, dict):
-                asked["sha256"] = tasks._seal(asked, (run / "scene.toml").read_text())
+                asked["sha256"] = folder_files._seal(asked, (run / "scene.toml").read_text())
             (run / "run.json").write_text(json.dumps(asked))
         else:
             with np.load(io.BytesIO((run / "checkpoint").read_bytes()[32:])) as kept:
                 arrays = dict(kept)
             if turn.random() < 0.5:
                 notes = json.loads(str(arrays["notes"]))
-                notes["attempt"]["candidate"].pop("choices")
+                notes["attempt"]["proposal"].pop("choices")
                 arrays["notes"] = np.array(json.dumps(spoilt(notes, turn)))
             else:
                 name = turn.choice([name for name in arrays if name != "notes"])

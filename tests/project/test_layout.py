@@ -1,6 +1,7 @@
 """The shape of the package: arrows between modules run one way."""
 
 import ast
+from collections import Counter
 from graphlib import CycleError, TopologicalSorter
 from importlib import import_module
 from pathlib import Path
@@ -99,6 +100,16 @@ def test_docstrings_open_with_one_short_line(module: str):
     )
     opening = [text.split("\n\n")[0] for node in documented if (text := ast.get_docstring(node))]
     assert [text for text in opening if "\n" in text or len(text) > OPENING] == []
+
+
+def test_a_class_name_stands_for_one_class():
+    names = [
+        node.name
+        for path in MODULES.values()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert [name for name, uses in Counter(names).items() if uses > 1] == []
 
 
 def test_no_module_bears_the_name_of_something_that_its_package_hands_on():

@@ -7,6 +7,7 @@ import json
 import signal
 import time
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,12 +26,18 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Native
-from lmpchain.engines.native import companion_run
 from lmpchain.engines.step_control import first_attempt
-from lmpchain.simulation import api, checkpoints, many, run_folder
-from lmpchain.simulation import task as tasks
-from lmpchain.simulation.folder_files import check_new, remove
-from lmpchain.simulation.policy import policy_for
+from lmpchain.engines.stepping import companion_run
+from lmpchain.simulation import api, folder_files, many, run_folder
+from lmpchain.simulation.choice import engine_for
+from lmpchain.simulation.folder_files import (
+    check_new,
+    load_checkpoints,
+    remove,
+    renew,
+    resume_command,
+    save_checkpoint,
+)
 from lmpchain.simulation.run_folder import status
 from lmpchain.simulation.signals import Requests
 from lmpchain.util import progress
@@ -187,7 +194,7 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
         1e-6,
     )
     assert kept["best_effort"] is False
-    assert kept["step_s"] == Native().candidate(SCENE, 1e-6).step
+    assert kept["step_s"] == Native().propose(SCENE, 1e-6).step
     assert kept["error_estimate"] == lmpchain.Trajectory.load(folder).error_estimate.total
     assert kept["pid"] > 0
     first_s = kept["wall_s"]
@@ -213,10 +220,10 @@ def test_both_checkpoints_of_a_new_attempt_are_of_it(tmp_path, small_blocks):
     while status(folder)["attempt"] < 2:
         with pytest.raises(Stopped):
             resume(folder, max_wall=1e-9)
-    kept = list(checkpoints.load(folder))
-    assert [len(each.notes["attempt"]["truncations"]) for each in kept] == [1, 1]
-    assert [each.notes["samples"] for each in kept] == [status(folder)["samples_done"], 0]
-    assert kept[1].state == {}
+    kept = list(load_checkpoints(folder))
+    assert [len(notes["attempt"]["truncations"]) for notes, _ in kept] == [1, 1]
+    assert [notes["samples"] for notes, _ in kept] == [status(folder)["samples_done"], 0]
+    assert kept[1][1] == {}
     (folder / "checkpoint").write_bytes(b"nothing")
     with pytest.warns(UserWarning, match="damaged; going on from the one before, at sample 0"):
         t = resume(folder)
@@ -225,17 +232,17 @@ def test_both_checkpoints_of_a_new_attempt_are_of_it(tmp_path, small_blocks):
 
 
 def test_checkpoints_come_and_go(tmp_path):
-    assert list(checkpoints.load(tmp_path)) == []
+    assert list(load_checkpoints(tmp_path)) == []
     for number in range(3):
-        checkpoints.save(tmp_path, {"number": number}, {"x": np.arange(number)})
-    newest, before = checkpoints.load(tmp_path)
-    assert (newest.notes, before.notes) == ({"number": 2}, {"number": 1})
-    assert np.array_equal(newest.state["x"], [0, 1])
+        save_checkpoint(tmp_path, {"number": number}, {"x": np.arange(number)})
+    newest, before = load_checkpoints(tmp_path)
+    assert (newest[0], before[0]) == ({"number": 2}, {"number": 1})
+    assert np.array_equal(newest[1]["x"], [0, 1])
     whole = (tmp_path / "checkpoint").read_bytes()
     (tmp_path / "checkpoint").write_bytes(whole[:-1])
-    newest, before = checkpoints.load(tmp_path)
+    newest, before = load_checkpoints(tmp_path)
     assert newest is None
-    assert before.notes == {"number": 1}
+    assert before[0] == {"number": 1}
     assert not (tmp_path / "checkpoint").exists()  # a damaged one is removed
 
 
@@ -245,7 +252,7 @@ def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
     By a clock that this test sets.
     """
     now, saved = [0.0], []
-    honest = checkpoints.save
+    honest = save_checkpoint
 
     def save(folder, notes, state):
         now[0] += 0.05
@@ -259,7 +266,7 @@ def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
             return now[0]
 
     monkeypatch.setattr(run_folder, "time", Clock)
-    monkeypatch.setattr(checkpoints, "save", save)
+    monkeypatch.setattr(folder_files, "save_checkpoint", save)
     honest_put = run_folder.store.Writer.put
 
     def put(self, block):
@@ -340,28 +347,58 @@ def test_a_failure_is_noted_with_its_reason(tmp_path, monkeypatch, small_blocks)
 def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
     folder = tmp_path / "run"
     stopped(folder)
-    checkpoint = next(checkpoints.load(folder))
-    whole = checkpoint.notes["attempt"]
+    kept, state = next(load_checkpoints(folder))
+    whole = kept["attempt"]
 
     def noted(**changed):
-        notes = checkpoint.notes | changed
+        notes = kept | changed
         for _ in range(2):
-            checkpoints.save(folder, notes, checkpoint.state)
+            save_checkpoint(folder, notes, state)
         with pytest.raises(
             InputError, match="checkpoint: was written by another version of lmpchain"
         ):
             resume(folder)
 
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"step": 0.0}})
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"steps_per_landing": 0}})
+    proposal = whole["proposal"]
+    for wrong in ({"step": 0.0}, {"per_landing": 0}):
+        noted(attempt=whole | {"proposal": proposal | {"steps": proposal["steps"] | wrong}})
     noted(attempt=whole | {"tolerance": 1.0})
     noted(attempt=whole | {"tolerance": 0.0})
-    noted(attempt=whole | {"engine": "fast"})
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"colour": 1}})
-    noted(spent=checkpoint.notes["spent"] | {"wall_s": -1.0})
-    noted(spent=checkpoint.notes["spent"] | {"more_s": 1.0})
-    checkpoints.save(folder, checkpoint.notes, checkpoint.state)
+    noted(attempt=whole | {"proposal": proposal | {"engine": "fast"}})
+    noted(attempt=whole | {"proposal": proposal | {"colour": 1}})
+    noted(spent=kept["spent"] | {"wall_s": -1.0})
+    noted(spent=kept["spent"] | {"more_s": 1.0})
+    save_checkpoint(folder, kept, state)
     assert resume(folder).time.size == 61
+
+
+def test_a_checkpoint_without_a_record_of_steps_goes_on_with_the_same_bits(tmp_path, small_blocks):
+    """Earlier versions wrote the fields of the steps beside the others, and diameters as text."""
+    folder = tmp_path / "run"
+    stopped(folder)
+    kept, state = next(load_checkpoints(folder))
+    attempt = kept["attempt"]
+    new = attempt.pop("proposal")
+    steps = new["steps"]
+    old = {
+        "step": steps["step"],
+        **{key: new[key] for key in ("active_grains", "model_error", "solver_error", "cost_s")},
+        "tolerance": new["tolerance"],
+        "steps_per_landing": steps["per_landing"],
+        "stride": steps["stride"],
+        "fixed": new["fixed"],
+        "adaptive": steps["adaptive"],
+        "coarse_openings": steps["coarse_openings"],
+        "integrator": new["integrator"],
+        "choices": new["choices"] | {"drawn_m": "1.5e-07"},
+    }
+    attempt |= {"engine": new["engine"], "candidate": old, "best": [1e-3, list(old.values())]}
+    save_checkpoint(folder, kept, state)
+    renewed = renew(attempt)
+    assert renewed["proposal"]["choices"].pop("drawn_m") == 1.5e-7
+    assert renewed["proposal"] == new
+    assert renewed["best"][1]["steps"] == steps
+    assert np.array_equal(resume(folder).velocity, simulate(SCENE, "native", 1e-6).velocity)
 
 
 def test_a_finished_run_that_missed_tells_it_again(tmp_path):
@@ -374,8 +411,8 @@ def test_a_finished_run_that_missed_tells_it_again(tmp_path):
 
 
 def test_names_of_folders():
-    assert tasks.resume_command("a b") == "lmpchain resume 'a b'"
-    assert tasks.resume_command("run") == "lmpchain resume run"
+    assert resume_command("a b") == "lmpchain resume 'a b'"
+    assert resume_command("run") == "lmpchain resume run"
 
 
 def test_what_a_new_folder_may_hold(tmp_path):
@@ -463,7 +500,8 @@ def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
     scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in (1.0e-4, 1.1e-4, 1.2e-4)]
     engine = Native()
     attempts = [
-        first_attempt(engine, scene, 1e-6)._replace(planned_s=0.3, spent_s=0.6) for scene in scenes
+        first_attempt(partial(engine.propose, scene), 1e-6)._replace(planned_s=0.3, spent_s=0.6)
+        for scene in scenes
     ]
     honest = engine.start
     costs = []
@@ -516,7 +554,7 @@ def test_scenes_that_are_cut_to_the_light_cone_go_alone():
     assert dict(many.in_batches(engines.Modes(), {0: SCENE}, 1e-6)) == {}
 
 
-def test_a_policy_is_made_again_from_its_options():
-    for engine in ("auto", "native", "modes"):
-        one = policy_for(engine)
-        assert policy_for(one.name, **one.options()).options() == one.options()
+def test_an_engine_is_made_again_from_its_options():
+    for engine in ("native", "modes"):
+        one = engine_for(engine)
+        assert engine_for(one.name, **one.options()).options() == one.options()

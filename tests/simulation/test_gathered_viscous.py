@@ -7,7 +7,7 @@ import pytest
 from helpers import taylor_series
 
 from lmpchain import Chain, Damping, Drive, Impulse, Scene, simulate, sweep
-from lmpchain.simulation.gatherer import Gatherer
+from lmpchain.simulation.accumulation import Gatherer
 
 CHAIN = Chain(
     grains=6, diameter=1e-3, top_load=0.02, bottom="wall", damping=Damping(viscoelastic=1e-7)

@@ -32,8 +32,8 @@ from lmpchain.cli.command_line import main
 from lmpchain.engines import Modes, Native
 from lmpchain.engines import cost_model as speed
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.native import time_stepping
-from lmpchain.simulation import selection
+from lmpchain.engines.stepping import time_stepping
+from lmpchain.simulation import choice
 from lmpchain.trajectory.trajectory import Trajectory
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-9)
@@ -120,7 +120,7 @@ def keeps_its_word(seed: int) -> str:
             # linear theory wherever it would do
             if seed % 2 and not (scene.drive and scene.chain.grains > 1000):
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
-                patch.setattr(selection, "speed", lambda *_: (0.0, 1.0))  # and asked at all
+                patch.setattr(choice, "speed", lambda *_: (0.0, 1.0))  # and asked at all
             plan = lmpchain.plan(scene, tolerance)
             t = simulate(scene, tolerance=tolerance)
         kept = [proposal for proposal in plan.candidates if proposal.kept]
@@ -228,7 +228,7 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     modes = Modes()
     if modes.refuses(scene):
         return
-    candidate = modes.candidate(scene, 0.9)
+    candidate = modes.propose(scene, 0.9)
     t = simulate(scene, modes, 0.9, on_miss="warn")
     (u, v, _) = extended_reference(scene)
     true = relative_error(t.displacement, t.velocity, u, v) - t.error_estimate.solver
@@ -406,7 +406,7 @@ def test_table_and_json(tmp_path: Path, capsys):
     assert lammps["why"].startswith("only if asked for by name")
     assert lammps["cost_s"] > 0
     assert not lammps["kept"]
-    assert lammps["step"] == lmpchain.engines.get("lammps").candidate(plan_scene(), 1e-3).step
+    assert lammps["step"] == lmpchain.engines.get("lammps").propose(plan_scene(), 1e-3).step
 
 
 def plan_scene() -> Scene:
@@ -539,11 +539,11 @@ def test_a_run_takes_what_its_plan_says(seed: int):
     rng = np.random.default_rng(33_000_000 + seed)
     scene = trial_scene(rng)
     tolerance = 10 ** rng.uniform(-9, -0.1)
-    every = {each.engine: each for each in selection.propose(scene, tolerance, every=True)}
-    asked = selection.propose(scene, tolerance)
+    every = {each.engine: each for each in choice.propose(scene, tolerance, every=True)}
+    asked = choice.propose(scene, tolerance)
     for proposal in asked:
         assert proposal == every.pop(proposal.engine)
     if any(proposal.kept for proposal in asked):
-        best = selection.cheapest(asked)
+        best = choice.cheapest(asked)
         plan = lmpchain.plan(scene, tolerance)
-        assert (best.engine, selection.reason(best, asked)) == (plan.engine, plan.why)
+        assert (best.engine, choice.reason(best, asked)) == (plan.engine, plan.why)

@@ -66,7 +66,7 @@ class Faulty(Here):
         self.tried = []
 
     def submit(self, function: Any, /, *values: Any, **named: Any) -> Future:
-        what = values[0].first if isinstance(values[0], tasks.Task) else "gather"
+        what = values[0].first if isinstance(values[0], tasks.SweepTask) else "gather"
         self.tried.append(what)
         if what != 2 or self.tried.count(2) > self.times:
             return super().submit(function, *values, **named)
@@ -231,7 +231,7 @@ def test_a_worker_that_does_not_see_the_folder_says_so(tmp_path: Path):
         """A machine to which the folder is not there."""
 
         def submit(self, function: Any, /, *values: Any, **named: Any) -> Any:
-            if isinstance(values[0], tasks.Task):
+            if isinstance(values[0], tasks.SweepTask):
                 values = (replace(values[0], folder=Path("/nowhere")), *values[1:])
             return super().submit(function, *values, **named)
 

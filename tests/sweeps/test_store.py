@@ -13,8 +13,8 @@ from lmpchain import InputError, load_sweep, sweep
 from lmpchain.sweeps import store, store_check
 from lmpchain.sweeps.file import is_name, read, read_text
 from lmpchain.sweeps.store import (
-    Column,
-    Layout,
+    StoredArray,
+    StoreLayout,
     make_layout,
     part_of,
     parts_of,
@@ -29,11 +29,14 @@ SCENE: dict[str, Any] = {
 }
 
 
-def laid(count: int, batch: int, **shapes: tuple[int, ...]) -> Layout:
+def laid(count: int, batch: int, **shapes: tuple[int, ...]) -> StoreLayout:
     columns = {
-        name: Column(tuple("ab"[: len(shape)]), shape, "m", "") for name, shape in shapes.items()
+        name: StoredArray(tuple("ab"[: len(shape)]), shape, "m", "")
+        for name, shape in shapes.items()
     }
-    return Layout(count, batch, columns | {"reason": Column((), (), "1", "", store.NOT_DONE, str)})
+    return StoreLayout(
+        count, batch, columns | {"reason": StoredArray((), (), "1", "", store.NOT_DONE, str)}
+    )
 
 
 def test_a_shard_holds_so_many_scenes_that_a_hundred_files_hold_ten_thousand():
@@ -58,7 +61,7 @@ def test_a_shard_is_no_larger_than_128_MB():
 
 
 def test_the_layout_has_an_error_beside_each_number_read_off():
-    extra = {"time": Column(("sample",), (7,), "s", "")}
+    extra = {"time": StoredArray(("sample",), (7,), "s", "")}
     made = make_layout(["velocity", "energy", "wall_force", "peak_force:3"], 9, 2, 7, 4, extra)
     shapes = {name: column.shape for name, column in made.columns.items()}
     assert shapes == {
@@ -80,7 +83,7 @@ def test_the_layout_has_an_error_beside_each_number_read_off():
 
 
 def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
-    made = Layout(4000, 4, laid(1, 1, velocity=(128, 64), peak=()).columns)
+    made = StoreLayout(4000, 4, laid(1, 1, velocity=(128, 64), peak=()).columns)
     store.create(tmp_path, made, {}, {"case": 4000})
     group = zarr.open_group(tmp_path / "results.zarr", mode="r")
     velocity = group["velocity"]
@@ -99,7 +102,7 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
 
 
 @pytest.fixture
-def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, Layout, dict[str, np.ndarray]]:
+def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, StoreLayout, dict[str, np.ndarray]]:
     """Two shards of six scenes, the first gathered, of the second a part and some of another."""
     monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=2))
     made = laid(11, 3, velocity=(2, 4), peak=())
@@ -187,14 +190,14 @@ def test_what_killed_processes_leave_is_cleaned_away(split: Any):
 
 def test_a_part_has_the_shape_of_its_column(tmp_path: Path):
     (tmp_path / "parts").mkdir()
-    number = Column((), (), "m", "")
+    number = StoredArray((), (), "m", "")
     write_part(tmp_path, 0, {"peak": np.zeros((2, 3)), "words": np.array(["a"]), "ok": np.ones(2)})
     path = part_of(tmp_path, 0)
     assert store.read_part(path, "ok", number).tolist() == [1.0, 1.0]
     for name in ("peak", "words"):
         with pytest.raises(InputError, match="an array has another shape"):
             store.read_part(path, name, number)
-    word = Column((), (), "1", "", "", str)
+    word = StoredArray((), (), "1", "", "", str)
     assert store.read_part(path, "words", word).tolist() == ["a"]
     with pytest.raises(InputError, match="another shape"):
         store.read_part(path, "ok", word)
@@ -237,7 +240,9 @@ def test_an_array_claims_no_more_than_its_file_can_hold(tmp_path: Path):
 
 
 def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
-    made = Layout(4000, 4, laid(1, 1, velocity=(128, 32)).columns)  # 32 kB a scene: eight a chunk
+    made = StoreLayout(
+        4000, 4, laid(1, 1, velocity=(128, 32)).columns
+    )  # 32 kB a scene: eight a chunk
     store.create(tmp_path, made, {}, {"case": 4000})
     file = tmp_path / "results.zarr" / "velocity" / "zarr.json"
     about = json.loads(file.read_text())

@@ -961,7 +961,7 @@ def test_what_a_worker_was_writing_as_it_was_killed_is_removed(tmp_path):
     class Deadly(Here):
         def submit(self, function, /, *values, **named):
             for task in values:
-                if isinstance(task, tasks.Task):
+                if isinstance(task, tasks.SweepTask):
                     (task.folder / "parts" / f".{task.first:07d}.12345678.partial").touch()
             return super().submit(function, *values, **named)
 

@@ -8,7 +8,12 @@ from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
 from lmpchain.trajectory.between import maxima
-from lmpchain.trajectory.between.derivatives import Block, Imposed, Law, derive
+from lmpchain.trajectory.between.derivatives import (
+    ChainForces,
+    ImposedSamples,
+    SampledBlock,
+    derive,
+)
 
 RNG = np.random.default_rng(21)
 H = 0.125
@@ -46,11 +51,11 @@ class Gathered:
         u, v, a, j = self.position[:, base:stop].copy()
         doubt = np.full(u.size, self.off)
         wall = np.ascontiguousarray(self.wall[:, base:stop])
-        imposed = Imposed(wall, np.array([a, j]), doubt, 1, True)
-        law = Law(np.zeros((3, 2)), np.ones(1), 1.5, False)
+        imposed = ImposedSamples(wall, np.array([a, j]), doubt, 1, True)
+        law = ChainForces(np.zeros((3, 2)), np.ones(1), 1.5, False)
         columns = np.array([-1, 0, -1])
         known = np.ones(3, bool)
-        block = Block(u[None], v[None], columns, known, H, law, imposed)
+        block = SampledBlock(u[None], v[None], columns, known, H, law, imposed)
         grains = np.array([1])
         window = maxima.Window(base, begin - base, end - base)
         derived = derive(block, grains)

@@ -12,7 +12,7 @@ from lmpchain.trajectory.between import hermite
 from lmpchain.trajectory.between.derivatives import (
     OPENINGS,
     STILL,
-    Imposed,
+    ImposedSamples,
     by_body,
     derive,
     series_of,
@@ -390,7 +390,7 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(
     given = np.abs(RNG.normal(size=(2, 6)))
     unsure = np.abs(RNG.normal(size=6))
     pushed = {"pushed": 2, "driven": 1}.get(kind, 0)
-    imposed = Imposed(wall, given, unsure, pushed, kind == "driven")
+    imposed = ImposedSamples(wall, given, unsure, pushed, kind == "driven")
     columns = [STILL, 0, 1, 2, 3, STILL]
     block = block_of(u, v, columns, contacts, inverse_mass, exponent, linear, H, imposed=imposed)
     derived = derive(block, np.arange(1, 5))

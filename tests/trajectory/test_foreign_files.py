@@ -23,9 +23,9 @@ from numcodecs.abc import Codec
 
 from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines.native import companion_run
+from lmpchain.engines.stepping import companion_run
 from lmpchain.report.origin import origin
-from lmpchain.simulation import task as tasks
+from lmpchain.simulation import folder_files
 from lmpchain.util.files import seal
 
 SCENE = Scene(
@@ -261,7 +261,9 @@ def test_a_run_folder_brings_no_commands(stopped: Path):
     ):
         asked |= {"engine": "lammps", "options": options | {"integrator": "verlet", "step": 1e-7}}
         path.write_text(
-            json.dumps(asked | {"sha256": tasks._seal(asked, (stopped / "scene.toml").read_text())})
+            json.dumps(
+                asked | {"sha256": folder_files._seal(asked, (stopped / "scene.toml").read_text())}
+            )
         )
         with pytest.raises(InputError, match=fault):
             resume(stopped)

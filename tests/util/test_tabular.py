@@ -137,7 +137,7 @@ def test_every_result_is_a_table(run, tmp_path: Path):
 
 def test_what_can_be_drawn_is_a_table():
     """Every class with a picture; scenes, chains and what is a function of a place are none."""
-    others = {"AtRest", "Scene", "Soliton", "ExponentFit"}
+    others = {"ChainPicture", "Scene", "Soliton", "ExponentFit"}
     drawn = set()
     for file in (Path(__file__).parents[2] / "lmpchain").rglob("*.py"):
         for node in ast.parse(file.read_text(encoding="utf-8")).body:

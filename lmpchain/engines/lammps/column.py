@@ -50,7 +50,7 @@ class Wall:
 
 
 @dataclass(frozen=True)
-class Column:
+class LammpsColumn:
     """A scene in the terms of LAMMPS.
 
     Parameters
@@ -88,7 +88,7 @@ class Column:
     @property
     def model(self) -> str:
         """Contact model of LAMMPS: hertz, with the root of the effective radius, or hooke."""
-        return "hooke" if self.chain.exponent == 1 else "hertz"
+        return "hooke" if self.chain.law.power == 1 else "hertz"
 
     @property
     def mobile(self) -> tuple[int, int]:

@@ -19,9 +19,8 @@ from ...integrators.splittings import Splitting
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import check_not_foreign, expanded, write_aside
-from ...util.templates import render, render_pieces, render_text
 from . import drive
-from .column import Column
+from .column import LammpsColumn
 from .worker import deck_steps
 
 RUN_COMMAND = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
@@ -65,7 +64,7 @@ def refuse_run(key: str, text: str, cure: str) -> None:
             )
 
 
-def setup(column: Column, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
+def setup(column: LammpsColumn, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
     """Return the commands that set up the column at time step `done`, from a data file."""
     refuse_run(
         "template",
@@ -75,17 +74,17 @@ def setup(column: Column, data: str, step: float, splitting: Splitting, done: in
     return _fill(column, step, splitting, done, data=f'"{data}"', alone=False)
 
 
-def check_template(column: Column, splitting: Splitting) -> None:
+def check_template(column: LammpsColumn, splitting: Splitting) -> None:
     """Raise `InputError` if the template of the user cannot be filled in."""
     _fill(column, column.scene.duration, splitting, data="column.data", alone=True)
 
 
-def script(column: Column, step: float, splitting: Splitting) -> str:
+def script(column: LammpsColumn, step: float, splitting: Splitting) -> str:
     """Return the input script that runs by itself."""
     return _fill(column, step, splitting, data="column.data", alone=True)
 
 
-def write_deck(column: Column, path: Path, step: float, splitting: Splitting) -> Path:
+def write_deck(column: LammpsColumn, path: Path, step: float, splitting: Splitting) -> Path:
     """Write the input script, which runs by itself."""
     if splitting.order > 2 and column.scene.excitation.does_work:
         raise InputError.at(
@@ -120,6 +119,9 @@ def _seal(text: str) -> str:
 
 def dump(path: str, every: int) -> str:
     """Return the commands that dump every `every`-th step, as in a deck that runs by itself."""
+    # Jinja2 is imported only where text is filled in, because "auto" loads this module.
+    from ...util.templates import render
+
     return render("dump.column", path=f'"{path}"', every=every)
 
 
@@ -143,14 +145,14 @@ def check_carried(splitting: Splitting, key: str) -> None:
         )
 
 
-def write_data(column: Column, path: str | PathLike[str]) -> None:
+def write_data(column: LammpsColumn, path: str | PathLike[str]) -> None:
     """Write the data file of a column."""
     with write_aside(path, overwrite=True) as aside, open(aside, "wb") as file:
         _write_data(column, file, whole=True)
 
 
 @contextmanager
-def data_file(column: Column, folder: Path | None) -> Iterator[Path]:
+def data_file(column: LammpsColumn, folder: Path | None) -> Iterator[Path]:
     """Yield the path of a data file: in a folder, or in memory, where a kill leaves none behind."""
     if folder is not None:
         write_data(column, path := folder / "column.data")
@@ -162,7 +164,7 @@ def data_file(column: Column, folder: Path | None) -> Iterator[Path]:
         yield Path(f"/proc/{os.getpid()}/fd/{memory.fileno()}")
 
 
-def holds_motion(column: Column, folder: Path | None) -> bool:
+def holds_motion(column: LammpsColumn, folder: Path | None) -> bool:
     """Return whether the data file has velocities and heights at rest: somebody may read them.
 
     Else LAMMPS gets the velocities in memory, in a fraction of the time.
@@ -170,8 +172,10 @@ def holds_motion(column: Column, folder: Path | None) -> bool:
     return folder is not None or not column.bare
 
 
-def _write_data(column: Column, file: BinaryIO, whole: bool) -> None:
+def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
     """Write the data file, without velocities and heights at rest unless it is `whole`."""
+    from ...util.templates import render_pieces
+
     z, speeds = column.start
     if column.strike:
         # the deck strikes, so that the speed can be set on the command line
@@ -213,13 +217,17 @@ def _as_text(values: Array) -> list[str]:
     return texts
 
 
-def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **values: Any) -> str:
+def _fill(
+    column: LammpsColumn, step: float, splitting: Splitting, done: int = 0, **values: Any
+) -> str:
     """Return the commands of the deck, or of the user's template in its place."""
+    from ...util.templates import render, render_text
+
     scene = column.scene
     # velocity Verlet and its compositions kick in LAMMPS; else the kicks come from outside
     kicks = carries(splitting) and not kicks_by_force(scene, splitting)
-    every = round(scene.duration / (scene.samples - 1) / step)
-    count = every * (scene.samples - 1) * deck_steps(splitting)
+    every = round(scene.sampling_interval / step)
+    count = every * scene.intervals * deck_steps(splitting)
     if values["alone"] and count > STEPS_OF_A_RUN:
         most = f"{count} steps are more than LAMMPS counts in a run, {STEPS_OF_A_RUN}"
         raise InputError.at(
@@ -229,7 +237,7 @@ def _fill(column: Column, step: float, splitting: Splitting, done: int = 0, **va
         "column": column,
         "step": step,
         "every": every,
-        "samples": scene.samples - 1,
+        "samples": scene.intervals,
         "integrator": splitting.name,
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...chain.chain import Chain
+from ...chain.contact_law import power_law
 from ...chain.contacts import pair_value
 from ...chain.damping import Damping
 from ...errors import InputError, short
@@ -23,7 +24,7 @@ from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import expanded
 from . import deck
-from .column import Column
+from .column import LammpsColumn
 
 EXPONENTS = {"hertz": 1.5, "hooke": 1.0}
 HEAVIEST = 1e5  # kg/m3: denser grains are drawn with a gauge diameter
@@ -75,7 +76,7 @@ class Deck(NamedTuple):
     digits: int
 
 
-class _Line(NamedTuple):
+class _DeckLine(NamedTuple):
     """A command with its number in the file."""
 
     number: int
@@ -106,7 +107,7 @@ class _Script:
     def __init__(self, path: Path):
         self.path = path
         self.lines = _commands(deck.read_user_text("deck", path))
-        self.variables: dict[str, _Line] = {}
+        self.variables: dict[str, _DeckLine] = {}
         for line in self.lines:
             if not all(map(str.isascii, line.words)) or line.words[-1].endswith("&"):
                 raise self.refuse(line, "must be a line of plain ASCII, without & at its end")
@@ -118,17 +119,17 @@ class _Script:
                 if name in self.variables and line.number < self.variables[name].number:
                     raise self.refuse(line, f"uses the variable {name} before it is set")
 
-    def refuse(self, line: _Line | None, why: str) -> InputError:
+    def refuse(self, line: _DeckLine | None, why: str) -> InputError:
         """Return the fault of a line, or of the file."""
         where = f"line {line.number} ({short(' '.join(line.words))}) " if line else ""
         return InputError.at(str(self.path), f"{where}{why}")
 
-    def find(self, *words: str) -> _Line | None:
+    def find(self, *words: str) -> _DeckLine | None:
         """Return the first command that begins with these words."""
         found = (line for line in self.lines if line.words[: len(words)] == list(words))
         return next(found, None)
 
-    def need(self, *words: str) -> _Line:
+    def need(self, *words: str) -> _DeckLine:
         """Return the first command that begins with these words; raises `InputError`."""
         line = self.find(*words)
         if line is None:
@@ -136,7 +137,7 @@ class _Script:
             raise self.refuse(None, fault)
         return line
 
-    def value(self, text: str, line: _Line) -> float:
+    def value(self, text: str, line: _DeckLine) -> float:
         """Return a number, a variable or a product of two; raises `InputError`."""
         if match := PRODUCT.fullmatch(text):
             first, factor, second = match.groups()
@@ -153,7 +154,7 @@ class _Script:
             raise self.refuse(line, "must hold a finite number")
         return number
 
-    def argument(self, line: _Line, place: int) -> str:
+    def argument(self, line: _DeckLine, place: int) -> str:
         """Return a word of a command; raises `InputError`."""
         if place >= len(line.words):
             raise self.refuse(line, "is too short")
@@ -165,7 +166,7 @@ class _Script:
             return missing
         return self.value(f"${{{name}}}", self.variables[name])
 
-    def count(self, text: str, line: _Line, least: int = 1) -> int:
+    def count(self, text: str, line: _DeckLine, least: int = 1) -> int:
         """Return a whole number from `least`; raises `InputError`."""
         number = self.value(text, line)
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
@@ -209,7 +210,7 @@ class _Script:
         (step, digits), *_ = kinds
         return step, steps, digits
 
-    def digits(self, line: _Line) -> int:
+    def digits(self, line: _DeckLine) -> int:
         """Return the digits of the numbers in the dump."""
         match = FLOAT_FORMAT.fullmatch(line.words[-1])
         if not match:
@@ -275,13 +276,13 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     if scene.excitation.does_work and step != script.variable("dt"):
         fault = "is not the variable dt, by which force or drive tell the time: set that one"
         raise script.refuse(script.need("timestep"), fault)
-    column = Column(scene, gauge, script.argument(script.need("pair_style"), 1))
+    column = LammpsColumn(scene, gauge, script.argument(script.need("pair_style"), 1))
     _check_data(column, grains)
     _check_commands(script, column, integrator, step)
     return Deck(scene, integrator, step, gauge, digits)
 
 
-def _commands(text: str) -> list[_Line]:
+def _commands(text: str) -> list[_DeckLine]:
     """Return the commands of a text without comments."""
     lines = []
     for number, line in enumerate(text.split("\n"), 1):
@@ -289,7 +290,7 @@ def _commands(text: str) -> list[_Line]:
         command, _, comment = line.partition("#")
         words = command.split() + (["&"] if comment.rstrip().endswith("&") else [])
         if words:
-            lines.append(_Line(number, words))
+            lines.append(_DeckLine(number, words))
     return lines
 
 
@@ -396,7 +397,7 @@ def _load(script: _Script, grains: _Grains, constant: float, exponent: float) ->
     d = grains.diameters
     overlap = max(0.0, float((d[0] + d[1]) / 2 - (grains.rest[0] - grains.rest[1])))
     weight = script.variable("g") * float(grains.masses[0])
-    load = constant * overlap**exponent - weight
+    load = float(power_law(exponent).force(overlap, constant)) - weight
     return load if load > GAPS * weight else 0.0
 
 
@@ -436,7 +437,7 @@ def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]
     return model, stiffness, damping
 
 
-def _wall_constant(script: _Script, line: _Line, diameter: float, hertz: bool) -> float:
+def _wall_constant(script: _Script, line: _DeckLine, diameter: float, hertz: bool) -> float:
     """Return the constant of the contact with a wall, N/m^delta."""
     stiffness = script.value(line.words[6], line) if len(line.words) > 6 else math.nan
     return stiffness * math.sqrt(diameter / 2) if hertz else stiffness
@@ -513,7 +514,7 @@ def _check_heights(scene: Scene, grains: _Grains) -> None:
             )
 
 
-def _check_data(column: Column, grains: _Grains) -> None:
+def _check_data(column: LammpsColumn, grains: _Grains) -> None:
     """Raise `InputError` unless the rest of a data file is what lmpchain would write."""
     low, high, bottom, top = map(repr, column.box)
     header = [
@@ -537,7 +538,7 @@ def _check_data(column: Column, grains: _Grains) -> None:
             raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
 
 
-def _check_commands(script: _Script, column: Column, integrator: str, step: float) -> None:
+def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step: float) -> None:
     """Raise `InputError` at the first command that lmpchain would not write for a column."""
     expected = _commands(deck.script(column, step, SPLITTINGS[integrator]))
     cure = "a deck that does more than lmpchain deck writes cannot be foreseen"
@@ -568,7 +569,7 @@ def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: s
         raise script.refuse(None, f"lacks `{short(' '.join(rest[0]))}`: {cure}")
 
 
-def _check_variables(script: _Script, ours: dict[str, _Line], cure: str) -> None:
+def _check_variables(script: _Script, ours: dict[str, _DeckLine], cure: str) -> None:
     """Raise `InputError` at the first variable that lmpchain would not set."""
     for name, line in script.variables.items():
         known = name in ours and (name in FREE_VARIABLES or _alike(line.words, ours[name].words))
@@ -576,7 +577,7 @@ def _check_variables(script: _Script, ours: dict[str, _Line], cure: str) -> None
             raise script.refuse(line, f"is not known: {cure}")
 
 
-def _is_free(script: _Script, line: _Line, free: set[str]) -> bool:
+def _is_free(script: _Script, line: _DeckLine, free: set[str]) -> bool:
     """Return whether a command says only how long a run is, or what is printed."""
     words = line.words
     if words[0] == "dump_modify":

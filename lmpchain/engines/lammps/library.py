@@ -56,7 +56,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
     return instance
 
 
-class _Closed:
+class _ClosedInstance:
     """An instance of LAMMPS that is no more, and has no destructor."""
 
 
@@ -66,7 +66,7 @@ def close_lammps(instance: Any) -> None:
         instance.close()
         # LAMMPS's destructor runs whenever Python collects garbage, and Python drops a Ctrl-C that
         # comes in a destructor
-        instance.__class__ = _Closed
+        instance.__class__ = _ClosedInstance
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from ...errors import InputError, RunFailed
 from ...integrators.splittings import Splitting
 from ...util.arrays import Array
 from . import deck, drive
-from .column import Column
+from .column import LammpsColumn
 from .launch import Communicator
 from .worker import LocalState, StepPlan
 
@@ -44,7 +44,7 @@ class LammpsStepper:
 
     def __init__(
         self,
-        column: Column,
+        column: LammpsColumn,
         splitting: Splitting,
         step: float,
         state: Mapping[str, Array],

@@ -14,8 +14,7 @@ from numpy.polynomial import legendre
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ..base import ErrorBudget
-from .model_error import fastest
-from .solutions import Solution
+from .solutions import LinearSolution
 
 # A product of two oscillations over a panel of this phase, rad, is a Legendre series of 32 terms
 # to rounding.
@@ -28,14 +27,14 @@ HALVINGS = 12
 
 
 def sum_energies(
-    scene: Scene, solution: Solution, budget: ErrorBudget, scale: Array, most: int
+    scene: Scene, solution: LinearSolution, budget: ErrorBudget, scale: Array, most: int
 ) -> dict[str, Array]:
     """Return the dissipated energy and the work at the samples, (T,) J, with their errors.
 
     Parameters
     ----------
     scene : Scene
-    solution : Solution
+    solution : LinearSolution
     budget : ErrorBudget
         Estimated error of the solution.
     scale : (2,) array
@@ -51,7 +50,7 @@ def sum_energies(
     """
     excitation = scene.excitation
     left = most // NODES.size
-    count = math.ceil(fastest(scene) * scene.duration / PANEL)
+    count = math.ceil(scene.linear_frequency * scene.duration / PANEL)
     if not (scene.chain.damped or excitation.does_work) or count > left:
         return {}
     corners = excitation.waveform.corners if excitation.waveform else ()
@@ -97,7 +96,7 @@ def sum_energies(
     return energies
 
 
-def _powers(scene: Scene, solution: Solution, times: Array, off: Array) -> Array:
+def _powers(scene: Scene, solution: LinearSolution, times: Array, off: Array) -> Array:
     """Return the powers of damping and of the forcing, and their errors, (T, 4) W.
 
     Displacements and velocities of the solution have the errors `off`, m and m/s.

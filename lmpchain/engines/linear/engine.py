@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 
 from ...integrators.kernels.chebyshev import SPAN, terms
 from ...integrators.kernels.phase_error import Evaluations
+from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import EPSILON, Array, last_digit
 from ...util.compilation import clock
-from ..base import Candidate, Engine, ErrorBudget, Run
+from ...util.plotting import COLOURS
+from ..base import Engine, ErrorBudget, Proposal, Run
 from ..cost_model import seconds
 from .energies import sum_energies
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
-from .solutions import ChebyshevSolution, ModalSolution, Solution
+from .solutions import ChebyshevSolution, LinearSolution, ModalSolution
 
 BLOCK = 16  # samples a block, if so many fit
 # values that are at hand at a time, and that take no time worth speaking of
@@ -42,6 +44,7 @@ class LinearEngine(Engine):
 
     summed_values: ClassVar[int] = 2**14
     equation: ClassVar[int] = 3
+    auto = "cheapest"
     # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
 
@@ -62,10 +65,12 @@ class LinearEngine(Engine):
             reasons.append(("excitation", why))
         return reasons
 
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+    def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose the one way there is."""
-        return Candidate(
-            step=scene.duration / (scene.samples - 1),
+        return Proposal(
+            engine=self.name,
+            equation=self.equation,
+            steps=Steps.spread(scene.sampling_interval, 1),
             active_grains=scene.chain.grains,
             model_error=expected_error(scene),
             solver_error=self.round_off(scene),
@@ -104,19 +109,19 @@ class LinearEngine(Engine):
         """Return the time for all evaluations on the reference machine, s."""
 
     @abstractmethod
-    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
         """Return the solution, from the start or from a kept state."""
 
     def start(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
+        proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> Run:
         """Start one scene, or a batch of scenes recorded alike."""
         return LinearRun(self, scenes, state or {})
 
-    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> None:
+    def refine(self, proposal: Proposal, error: ErrorBudget | None, tolerance: float) -> None:
         """Nothing can be better than round-off."""
         return None
 
@@ -126,6 +131,7 @@ class Chebyshev(LinearEngine):
 
     name: ClassVar[str] = "chebyshev"
     summed_values: ClassVar[int] = 2**17
+    style = (COLOURS["pink"], "D")
     start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -151,7 +157,7 @@ class Chebyshev(LinearEngine):
         reached = min(scene.chain.grains, 30 + radians / 4)  # on average, as the light cone grows
         return 7e-10 * polynomials * (reached + 100) + 1.3e-8 * count * scene.chain.grains
 
-    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
         """Return the solution, from the start or from a kept state."""
         return ChebyshevSolution(scene, state)
 
@@ -160,6 +166,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
+    style = (COLOURS["green"], "^")
     dissipates: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 2.4e-4
 
@@ -199,7 +206,7 @@ class Modes(LinearEngine):
         grains = scene.chain.grains
         return 5.5e-11 * grains**3 + 6e-8 * grains * _evaluations(scene)
 
-    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
         """Return the solution, whose start is all that is needed."""
         return ModalSolution(scene)
 
@@ -216,7 +223,11 @@ def _evaluations(scene: Scene) -> int:
 
 
 def _follow(
-    solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], size: int
+    solution: LinearSolution,
+    error: PhaseError,
+    times: Array,
+    recorded: NDArray[np.bool_],
+    size: int,
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Yield a solution, evaluated `size` times at once, and accumulate its model error."""
     for begin in range(0, times.size, size):
@@ -333,11 +344,11 @@ class LinearRun(Run):
             integration_s=self._integration_s,
             estimate_s=self._estimate_s,
             setup_s=self._setup_s,
-            steps=self._scene.samples - 1,
+            steps=self._scene.intervals,
             force_evaluations=sum(solution.work for solution in self._solutions),
             active_grains=self._scene.chain.grains,
             integrator=self._engine.name,
-            step_s=self._scene.duration / (self._scene.samples - 1),
+            step_s=self._scene.sampling_interval,
             ranks=1,
         )
 

@@ -25,10 +25,10 @@ from ...util.arrays import Array
 from .adjoint_rows import (
     Above,
     Adjoint,
+    AdjointSpan,
     BackRows,
     Bodies,
     KeptRows,
-    Span,
     Way,
     at,
     back_rows,
@@ -69,7 +69,7 @@ class Pieces(NamedTuple):
     windows: NDArray[np.int64]
 
 
-class Path(NamedTuple):
+class ImposedPath(NamedTuple):
     """The imposed motion or force in each row, and derivatives with respect to it.
 
     `body` is the one that is driven, or less than 0 the one that is pushed; 0 if none is.
@@ -339,7 +339,7 @@ def _back_tile(law, path, memory, rows, tile, span):
             _back_top(law, rows.kicks[row], index, memory)
         back_rows(
             law.way,
-            Span(row, 1 if single else burst, a, b, tile.sooner, tile.shorter, tile.top),
+            AdjointSpan(row, 1 if single else burst, a, b, tile.sooner, tile.shorter, tile.top),
             rows,
             Bodies(at(x, 0), at(momentum, 0), at(im, 0)),
             Above(at(il, 0), at(st, 0), at(stiff, 0)),
@@ -413,7 +413,7 @@ def backward(law, steps, pieces, numbers, looks, path, memory):
         # the contact below the last body is one of them, unless that is held
         contacts = first, last + PAD if im[last] > 0.0 else last
         rows = slice(begin, begin + count)
-        of_piece = Path(path.body, path.imposed[rows], path.derivative[rows])
+        of_piece = ImposedPath(path.body, path.imposed[rows], path.derivative[rows])
         if not undone:
             forth = Stretch(pieces.looks[piece], pieces.rows[piece], count)
             _keep(law, steps, forth, of_piece, memory, contacts)

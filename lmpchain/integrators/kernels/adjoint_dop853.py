@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from .adjoint import Path
+from .adjoint import ImposedPath
 from .adjoint_rows import Way, hertz_power, power, touch
 from .contact_forces import apart
 from .course import compiled_gradient, loop
@@ -48,7 +48,7 @@ class Tableau(NamedTuple):
     rates: Array
 
 
-class Steps(NamedTuple):
+class StepsAndLooks(NamedTuple):
     """Steps of a run, and where it is looked at.
 
     Attributes
@@ -63,7 +63,7 @@ class Steps(NamedTuple):
     look: NDArray[np.int64]
 
 
-class Pieces(NamedTuple):
+class Dop853Pieces(NamedTuple):
     """Pieces of a run between checkpoints.
 
     Attributes
@@ -100,7 +100,7 @@ class Damped(NamedTuple):
     viscosity: Array
 
 
-class System(NamedTuple):
+class DampedSystem(NamedTuple):
     """How a damped chain is moved.
 
     Attributes
@@ -120,7 +120,7 @@ class System(NamedTuple):
     lag: float
 
 
-class Stages(NamedTuple):
+class StageStates(NamedTuple):
     """Stages of a step, (S, W), or of some: displacements, and p and f of all contacts there.
 
     The p of a contact that only touches is less by 1, which its derivatives take for p of one that
@@ -132,7 +132,7 @@ class Stages(NamedTuple):
     forces: Array
 
 
-class Rates(NamedTuple):
+class StageRates(NamedTuple):
     """Accelerations and creep at the stages of a step, or their derivatives, (S, W).
 
     `rows` are those of both, (2 S, W), where they are rows of one array.
@@ -143,13 +143,13 @@ class Rates(NamedTuple):
     rows: Array
 
 
-def rates_of(rows: Array) -> Rates:
+def rates_of(rows: Array) -> StageRates:
     """Return rows (2 S, W) as accelerations and creep."""
     stages = len(rows) // 2
-    return Rates(rows[:stages], rows[stages:], rows)
+    return StageRates(rows[:stages], rows[stages:], rows)
 
 
-class Sums(NamedTuple):
+class AdjointSums(NamedTuple):
     """Derivatives of an answer, (W,) arrays, and arrays to work in.
 
     Attributes
@@ -210,14 +210,14 @@ class Change(NamedTuple):
     at_rest: Array
 
 
-class Memory(NamedTuple):
+class Dop853Memory(NamedTuple):
     """Arrays to work in: stages of some steps, rates of one and weights, and sums of the way back.
 
     On the way of small changes, the rates of these take the place of the sums.
     """
 
-    stages: Stages
-    rates: Rates
+    stages: StageStates
+    rates: StageRates
     weigh: Weighted
     others: Any
 
@@ -307,14 +307,14 @@ def _drift(out, x, reach, w):
 @loop
 def _stages_of(stages, step):
     """Return the stages of one of some steps."""
-    return Stages(stages.x[step], stages.powers[step], stages.forces[step])
+    return StageStates(stages.x[step], stages.powers[step], stages.forces[step])
 
 
 @loop
 def _path_of(path, index, count):
     """Return what is imposed in the stages of a step, from a row on; nothing if nothing is."""
     rows = slice(index, index + count)
-    return Path(path.body, path.imposed[rows], path.derivative[rows])
+    return ImposedPath(path.body, path.imposed[rows], path.derivative[rows])
 
 
 @loop
@@ -548,7 +548,7 @@ def _back_creep(window, system, path, stages, sums):
     for n in range(first, last):
         sums.pull[n] = 0.0
     # creep knows no push
-    moved = Path(max(path.body, 0), path.imposed, path.derivative)
+    moved = ImposedPath(max(path.body, 0), path.imposed, path.derivative)
     _back_stage(window, system, moved, stages, 0, sums)
     _drift(sums.x[around], sums.x[around], 1.0, sums.stages[0, around])
 

@@ -35,7 +35,7 @@ class Way(IntEnum):
     OTHER = 7
 
 
-class Law(NamedTuple):
+class AdjointForce(NamedTuple):
     """The force of the contacts as the way back takes it.
 
     Attributes
@@ -114,7 +114,7 @@ class BackRows(NamedTuple):
     slopes: Any
 
 
-class Span(NamedTuple):
+class AdjointSpan(NamedTuple):
     """Rows and contacts in a call of the way back.
 
     Attributes

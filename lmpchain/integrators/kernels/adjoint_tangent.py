@@ -12,7 +12,7 @@ from .course import compiled_gradient, count_rows, fill_rows, loop
 from .layout import PAD
 
 
-class Response(NamedTuple):
+class ForceResponse(NamedTuple):
     """How the force of every contact answers to small changes, (W,) arrays.
 
     Attributes
@@ -33,7 +33,7 @@ class Response(NamedTuple):
     at_rest: Array
 
 
-class Change(NamedTuple):
+class Directions(NamedTuple):
     """D directions: small changes of bodies, and of what the motion depends on.
 
     Attributes
@@ -138,8 +138,8 @@ def _change_row(im, response, change, path, index, kick, drift):
 def tangent(bodies, law, steps, stretch, path, memory, change, looks):
     """Move bodies (W,), and small changes of them, by some rows as `forward` does.
 
-    `memory` is `Above`, room for a `Response`, and (2, BURST). `looks` takes changes of what is
-    seen.
+    `memory` is `Above`, room for a `ForceResponse`, and (2, BURST). `looks` takes changes of what
+    is seen.
     """
     x, v, im = bodies
     above, response, room = memory

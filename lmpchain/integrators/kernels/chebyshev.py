@@ -28,7 +28,7 @@ from .contact_forces import STRICT, compiled
 SPAN = 10.0  # w t for which one series serves all times in between
 
 
-class Limits(NamedTuple):
+class SeriesLimits(NamedTuple):
     """Limits below which a series does not change, and its storage.
 
     Attributes
@@ -49,7 +49,7 @@ class Limits(NamedTuple):
     chunk: int = 64
 
 
-LIMITS = Limits()
+LIMITS = SeriesLimits()
 compiled_series = partial(compiled_once, "the Chebyshev series", 8, error_model="numpy")
 
 

@@ -15,10 +15,10 @@ from ...util.compilation import compiled_once
 from .contact_forces import STRICT, fma, inlined, pasted
 from .layout import PAD
 from .sample_loop import links_of
-from .tangent import Motion, Response, add_exactly, evaluate
+from .tangent import BodyRow, ContactResponse, add_exactly, evaluate
 
 
-class Method(NamedTuple):
+class RungeKutta(NamedTuple):
     """Inner weights (S, S) and weights (S,) of a Runge-Kutta method."""
 
     inner: Array
@@ -43,7 +43,7 @@ class Body(NamedTuple):
     drag: Array
 
 
-class Course(NamedTuple):
+class ImposedStages(NamedTuple):
     """What is imposed on a body: its index, whether it is a force, and values (K, S) at the stages.
 
     In m or N; no values if nothing is.
@@ -54,7 +54,7 @@ class Course(NamedTuple):
     values: Array
 
 
-class Slopes(NamedTuple):
+class StageSlopes(NamedTuple):
     """Rates of change of x and w at the stages, (S, N), and of deviations of both, (S, N, C)."""
 
     x: Array
@@ -175,13 +175,13 @@ def march(batch, body, motion, deviations, method, lengths, course, states):
     pushed = course.body if imposed and course.pushes else -1
     driven = course.body if imposed and not course.pushes else -1
     force = 0.0
-    response = Response(np.zeros(grains + 1), np.zeros(grains + 1))
-    lost = Motion(np.zeros(x.size), np.zeros(x.size))
+    response = ContactResponse(np.zeros(grains + 1), np.zeros(grains + 1))
+    lost = BodyRow(np.zeros(x.size), np.zeros(x.size))
     stage_x = x.copy()
     stage_w = w.copy()
     stage_dx = np.zeros((grains, columns))
     stage_dw = np.zeros((grains, columns))
-    slopes = Slopes(
+    slopes = StageSlopes(
         np.zeros((stages, grains)),
         np.zeros((stages, grains)),
         np.zeros((stages, grains, columns)),

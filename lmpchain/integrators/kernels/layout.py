@@ -32,20 +32,6 @@ WAVE = np.dtype(
     align=True,
 )
 
-# The clock of a schedule of steps.
-CLOCK = np.dtype(
-    [
-        ("interval", "f8"),  # s, between two samples
-        ("final", "i8"),  # number of the last sample
-        ("steps", "i8"),  # from one landing on a sample to the next, if all are equal
-        ("step", "f8"),  # s, the longest
-        ("stride", "i8"),  # samples from one landing to the next
-        ("looks", "?"),  # whether the largest motion is looked for
-        ("dense", "i8"),  # every so manieth sample between is interpolated; 0: none
-    ],
-    align=True,
-)
-
 # State of a chain between two calls, from which a run goes on with the same bits:
 STATE = np.dtype(
     [
@@ -197,7 +183,7 @@ class Chains(NamedTuple):
     team: Team
 
 
-class Chain(NamedTuple):
+class BatchMember(NamedTuple):
     """One chain of a batch, its number in it, and that of its schedule."""
 
     x: Array
@@ -239,7 +225,7 @@ def make_rows(count: int, acts: bool) -> Rows:
     return Rows(kick, drift, carried, path[: count if acts else 0])
 
 
-class Stages(NamedTuple):
+class SplittingStages(NamedTuple):
     """Kicks (S+1,) and drifts (S,) of a splitting, and their sums (S,), as fractions of a step."""
 
     kicks: Array
@@ -341,20 +327,10 @@ class Fields(NamedTuple):
     balance: Array
 
 
-class Row(NamedTuple):
+class SampleRow(NamedTuple):
     """Where samples of one chain go: (B, N) arrays, from the sample `first` on; see `Fields`."""
 
     u: Array
     v: Array
     first: int
     balance: Array
-
-
-class Span(NamedTuple):
-    """From one landing to the next: begin, end and length in s, and its steps if all are equal."""
-
-    begin: float
-    end: float
-    length: float
-    steps: int
-    step: float

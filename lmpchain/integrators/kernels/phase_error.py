@@ -15,7 +15,7 @@ compiled = compiled_once("the phase error of linear theory", 2)
 joined = numba.njit(pipeline_class=Ingredient)
 
 
-class Sums(NamedTuple):
+class PhaseSums(NamedTuple):
     """State of the accumulation.
 
     Attributes
@@ -48,10 +48,10 @@ class Sums(NamedTuple):
     opened: float
 
 
-STATE = np.dtype([(name, np.float64) for name in Sums._fields])
+STATE = np.dtype([(name, np.float64) for name in PhaseSums._fields])
 
 
-class Links(NamedTuple):
+class LinearLinks(NamedTuple):
     """The linear chain; contact n lies above grain n, from 0, and the last one below all grains.
 
     Attributes
@@ -89,7 +89,7 @@ class Evaluations(NamedTuple):
     reach: NDArray[np.intp]
 
 
-class Imposed(NamedTuple):
+class ImposedMotion(NamedTuple):
     """Motion of the top wall, and acceleration of a grain, that are imposed at these times.
 
     Attributes
@@ -107,7 +107,7 @@ class Imposed(NamedTuple):
     acceleration: Array
 
 
-class Law(NamedTuple):
+class StrainError(NamedTuple):
     """How strain becomes an error.
 
     Attributes

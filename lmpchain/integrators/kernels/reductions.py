@@ -20,7 +20,7 @@ _in_any_order = numba.njit(
 )
 
 
-class Runs(NamedTuple):
+class AuxiliaryRuns(NamedTuple):
     """S runs beside an answer.
 
     Attributes
@@ -73,7 +73,7 @@ def _kinetic(v, masses):
 def compare(
     u: Array,
     v: Array,
-    runs: Runs,
+    runs: AuxiliaryRuns,
     begin: int,
     masses: Array,
     allowed: Array,

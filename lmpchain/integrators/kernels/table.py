@@ -37,7 +37,7 @@ class AtRest(NamedTuple):
     compressed: bool
 
 
-class Layout(NamedTuple):
+class BatchLayout(NamedTuple):
     """R chains laid out for the compiled loops.
 
     Attributes
@@ -60,7 +60,7 @@ class Layout(NamedTuple):
     allowed: Array
 
 
-def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int]) -> Layout:
+def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int]) -> BatchLayout:
     """Lay R chains out.
 
     Parameters
@@ -82,7 +82,7 @@ def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int
     uncompressed, omega, allowed = np.zeros((3, batch))
     scale, units = np.empty((2, batch, 2))
     inverse_length, strength, inverse_mass = _rows(3, batch, grains)
-    layout = Layout(
+    layout = BatchLayout(
         inverse_length, strength, inverse_mass, uncompressed, omega, scale, units, allowed
     )
     _fill_layout(layout, at_rest, masses, strikes, free)

@@ -18,7 +18,7 @@ from .right_hand_side import slice_links
 from .sample_loop import links_of
 
 
-class Motion(NamedTuple):
+class BodyRow(NamedTuple):
     """A row of W displacements, m, and velocities, m/s, with grain 1 at the index PAD."""
 
     x: Array
@@ -42,7 +42,7 @@ class Deviations(NamedTuple):
     stretch: Array
 
 
-class Steps(NamedTuple):
+class TangentSteps(NamedTuple):
     """Kicks (S+1,) and drifts (S,), fractions of a step, and lengths (K,) of steps, s."""
 
     kicks: Array
@@ -60,7 +60,7 @@ class Held(NamedTuple):
     path: Array
 
 
-class Response(NamedTuple):
+class ContactResponse(NamedTuple):
     """Force, N, and stiffness, N/m, of all contacts, (N+1,) arrays."""
 
     force: Array
@@ -176,8 +176,8 @@ def march(batch, inverse_mass, motion, deviations, steps, held, states):
     x, v = motion
     grains = deviations.x.shape[0]
     stages = steps.drifts.size
-    response = Response(np.zeros(grains + 1), np.zeros(grains + 1))
-    lost = Motion(np.zeros(x.size), np.zeros(x.size))
+    response = ContactResponse(np.zeros(grains + 1), np.zeros(grains + 1))
+    lost = BodyRow(np.zeros(x.size), np.zeros(x.size))
     if held.path.size > 0:
         x[held.body] = held.path[0]
     evaluate(links, x, lost.x, response)

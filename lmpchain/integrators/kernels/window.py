@@ -20,7 +20,7 @@ TINY = 1e-19
 NOTHING = 1e-40
 
 
-class Looks(NamedTuple):
+class WindowLooks(NamedTuple):
     """How often the largest motion is looked for.
 
     Attributes
@@ -38,7 +38,7 @@ class Looks(NamedTuple):
     longest: float = 2.0**30
 
 
-LOOKS = Looks()
+LOOKS = WindowLooks()
 
 
 @inlined
@@ -121,7 +121,7 @@ def look(chain, clock, steps, t, complete):
     without the last kick may have grown.
     """
     state = chain.state
-    if steps < state.next_look or not clock.looks:
+    if steps < state.next_look or clock.ratio != 1.0:
         return
     interval = int(min(max(LOOKS.radians / (clock.step * chain.omega), 1.0), LOOKS.longest))
     state.next_look = steps + interval + steps // LOOKS.settled

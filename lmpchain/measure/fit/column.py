@@ -20,7 +20,7 @@ from ...util.plotting import SHADES, axes_in_units, legend
 from ...util.tabular import Tabular
 from ..front import FEWEST, Exponents, PowerLaw, asymptotic, exponent, fit_power
 from .column_front import bottom, front_before_echo, strike_at_top
-from .table import Fitted, Row
+from .table import Fitted, FittedNumber
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,12 +80,12 @@ class FrontLaw(Fitted, Tabular):
     error: Array
     expected: Array
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield exponent and factor of the law."""
         exponent, factor = self.expected.tolist()
         errors = self.error.tolist()
-        yield Row("continuum", "exponent of the front", self.exponent, errors[0], exponent)
-        yield Row("continuum", "factor of the front", self.factor, errors[1], factor)
+        yield FittedNumber("continuum", "exponent of the front", self.exponent, errors[0], exponent)
+        yield FittedNumber("continuum", "factor of the front", self.factor, errors[1], factor)
 
     @property
     def law(self) -> Array:
@@ -153,13 +153,13 @@ class ContinuumFit(Fitted, Tabular):
     residual: float
     front: FrontLaw | None
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield the amplitude, the law of the front, and what the amplitude leaves."""
         name = "amplitude C of Eq. (35)"
-        yield Row("continuum", name, self.amplitude, self.error, self.expected)
+        yield FittedNumber("continuum", name, self.amplitude, self.error, self.expected)
         if self.front:
             yield from self.front.rows()
-        yield Row("continuum", "residual", self.residual, expected=0.0)
+        yield FittedNumber("continuum", "residual", self.residual, expected=0.0)
 
     def notes(self) -> Iterator[str]:
         """Yield which grains were fitted."""
@@ -229,7 +229,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
     strike = strike_at_top(trajectory)
     if not 0 < inside < 1:
         raise InputError.at("inside", f"must be between 0 and 1 (got {shown(inside)})")
-    delta = chain.exponent
+    delta = chain.law.power_of("the continuum")
     xi, eta, _ = exponents(delta)
     tau = trajectory.time / chain.time_scale
     travel = chi(trajectory.grains - 0.5, delta)
@@ -282,18 +282,19 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         front = front_before_echo(trajectory, "velocity", first)
     except InputError:
         return None
+    delta = chain.law.power_of("the front of a column")
     n = front.grain
     if n.size < FEWEST:
         return None
     h = n - 0.5
     time = front.time / chain.time_scale
     # the peak of a chain of grains lags behind the front of the continuum
-    shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
+    shift = theory.peak_time(n, delta) - chi(h, delta)
     if not (time > shift).all():
         # noise
         return None
-    order = 1 / 3 + 1 / chain.exponent
-    step = 1 / chain.exponent - 1 / 3
+    order = 1 / 3 + 1 / delta
+    step = 1 / delta - 1 / 3
     try:
         fit = fit_power(h, time - shift, order, order + step)
     except InputError:
@@ -301,7 +302,7 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         return None
     power, scale, correction = fit.values.tolist()
     factor = float(np.exp(scale))
-    _, eta, _ = exponents(chain.exponent)
+    _, eta, _ = exponents(delta)
     return FrontLaw(
         depth=h,
         time=time,
@@ -350,20 +351,24 @@ class ExponentFit(Fitted):
     grain: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     strength: Array = field(default_factory=lambda: np.zeros(0))
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield the local exponents at the deepest grains, and the exponents of great depth."""
         if self.strength.size:
-            yield Row("exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1]))
+            yield FittedNumber(
+                "exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1])
+            )
         for name, power in self.expected.items():
             if name in self.local:
                 local = self.local[name]
                 depth = f"{name} near grain {local.depth[-1] + 0.5:.0f}"
                 value = float(local.exponent[-1])
-                yield Row("exponents", depth, value, float(local.error[-1]), power)
+                yield FittedNumber("exponents", depth, value, float(local.error[-1]), power)
             if name in self.laws and not self._strong:
                 law = self.laws[name]
                 limit = f"{name} at great depth"
-                yield Row("exponents", limit, float(law.exponent), float(law.error[0]), power)
+                yield FittedNumber(
+                    "exponents", limit, float(law.exponent), float(law.error[0]), power
+                )
 
     @property
     def _strong(self) -> bool:
@@ -473,7 +478,7 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         front.
     """
     strike_at_top(trajectory)
-    delta = trajectory.scene.chain.exponent
+    delta = trajectory.scene.chain.law.power_of("the front of a column")
     xi, eta, _ = exponents(delta)
     p, q = theory.decay(delta)
     velocity = front_before_echo(trajectory, "velocity", first, last)

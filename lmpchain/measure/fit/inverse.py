@@ -23,7 +23,7 @@ from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
 from ..bodies import motion
 from ..contact import sensor
-from .table import Fitted, Row, round_to_error
+from .table import Fitted, FittedNumber, round_to_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,11 +146,11 @@ class ParameterFit(Fitted, Tabular):
         left = f"residual {self.residual:.1g}, {counted(self.runs, 'run')}"
         return f"ParameterFit({self.parameter} = {value}, {left})"
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield the parameter, and what the scene with it leaves of the trace."""
         unit = UNITS_OF_TRACES[self.parameter]
-        yield Row("parameter", self.parameter, self.value, self.error, unit=unit)
-        yield Row("parameter", "residual", self.residual, expected=0.0)
+        yield FittedNumber("parameter", self.parameter, self.value, self.error, unit=unit)
+        yield FittedNumber("parameter", "residual", self.residual, expected=0.0)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw some of the traces as points and the fit as lines; returns the axes."""

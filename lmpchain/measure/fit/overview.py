@@ -13,7 +13,7 @@ from ...util.notebook import Shown
 from ...util.tables import align, finite, wrap
 from .column import fit_continuum, fit_exponents
 from .solitary import fit_soliton
-from .table import TITLES, Fitted, Row
+from .table import TITLES, Fitted, FittedNumber
 from .waves import ModeFit, fit_bessel, fit_modes
 
 # strike number up to which linear theory is right to about 1 % in peak velocities
@@ -36,7 +36,7 @@ class Summary(Shown):
     """
 
     strike_number: float
-    rows: tuple[Row, ...]
+    rows: tuple[FittedNumber, ...]
     left_out: tuple[tuple[str, str], ...]
     notes: tuple[str, ...] = ()
 
@@ -96,7 +96,7 @@ def summary(trajectory: Trajectory) -> Summary:
     >>> sorted({row.fit for row in fits.rows}), [fit for fit, _ in fits.left_out]
     (['bessel', 'modes'], ['continuum', 'exponents', 'soliton'])
     """
-    rows: list[Row] = []
+    rows: list[FittedNumber] = []
     notes: list[str] = []
     left_out = []
     fits: dict[str, Callable[[Trajectory], Fitted]] = {

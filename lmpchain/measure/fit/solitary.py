@@ -18,7 +18,7 @@ from ...util.plotting import axes_in_units, legend
 from ...util.tabular import Tabular
 from ..front import FEWEST, track
 from .column_front import is_uniform
-from .table import Fitted, Row
+from .table import Fitted, FittedNumber
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,16 +65,16 @@ class SolitonFit(Fitted, Tabular):
     expected: Array
     formula: float
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield height, speed and width, and the speed by the long-wave formula."""
         _, speed, width = self.expected.tolist()
         errors = self.error.tolist()
         # the height is that of the exact wave, with which the others are compared
-        yield Row("soliton", "largest velocity", self.amplitude, errors[0], unit="m/s")
-        yield Row("soliton", "speed", self.speed, errors[1], speed, "grains/s")
-        yield Row("soliton", "width", self.width, errors[2], width, "grains")
+        yield FittedNumber("soliton", "largest velocity", self.amplitude, errors[0], unit="m/s")
+        yield FittedNumber("soliton", "speed", self.speed, errors[1], speed, "grains/s")
+        yield FittedNumber("soliton", "width", self.width, errors[2], width, "grains")
         formula = "speed by long-wave formula"
-        yield Row("soliton", formula, self.formula, expected=speed, unit="grains/s")
+        yield FittedNumber("soliton", formula, self.formula, expected=speed, unit="grains/s")
 
     def notes(self) -> Iterator[str]:
         """Yield which grains were fitted."""
@@ -169,9 +169,9 @@ def fit_soliton(
             f"has {ratios[0]:.3g} times the speed and {ratios[1]:.3g} the width of a solitary wave",
         )
     if wave.loaded:
-        formula = coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)
+        formula = coste_speed((1 + wave.overlap(0.0)) ** wave.delta, wave.delta)
     else:
-        formula = nesterenko_speed(amplitude, chain.exponent)
+        formula = nesterenko_speed(amplitude, wave.delta)
     quantile = stats.t.ppf(0.975, complete.sum() - 2)
     # a line through times that are each off by e, over the length L, has a slope off by 3 e / L
     sampling = np.array(
@@ -210,7 +210,7 @@ def check_chain(chain: Chain) -> None:
     """Raise `InputError` unless solitary waves travel unchanged in this chain."""
     if chain.gravity > 0:
         raise InputError.at("gravity", "must be 0: contacts that stiffen with depth change a wave")
-    if chain.exponent == 1:
+    if chain.law.power_of("a solitary wave") == 1:
         raise InputError.at("exponent", "must be above 1: springs have no solitary wave")
     if chain.grains == 1:
         raise InputError.at("grains", "must be several: a single one has no wave")
@@ -227,9 +227,10 @@ def _uniform_piece(chain: Chain, grains: np.ndarray) -> Chain:
 
 def exact_wave(chain: Chain, velocity: float) -> tuple[Soliton, float]:
     """Return the solitary wave whose grains reach this velocity, m/s, and its unit of time, s."""
+    delta = chain.law.power_of("a solitary wave")
     if chain.compressed:
         speed = velocity * chain.time_scale / chain.length_scale
-        return struck(speed, chain.exponent), chain.time_scale
+        return struck(speed, delta), chain.time_scale
     # in a sonic vacuum there is no time of linear waves: (m / K)^(1 / (1 + delta)) takes its place
-    unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent))
-    return solve(chain.exponent, velocity=velocity), float(unit)
+    unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + delta))
+    return solve(delta, velocity=velocity), float(unit)

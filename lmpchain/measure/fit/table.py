@@ -13,7 +13,7 @@ TITLES = ("quantity", "value", "error", "theory", "unit")
 
 
 @dataclass(frozen=True)
-class Row:
+class FittedNumber:
     """One fitted number.
 
     Attributes
@@ -46,7 +46,7 @@ class Row:
 class Fitted(Shown):
     """A fit, which prints as a table of its numbers."""
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield the fitted numbers, with their errors and what theory says of them."""
         raise NotImplementedError
 
@@ -65,7 +65,7 @@ class Fitted(Shown):
     __str__ = table
 
 
-def table_of(rows: Iterable[Row]) -> list[Sequence[str]]:
+def table_of(rows: Iterable[FittedNumber]) -> list[Sequence[str]]:
     """Return the cells of a table of numbers; columns in which nothing stands are left out."""
     cells = [TITLES, *(row.cells() for row in rows)]
     columns = [column for column in zip(*cells, strict=True) if any(column[1:])]

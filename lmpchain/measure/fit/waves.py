@@ -22,7 +22,7 @@ from ...util.plotting import axes_in_units, choose_few, legend, set_title
 from ...util.tabular import Tabular
 from ..bodies import motion
 from ..recorded import Field
-from .table import Fitted, Row
+from .table import Fitted, FittedNumber
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,17 +90,17 @@ class ModeFit(Fitted, Tabular):
     residual: Array
     given: float = math.nan
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield energy, strongest mode, and what the linear motion leaves."""
         mode = int(self.energy.argmax())
         total = float(self.energy.sum())
         share = f"share of mode {mode + 1}, strongest"
         frequency = float(self.frequency[mode] / (2 * np.pi))
-        yield Row("modes", "energy of all modes", total, expected=self.given, unit="J")
-        yield Row("modes", share, float(self.share[mode]), float(self.share_error[mode]))
-        yield Row("modes", "its frequency", frequency, unit="Hz")
+        yield FittedNumber("modes", "energy of all modes", total, expected=self.given, unit="J")
+        yield FittedNumber("modes", share, float(self.share[mode]), float(self.share_error[mode]))
+        yield FittedNumber("modes", "its frequency", frequency, unit="Hz")
         residual = float(self.residual.max())
-        yield Row("modes", "residual of linear motion", residual, expected=0.0)
+        yield FittedNumber("modes", "residual of linear motion", residual, expected=0.0)
 
     @property
     def share(self) -> Array:
@@ -243,7 +243,7 @@ class BesselFit(Fitted, Tabular):
     model: Array
     residual: float
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FittedNumber]:
         """Yield amplitude, wave speed, delay and kappa, and what the solution leaves."""
         unit = UNITS_OF_FIELDS[self.field]
         values = {
@@ -255,8 +255,8 @@ class BesselFit(Fitted, Tabular):
         for (name, (value, unit)), error, expected in zip(
             values.items(), self.error.tolist(), self.expected.tolist(), strict=True
         ):
-            yield Row("bessel", name, value, error, expected, unit)
-        yield Row("bessel", "residual", self.residual, expected=0.0)
+            yield FittedNumber("bessel", name, value, error, expected, unit)
+        yield FittedNumber("bessel", "residual", self.residual, expected=0.0)
 
     def notes(self) -> Iterator[str]:
         """Yield which grains were fitted, and how long."""

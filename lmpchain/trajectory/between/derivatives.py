@@ -26,7 +26,7 @@ compiled = numba.njit(error_model="numpy")
 joined = numba.njit(error_model="numpy", forceinline=True)
 
 
-class Openings(NamedTuple):
+class OpeningErrors(NamedTuple):
     """Error of the acceleration where a contact opens or closes within an interval h.
 
     With `hermite.Shape`, values, slopes and curvatures are then bounded for all exponents:
@@ -44,10 +44,10 @@ class Openings(NamedTuple):
     collision: float = 2.0
 
 
-OPENINGS = Openings()
+OPENINGS = OpeningErrors()
 
 
-class Law(NamedTuple):
+class ChainForces(NamedTuple):
     """Forces within a chain of N grains.
 
     Attributes
@@ -67,7 +67,7 @@ class Law(NamedTuple):
     linear: bool
 
 
-class Imposed(NamedTuple):
+class ImposedSamples(NamedTuple):
     """Motion of the top wall and acceleration of one grain by the excitation, at R samples.
 
     Attributes
@@ -91,7 +91,7 @@ class Imposed(NamedTuple):
     driven: bool
 
 
-class Block(NamedTuple):
+class SampledBlock(NamedTuple):
     """Consecutive samples of the motion of a chain of N grains.
 
     Attributes
@@ -113,11 +113,11 @@ class Block(NamedTuple):
     column: np.ndarray
     lawful: np.ndarray
     h: float
-    law: Law
-    imposed: Imposed
+    law: ChainForces
+    imposed: ImposedSamples
 
 
-class Series(NamedTuple):
+class BodySeries(NamedTuple):
     """Motion of a body at R samples; `doubt` is the error of its acceleration behind each."""
 
     u: Array
@@ -127,7 +127,7 @@ class Series(NamedTuple):
     doubt: Array
 
 
-def law_of(chain: Chain, linear: bool) -> Law:
+def law_of(chain: Chain, linear: bool) -> ChainForces:
     """Return the forces within a chain.
 
     Parameters
@@ -140,19 +140,20 @@ def law_of(chain: Chain, linear: bool) -> Law:
     -------
     Law
     """
+    exponent = chain.law.power_of("the motion between samples")
     contacts = chain.contacts
     inverse_mass = 1 / chain.masses
     # a held grain is never accelerated
     inverse_mass[chain.movable :] = 0.0
     # a linear law with an exponent above 1 has no stiffness where nothing is pressed at rest
-    loose = np.where(linear & (chain.exponent > 1.0), 0.0, contacts.constant)
+    loose = np.where(linear & (exponent > 1.0), 0.0, contacts.constant)
     pressed = contacts.pressed
     inverse_length = 1 / np.where(pressed, contacts.overlap, 1.0)
     rows = np.array([inverse_length, np.where(pressed, contacts.force, loose), pressed])
-    return Law(rows, inverse_mass, float(chain.exponent), bool(linear))
+    return ChainForces(rows, inverse_mass, float(exponent), bool(linear))
 
 
-def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
+def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamples:
     """Return what the excitation imposes at consecutive samples.
 
     Parameters
@@ -173,7 +174,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
     doubt = np.zeros(count)
     wave = excitation.waveform
     if not wave:
-        return Imposed(wall, acceleration, doubt, 0, False)
+        return ImposedSamples(wall, acceleration, doubt, 0, False)
     time: Array = step * np.arange(first, first + count, dtype=float)
     grain = 0
     driven = False
@@ -204,7 +205,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> Imposed:
         off = np.abs(share * wave.at(inside, order) - between(inside))
         np.maximum.at(bound, np.searchsorted(time, inside) - 1, off)
     doubt[:-1] = np.where(corner, bound, 0.0)
-    return Imposed(wall, acceleration, doubt, grain, driven)
+    return ImposedSamples(wall, acceleration, doubt, grain, driven)
 
 
 def by_body(field: Array) -> Array:
@@ -289,7 +290,7 @@ def _nearly_opens(r, closing, contact, h):
 def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
     """Raise the error of an acceleration where the contact opens or closes behind a sample.
 
-    There the jerk jumps, so that the acceleration has a kink; see `Openings`.
+    There the jerk jumps, so that the acceleration has a kink; see `OpeningErrors`.
     """
     inverse_length, _, pressed = contact
     for i in range(r.size - 1):
@@ -415,16 +416,16 @@ def _differentiate(u, v, h, rows):
 
 @compiled
 def series_of(block, derived, place, n):
-    """Return the motion of body n, a `Series`, whose derivatives are in a row of `derived` or 0."""
+    """Return the motion of body n; its derivatives are in a row of `derived`, or 0."""
     imposed = block.imposed
     # body 0 is the top wall, whose motion is imposed
     if n == 0:
-        return Series(
+        return BodySeries(
             imposed.wall[0], imposed.wall[1], imposed.wall[2], imposed.wall[3], imposed.doubt
         )
     rows = derived[place] if place >= 0 else derived[derived.shape[0] - 1]
     u, v = _motion(block, n, rows[0])
-    return Series(u, v, rows[0], rows[1], rows[2])
+    return BodySeries(u, v, rows[0], rows[1], rows[2])
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")

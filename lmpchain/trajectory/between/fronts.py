@@ -224,7 +224,7 @@ def _crossing(p, sign, level, when, step):
     return np.nan, np.nan
 
 
-class Front(NamedTuple):
+class FrontPassage(NamedTuple):
     """Time of a maximum, s, its height with its sign, and the error of that, by the polynomials."""
 
     when: float
@@ -307,7 +307,7 @@ def front_of(p, width, rules):
     if at < 0:
         return out
     # copied, for a record does not keep the array of which it is
-    front = Front(events[at].when, events[at].height, events[at].off)
+    front = FrontPassage(events[at].when, events[at].height, events[at].off)
     late = min(_last_as_large(p, front, rules), spread(events[at], rules))
     peak = Peak(peaks.value[0], peaks.low[0], peaks.high[0])
     late, apart = doubt_choice(events, at, late, peak, rules)

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from ...util.arrays import Array
-from .derivatives import Series, compiled, joined
+from .derivatives import BodySeries, compiled, joined
 
 # values of interest: |v|, |u|, or u with its sign
 VELOCITY, DISPLACEMENT, RAISED = range(3)
@@ -58,7 +58,7 @@ class Shape(NamedTuple):
 SHAPE = Shape()
 
 
-class Path(NamedTuple):
+class BodyPath(NamedTuple):
     """One body between its samples.
 
     Attributes
@@ -78,7 +78,7 @@ class Path(NamedTuple):
         To work in: roots.
     """
 
-    series: Series
+    series: BodySeries
     h: float
     kind: int
     ceiling: Array
@@ -202,7 +202,7 @@ def _bound_displacements(series, h, kind, reach):
 
 @joined
 def path(series, kind, h, ceiling, bounds):
-    """Return a body between its samples, a `Path`; `bounds` is (2, R-1)."""
+    """Return a body between its samples, a `BodyPath`; `bounds` is (2, R-1)."""
     reach, error = bounds
     _fill_errors(series, h, error)
     if kind == VELOCITY:
@@ -214,7 +214,7 @@ def path(series, kind, h, ceiling, bounds):
             error[i] *= h / SHAPE.height
     degree = 6 if kind == VELOCITY else 7
     c = np.empty(degree + 1)
-    return Path(series, h, kind, ceiling, reach, error, c, np.empty(degree), np.empty(8))
+    return BodyPath(series, h, kind, ceiling, reach, error, c, np.empty(degree), np.empty(8))
 
 
 @joined

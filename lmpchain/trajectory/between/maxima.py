@@ -13,7 +13,7 @@ import numpy as np
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .derivatives import NEWS, Series, compiled, joined, series_of
+from .derivatives import NEWS, BodySeries, compiled, joined, series_of
 from .hermite import (
     DISPLACEMENT,
     RAISED,
@@ -404,7 +404,7 @@ def approach(block, contact, derived, rows, ceiling, window, closest):
     """
     above = series_of(block, derived, rows[0], contact)
     below = series_of(block, derived, rows[1], contact + 1)
-    relative = Series(
+    relative = BodySeries(
         above.u - below.u, above.v - below.v, above.a - below.a, above.j - below.j,
         above.doubt + below.doubt,
     )  # fmt: skip

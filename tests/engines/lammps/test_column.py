@@ -27,7 +27,7 @@ from lmpchain import (
 from lmpchain.engines import Lammps
 from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.lammps import communicators, deck, drive, launch, library
-from lmpchain.engines.lammps.column import Column, Contact
+from lmpchain.engines.lammps.column import Contact, LammpsColumn
 from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.stepper import _join, word
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
@@ -45,10 +45,12 @@ UNLIKE = Chain(
 )
 
 
-def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain) -> Column:
+def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain) -> LammpsColumn:
     made = UNLIKE.replace(**chain)
     excitation = excitation or Impulse(velocity=1e-3, grain=2)
-    return Column(Scene(chain=made, excitation=excitation, duration=1e-5, samples=3), gauge, style)
+    return LammpsColumn(
+        Scene(chain=made, excitation=excitation, duration=1e-5, samples=3), gauge, style
+    )
 
 
 def test_grains_stand_on_each_other():
@@ -139,7 +141,7 @@ def test_the_constants_of_pairs_of_types_are_those_of_contacts(gauge):
 
 
 def test_a_uniform_chain_has_one_type():
-    alike = Column(paper("weak", 3), 0.0, "gran/hertz/history")
+    alike = LammpsColumn(paper("weak", 3), 0.0, "gran/hertz/history")
     assert set(alike.types) == {1}
     assert alike.coefficients == ["* *"]
     word_, constant, *rest = alike.style.split()
@@ -149,7 +151,7 @@ def test_a_uniform_chain_has_one_type():
     assert float(constant) * math.sqrt(chain.diameters[0] / 4) == pytest.approx(
         chain.contact_constants[0], rel=1e-14
     )
-    assert len(Column(paper("weak", 3), 0.0).coefficients) == 1
+    assert len(LammpsColumn(paper("weak", 3), 0.0).coefficients) == 1
 
 
 def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
@@ -158,7 +160,7 @@ def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
     same = Contact.same
     monkeypatch.setattr(Contact, "same", lambda *pair: compared.append(pair) or same(*pair))
     chain = Chain(grains=3000, material=["steel", "ptfe", "ptfe"] * 1000, diameter=1e-3)
-    made = Column(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5), 0.0)
+    made = LammpsColumn(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5), 0.0)
     stiffness = {pair: found.stiffness for pair, found in made._types_and_contacts[1].items()}
     pairs = [tuple(sorted(pair)) for pair in zip(made.types, made.types[1:], strict=False)]
     np.testing.assert_allclose(
@@ -326,7 +328,7 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
     """It walks with the evaluations; in the velocity it counts times the highest frequency."""
     scene = paper("fig5 g", 3)
     engine = Lammps("verlet")
-    height = np.abs(Column(scene, 0.0).heights).max()
+    height = np.abs(LammpsColumn(scene, 0.0).heights).max()
     digit = np.spacing(height)
     alone = engine.round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0]))
     assert 0.3 < alone / (100 * digit / 1e-9) < 1.0
@@ -336,7 +338,7 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
     speed = engine.round_off(scene, 0.0, 10_000, np.array([0.0, 1e-3]))
     assert speed == pytest.approx(alone * 1e-9 * scene.highest_frequency / 1e-3, rel=1e-12)
     gauged = engine.round_off(scene, 1e-6, 10_000, np.array([1e-9, 0.0]))
-    shrunk = np.spacing(np.abs(Column(scene, 1e-6).heights).max()) / digit
+    shrunk = np.spacing(np.abs(LammpsColumn(scene, 1e-6).heights).max()) / digit
     assert gauged == pytest.approx(alone * shrunk, rel=1e-12)
     assert Lammps("rkn6").round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0])) == pytest.approx(
         alone * math.sqrt(SPLITTINGS["rkn6"].evaluations / SPLITTINGS["verlet"].evaluations),
@@ -351,7 +353,7 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
 
 def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
     scene = paper("weak", 3)
-    loose, tight = (Lammps().candidate(scene, tolerance) for tolerance in (1e-2, 1e-6))
+    loose, tight = (Lammps().propose(scene, tolerance) for tolerance in (1e-2, 1e-6))
     assert loose.choices["diameter"] == "physical"
     assert loose.choices["drawn_m"] == "0.0"
     assert tight.choices["diameter"] == "gauge"
@@ -365,20 +367,20 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
         ToleranceNotMet,
         match=r"above the tolerance of 1e-06: the gauge diameter leaves .*, and the",
     ):
-        Lammps(diameter="physical").candidate(scene, 1e-6)
+        Lammps(diameter="physical").propose(scene, 1e-6)
     with pytest.raises(ToleranceNotMet, match=r'integrator "rkn6" needs far fewer steps'):
-        Lammps("verlet").candidate(scene.replace(duration=1e-5), 1e-10)
+        Lammps("verlet").propose(scene.replace(duration=1e-5), 1e-10)
 
 
 def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
     engine = Lammps()
     scene = paper("weak", 3)
-    candidate = engine.candidate(scene, 1e-2)
+    candidate = engine.propose(scene, 1e-2)
     missed = ErrorBudget(1e-9, 0.6e-2, 6.0)
     better = engine.refine(candidate, missed, 1e-2)
     assert better.choices["diameter"] == "gauge"
     assert better.choices["why"] == "the physical diameter left 0.006"
-    assert better.steps_per_landing == candidate.steps_per_landing
+    assert better.steps.per_landing == candidate.steps.per_landing
     assert (
         engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2).step
         < candidate.step
@@ -391,12 +393,12 @@ def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
 def test_remarks_at_the_head_of_a_deck():
     engine = Lammps("verlet", step=1e-7, diameter="physical")
     scene = paper("weak", 3)
-    made = engine.column(scene, engine.candidate(scene, 1e-6), "one more")
+    made = engine.column(scene, engine.propose(scene, 1e-6), "one more")
     assert made.remarks == (
         "physical diameter: as asked", "verlet, expected error not estimated beforehand",
         "one more",
     )  # fmt: skip
-    estimated = Lammps().candidate(scene, 1e-6)
+    estimated = Lammps().propose(scene, 1e-6)
     assert (
         Lammps().column(scene, estimated).remarks[1]
         == f"rkn6, expected error {estimated.solver_error:.1g}"

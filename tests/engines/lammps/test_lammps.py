@@ -24,7 +24,7 @@ from lmpchain import (
 )
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps import deck, library
-from lmpchain.engines.lammps.column import Column
+from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.lammps.launch import gather
 from lmpchain.engines.lammps.stepper import LammpsStepper
@@ -189,7 +189,7 @@ def test_unlike_contacts_share_few_types():
         contact_constants=rng.uniform(1, 3, 199) * 1e9,
         exponent=1.5,
     )
-    column = Column(
+    column = LammpsColumn(
         Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=1e-6
     )
     assert max(column.types) < 40
@@ -254,7 +254,9 @@ def test_what_rounding_presses_in_a_vacuum_is_no_breakdown(exponent):
 
 
 def stepper(scene: Scene) -> LammpsStepper:
-    return LammpsStepper(Column(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1)
+    return LammpsStepper(
+        LammpsColumn(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1
+    )
 
 
 def test_faults_that_lammps_does_not_report():
@@ -276,7 +278,7 @@ def test_faults_that_lammps_does_not_report():
 def test_a_breakdown_long_before_a_sample_is_seen():
     """Of many grains, what is read takes a part of a step: not after each pause, but soon."""
     column = LammpsStepper(
-        Column(small(), gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=10**6
+        LammpsColumn(small(), gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=10**6
     )
     try:
         column._communicator._rank._x[3, 2] = np.nan
@@ -292,11 +294,11 @@ def test_a_breakdown_long_before_a_sample_is_seen():
 def test_what_nobody_reads_is_not_written(tmp_path):
     """Velocities reach LAMMPS in memory; commands of a user, and decks, find them in the file."""
     scene = small()
-    with deck.data_file(Column(scene, 0.0), None) as path:
+    with deck.data_file(LammpsColumn(scene, 0.0), None) as path:
         bare = path.read_text()
-    with deck.data_file(Column(scene, 0.0, include="thermo 1"), None) as path:
+    with deck.data_file(LammpsColumn(scene, 0.0, include="thermo 1"), None) as path:
         included = path.read_text()
-    deck.write_data(Column(scene, 0.0), tmp_path / "column.data")
+    deck.write_data(LammpsColumn(scene, 0.0), tmp_path / "column.data")
     assert included == (tmp_path / "column.data").read_text()
     assert included.startswith(bare.rstrip())
     assert [line for line in included.splitlines() if line.isalpha()] == ["Velocities", "Rest"]
@@ -304,7 +306,7 @@ def test_what_nobody_reads_is_not_written(tmp_path):
 
 
 def test_grains_lost_while_reading_are_noticed(monkeypatch):
-    monkeypatch.setattr(Column, "box", (-1e-3, 1e-3, -0.01, 0.2))
+    monkeypatch.setattr(LammpsColumn, "box", (-1e-3, 1e-3, -0.01, 0.2))
     with pytest.raises(RunFailed, match=r"LAMMPS stopped|lost grains"):
         stepper(small())
 

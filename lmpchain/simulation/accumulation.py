@@ -1,25 +1,39 @@
-"""Gathering along one realisation: largest values and fronts of grains, forces of contacts."""
+"""Quantities accumulated along a run: largest values and fronts of grains, forces of contacts.
+
+The engine answers at finer times than are recorded. `GatheringRun` passes the recorded samples on
+and gives all samples to one `Gatherer` for each realisation.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
 
+from ..engines.base import Engine, ErrorBudget, Run
 from ..scene.recording import OF_CONTACTS
 from ..scene.scene import Scene
-from ..trajectory.between.derivatives import STILL, Block, by_body, derive, imposed_on, law_of
+from ..trajectory.between.derivatives import (
+    STILL,
+    SampledBlock,
+    by_body,
+    derive,
+    imposed_on,
+    law_of,
+)
 from ..trajectory.between.fronts import Rules, arrivals
 from ..trajectory.between.maxima import Largest, Log, Window, approach, events_of, reduce
 from ..trajectory.between.viscous_forces import ViscousContact, largest_force
-from ..util.arrays import EPSILON, Array
+from ..trajectory.record import Block, Cost
+from ..util.arrays import EPSILON, Array, as_slice
 
 FRACTION = 0.5  # of the largest speed of a grain, that its front has at least
 ROUNDED = 4  # last digits of a force that its power may cost
 PEAK, TRACE = OF_CONTACTS
+STATE = "gathered."  # before the names of what is kept, so that they never meet those of a run
 
 
 class Gatherer:
@@ -45,8 +59,8 @@ class Gatherer:
         self._scene = scene
         self._part = part
         self._first = first
-        self._final = part.samples - 1
-        self._step = part.duration / self._final
+        self._final = part.intervals
+        self._step = part.sampling_interval
         size = part.chain.grains
         # contacts by their numbers in the part
         self._peaks = self._contacts(PEAK)
@@ -113,7 +127,7 @@ class Gatherer:
         # where no law gives accelerations, four samples do
         enough = not self._part.chain.damped or last == self._final or len(rows_u) > 3
         if begin < end and enough:
-            block = Block(
+            block = SampledBlock(
                 by_body(rows_u),
                 by_body(rows_v),
                 self._column,
@@ -155,7 +169,7 @@ class Gatherer:
         law = chain.contacts.of(np.array([number]))
         return ViscousContact(law, float(chain.contact_viscosity[number]))
 
-    def _take_intervals(self, block: Block, window: Window) -> None:
+    def _take_intervals(self, block: SampledBlock, window: Window) -> None:
         """Take in largest values, events and approaches of contacts in some intervals."""
         state = self._state
         size = self._part.chain.grains
@@ -186,7 +200,7 @@ class Gatherer:
         part = self._part
         state = self._state
         # between two samples a motion may be this much larger than at them
-        beyond = 1 / math.cos(part.highest_frequency * self._step / 2)
+        beyond = 1 / math.cos(part.sampling_phase / 2)
         u_error, v_error = error * np.maximum(beyond * state["largest"], part.imposed)
         results: dict[str, Array] = {}
         for name in self._scene.quantities:
@@ -269,3 +283,116 @@ class Gatherer:
         rules = Rules(FRACTION, error, error, part.highest_frequency, self._step, part.duration)
         times: Array = arrivals(events, bounds, Largest(*state["fast"]), state["start"], rules)
         return times
+
+
+class GatheringRun(Run):
+    """A run at fine times, of which samples are handed on and quantities gathered.
+
+    Parameters
+    ----------
+    run : Run
+        Of `Scene.fine` of the scenes, or of the part of them that the engine computes.
+    engine : Engine
+    scenes : sequence of Scene
+        As they were asked for.
+    parts : sequence of Scene
+        What the run computes of each.
+    state : mapping
+        Empty, or what `state` returned.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        engine: Engine,
+        scenes: Sequence[Scene],
+        parts: Sequence[Scene],
+        state: Mapping[str, Array],
+    ):
+        self._run = run
+        scene = scenes[0]
+        part = parts[0]
+        # a batch computes the whole
+        cone = scene.fine.light_cone if part is not scene.fine else None
+        columns = cone.columns if cone else slice(0, None)
+        first = columns.start if isinstance(columns, slice) else int(columns[0])
+        states: list[dict[str, Array]] = [{} for _ in scenes]
+        for key, values in state.items():
+            if key.startswith(STATE):
+                _, real, name = key.split(".")
+                states[int(real)][name] = values
+        linear = engine.equation == 3
+        self.gatherers = [
+            Gatherer(asked, computed, first, linear, before)
+            for asked, computed, before in zip(scenes, parts, states, strict=True)
+        ]
+        inside = np.flatnonzero(
+            (scene.recorded > first) & (scene.recorded <= first + part.chain.grains)
+        )
+        self._rows = as_slice(scene.recorded[inside] - 1 - first)
+        self._columns = as_slice(inside)
+        self._every = scene.finer
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the samples of the answer."""
+        for block in self._run.blocks():
+            for gatherer, u, v in zip(
+                self.gatherers, block.displacement, block.velocity, strict=True
+            ):
+                gatherer.take(block.samples.start, u, v)
+            begin = block.samples.start
+            end = block.samples.stop
+            # samples of the answer are every so many of the fine ones
+            first = -(-begin // self._every)
+            stop = -(-end // self._every)
+            recorded = slice(first * self._every - begin, None, self._every)
+            yield Block(
+                slice(first, stop),
+                block.displacement[:, recorded, self._rows],
+                block.velocity[:, recorded, self._rows],
+                self._columns,
+                # a block may hold fine samples alone, and a checkpoint keeps them
+                resumable=end > begin,
+            )
+
+    @property
+    def progress(self) -> float:
+        """Part of the work done, 0 to 1."""
+        return self._run.progress
+
+    def errors(self) -> list[ErrorBudget]:
+        """Return the estimate for every realisation."""
+        return self._run.errors()
+
+    def cost(self) -> Cost:
+        """Return the cost so far."""
+        return self._run.cost()
+
+    def state(self) -> dict[str, Array]:
+        """Return the state of the run and of every gatherer."""
+        state = dict(self._run.state())
+        for real, gatherer in enumerate(self.gatherers):
+            state |= {f"{STATE}{real}.{name}": values for name, values in gatherer.state().items()}
+        return state
+
+    def results(self, errors: Sequence[float]) -> list[dict[str, Array]]:
+        """Return the quantities of every realisation with their errors, given those of answers."""
+        return [
+            gatherer.results(error) for gatherer, error in zip(self.gatherers, errors, strict=True)
+        ]
+
+    def close(self) -> None:
+        """Release everything."""
+        self._run.close()
+
+
+def at_samples(scene: Scene, energies: Mapping[str, Array]) -> dict[str, Array]:
+    """Return energies at the samples of a scene of those at the fine times of `Scene.fine`."""
+    return {
+        name: values[:: scene.finer] if values.ndim else values for name, values in energies.items()
+    }
+
+
+def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:
+    """Return the arrays of a state that belong to the run of the engine."""
+    return state and {key: values for key, values in state.items() if not key.startswith(STATE)}

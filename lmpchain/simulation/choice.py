@@ -1,0 +1,245 @@
+"""Choice of the engine: the one that was named, or with "auto" the cheapest one for the scene.
+
+With "auto" nothing here distinguishes one engine from another: what counts is which equation they
+solve, what they cost, and how large they expect their errors to be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from .. import engines
+from ..engines.base import Engine, ErrorBudget, Proposal
+from ..engines.cost_model import speed
+from ..engines.step_control import Attempt, first_attempt
+from ..errors import InputError, ToleranceNotMet
+from ..scene.scene import Scene
+from ..util.compilation import clock
+from ..util.provenance import versions
+from ..util.suggestions import not_among
+
+AUTO = "auto"
+GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
+# by the equation that it solves
+THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
+SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
+
+
+def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
+    """Return an engine by its name; None for "auto", with which each scene gets its own engine.
+
+    Options without a name are those of the native engine.
+
+    Raises
+    ------
+    InputError
+        If there is no such engine or an option is wrong.
+    """
+    if engine == AUTO and not options:
+        return None
+    if isinstance(engine, str) and engine != AUTO and engine not in engines.REGISTRY:
+        raise InputError.at("engine", not_among(engine, (AUTO, *engines.names())))
+    return engines.get("native" if engine == AUTO else engine, **options)
+
+
+def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
+    """Return why an engine, or with None any engine, cannot do a scene, as (key, reason)."""
+    if engine:
+        return engines.obstacles(engine, scene)
+    reasons = []
+    # one engine that can is enough; its faults are told only if none can
+    for other in map(engines.plain, (*engines.automatic(), *engines.automatic("last"))):
+        faults = engines.obstacles(other, scene)
+        if not faults:
+            return []
+        reasons += faults
+    return reasons
+
+
+def choose(
+    scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool = False
+) -> Attempt:
+    """Return the first attempt of an engine, or with None of the cheapest engine.
+
+    `best_effort` loosens a tolerance that cannot be met.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If it is known beforehand that the tolerance cannot be met.
+    """
+    ask = partial(engine.propose, engine.part(scene)) if engine else partial(_choose, scene)
+    return first_attempt(ask, tolerance, best_effort)
+
+
+def _choose(scene: Scene, tolerance: float) -> Proposal:
+    """Return the proposal of the cheapest engine, or raise `ToleranceNotMet`."""
+    proposals = propose(scene, tolerance)
+    best = cheapest(proposals)
+    return _explained(best, plan=f"{best.engine}: {reason(best, proposals)}")
+
+
+def _explained(proposal: Proposal, **why: str) -> Proposal:
+    """Return a proposal that keeps on record why it was chosen."""
+    return proposal._replace(choices={**proposal.choices, **why})
+
+
+def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
+    """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If there is none.
+    """
+    before = engines.plain(attempt.proposal.engine)
+    tolerance = attempt.tolerance
+    if before.equation == 1 or (error.bound <= tolerance and not error.remark):
+        return None
+    began = clock()
+    bound = max(error.model, error.model_bound)
+    left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the solution"
+    if error.remark:
+        left_out += f", {error.remark}"
+    # engines that were not asked are listed with their reason, too
+    exact = [each for each in propose(scene, tolerance) if each.equation in (1, None)]
+    if not any(proposal.kept for proposal in exact):
+        why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
+        raise ToleranceNotMet(f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}")
+    best = cheapest(exact)
+    expected = f"expected were {attempt.proposal.model_error:.1g}"
+    redone = (
+        f"{left_out} along the run of {before.name}, {expected}: "
+        f"run again with {best.engine}, Eq. (1)"
+    )
+    best = _explained(best, plan=f"{best.engine}: {redone}", redone=redone)
+    return Attempt(best, tolerance, planned_s=clock() - began)
+
+
+def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposal]:
+    """Return the proposals of the engines, with the verdicts.
+
+    Engines for Eq. (1) are asked first. Most scenes they answer before another engine would have
+    begun, which is then not asked.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance : float
+    every : bool
+        Whether to ask all, for a table: those that take longer to begin are never the cheapest.
+    """
+    automatic = [engines.plain(name) for name in engines.automatic()]
+    exact = [engine for engine in automatic if engine.equation == 1]
+    proposals = [ask(engine, scene, tolerance) for engine in exact]
+    cheapest_s = min(proposal.price_s for proposal in proposals)
+    for engine in automatic:
+        # no proposal costs less than its start
+        begins_s, _ = speed(engine.name, engine.start_up_s)
+        if engine.equation != 1 and (every or begins_s < cheapest_s):
+            proposals.append(ask(engine, scene, tolerance))
+    return proposals + _ask_on_request(scene, tolerance, proposals)
+
+
+def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) -> list[Proposal]:
+    """Return the proposals of engines that are asked only where no other one can do the scene."""
+    if any(proposal.possible for proposal in others):
+        why = "only if asked for by name, or if no other engine can do the scene"
+        return [Proposal(name, why=why) for name in engines.automatic("last")]
+    return [ask(engines.plain(name), scene, tolerance) for name in engines.automatic("last")]
+
+
+def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
+    """Return the proposal of an engine for a scene, with the verdict on it.
+
+    Parameters
+    ----------
+    engine : Engine
+    scene : Scene
+    tolerance : float
+
+    Returns
+    -------
+    Proposal
+        Without steps where the engine cannot do the scene or meet the tolerance.
+    """
+    name = engine.name
+    equation = engine.equation
+    if reasons := engines.obstacles(engine, scene):
+        why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
+        return Proposal(name, equation, why=why)
+    try:
+        proposal = engine.propose(engine.part(scene), tolerance)
+    except ToleranceNotMet as error:
+        return Proposal(name, equation, why=error.reason)
+    except InputError as error:
+        why = "; ".join(f"{key}: {fault}" for key, fault in error.faults)
+        return Proposal(name, equation, why=why)
+    return judge(proposal, scene, tolerance)
+
+
+def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
+    """Return a proposal with the verdict on it."""
+    theory = THEORY.get(proposal.equation or 1, f"Eq. ({proposal.equation})")
+    if proposal.model_error + proposal.solver_error <= tolerance * SUM_ROUNDING:
+        return proposal._replace(kept=True, why="within the tolerance")
+    if proposal.solver_error > tolerance:
+        why = f"its solver leaves about {proposal.solver_error:.1g}, above the tolerance"
+    elif math.isnan(proposal.model_error):
+        why = f"the error of {theory} here is not known before the run"
+    else:
+        error = percent(proposal.model_error)
+        why = f"strike number {scene.strike_number:.2g}: {theory} leaves out up to {error}"
+    return proposal._replace(kept=False, why=why)
+
+
+def percent(error: float) -> str:
+    """Return an error in per cent, or as a number if it is far below one."""
+    if error < 1e-4:
+        return f"{error:.1g} of the solution"
+    return f"{100 * error:.0f} %" if error > 0.1 else f"{100 * error:.2g} %"
+
+
+def cheapest(proposals: Sequence[Proposal]) -> Proposal:
+    """Return the proposal to take.
+
+    Raises
+    ------
+    ToleranceNotMet
+        With what every engine that was asked says, if none is good enough.
+    """
+    best = min(proposals, key=lambda proposal: proposal.price_s)
+    if not best.kept:
+        # an engine that cannot do the scene at all says nothing of the tolerance
+        asked = [proposal for proposal in proposals if proposal.possible or proposal.equation == 1]
+        raise ToleranceNotMet("; ".join(f"{proposal.engine}: {proposal.why}" for proposal in asked))
+    return best
+
+
+def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
+    """Return why the cheapest proposal is taken, and why none that would cost less."""
+    why = f"solves Eq. ({best.equation}), the cheapest within the tolerance"
+    for proposal in proposals:
+        if proposal.cost_s < best.cost_s:
+            return f"{why}; {proposal.engine} would cost less, but {proposal.why}"
+    return why
+
+
+def record(engine: Engine, scene: Scene, proposal: Proposal, tolerance: float) -> dict[str, str]:
+    """Return the record of an answer: versions, choices, and the remarks of the engine."""
+    asked = GIVEN_STEP if engine.step else f"{tolerance:g}"
+    return {
+        **versions(),
+        "tolerance": asked,
+        **proposal.record(),
+        **engine.describe(scene, proposal),
+        **damping_record(scene),
+    }
+
+
+def damping_record(scene: Scene) -> dict[str, str]:
+    """Return the record of damping: what leaving it out would change."""
+    return {"damping": scene.damping_remark} if scene.chain.damped else {}
