@@ -7,6 +7,7 @@ samples nor on the balance of energy.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -27,14 +28,19 @@ HALVINGS = 12
 
 
 def sum_energies(
-    scene: Scene, solution: LinearSolution, budget: ErrorBudget, scale: Array, most: int
+    scene: Scene,
+    solve: Callable[[], LinearSolution],
+    budget: ErrorBudget,
+    scale: Array,
+    most: int,
 ) -> dict[str, Array]:
     """Return the dissipated energy and the work at the samples, (T,) J, with their errors.
 
     Parameters
     ----------
     scene : Scene
-    solution : LinearSolution
+    solve : callable
+        Returns the solution at t = 0.
     budget : ErrorBudget
         Estimated error of the solution.
     scale : (2,) array
@@ -64,7 +70,7 @@ def sum_energies(
         if left < 0:
             return {}
         times = begin[:, None] + width[:, None] / 2 * (1 + NODES)
-        powers = _powers(scene, solution.restart(), times.ravel(), budget.total * scale)
+        powers = _powers(scene, solve(), times.ravel(), budget.total * scale)
         series = PROJECT @ powers.reshape(*times.shape, 4)
         largest = np.maximum(largest, np.abs(powers[:, :2]).max(0))
         tails = np.abs(series[:, -2:, :2]).max(1)

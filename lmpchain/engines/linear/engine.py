@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -332,10 +333,16 @@ class LinearRun(Run):
 
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return the dissipated energy and the work, with their errors, of every realisation."""
-        runs = zip(self._scenes, self._solutions, errors, self._phase_errors, strict=True)
+        engine = self._engine
         return [
-            sum_energies(scene, solution, budget, phase.scale, self._engine.most_summed(scene))
-            for scene, solution, budget, phase in runs
+            sum_energies(
+                scene,
+                partial(engine.solve, scene, {}),
+                budget,
+                phase.scale,
+                engine.most_summed(scene),
+            )
+            for scene, budget, phase in zip(self._scenes, errors, self._phase_errors, strict=True)
         ]
 
     def cost(self) -> Cost:

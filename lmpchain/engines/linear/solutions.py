@@ -35,7 +35,6 @@ class ChebyshevSolution:
     """The propagator, from one time to the next, each later than the last."""
 
     def __init__(self, scene: Scene, state: Mapping[str, Array]):
-        self._scene = scene
         chain = scene.chain
         drive = scene.drive
         stiffness = chain.contacts.stiffness
@@ -57,10 +56,6 @@ class ChebyshevSolution:
     def work(self) -> int:
         """Polynomials so far: applications of the matrix of the chain."""
         return self._chain.terms
-
-    def restart(self) -> ChebyshevSolution:
-        """Return the solution from t = 0 on."""
-        return ChebyshevSolution(self._scene, {})
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return displacement, velocity and reach, as `LinearSolution.at` does."""
@@ -104,10 +99,6 @@ class ModalSolution:
     def work(self) -> int:
         """Number of modes."""
         return self._modes.frequency.size
-
-    def restart(self) -> ModalSolution:
-        """Return the solution itself, which can be evaluated at any time."""
-        return self
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return displacement, velocity and reach as `LinearSolution.at` does, at any times."""
