@@ -409,8 +409,12 @@ class CompanionRun(Run):
             # only what rounding presses moves: its velocities are below those of its displacements
             scale[0, 1] = max(scale[0, 1], self.scene.highest_frequency * scale[0, 0])
         if self._chains.arrays.damped:
-            # reduced velocities leave their rounding where nothing moves
-            scale[:, 1] = np.maximum(scale[:, 1], ROUNDED * self._chains.arrays.scale[:, 1])
+            # If nothing moves, the velocities are the rounding errors of reduced velocities.
+            closest = self.native.closest()[0].tolist()
+            largest = scale[:, 0].tolist()
+            lost = [*map(reduced_loss, self._scenes, largest, closest)]
+            floor = np.where(scale[:, 1] <= lost, ROUNDED * self._chains.arrays.scale[:, 1], 0.0)
+            scale[:, 1] = np.maximum(scale[:, 1], floor)
         # where nothing is set in motion, units take its place
         idle = self._chains.arrays.scale[:, 1] == 0.0
         scale[idle] = self._chains.arrays.units[idle]
