@@ -11,7 +11,7 @@ from lmpchain.benchmark.bench import work_precision
 from lmpchain.benchmark.truth import truth
 from lmpchain.disorder.averages import at_the_end
 from lmpchain.engines import Lammps, Native
-from lmpchain.engines.cost_model import TooLong, announce, announced, budget
+from lmpchain.engines.cost_model import TooLong, announce, announced, budget, check_time
 from lmpchain.report.exploration import explore
 from lmpchain.simulation.time_averages import averages
 from lmpchain.stability.find import stability
@@ -73,6 +73,26 @@ def test_a_budget_ends_what_exceeds_it(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Native, "cost", lambda *_: 0.0)
     with budget(1e-9), pytest.raises(TooLong, match="far longer than was expected"):
         simulate(SCENE, "native")
+
+
+def test_work_within_a_budget_leaves_half_of_its_time(monkeypatch: pytest.MonkeyPatch):
+    used = [0.0]
+    monkeypatch.setattr("lmpchain.engines.cost_model._used", lambda: used[0])
+    ends = []
+
+    def work() -> None:
+        while used[0] < 100.0:
+            used[0] += 0.5
+            check_time()
+
+    with budget(8.0):
+        for _ in range(3):
+            with budget(8.0), pytest.raises(TooLong, match="far longer"):
+                work()
+            ends.append(used[0])
+        with budget(8.0), pytest.raises(TooLong, match=r"a run would take about 0\.8 s"):
+            announce(0.8, "a run", "")
+    assert ends == [8.5, 12.5, 14.5]
 
 
 def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.MonkeyPatch):
