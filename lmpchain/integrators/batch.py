@@ -119,10 +119,10 @@ class ChainBatch:
             form=np.array(forms),
             loops=np.array([addresses(form) for form in forms]),
             precompressed=float(chain.compressed),
-            coefficients=series(chain.exponent),
+            coefficients=series(chain.law.power_of("a compiled force")),
         )
         self.plain = [form in ROOTS and chain.compressed for form in forms]
-        self.opening_power = chain.exponent
+        self.opening_power = chain.law.onset
         self.imposed = self._imposed()
 
     def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
@@ -235,7 +235,7 @@ def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array, Array]
     stiffness = contacts.stiffness.copy()
     stiffness[:, 1 : loose + 1] = 0.0
     overlap[:, 1 : loose + 1] = TOUCHING
-    force[:, 1 : loose + 1] = contacts.constant[:, 1 : loose + 1] * TOUCHING**contacts.exponent
+    force[:, 1 : loose + 1] = contacts.law.force(TOUCHING, contacts.constant[:, 1 : loose + 1])
     return overlap, force, stiffness
 
 
@@ -260,7 +260,7 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     The plain form is wrong by the last digit of the force at rest, which is nothing in strong
     waves.
     """
-    exponent = scene.chain.exponent
+    exponent = scene.chain.law.power_of("a compiled force")
     roots = int(4 * exponent) if 4 * exponent in ROOTS else None
     if exponent == 1:
         return Form.SPRING
