@@ -92,8 +92,7 @@ class LinearEngine(Engine):
 
     def round_off(self, scene: Scene) -> float:
         """Return the relative error by rounding: that of the frequencies, times the periods."""
-        fastest = max(scene.chain.band_edge, scene.excitation.fastest)
-        return EPSILON * (10 + fastest * scene.duration)
+        return EPSILON * (10 + scene.linear_frequency * scene.duration)
 
     def most_summed(self, scene: Scene) -> int:
         """Return the largest number of evaluations for the energies of a run.
