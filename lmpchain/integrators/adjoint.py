@@ -217,10 +217,11 @@ class DifferentiableRun(ObservedRun):
         above = aligned(3, width)
         above[0, 1:] = arrays.inverse_length[0, :-1]
         above[1, 1:] = arrays.strength[0, :-1]
-        above[2] = chain.exponent * above[1] * above[0]
+        exponent = chain.law.power_of("derivatives of a run")
+        above[2] = exponent * above[1] * above[0]
         self._above = Above(*above)
         way = _way(chain, arrays)
-        less = chain.exponent - 1.0
+        less = exponent - 1.0
         self._law = AdjointForce(
             way=int(way),
             pressed=arrays.precompressed,
@@ -416,7 +417,7 @@ def _way(chain: Chain, arrays: BatchArrays) -> Way:
     """Choose the way back of the one chain of a batch."""
     # undone where no contact can open: round-off would close or open those that only touch
     form = arrays.form[0]
-    hertz = chain.exponent == 1.5
+    hertz = chain.law.power == 1.5
     if chain.linearisable and not arrays.uncompressed[0]:
         if form == Form.POLYNOMIAL:
             return Way.UNDONE_SERIES

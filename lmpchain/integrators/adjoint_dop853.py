@@ -161,21 +161,22 @@ class DifferentiableDampedRun(ObservedRun):
         damped = kernels.Damped(mobility, *np.zeros((5, width)))
         damped.inverse_length[1:] = arrays.inverse_length[0, :-1]
         damped.strength[1:] = arrays.strength[0, :-1]
-        damped.stiffness[:] = chain.exponent * damped.strength * damped.inverse_length
+        exponent = chain.law.power_of("derivatives of a run")
+        damped.stiffness[:] = exponent * damped.strength * damped.inverse_length
         damped.viscosity[self._contacts] = chain.contact_viscosity
         # what is held or driven moves as it is told
         damped.drag[self._bodies] = np.where(mobility[self._bodies] > 0, chain.drag, 0.0)
         # a correction for strains serves no contact that only touches, whose strains have no bound
-        hertz = chain.exponent == 1.5 and not chain.loose_grains
+        hertz = exponent == 1.5 and not chain.loose_grains
         law = AdjointForce(
             way=int(Way.HERTZ if hertz else Way.OTHER),
             pressed=arrays.precompressed,
             touching=float(arrays.uncompressed[0]),
-            less=chain.exponent - 1.0,
+            less=exponent - 1.0,
             terms=arrays.coefficients,
         )
         if law.touching > 0:
-            damped.stiffness[PAD] = chain.exponent * law.touching
+            damped.stiffness[PAD] = exponent * law.touching
         tableau = kernels.Tableau(*method.tables)
         # see `layout.BatchArrays`
         alike = arrays.alike

@@ -78,7 +78,7 @@ class ChainBatch:
         self.contacts = together([chain.contacts for chain in chains])
         forms = [force_form(scene, force) for scene in scenes]
         self.plain = [form in ROOTS and chain.compressed for form in forms]
-        self.opening_power = chain.exponent
+        self.opening_power = chain.law.onset
         acts, reach, wave, knots, pieces, laws = self._imposed()
         damped = any(chain.damped for chain in chains)
         viscosity = np.array([chain.contact_viscosity for chain in chains if damped])
@@ -101,7 +101,7 @@ class ChainBatch:
             form=np.array(forms),
             loops=np.array([addresses(form) for form in forms]),
             precompressed=float(chain.compressed),
-            coefficients=series(chain.exponent),
+            coefficients=series(chain.law.power_of("a compiled force")),
             omega=omega,
             scale=scale,
             units=units,
@@ -196,7 +196,7 @@ def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array
     stiffness = contacts.stiffness.copy()
     stiffness[:, 1 : loose + 1] = 0.0
     overlap[:, 1 : loose + 1] = TOUCHING
-    force[:, 1 : loose + 1] = contacts.constant[:, 1 : loose + 1] * TOUCHING**contacts.exponent
+    force[:, 1 : loose + 1] = contacts.law.force(TOUCHING, contacts.constant[:, 1 : loose + 1])
     return overlap, force, contacts.constant, stiffness
 
 
@@ -221,7 +221,7 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     The plain form is wrong by the last digit of the force at rest, which is nothing in strong
     waves.
     """
-    exponent = scene.chain.exponent
+    exponent = scene.chain.law.power_of("a compiled force")
     roots = int(4 * exponent) if 4 * exponent in ROOTS else None
     if exponent == 1:
         return Form.SPRING

@@ -105,7 +105,7 @@ class Scene(SceneFacts):
         _, compression = self.first_squeeze
         limit = LIMITS.hertz_compression
         # a chain that is squeezed so at rest says it of itself
-        if chain.exponent == 1.5 and compression > limit > chain.equilibrium.compression.max():
+        if chain.law.power == 1.5 and compression > limit > chain.equilibrium.compression.max():
             yield f"{self._strength}: {beyond_hertz(compression)}"
         first, near = self._surroundings
         speed = np.abs(near.excitation.largest(near.chain)[1])

@@ -209,7 +209,7 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and scene.sampling_decay > DIES:
         steps += 1
     coarse = False
-    if shortens and not OPENINGS.kinks(scene.chain.exponent):
+    if shortens and not OPENINGS.kinks(scene.chain.law.onset):
         # where samples hold steps short, shorter ones near openings would only cost
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
