@@ -20,8 +20,8 @@ from lmpchain.design import Momentum
 from lmpchain.design.gradients import at_step, shortens
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.differentiation import DIFFERENTIABLE
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 SAMPLES = 11
 REPEATS = 9
@@ -59,7 +59,7 @@ def costs(wave: str, grains: int, steps: int, integrator: str) -> tuple[float, f
     gradient = []
     for _ in range(REPEATS):
         began = time.process_time()
-        run = NativeStepper(ChainBatch([scene]), method, StepSchedule(per, 1, step, adaptive), {})
+        run = NativeStepper(ChainBatch([scene]), method, Steps(per, 1, step, adaptive), {})
         u, v = np.zeros((2, 1, SAMPLES, grains))
         run.fill(u, v, 0, SAMPLES - 1, 10**9)
         bare.append(time.process_time() - began)

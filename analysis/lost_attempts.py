@@ -94,9 +94,9 @@ def spend(scene: Scene) -> Spent:
 def spend_last(scene: Scene, step_s: float) -> float:
     """Return the processor time of the first attempt that has the steps of the last, s."""
     engine = Native()
-    candidate = engine.candidate(scene, TOLERANCE)
-    steps = round(candidate.steps_per_landing * candidate.step / step_s)
-    run = engine.start([scene], candidate.with_steps(steps))
+    candidate = engine.propose(scene, TOLERANCE)
+    steps = round(candidate.steps.per_landing * candidate.step / step_s)
+    run = engine.start([scene], candidate.with_steps(candidate.steps.shortened(steps)))
     began = time.process_time()
     for _ in run.blocks():
         pass

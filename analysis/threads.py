@@ -16,8 +16,8 @@ from scaling import stirred
 import lmpchain
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 REACH = 0.3  # omega h
 MORE = 12  # adaptive steps for each one of that length
@@ -45,7 +45,7 @@ def run(
     and where the grains are then.
     """
     method = METHODS[name]
-    schedule = StepSchedule(steps, 1, scene.duration / steps, adaptive)
+    schedule = Steps(steps, 1, scene.duration / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {}, threads)
     u, v = np.zeros((2, 1, 2, scene.chain.grains))
     began = time.perf_counter()

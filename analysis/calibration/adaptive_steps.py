@@ -51,7 +51,7 @@ def looks(cases: list[Case], name: str) -> dict[tuple[int, float], Look]:
     found = {}
     for number, case in enumerate(cases):
         proposed = proposal(engine, case.scene, 1e-6)
-        for reach in REACHES[name] if proposed and proposed.adaptive else ():
+        for reach in REACHES[name] if proposed and proposed.steps.adaptive else ():
             run = answer(engine, case.scene, with_reach(case.scene, proposed, reach))
             error = case.error(run.motion) if run else math.inf
             if run and CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
@@ -108,7 +108,7 @@ def least(cases: list[Case], factors: tuple[float, ...]) -> Row:
         with changed(OPENING_STEPS, least_crossing=value):
             for case in cases:
                 proposed = proposal(engine, case.scene, 1e-11)
-                if proposed and proposed.adaptive:
+                if proposed and proposed.steps.adaptive:
                     run = answer(engine, case.scene, with_reach(case.scene, proposed, 0.02))
                     runs += [(run.steps, max(case.error(run.motion), 1e-16))] if run else []
         steps[value], errors[value] = np.exp(np.log(runs).mean(0)).tolist()

@@ -60,7 +60,9 @@ def story(scene: Scene, tolerance: float) -> Story | None:
     engine = Native("rkn6")
     candidate = proposal(engine, scene, tolerance)
     truncations: list[float] = []
-    while candidate and len(truncations) < PATIENT and candidate.steps(scene.samples) < MOST_STEPS:
+    while candidate and len(truncations) < PATIENT:
+        if candidate.steps.total(scene.samples - 1) >= MOST_STEPS:
+            break
         run = answer(engine, scene, candidate)
         if run is not None:
             truncations.append(run.error.truncation)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from lmpchain import Scene
 from lmpchain.benchmark.reference import Reference, reference
-from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
+from lmpchain.engines.base import Engine, ErrorBudget, Proposal, Run
 from lmpchain.engines.native import Native
 from lmpchain.engines.step_control import first_attempt, solve_to_tolerance
 from lmpchain.engines.stepping.companion_run import CompanionRun
@@ -100,7 +100,7 @@ class Answer:
         The smallest r / eps that any contact had in any of these runs; -1 is an opening.
     """
 
-    candidate: Candidate
+    candidate: Proposal
     error: ErrorBudget
     motion: np.ndarray
     steps: int
@@ -109,7 +109,7 @@ class Answer:
     lowest: float
 
 
-def answer(engine: Engine, scene: Scene, candidate: Candidate) -> Answer | None:
+def answer(engine: Engine, scene: Scene, candidate: Proposal) -> Answer | None:
     """Run a candidate; None if the run breaks down."""
     motion = np.zeros((2, scene.samples, scene.recorded.size))
     run = engine.start([scene], candidate)
@@ -143,12 +143,16 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
     return tuple(relative.max((1, 2)).tolist()), float(run.native.watched["least_strain"].min())
 
 
-def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
+def with_reach(scene: Scene, candidate: Proposal, reach: float) -> Proposal:
     """Return the candidate with the longest step up to omega h = reach that divides an interval."""
     interval = scene.duration / (scene.samples - 1)
-    return candidate.sampled.with_steps(
-        max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12)))
-    )
+    steps = max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12)))
+    return sampled(candidate, steps)
+
+
+def sampled(candidate: Proposal, count: int) -> Proposal:
+    """Return a candidate with so many steps from sample to sample."""
+    return candidate.with_steps(candidate.steps.sampled.shortened(count))
 
 
 @contextmanager
@@ -163,10 +167,10 @@ def changed(record: Any, **values: object) -> Iterator[None]:
         yield
 
 
-def proposal(engine: Engine, scene: Scene, tolerance: float) -> Candidate | None:
+def proposal(engine: Engine, scene: Scene, tolerance: float) -> Proposal | None:
     """Return what the engine proposes, None if it cannot meet the tolerance."""
     try:
-        return engine.candidate(scene, tolerance)
+        return engine.propose(scene, tolerance)
     except ToleranceNotMet:
         return None
 
@@ -260,10 +264,12 @@ class Job(NamedTuple):
             evaluations.append(run.cost().force_evaluations)
 
         try:
-            attempt = first_attempt(self.engine, self.scene, self.tolerance)
+            attempt = first_attempt(partial(self.engine.propose, self.scene), self.tolerance)
             if self.longer > 1:
-                steps = math.ceil(attempt.candidate.steps_per_landing / self.longer)
-                attempt = attempt._replace(candidate=attempt.candidate.with_steps(steps))
+                steps = math.ceil(attempt.proposal.steps.per_landing / self.longer)
+                attempt = attempt._replace(
+                    proposal=attempt.proposal.with_steps(attempt.proposal.steps.shortened(steps))
+                )
             outcome = solve_to_tolerance(self.engine, [self.scene], attempt, collect)
         except (RunFailed, ToleranceNotMet):
             return math.inf

@@ -77,7 +77,7 @@ def _stepping(
     for grains in sizes:
         for periods in (2.0, most / grains + 2.0):
             scene = shaken(grains, periods)
-            candidate = engine.candidate(scene, 1e-4)
+            candidate = engine.propose(scene, 1e-4)
             spent = []
             for _ in range(repeats):
                 run = engine.start([scene], candidate)
@@ -131,7 +131,7 @@ def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
         scene = struck(grains, periods, samples)
 
         def run(scene: Scene = scene) -> None:
-            running = engine.start([scene], engine.candidate(scene, 1.0))
+            running = engine.start([scene], engine.propose(scene, 1.0))
             for _ in running.blocks():
                 pass
 

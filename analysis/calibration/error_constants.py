@@ -42,7 +42,7 @@ def constants(case: Case, name: str) -> list[float]:
     scene = case.scene
     found = []
     engine = Native(name, adaptive=False)
-    proposed = engine.candidate(scene, 1e-3)
+    proposed = engine.propose(scene, 1e-3)
     for reach in REACHES[0.45 * method.stability_limit > REACHES]:
         run = answer(engine, scene, with_reach(scene, proposed, reach))
         if run is None:
@@ -50,7 +50,7 @@ def constants(case: Case, name: str) -> list[float]:
         error = case.error(run.motion)
         floor = 1e-16 * (2 + math.sqrt(run.evaluations)) + case.reference.error
         if CLEAR * floor < error < LARGEST:
-            h = run.candidate.step * scene.highest_frequency
+            h = run.proposal.step * scene.highest_frequency
             found.append(
                 error / h**method.order / max(1.0, scene.highest_frequency * scene.duration / 60)
             )

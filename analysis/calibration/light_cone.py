@@ -18,14 +18,14 @@ from unittest import mock
 from common import Row, best, command
 
 from lmpchain import Chain, Impulse, Scene
-from lmpchain.engines.base import Candidate, Engine
+from lmpchain.engines.base import Engine, Proposal
 from lmpchain.engines.lammps.engine import Lammps
 from lmpchain.engines.linear.engine import Modes
 from lmpchain.engines.native import Native
 from lmpchain.integrators import batch
 from lmpchain.integrators.kernels.splitting import PAD
-from lmpchain.scene import light_cone
-from lmpchain.scene.light_cone import CUT
+from lmpchain.scene import facts
+from lmpchain.scene.facts import CUT
 
 
 def struck(grains: int, periods: float, strike_number: float = 0.01, samples: int = 11) -> Scene:
@@ -38,7 +38,7 @@ def struck(grains: int, periods: float, strike_number: float = 0.01, samples: in
     )
 
 
-def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:
+def through(engine: Engine, scene: Scene, candidate: Proposal) -> None:
     """Run a scene."""
     run = engine.start([scene], candidate)
     for _ in run.blocks():
@@ -56,7 +56,7 @@ def _cut(engine: Engine, quick: bool) -> Row:
         scene = struck(math.ceil(needed / part), periods)
         times = []
         for worth in (1.1, 0.0):  # always, and never
-            with mock.patch.object(light_cone, "CUT", dataclasses.replace(CUT, share=worth)):
+            with mock.patch.object(facts, "CUT", dataclasses.replace(CUT, share=worth)):
                 run = partial(fresh, engine, scene)
                 times.append(best(run, repeats))
         ratios[part] = times[0] / times[1]
@@ -80,7 +80,7 @@ def fresh(engine: Engine, scene: Scene) -> None:
     """Answer a scene of which nothing is known yet."""
     new = Scene(**scene.given())
     part = engine.part(new)
-    through(engine, part, engine.candidate(part, 1e-4))
+    through(engine, part, engine.propose(part, 1e-4))
 
 
 def _short(quick: bool) -> Row:
@@ -92,7 +92,7 @@ def _short(quick: bool) -> Row:
     repeats = 5 if quick else 25
     for bodies in (4, 8, 11, 14, 20, 30, 60):
         scene = struck(max(2, bodies * PAD - 2 * PAD), 12.0)
-        candidate = Native().candidate(scene, 1e-6)
+        candidate = Native().propose(scene, 1e-6)
         times = []
         for short in (0, 10**6):
             with mock.patch.object(batch, "WINDOW_MIN", short):

@@ -50,7 +50,7 @@ TRUTH = 1e-9  # tolerance of the nonlinear solution
 
 def phase_error(scene: Scene) -> PhaseError:
     """Return what the linear solution of a scene comes to, as a run of the engine sees it."""
-    run = Modes().start([scene], Modes().candidate(scene, 1.0))
+    run = Modes().start([scene], Modes().propose(scene, 1.0))
     for _ in run.blocks():
         pass
     return run._phase_errors[0]  # type: ignore[attr-defined]
@@ -67,7 +67,7 @@ def nonlinear(scene: Scene) -> np.ndarray | None:
 
 def linear(scene: Scene) -> np.ndarray:
     """Return the linear motion (2, T, G)."""
-    run = answer(Modes(), scene, Modes().candidate(scene, 1.0))
+    run = answer(Modes(), scene, Modes().propose(scene, 1.0))
     assert run
     return run.motion
 

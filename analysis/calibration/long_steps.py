@@ -25,10 +25,11 @@ from common import Case, Row, answer, best, changed, command, label, near_best, 
 from scenes import drawn
 
 from lmpchain import Chain, Profile, Scene
-from lmpchain.engines.base import Candidate
+from lmpchain.engines.base import Proposal
 from lmpchain.engines.native import Native
 from lmpchain.engines.stepping.round_off import ROUNDING, interpolation_loss
 from lmpchain.engines.stepping.step_choice import INTERPOLATION
+from lmpchain.integrators.steps import Steps
 
 STEPS = 8  # from one sample on which one ends to the next
 REPEATS = 7  # of which the shortest time counts
@@ -46,7 +47,7 @@ def errors(case: Case, passed: int) -> tuple[float, float, float] | None:
     stride = STEPS * passed
     if proposed is None or reach > 1.5:
         return None
-    candidate = proposed.sampled._replace(steps_per_landing=STEPS, stride=stride, step=step)
+    candidate = proposed.with_steps(Steps(STEPS, stride, step, dense=1))
     run = answer(Native("rkn6"), scene, candidate)
     if run is None:
         return None
@@ -100,7 +101,7 @@ def least_times(works: Sequence[Callable[[], object]]) -> list[float]:
     return np.min(rounds, axis=0).tolist()
 
 
-def go_through(engine: Native, scene: Scene, candidate: Candidate) -> None:
+def go_through(engine: Native, scene: Scene, candidate: Proposal) -> None:
     """Run a candidate and keep nothing."""
     run = engine.start([scene], candidate)
     for _ in run.blocks():
@@ -114,14 +115,11 @@ def evaluations(sizes: Sequence[int]) -> Row:
     over = []
     for grains in sizes:
         few, many = (column(grains, samples) for samples in (401, 4001))
-        candidate = engine.candidate(few, 1e-6).sampled
+        candidate = engine.propose(few, 1e-6)
         works = []
         for scene, steps in ((few, 400), (few, 800), (many, 400)):
-            every = candidate._replace(
-                steps_per_landing=steps // 10,
-                stride=(scene.samples - 1) // 10,
-                step=scene.duration / steps,
-            )
+            stride = (scene.samples - 1) // 10
+            every = candidate.with_steps(Steps.spread(scene.time[1], steps // 10, stride))
             works.append(partial(go_through, engine, scene, every))
         usual, shorter, denser = least_times(works)
         force = (shorter - usual) / (400 * engine.methods(scene)[0].evaluations)
@@ -143,7 +141,7 @@ def landings(sizes: Sequence[int]) -> Row:
         works = []
         for value in values:
             with changed(INTERPOLATION, steps=value):
-                works.append(partial(go_through, engine, scene, engine.candidate(scene, 1e-6)))
+                works.append(partial(go_through, engine, scene, engine.propose(scene, 1e-6)))
         times.append(least_times(works))
     over = np.exp(np.log(times).mean(0))
     costs = dict(

@@ -21,16 +21,26 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
-from common import ALL_BUT_ONE, Case, Row, answer, changed, command, label, proposal, with_reach
+from common import (
+    ALL_BUT_ONE,
+    Case,
+    Row,
+    answer,
+    changed,
+    command,
+    label,
+    proposal,
+    sampled,
+    with_reach,
+)
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines.base import Candidate
+from lmpchain.engines.base import Proposal
 from lmpchain.engines.native import Native, companions
 from lmpchain.engines.stepping.companions import FEWEST_STEPS, OPENINGS
 from lmpchain.engines.stepping.estimate import TRUST
-from lmpchain.integrators import step_schedule
-from lmpchain.integrators.step_schedule import MANY_STEPS
+from lmpchain.integrators.steps import MANY_STEPS
 
 REACHES = (1.6, 0.8, 0.4, 0.2)  # omega h
 SPLITTINGS = ("rkn4", "rkn6", "kahan-li8")
@@ -45,7 +55,7 @@ class Look(NamedTuple):
 
     engine: Native
     case: Case
-    candidate: Candidate
+    candidate: Proposal
     error: float
 
     @property
@@ -62,7 +72,7 @@ class Look(NamedTuple):
         return scene.highest_frequency * scene.duration / crossed
 
 
-def look(engine: Native, case: Case, candidate: Candidate, opens: bool | None) -> Look | None:
+def look(engine: Native, case: Case, candidate: Proposal, opens: bool | None) -> Look | None:
     """Hold a run against the truth.
 
     None where its error is round-off, beyond all order, or contacts do not fit.
@@ -89,10 +99,12 @@ def looks(
     for case, name in itertools.product(cases, names):
         engine = Native(name, adaptive=adaptive)
         proposed = proposal(engine, case.scene, 1e-3)
-        if proposed is None or proposed.adaptive != adaptive:
+        if proposed is None or proposed.steps.adaptive != adaptive:
             continue
         for reach in reaches:
-            candidate = with_reach(case.scene, proposed, reach)._replace(coarse_openings=coarse)
+            candidate = with_reach(case.scene, proposed, reach)
+            steps = candidate.steps._replace(coarse_openings=coarse)
+            candidate = candidate._replace(steps=steps)
             if reach < engine.methods(case.scene)[0].stability_limit:
                 found.append(look(engine, case, candidate, opens))
     return [each for each in found if each]
@@ -243,12 +255,12 @@ def _fewest(count: int) -> Row:
         for case, name in itertools.product(short, ("verlet", "rkn4", "rkn6", "kahan-li8")):
             engine = Native(name, adaptive=False)
             proposed = proposal(engine, case.scene, 1e-3) if case.known else None
-            for steps in (4, 5, 6, 8, 12, 16) if proposed else ():
-                found.append(look(engine, case, proposed.sampled.with_steps(steps), None))
+            for count in (4, 5, 6, 8, 12, 16) if proposed else ():
+                found.append(look(engine, case, sampled(proposed, count), None))
         runs = [each for each in found if each]
         parts = {}
         for steps in (4, 5, 6, 8, 12, 16):
-            each = [run.ratio >= 1 for run in runs if run.candidate.steps_per_landing == steps]
+            each = [run.ratio >= 1 for run in runs if run.candidate.steps.per_landing == steps]
             parts[steps] = float(np.mean(each)) if each else 1.0
     failing = [steps for steps, part in parts.items() if part < ALL_BUT_ONE - RARE]
     first = min((steps for steps in parts if steps > max(failing, default=0)), default=math.nan)
@@ -260,15 +272,15 @@ def _fewest(count: int) -> Row:
 def _landings(cases: list[Case]) -> Row:
     """Return the row of how many steps lie between two samples where companions land on each."""
     found = []
-    for case, name, steps in itertools.product(cases, ("rkn4", "dop853"), (9, 17, 33, 65)):
+    for case, name, count in itertools.product(cases, ("rkn4", "dop853"), (9, 17, 33, 65)):
         engine = Native(name)
         proposed = proposal(engine, case.scene, 1e-3)
         if proposed is not None:
-            found.append(look(engine, case, proposed.sampled.with_steps(steps), None))
+            found.append(look(engine, case, sampled(proposed, count), None))
 
     def change(value: float) -> AbstractContextManager[object]:
         companions._arrange.cache_clear()
-        return mock.patch.object(step_schedule, "MANY_STEPS", value)
+        return mock.patch("lmpchain.integrators.steps.MANY_STEPS", value)
 
     runs = [each for each in found if each]
     row = judge("MANY_STEPS", MANY_STEPS, (8, 16, 64, 128), change, runs, "9 to 65 steps a sample")

@@ -144,7 +144,7 @@ def _creeping(count: int) -> Row:
         if not damped.damped or not case.known:
             continue
         engine = Native(step=0.3 / damped.fastest_rate)
-        run = answer(engine, case.scene, engine.candidate(case.scene, 1.0))
+        run = answer(engine, case.scene, engine.propose(case.scene, 1.0))
         assert run
         displacement, speed = (float(np.abs(field).max()) for field in run.motion)
         loss = reduced_loss(case.scene, displacement, 0.0) / speed
@@ -199,7 +199,7 @@ def _bursts(count: int) -> Row:
         case = Case(Scene(chain=chain, excitation=drive, duration=duration, samples=21))
         if not 0.5 < chain.band_edge * duration < 1000 or not case.known:
             continue
-        run = answer(Modes(), case.scene, Modes().candidate(case.scene, 1.0))
+        run = answer(Modes(), case.scene, Modes().propose(case.scene, 1.0))
         assert run
         wave = case.scene.excitation.waveform
         assert wave
@@ -291,7 +291,7 @@ def _linear(count: int) -> list[Row]:
         ratios = []
         for case in scenes:
             if isinstance(engine, LinearEngine) and not engine.refuses(case.scene) and case.known:
-                run = answer(engine, case.scene, engine.candidate(case.scene, 1.0))
+                run = answer(engine, case.scene, engine.propose(case.scene, 1.0))
                 assert run
                 ratios.append(case.error(run.motion) / engine.round_off(case.scene))
         what = "error on springs over its law"

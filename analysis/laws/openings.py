@@ -10,6 +10,7 @@ import numpy as np
 from lmpchain import Scene, engines
 from lmpchain.benchmark.reference import Reference
 from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.steps import Steps
 from lmpchain.theory.modes import eigenmodes
 from lmpchain.util.arrays import Array
 
@@ -57,16 +58,12 @@ def errors_through_openings(
     """
     engine = engines.Native(integrator=integrator)
     scene = Scene(**scene.given() | {"samples": 2, "grains": "all"})
-    proposed = engine.candidate(scene, 0.5)
+    proposed = engine.propose(scene, 0.5)
     true = reference.displacement, reference.velocity
 
     def error(count: int) -> float:
-        candidate = proposed._replace(
-            steps_per_landing=count,
-            step=scene.duration / count,
-            adaptive=adaptive,
-            coarse_openings=False,
-        )
+        steps = Steps.spread(scene.duration, count, adaptive=adaptive)
+        candidate = proposed._replace(steps=steps)
         run = engine.start([scene], candidate)
         try:
             *_, last = run.blocks()

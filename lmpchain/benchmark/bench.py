@@ -127,7 +127,7 @@ class Bench:
 
     def over_steps(self, name: str, integrator: str) -> Iterator[CurvePoint]:
         """Yield points at ever shorter steps, from the longest stable one to round-off."""
-        interval = self.scene.duration / (self.scene.samples - 1)
+        interval = self.scene.sampling_interval
 
         def at(steps: int) -> Engine:
             return engines.get(name, integrator=integrator, step=interval / steps)
@@ -313,7 +313,7 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
                 if kind in engine.integrators
             ]
         # every engine meets a tolerance of one half
-        elif (cost := engine.candidate(engine.part(scene), 0.5).cost_s) > budget_s / 10:
+        elif (cost := engine.propose(engine.part(scene), 0.5).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:
             scans.append(Scan(name, "", partial(Bench.once, name=name)))

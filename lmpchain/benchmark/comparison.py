@@ -288,7 +288,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     """Draw velocity against grain number at the end, reference as a line, engines as markers."""
     reference = comparison.reference
     scene = comparison.trajectories[0].scene
-    unit = scene.excitation.strike_velocity
+    unit = scene.strike_velocity
     label = r"velocity / strike velocity $v_0$"
     if not unit:
         unit = 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from operator import index
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -28,8 +28,8 @@ from . import walls
 from .bounds import Bounds, bounds
 from .contacts import FEW_GRAINS, Contacts
 from .damping import NO_DAMPING, OneDamping
-from .equilibrium import Equilibrium, Grains, derive_chain
-from .impurities import Impurities, Kinds, kinds, misfits, with_impurities
+from .equilibrium import Equilibrium, derive_chain
+from .impurities import Impurities, Impurity, Kinds, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import ChainPicture
 from .plausible import LIMITS, least_compression, remarks, too_compressed
@@ -216,72 +216,30 @@ class Chain(ChainPicture, Checked):
         weights = (self.top_load, self.gravity, self.exponent)
         return bounds(self._kinds, self.grains, planes, *weights)
 
-    def by_grain(self, prop: str, common: Array | None = None) -> Array:
-        """Return a property of the material of every grain, (N,).
+    def by_grain(self, prop: str) -> Array:
+        """Return a property of the material of every grain, (N,)."""
+        return np.full(self.grains, self.of_material(prop))
 
-        Parameters
-        ----------
-        prop : str
-        common : (..., N) array, optional
-            In place of that of the chain's material, for grains that are no impurities.
+    def of_material(self, prop: str, drawn: Array | None = None) -> float | Array:
+        """Return a property of the material of the grains, (..., N); one number if all share it.
+
+        Values that were drawn, (..., N), take the place of that of all grains but impurities.
         """
-        if common is not None:
-            values = np.array(common)
-        elif isinstance(self.material, Material):
-            values = np.full(self.grains, getattr(self.material, prop))
-        else:
+        values: Any = drawn
+        if drawn is None and isinstance(self.material, Material):
+            values = getattr(self.material, prop)
+        elif drawn is None:
             values = np.array([getattr(material, prop) for material in self.material])
-        for impurity in self.impurity:
-            if impurity.material is not None:
-                values[..., impurity.grain - 1] = getattr(impurity.material, prop)
-        return values
 
-    def grains_with(self, drawn: Mapping[str, Array]) -> Grains:
-        """Return all that determines the equilibrium, of this chain or of R chains like it.
+        def own(impurity: Impurity) -> float | None:
+            return None if impurity.material is None else getattr(impurity.material, prop)
 
-        Parameters
-        ----------
-        drawn : mapping of (R, N) or (R, N-1) arrays
-            What takes the place of fields: "diameter", "masses", "contact_constants", or
-            "material.density", "material.youngs_modulus", "material.poissons_ratio". Impurities
-            keep their own values. Empty for this chain.
-        """
-        # () for a single chain
-        rows = np.broadcast_shapes(*(values.shape[:-1] for values in drawn.values()))
-
-        def spread(value: Any, size: int) -> Array:
-            array = np.empty((*rows, size))
-            array[...] = np.nan if value is None else value
-            return array
-
-        def of_material(prop: str) -> Array:
-            values = self.by_grain(prop, drawn.get(f"material.{prop}"))
-            return values if values.ndim > len(rows) else spread(values, self.grains)
-
-        diameters = spread(drawn.get("diameter", self.diameter), self.grains)
-        masses = spread(drawn.get("masses", self.given_masses), self.grains)
-        constants = drawn.get("contact_constants", self.given_contact_constants)
-        materials: list[Any] = [self.top_material, self.bottom_material]
-        wall_constants = self.given_wall_constants
-        return Grains(
-            diameters=with_impurities(diameters, self.impurity, "diameter"),
-            densities=of_material("density"),
-            moduli=of_material("youngs_modulus") / (1 - of_material("poissons_ratio") ** 2),
-            masses=with_impurities(masses, self.impurity, "mass"),
-            contact_constants=spread(constants, self.grains - 1),
-            walls=(self.top == "wall", self.bottom == "wall"),
-            wall_moduli=[wall.plane_strain_modulus if wall else np.nan for wall in materials],
-            wall_constants=(np.nan, np.nan) if wall_constants is None else wall_constants,
-            top_load=self.top_load,
-            load_grain=self.load_grain,
-            gravity=self.gravity,
-            exponent=self.exponent,
-        )
+        return with_impurities(values, self.impurity, own, self.grains)
 
     @cached_property
     def equilibrium(self) -> Equilibrium:
         """All that follows from the grains at rest."""
-        return derive_chain(self.grains_with({}))
+        return derive_chain(self)
 
     @property
     def contacts(self) -> Contacts:

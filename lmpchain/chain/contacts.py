@@ -41,7 +41,12 @@ def pair_value(values: Array) -> Array:
 
     A plane has an infinite radius.
     """
-    return 1 / (1 / values[..., :-1] + 1 / values[..., 1:])
+    return reduced(values[..., :-1], values[..., 1:])
+
+
+def reduced(upper: Number, lower: Number) -> Number:
+    """Return 1 / (1/a + 1/b) of two bodies, or of two arrays of them."""
+    return 1 / (1 / upper + 1 / lower)
 
 
 def pair_slopes(values: Array) -> tuple[Array, Array]:

@@ -146,7 +146,7 @@ def take_average(
         raise InputError(reasons)
     part = solver.part(draw.number(0))
     announce(
-        realisations * solver.candidate(part, tolerance).cost_s,
+        realisations * solver.propose(part, tolerance).cost_s,
         f"the mean over {realisations} chains by {solver.name}",
         "fewer realisations or a shorter duration takes less",
     )
@@ -181,9 +181,10 @@ def _add_batch(
     bar: ProgressBar,
 ) -> Average:
     """Return the average with the first scenes of a batch, at steps short enough for all of it."""
-    candidates = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
-    hardest = max(candidates, key=lambda candidate: candidate.cost_s)
-    candidate = hardest._replace(adaptive=any(other.adaptive for other in candidates))
+    proposals = [engine.propose(engine.part(scene), tolerance) for scene in scenes]
+    hardest = max(proposals, key=lambda proposal: proposal.cost_s)
+    adaptive = any(proposal.steps.adaptive for proposal in proposals)
+    proposal = hardest._replace(steps=hardest.steps._replace(adaptive=adaptive))
 
     def collect(run: Run) -> Average:
         # steps that turn out too long are taken again, from what there was before
@@ -191,7 +192,7 @@ def _add_batch(
         average.add(run, scenes[:count], bar)
         return average
 
-    attempt = Attempt(engine.name, candidate, tolerance)
+    attempt = Attempt(proposal, tolerance)
     outcome = solve_to_tolerance(engine, scenes, attempt, collect)
     if outcome.missed:
         raise ToleranceNotMet(

@@ -19,21 +19,32 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 
 from ..integrators.methods import Method
-from ..integrators.step_schedule import StepSchedule
+from ..integrators.steps import Steps
 from ..scene.scene import Scene
 from ..trajectory.record import LARGEST_ERROR, Block, Cost, ErrorEstimate
 from ..util.arrays import Array
+from ..util.tables import finite
+
+# fields of a proposal in a plan
+COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
+           "step", "cost_s", "kept", "why")  # fmt: skip
+# what a proposal without an answer has in their place
+NO_STEPS = Steps(1, 1, math.nan)
 
 
-class Candidate(NamedTuple):
-    """Proposal of an engine for a scene: steps, cost and expected errors.
+class Proposal(NamedTuple):
+    """An engine's proposal for a scene: steps, cost and expected errors, and the verdict on it.
 
     Attributes
     ----------
-    step : float
-        Time step, s; of an exact solution, the time between two samples.
+    engine : str
+        Name of the engine.
+    equation : int or None
+        Number in the paper of the equation that it solves; None if the engine was not asked.
+    steps : Steps
+        Time steps; of an exact solution, one from sample to sample.
     active_grains : int
-        Grains that are computed.
+        Grains that are computed; 0 if the engine has no answer to propose.
     model_error, solver_error : float
         Expected relative errors: of the equation, and of its numerical solution (NaN if not
         estimated).
@@ -42,73 +53,65 @@ class Candidate(NamedTuple):
     tolerance : float
         Tolerance for which the steps were chosen; infinite if no tolerance chose them, as with a
         given step.
-    steps_per_landing : int
-        Time steps from one recorded time on which one ends to the next.
-    stride : int
-        Recorded times from one of these to the next; what lies between is interpolated.
     fixed : bool
         Whether the user gave the step, so that no tolerance is enforced.
-    adaptive : bool
-        Whether steps shorten where a contact is about to open or close.
-    coarse_openings : bool
-        Whether those are longer than what keeps the order of the method there asks for.
     integrator : str
-        The method that steps through time, if one does.
+        The method that steps through time; empty where the solution is exact.
     choices : mapping
-        What the engine chose on the user's behalf, for the record and for `Engine.start`.
+        What the engine chose on the user's behalf, for `Engine.start` and for the record: numbers
+        as numbers.
+    kept : bool
+        Whether it is expected to meet the tolerance.
+    why : str
+        Why it is kept or not.
     """
 
-    step: float
-    active_grains: int
-    model_error: float
-    solver_error: float
-    cost_s: float
+    engine: str
+    equation: int | None = None
+    steps: Steps = NO_STEPS
+    active_grains: int = 0
+    model_error: float = math.nan
+    solver_error: float = math.nan
+    cost_s: float = math.nan
     tolerance: float = math.inf
-    steps_per_landing: int = 1
-    stride: int = 1
     fixed: bool = False
-    adaptive: bool = False
-    coarse_openings: bool = False
     integrator: str = ""
-    choices: Mapping[str, str] = {}
-
-    def schedule(self) -> StepSchedule:
-        """Return where steps land on samples; those between are interpolated."""
-        return StepSchedule(
-            self.steps_per_landing,
-            self.stride,
-            self.step,
-            self.adaptive,
-            coarse_openings=self.coarse_openings,
-            dense=int(self.stride > 1),
-        )
-
-    def steps(self, samples: int) -> int:
-        """Return the number of steps from the first of so many samples to the last.
-
-        That is the number of equal ones; adaptive steps may be more.
-        """
-        # rounded up, in integers: a run is never a step short
-        return -(-self.steps_per_landing * (samples - 1) // self.stride)
-
-    def with_steps(self, steps_per_landing: int) -> Candidate:
-        """Return this candidate with so many steps a landing, and none coarse near openings."""
-        ratio = self.steps_per_landing / steps_per_landing
-        return self._replace(
-            steps_per_landing=steps_per_landing,
-            step=self.step * ratio,
-            cost_s=self.cost_s / ratio,
-            coarse_openings=False,
-        )
+    choices: Mapping[str, str | float] = {}
+    kept: bool = False
+    why: str = ""
 
     @property
-    def sampled(self) -> Candidate:
-        """This candidate with steps that end on every sample."""
-        steps = math.ceil(self.steps_per_landing / self.stride)
-        ratio = self.steps_per_landing / (self.stride * steps)
-        return self._replace(
-            steps_per_landing=steps, stride=1, step=self.step * ratio, cost_s=self.cost_s / ratio
-        )
+    def possible(self) -> bool:
+        """Whether the engine has an answer to propose."""
+        return self.active_grains > 0
+
+    @property
+    def step(self) -> float:
+        """Time step, s; of an exact solution, the time between two samples."""
+        return self.steps.step
+
+    @property
+    def price_s(self) -> float:
+        """Expected time, s; infinite if it is not kept."""
+        return self.cost_s if self.kept else math.inf
+
+    def with_steps(self, steps: Steps) -> Proposal:
+        """Return this proposal with other steps, at their cost."""
+        rate = steps.per_landing / steps.stride
+        before = self.steps.per_landing / self.steps.stride
+        return self._replace(steps=steps, cost_s=self.cost_s * rate / before)
+
+    def record(self) -> dict[str, str]:
+        """Return the choices in words."""
+        return {
+            key: value if isinstance(value, str) else repr(value)
+            for key, value in self.choices.items()
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of a plan for a JSON file; numbers that are not known are null."""
+        fields = {name: getattr(self, name) for name in COLUMNS}
+        return finite(fields | {"active_grains": self.active_grains or None})
 
 
 class ErrorBudget(NamedTuple):
@@ -234,7 +237,7 @@ class Engine(ABC):
     integrators : tuple of str
         The methods among which it lets choose; empty if it does not step through time.
     inputs, logs : tuple of str
-        Files that it may write to a run folder: with which a candidate runs without this package,
+        Files that it may write to a run folder: with which a proposal runs without this package,
         and what it says on the way.
     integrator, step
         What the user gave of these.
@@ -290,7 +293,7 @@ class Engine(ABC):
         return 0.0
 
     @abstractmethod
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+    def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose how to answer within the tolerance.
 
         Raises
@@ -301,15 +304,15 @@ class Engine(ABC):
 
     @abstractmethod
     def refine(
-        self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
-    ) -> Candidate | None:
+        self, proposal: Proposal, error: ErrorBudget | None, tolerance: float
+    ) -> Proposal | None:
         """Propose the next attempt after a run that missed the tolerance.
 
         Its error is None if it broke down. Return None if nothing can help, for round-off alone
         exceeds the tolerance.
         """
 
-    def batch_key(self, scene: Scene, candidate: Candidate) -> Hashable:
+    def batch_key(self, scene: Scene, proposal: Proposal) -> Hashable:
         """Return a key of scenes that have the answers and errors in a batch that they have alone.
 
         None by default: such a scene is answered alone.
@@ -320,13 +323,13 @@ class Engine(ABC):
     def start(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
+        proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> Run:
         """Start one scene, or a batch of scenes that differ in numbers only."""
 
-    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """Describe, for the record, what shapes the answer besides the choices of a candidate.
+    def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
+        """Describe, for the record, what shapes the answer besides the choices of a proposal.
 
         Versions of compilers and libraries, for example; nothing by default.
         """
@@ -347,9 +350,9 @@ class Engine(ABC):
         return copy(self)
 
     def write_inputs(
-        self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path
+        self, scene: Scene, proposal: Proposal, tolerance: float, folder: Path
     ) -> None:
-        """Write input files to a run folder, with which the candidate runs without this package."""
+        """Write input files to a run folder, with which the proposal runs without this package."""
         return
 
     def part(self, scene: Scene) -> Scene:

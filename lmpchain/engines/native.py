@@ -11,16 +11,16 @@ from ..errors import InputError, ToleranceNotMet, shown
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.layout import PAD
+from ..integrators.method import Method
 from ..integrators.methods import BY_NAME, METHODS
-from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
+from ..integrators.steps import Steps
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
 from ..util.plotting import COLOURS
 from ..util.suggestions import not_among
-from .base import Candidate
+from .base import Proposal
 from .stepping.round_off import native_floor, plain_loss
-from .stepping.step_choice import StepChoice
 from .stepping.time_stepping import TimeSteppingEngine
 
 
@@ -78,21 +78,23 @@ class Native(TimeSteppingEngine):
         self.force = force
         self.adaptive = adaptive
 
-    def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
-        """Propose the steps of a choice, unless round-off alone exceeds the tolerance."""
-        candidate = super().propose(scene, tolerance, choice)
+    def propose_steps(
+        self, scene: Scene, tolerance: float, method: Method, steps: Steps
+    ) -> Proposal:
+        """Propose these steps, unless round-off alone exceeds the tolerance."""
+        proposal = super().propose_steps(scene, tolerance, method, steps)
         # a given step is taken, whatever it leaves, and what is held has no error
-        if not candidate.fixed and scene.recorded[0] <= scene.chain.movable:
-            evaluations = candidate.steps(scene.samples) * choice.method.evaluations
-            floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
+        if not proposal.fixed and scene.recorded[0] <= scene.chain.movable:
+            evaluations = steps.total(scene.intervals) * method.evaluations
+            floor = native_floor(evaluations, scene.total_phase)
             if floor > tolerance:
                 cure = "ask for less"
-                if self.integrator != "auto" and choice.method.order < METHODS["rkn6"].order:
+                if self.integrator != "auto" and method.order < METHODS["rkn6"].order:
                     cure = f'use integrator "rkn6", which takes fewer steps, or {cure}'
                 raise ToleranceNotMet(
                     f"round-off alone may make an error of {floor:.1g}, above the tolerance: {cure}"
                 )
-        return candidate
+        return proposal
 
     def choices(self, scene: Scene) -> dict[str, str]:
         """Return the form of the force."""
@@ -103,9 +105,7 @@ class Native(TimeSteppingEngine):
 
         The phase shifts by a quarter of what `native_floor` allows for.
         """
-        walk = native_floor(
-            steps * self.methods(scene)[0].evaluations, scene.highest_frequency * scene.duration / 4
-        )
+        walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
         if force_form(scene, self.force) in ROOTS:
             walk += plain_loss(scene, steps) / speed
         return walk
@@ -114,22 +114,22 @@ class Native(TimeSteppingEngine):
         """Return the grains that a step computes, on average: those that waves have reached."""
         first, last = scene.excitation.reach(scene.chain)
         # a front runs at half the highest frequency, so on average the cone has half its width
-        reached = last - first + 1 + 2 * PAD + scene.highest_frequency * scene.duration / 4
+        reached = last - first + 1 + 2 * PAD + scene.total_phase / 4
         return min(scene.chain.grains, reached)
 
     def stepper(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
-        schedules: Sequence[StepSchedule],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> NativeStepper:
         """Make the stepper of the answer and its companions."""
         answer, *companions = schedules
         chains = ChainBatch(scenes, self.force)
-        method = BY_NAME[candidate.integrator]
+        method = BY_NAME[proposal.integrator]
         return NativeStepper(chains, method, answer, state, self.threads, companions)
 
-    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+    def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
         """Return the version of the compiler."""
         return {"numba": numba.__version__}

@@ -17,7 +17,7 @@ from ..scene.scene import Scene
 from ..trajectory.record import LARGEST_ERROR, Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
-from .base import Candidate, Engine, ErrorBudget, Run
+from .base import Engine, ErrorBudget, Proposal, Run
 from .cost_model import check_budget
 
 
@@ -62,7 +62,6 @@ PATIENCE = Patience()
 # what chaos leaves to know, and its call
 AVERAGES = "averages over time (lmpchain.averages)"
 Collected = TypeVar("Collected")  # of the blocks of a run
-Proposed = TypeVar("Proposed")
 
 
 class Attempt(NamedTuple):
@@ -70,15 +69,13 @@ class Attempt(NamedTuple):
 
     Attributes
     ----------
-    engine : str
-        Its name.
-    candidate : Candidate
+    proposal : Proposal
     tolerance : float
         That it is to meet.
     refusal : str
         Why that is not the one that was asked for, if it is not.
     planned_s : float
-        Time spent before it on finding candidates and setting up, s.
+        Time spent before it on finding proposals and setting up, s.
     spent_s : float
         Time spent before it on integrations and their estimates, s.
     compiled_s : float
@@ -88,7 +85,7 @@ class Attempt(NamedTuple):
         ended on the way, for it was lost.
     breakdowns : int
         How many did not.
-    best : (float, Candidate), optional
+    best : (float, Proposal), optional
         The least error of these attempts, and the steps that gave it.
     repeats : bool
         Whether it is this best one again, for none met the tolerance.
@@ -96,8 +93,7 @@ class Attempt(NamedTuple):
         Time up to which the scene is answered, s, for it cannot be predicted any longer.
     """
 
-    engine: str
-    candidate: Candidate
+    proposal: Proposal
     tolerance: float
     refusal: str = ""
     planned_s: float = 0.0
@@ -105,7 +101,7 @@ class Attempt(NamedTuple):
     compiled_s: float = 0.0
     truncations: tuple[float, ...] = ()
     breakdowns: int = 0
-    best: tuple[float, Candidate] | None = None
+    best: tuple[float, Proposal] | None = None
     repeats: bool = False
     known_until: float = math.inf
 
@@ -116,11 +112,12 @@ class Attempt(NamedTuple):
 
     def work(self, samples: int) -> str:
         """Return in words what the attempt is, and why it takes its time."""
-        candidate = self.candidate
-        words = f"the run by {self.engine}"
-        if candidate.integrator:
-            words += f" with {candidate.steps(samples)} steps of {candidate.integrator}"
-        if candidate.fixed:
+        proposal = self.proposal
+        words = f"the run by {proposal.engine}"
+        if proposal.integrator:
+            steps = proposal.steps.total(samples - 1)
+            words += f" with {steps} steps of {proposal.integrator}"
+        if proposal.fixed:
             return f"{words} of the given length"
         return f"{words} for a tolerance of {self.tolerance:.2g}"
 
@@ -163,24 +160,34 @@ class _Lost(Exception):
 
 
 def first_attempt(
-    engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False
+    propose: Callable[[float], Proposal], tolerance: float, best_effort: bool = False
 ) -> Attempt:
-    """Return the first attempt; `best_effort` loosens a tolerance that the engine refuses.
+    """Return the first attempt, from the proposal for a tolerance.
+
+    If the tolerance is refused, `best_effort` asks for four times as much, and so on.
 
     Raises
     ------
     ToleranceNotMet
-        If the engine knows beforehand that it cannot meet the tolerance.
+        If it is known beforehand that the tolerance cannot be met, or with `best_effort` that
+        nothing tighter than 0.1 can.
     """
     began = clock()
     compiled = compiled_s()
-    propose = partial(engine.candidate, scene)
-    candidate, tolerance, refusal = loosen(propose, tolerance, best_effort)
+    reason = ""
+    while True:
+        try:
+            proposal = propose(tolerance)
+            break
+        except ToleranceNotMet as refusal:
+            if tolerance > 0.1 or not best_effort:
+                raise
+            reason = reason or refusal.reason
+            # a refusal names no tolerance that would do
+            tolerance *= 4
     planned_s = clock() - began
     compiled = compiled_s() - compiled
-    return Attempt(
-        engine.name, candidate, tolerance, refusal, planned_s=planned_s, compiled_s=compiled
-    )
+    return Attempt(proposal, tolerance, reason, planned_s=planned_s, compiled_s=compiled)
 
 
 def solve_to_tolerance(
@@ -222,10 +229,10 @@ def solve_to_tolerance(
     compiled = compiled_s() - attempt.compiled_s
     while True:
         # A native trial, too, may need far more steps than its first attempt.
-        check_budget(attempt.candidate.cost_s + attempt.spent_s, attempt.work(scenes[0].samples))
+        check_budget(attempt.proposal.cost_s + attempt.spent_s, attempt.work(scenes[0].samples))
         began = clock()
-        run = engine.start(scenes, attempt.candidate, begin(attempt))
-        if not attempt.candidate.fixed:
+        run = engine.start(scenes, attempt.proposal, begin(attempt))
+        if not attempt.proposal.fixed:
             run.judge = partial(_judge, engine, scenes[0], attempt, patient)
         errors: list[ErrorBudget] = []
         lost: Attempt | None = None
@@ -236,7 +243,7 @@ def solve_to_tolerance(
             lost = verdict.following
         except RunFailed as failure:
             # a given step is not shortened
-            if attempt.candidate.fixed or attempt.breakdowns == PATIENCE.breakdowns:
+            if attempt.proposal.fixed or attempt.breakdowns == PATIENCE.breakdowns:
                 if engine.suspect:
                     raise RunFailed(f"{engine.suspect}; {failure}") from failure
                 raise
@@ -286,7 +293,7 @@ def _conclude(
     if missed and engine.suspect:
         missed = f"{engine.suspect}; {missed}"
     known_s = math.inf
-    if attempt.candidate.fixed:
+    if attempt.proposal.fixed:
         known_s = _known_until(error, PATIENCE.visible, scene)
     elif missed:
         known_s = _known_until(error, attempt.tolerance, scene)
@@ -315,7 +322,7 @@ def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: R
     known_s = _known_until(expected, tolerance, scene)
     if on_course and known_s == math.inf:
         return
-    helps = engine.refine(attempt.candidate, expected, tolerance)
+    helps = engine.refine(attempt.proposal, expected, tolerance)
     if known_s < math.inf and not (helps or patient):
         so_far = expected._replace(truncation=error.truncation)
         raise ToleranceNotMet(_explain(scene, so_far, attempt), known_until=known_s)
@@ -341,82 +348,55 @@ def next_attempt(
     the next attempt, None if this was the last one; and why it missed the tolerance, empty if it
     did not
     """
-    candidate = attempt.candidate
+    proposal = attempt.proposal
     if error is None:
-        better = engine.refine(candidate, None, attempt.tolerance)
+        better = engine.refine(proposal, None, attempt.tolerance)
         assert better
-        return attempt._replace(candidate=better, breakdowns=attempt.breakdowns + 1), ""
-    if candidate.fixed or error.solver <= attempt.tolerance:
+        return attempt._replace(proposal=better, breakdowns=attempt.breakdowns + 1), ""
+    if proposal.fixed or error.solver <= attempt.tolerance:
         return None, ""
     if attempt.repeats:
         return None, _explain(scene, error, attempt)
     best = attempt.best
     if ended and (best is None or error.solver < best[0]):
-        best = error.solver, candidate
+        best = error.solver, proposal
     truncation = error.truncation if ended else math.inf
     attempt = attempt._replace(truncations=(*attempt.truncations, truncation), best=best)
     better = None if _stalls(attempt) else _shorten(engine, attempt, error, patient)
     if better:
-        return attempt._replace(candidate=better), ""
-    if ended and best and _is_worth_repeating(best[1], candidate, error, attempt.tolerance):
-        return attempt._replace(candidate=best[1], repeats=True), ""
+        return attempt._replace(proposal=better), ""
+    if ended and best and _is_worth_repeating(best[1], proposal, error, attempt.tolerance):
+        return attempt._replace(proposal=best[1], repeats=True), ""
     return None, _explain(scene, error, attempt)
 
 
 def _is_worth_repeating(
-    best: Candidate, candidate: Candidate, error: ErrorBudget, tolerance: float
+    best: Proposal, proposal: Proposal, error: ErrorBudget, tolerance: float
 ) -> bool:
     """Return whether an earlier attempt is run again: samples of one run alone are held.
 
     Shorter steps may have been worse by chance; where rounding is the limit, the shortest are right
     for longest.
     """
-    return best != candidate and error.roundoff <= tolerance
+    return best != proposal and error.roundoff <= tolerance
 
 
 def _shorten(
     engine: Engine, attempt: Attempt, error: ErrorBudget, patient: bool
-) -> Candidate | None:
+) -> Proposal | None:
     """Return shorter steps, for the tolerance or the best that rounding leaves; None if none help.
 
     Where rounding alone is too much, a patient user gets what is right as long as round-off allows,
     and others an error that is no more than three times that of rounding: distances of runs, which
     count twice, are themselves as large as rounding there.
     """
-    candidate = attempt.candidate
+    proposal = attempt.proposal
     tolerance = attempt.tolerance
-    better = engine.refine(candidate, error, tolerance)
+    better = engine.refine(proposal, error, tolerance)
     floor = tolerance if patient else max(tolerance, 2 * error.roundoff)
     if better is None and error.truncation > floor:
-        better = engine.refine(candidate, error._replace(roundoff=0.0), floor)
+        better = engine.refine(proposal, error._replace(roundoff=0.0), floor)
     return better
-
-
-def loosen(
-    propose: Callable[[float], Proposed], tolerance: float, best_effort: bool = True
-) -> tuple[Proposed, float, str]:
-    """Return the proposal for a tolerance; by `best_effort`, for a looser one that can be met.
-
-    Returns
-    -------
-    the proposal, the tolerance it is for, and why the one asked for was refused (empty if it was
-    not)
-
-    Raises
-    ------
-    ToleranceNotMet
-        If nothing tighter than 0.1 can be met, or not even this tolerance without `best_effort`.
-    """
-    reason = ""
-    while True:
-        try:
-            return propose(tolerance), tolerance, reason
-        except ToleranceNotMet as refusal:
-            if tolerance > 0.1 or not best_effort:
-                raise
-            reason = reason or refusal.reason
-            # a refusal names no tolerance that would do
-            tolerance *= 4
 
 
 def _stalls(attempt: Attempt) -> bool:
@@ -439,7 +419,7 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     if len(attempt.truncations) == PATIENCE.attempts:
         reason += f", after {PATIENCE.attempts} attempts at ever shorter steps"
     elif _stalls(attempt):
-        reason += f", and steps shorter than {attempt.candidate.step:.2g} s do not help"
+        reason += f", and steps shorter than {attempt.proposal.step:.2g} s do not help"
     if error.roundoff > tolerance / 2:
         reason += f", for round-off alone may make {min(error.roundoff, LARGEST_ERROR):.2g}"
     time_s = _known_until(error, tolerance, scene)

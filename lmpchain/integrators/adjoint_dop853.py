@@ -26,8 +26,8 @@ from .kernels.course import Looks
 from .kernels.dop853 import Weighted
 from .kernels.layout import PAD, Noted
 from .observed_run import ObservedRun
-from .step_schedule import StepSchedule
 from .stepper import NativeStepper, room_for
+from .steps import Steps
 
 
 class Dop853Checkpoints(NamedTuple):
@@ -79,7 +79,7 @@ class Followed(NamedTuple):
 def follow(
     scene: Scene,
     method: DormandPrince,
-    schedule: StepSchedule,
+    schedule: Steps,
     looks: int,
     grains: NDArray[np.intp],
 ) -> Followed:
@@ -87,7 +87,7 @@ def follow(
     batch = ChainBatch([scene.replace(samples=looks + 1)])
     run = NativeStepper(batch, method, schedule, {})
     width = batch.inverse_mass.shape[1]
-    expected = looks * schedule.steps * (MORE if schedule.adaptive else 1)
+    expected = looks * schedule.per_landing * (MORE if schedule.adaptive else 1)
     # as far apart as the cache allows; further where memory does not hold all
     every = CHECKPOINTS.kept_bytes // (3 * 8 * method.evaluations * width)
     every = max(

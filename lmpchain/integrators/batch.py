@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
-from ..scene.strike import first_overlaps
 from ..util.arrays import Array
 from ..util.caching import cached_property
 from .kernels import waveform
@@ -284,7 +283,7 @@ def _strong(scene: Scene) -> bool:
     if not chain.loose_grains:
         return scene.strike_number > STRONG
     # the strike number of a grain that only touches is infinite, however gently it strikes others
-    deepest = first_overlaps(chain, scene.excitation).max()
+    deepest = scene.first_overlaps.max()
     return bool(deepest > (1 + STRONG) * chain.contacts.overlap.max())
 
 

@@ -12,7 +12,7 @@ from ..util.arrays import Array
 from ..util.caching import cached_property
 from .method import March, first_growth
 from .openings import shorten_steps
-from .step_schedule import StepSchedule
+from .steps import Steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
@@ -61,7 +61,7 @@ class DormandPrince:
         slopes = np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12))
         return float(abs(1 + 1j * reach * DOP853.B @ slopes))
 
-    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+    def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.dop853 import make_work, march, march_by_step
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..util.caching import cached_property
 from .method import March, first_growth
-from .step_schedule import StepSchedule
+from .steps import Steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
@@ -47,7 +47,7 @@ class Gear:
         off = -0.5 * reach**2 * predict[0] - predict[2]
         return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
 
-    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+    def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.gear import make_work, march
 

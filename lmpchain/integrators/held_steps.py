@@ -10,15 +10,15 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from .batch import ChainBatch
 from .method import Method
-from .step_schedule import StepSchedule
 from .stepper import NativeStepper
+from .steps import Steps
 
 
-def schedule_of(scene: Scene, step: float, looks: int, adaptive: bool) -> StepSchedule:
+def schedule_of(scene: Scene, step: float, looks: int, adaptive: bool) -> Steps:
     """Return the schedule of steps up to this length, s, that end on so many looks."""
     interval = scene.duration / looks
     count = max(1, math.ceil(interval / step * (1 - 1e-12)))
-    return StepSchedule(count, 1, interval / count, adaptive)
+    return Steps.spread(interval, count, adaptive=adaptive)
 
 
 def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> list[Array]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from .method import March
 from .splittings import VERLET
-from .step_schedule import StepSchedule
+from .steps import Steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
@@ -37,7 +37,7 @@ class LaggedVerlet:
         """Return the growth of a lossless oscillator in a step at omega h = reach."""
         return VERLET.growth(reach)
 
-    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+    def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.lagged import make_work, march
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .step_schedule import StepSchedule
+from .steps import Steps
 
 if TYPE_CHECKING:  # numba, which it imports, is not needed to know a method
     from .batch import ChainBatch
@@ -88,7 +88,7 @@ class Method(Protocol):
     def growth(self, reach: float) -> float:
         """Return the factor by which an oscillator grows a step, or shrinks, at omega h = reach."""
 
-    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+    def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
         """Return the compiled march of a batch of chains by these schedules, of one kind."""
 
 

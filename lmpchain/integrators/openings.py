@@ -10,7 +10,7 @@ import numpy as np
 
 from ..util.arrays import EPSILON
 from .kernels.layout import Shortening
-from .step_schedule import StepSchedule
+from .steps import Steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
@@ -44,7 +44,7 @@ class OpeningSteps:
 OPENING_STEPS = OpeningSteps()
 
 
-def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> Shortening:
+def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> Shortening:
     """Return the lengths of steps near openings, of these schedules of one kind."""
     steps = OPENING_STEPS
     # a step across an opening is wrong by its length to the power delta + 1

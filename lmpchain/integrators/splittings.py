@@ -19,7 +19,7 @@ from ..util.caching import cached_property
 from .kernels.layout import SplittingStages
 from .method import March
 from .openings import shorten_steps
-from .step_schedule import StepSchedule
+from .steps import Steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
@@ -91,7 +91,7 @@ class Splitting:
         half = abs(float(self._half_trace(np.array(reach))))
         return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
 
-    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+    def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels import adaptive_splitting, splitting
 

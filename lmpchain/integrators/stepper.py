@@ -14,7 +14,6 @@ from ..util.arrays import Array
 from .batch import ChainBatch
 from .kernels.layout import (
     ALONE,
-    CLOCK,
     GIVEN_UP,
     LEAST_SHARE,
     PAD,
@@ -26,7 +25,7 @@ from .kernels.layout import (
     team,
 )
 from .method import Method
-from .step_schedule import StepSchedule
+from .steps import Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
 UNFIT = "the state that was kept does not fit"
@@ -42,7 +41,7 @@ class ThreadShare(NamedTuple):
         Coefficients of the method, as its march takes them.
     room : tuple
         What the march works in.
-    clocks : (F,) array of `layout.CLOCK`
+    clocks : (F,) array of `steps.CLOCK`
     begin, end : int
         The first of the chains, and the one behind the last.
     """
@@ -105,11 +104,11 @@ class NativeStepper:
     ----------
     chains : ChainBatch
     method : Method
-    schedule : StepSchedule
+    schedule : Steps
     state : mapping
         Empty, or what `state` returned.
     threads : int
-    companions : sequence of S StepSchedule
+    companions : sequence of S Steps
 
     Attributes
     ----------
@@ -125,10 +124,10 @@ class NativeStepper:
         self,
         chains: ChainBatch,
         method: Method,
-        schedule: StepSchedule,
+        schedule: Steps,
         state: Mapping[str, Array],
         threads: int = 1,
-        companions: Sequence[StepSchedule] = (),
+        companions: Sequence[Steps] = (),
     ):
         self.chains = chains
         self.threads = threads
@@ -149,13 +148,8 @@ class NativeStepper:
             self._check_state(state["state"])
             self._state[:] = state["state"]
         self.stride = schedule.stride
-        final = scenes[0].samples - 1
-        interval = scenes[0].duration / final
-        rows = [
-            (interval, final, s.steps, s.step, s.stride, s.ratio == 1, s.dense)
-            for s in self._schedules
-        ]
-        clocks = np.array(rows, CLOCK)
+        final = scenes[0].intervals
+        interval = scenes[0].sampling_interval
         march = method.march(chains, self._schedules)
         self._march = march.run
         self._by_step = march.by_step
@@ -185,7 +179,7 @@ class NativeStepper:
                     arrays,
                     march.method,
                     march.make_work(arrays, march.method),
-                    clocks,
+                    clocks(self._schedules, interval, final),
                     begin,
                     end,
                 )
@@ -291,7 +285,7 @@ class NativeStepper:
         """Part of all landings that are done."""
         samples = self._state["sample"].reshape(-1, self._size).mean(1)
         rates = [1 / schedule.stride for schedule in self._schedules]
-        return float(samples @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
+        return float(samples @ rates) / (sum(rates) * self.chains.scenes[0].intervals)
 
     @property
     def watched(self) -> NDArray[Any]:

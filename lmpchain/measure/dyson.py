@@ -269,7 +269,7 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
         weight=weight,
         as_printed=dyson.average(velocity, kappa, orders[:, None]),
         normalised=dyson.average(velocity, kappa, orders[:, None], normalised=True),
-        unit=trajectory.scene.excitation.strike_velocity or 1.0,
+        unit=trajectory.scene.strike_velocity or 1.0,
     )
 
 

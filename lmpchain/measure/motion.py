@@ -101,7 +101,7 @@ class Motion:
         self.grains = grains
         self.displacement = displacement
         self.velocity = velocity
-        self.step = scene.duration / (scene.samples - 1)
+        self.step = scene.sampling_interval
         self._equation = equation
         self._error = error if math.isfinite(error) else 0.0
         # largest sizes of each grain at the samples; abs() would copy the fields
@@ -286,7 +286,7 @@ class Motion:
         scene = self.scene
         chain = scene.chain
         u, v = np.maximum(self.sampled, scene.imposed).tolist()
-        angle = scene.highest_frequency * self.step
+        angle = scene.sampling_phase
         resolved = self._all_recorded and angle <= RESOLVED
         if resolved or not self._energy_bounds:
             factor = 1 / math.cos(min(angle, RESOLVED) / 2)
@@ -315,7 +315,7 @@ class Motion:
 
         They are -1 where nothing hides; the shape is (1, 0) if nothing hides anywhere.
         """
-        angle = self.scene.highest_frequency * self.step
+        angle = self.scene.sampling_phase
         if angle <= RESOLVED_BY_DIFFERENCES or (angle <= RESOLVED and self._lawful.all()):
             return np.zeros((1, 0))
         lawful = self._lawful[self._moving]
@@ -355,7 +355,7 @@ class Motion:
             # each contact twice: a bound
             of_grains = masses * v**2 / 2 + elastic[:, 1:] + elastic[:, :-1]
             # a wave passes fewer than omega h / 2 grains in an interval
-            reach = math.ceil(scene.highest_frequency * self.step / 2) + 2
+            reach = math.ceil(scene.sampling_phase / 2) + 2
             sums = np.pad(np.cumsum(of_grains, axis=1), ((0, 0), (1, 0)))
             n = np.arange(masses.size)
             above = sums[:, np.maximum(n - reach, 0)]

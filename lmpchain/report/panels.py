@@ -177,7 +177,7 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     """Return the power with which the peak velocity falls with depth, and the kind of wave."""
     chain = run.scene.chain
     excitation = run.scene.excitation
-    if chain.grains == 1 or not is_uniform(chain) or not excitation.strike_velocity:
+    if chain.grains == 1 or not is_uniform(chain) or not run.scene.strike_velocity:
         return None, ""
     # without compression a strike breaks up into waves that keep their heights
     if not chain.compressed:

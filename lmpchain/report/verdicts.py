@@ -70,7 +70,7 @@ def _linear_run(scene: Scene) -> Trajectory | None:
     able = [engine for engine in linear if not engines.obstacles(engine, scene)]
     if not able:
         return None
-    cheapest = min(able, key=lambda engine: engine.candidate(engine.part(scene), 0.5).cost_s)
+    cheapest = min(able, key=lambda engine: engine.propose(engine.part(scene), 0.5).cost_s)
     with warnings_aside():
         # the difference is shown
         return simulate(scene, cheapest)
@@ -105,14 +105,14 @@ def front_below(run: Trajectory) -> front.Front:
     )
     if track.grain.size < fewest:
         raise missing
-    step = scene.duration / (scene.samples - 1)
+    step = scene.sampling_interval
     # times nearer to one another than the samples show tell nothing of their order
     shown = track.time_error < step
     resolved = np.diff(track.time[shown])
     # what does not pass one grain after the other is no front, but a mode that swings
     if shown.sum() >= fewest and np.mean(resolved > 0) >= FRONT_LIMITS.onward:
         return track.where(shown)
-    needed = 1 + int(np.ceil(scene.highest_frequency * scene.duration / front.RESOLVED_TURN))
+    needed = 1 + int(np.ceil(scene.total_phase / front.RESOLVED_TURN))
     if needed > scene.samples:
         raise InputError.at(
             "samples",

@@ -21,12 +21,12 @@ from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
 from ..util.suggestions import did_you_mean, not_among
-from ..util.validation import Checked
+from ..util.validation import Checked, make_unchecked
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
+from .facts import SceneFacts
 from .measured import Measured
 from .recording import Recording
-from .strike import squeezed, strike_faults, surroundings
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,8 @@ def _misfits(
         duration = recording.duration if recording else 0.0
         faults = list(excitation.faults(stand_in, duration))
         if chain and not faults:
-            faults = list(strike_faults(excitation, squeezed(surroundings(chain, excitation))))
+            facts = {"chain": chain, "excitation": excitation, "duration": duration}
+            faults = list(make_unchecked(SceneFacts, **facts).strike_faults())
         yield from InputError(faults).under("excitation")
     if recording:
         yield from InputError(recording.faults(stand_in)).under("recording")

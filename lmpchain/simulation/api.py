@@ -18,7 +18,8 @@ from ..engines.cost_model import PATIENCE_S, announce, check_time, in_words
 from ..engines.step_control import AVERAGES, PATIENCE, Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, LmpchainError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.methods import BY_NAME
-from ..scene.scene import LightCone, Scene, check_scene
+from ..scene.facts import LightCone
+from ..scene.scene import Scene, check_scene
 from ..trajectory.record import LARGEST_ERROR, Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
@@ -176,7 +177,7 @@ def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Ou
     with output.requests:
         while True:
             scene = output.scene.until(attempt.known_until)
-            engine = output.prepare(output.engine or engines.plain(attempt.engine))
+            engine = output.prepare(output.engine or engines.plain(attempt.proposal.engine))
             try:
                 outcome, gathered = _solve(scene, engine, attempt, output, progress)
             except ToleranceNotMet as limit:
@@ -266,7 +267,7 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
 
     `left` is the share of the samples that remains.
     """
-    cost_s = left * attempt.candidate.cost_s
+    cost_s = left * attempt.proposal.cost_s
     cures = ["a shorter duration"]
     if cost_s > PATIENCE_S:
         cures += _cheaper(scene, attempt, cost_s)
@@ -276,18 +277,18 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
 
 def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
     """Yield choices that take less time than an attempt, with their expected times."""
-    if attempt.candidate.fixed:
+    if attempt.proposal.fixed:
         yield "a longer step"
         return
     tolerance = attempt.tolerance
-    method = BY_NAME.get(attempt.candidate.integrator)
+    method = BY_NAME.get(attempt.proposal.integrator)
     if method and 10 * tolerance < 1:
         tenth_s = cost_s / 10 ** (1 / method.order)
         yield f"a tolerance of {10 * tolerance:.2g} (about {in_words(tenth_s)})"
     with suppress(LmpchainError):
         best = choose(scene, None, tolerance, True)
-        if best.candidate.cost_s < cost_s / 2:
-            yield f"the engine {best.engine} (about {in_words(best.candidate.cost_s)})"
+        if best.proposal.cost_s < cost_s / 2:
+            yield f"the engine {best.proposal.engine} (about {in_words(best.proposal.cost_s)})"
 
 
 def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
@@ -297,7 +298,7 @@ def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
         check_time()
 
 
-def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
+def _expand(blocks: Iterator[Block], cone: LightCone[Scene] | None) -> Iterator[Block]:
     """Return blocks of the light cone as blocks of the whole scene."""
     if cone is None:
         return blocks
@@ -407,7 +408,7 @@ class _Memory:
             velocity=velocity,
             error_estimate=outcome.error.estimate,
             cost=outcome.cost,
-            provenance=record(engine, scene, outcome.attempt.candidate, self.tolerance),
+            provenance=record(engine, scene, outcome.attempt.proposal, self.tolerance),
             gathered=gathered,
         )
 

@@ -84,7 +84,7 @@ def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
     """Return the shortest time of an answer, s, and its work on the reference machine, s."""
     scene = _scene(grains, periods)
     start, slowness = speed(engine.name, engine.start_up_s)
-    work = (engine.candidate(engine.part(scene), TOLERANCE).cost_s - start) / slowness
+    work = (engine.propose(engine.part(scene), TOLERANCE).cost_s - start) / slowness
     times = []
     with warnings_aside():
         for _ in range(REPEATS):

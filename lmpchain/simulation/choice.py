@@ -9,88 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from .. import engines
-from ..engines.base import Candidate, Engine, ErrorBudget
+from ..engines.base import Engine, ErrorBudget, Proposal
 from ..engines.cost_model import speed
-from ..engines.step_control import Attempt, first_attempt, loosen
+from ..engines.step_control import Attempt, first_attempt
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
-from ..util.compilation import clock, compiled_s
+from ..util.compilation import clock
 from ..util.provenance import versions
 from ..util.suggestions import not_among
-from ..util.tables import finite
 
 AUTO = "auto"
 GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
 # by the equation that it solves
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
-COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
-           "step", "cost_s", "kept", "why")  # fmt: skip
 SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
-
-
-class Proposal(NamedTuple):
-    """An engine's candidate and the verdict on it.
-
-    Attributes
-    ----------
-    engine : str
-    equation : int or None
-        Number in the paper of the equation that it solves; None if the engine was not asked.
-    candidate : Candidate or None
-        None if it has nothing to propose.
-    kept : bool
-        Whether it is expected to meet the tolerance.
-    why : str
-        Why it is kept or not.
-    """
-
-    engine: str
-    equation: int | None = None
-    candidate: Candidate | None = None
-    kept: bool = False
-    why: str = ""
-
-    @property
-    def integrator(self) -> str:
-        """The method that steps through time; empty where the solution is exact."""
-        return self.candidate.integrator if self.candidate else ""
-
-    @property
-    def model_error(self) -> float:
-        """Expected relative error of the equation; NaN if it is not known."""
-        return self.candidate.model_error if self.candidate else math.nan
-
-    @property
-    def solver_error(self) -> float:
-        """Expected relative error of the numerical solution; NaN if it is not known."""
-        return self.candidate.solver_error if self.candidate else math.nan
-
-    @property
-    def active_grains(self) -> int | None:
-        """Grains that are computed; the others are out of reach."""
-        return self.candidate.active_grains if self.candidate else None
-
-    @property
-    def step(self) -> float:
-        """Time step, s; of an exact solution, the time between two samples."""
-        return self.candidate.step if self.candidate else math.nan
-
-    @property
-    def cost_s(self) -> float:
-        """Expected time, s."""
-        return self.candidate.cost_s if self.candidate else math.nan
-
-    @property
-    def price_s(self) -> float:
-        """Expected time, s; infinite if it is not kept."""
-        return self.cost_s if self.kept else math.inf
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields for a JSON file; numbers that are not known are null."""
-        return finite({name: getattr(self, name) for name in COLUMNS})
 
 
 def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
@@ -136,28 +71,20 @@ def choose(
     ToleranceNotMet
         If it is known beforehand that the tolerance cannot be met.
     """
-    if engine:
-        return first_attempt(engine, engine.part(scene), tolerance, best_effort)
-    began = clock()
-    compiled = compiled_s()
-    attempt, _, refusal = loosen(partial(_cheapest, scene), tolerance, best_effort)
-    return attempt._replace(
-        refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled
-    )
+    ask = partial(engine.propose, engine.part(scene)) if engine else partial(_choose, scene)
+    return first_attempt(ask, tolerance, best_effort)
 
 
-def _cheapest(scene: Scene, tolerance: float) -> Attempt:
-    """Return the first attempt of the cheapest engine, or raise `ToleranceNotMet`."""
+def _choose(scene: Scene, tolerance: float) -> Proposal:
+    """Return the proposal of the cheapest engine, or raise `ToleranceNotMet`."""
     proposals = propose(scene, tolerance)
     best = cheapest(proposals)
-    return _attempt(best, tolerance, plan=f"{best.engine}: {reason(best, proposals)}")
+    return _explained(best, plan=f"{best.engine}: {reason(best, proposals)}")
 
 
-def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
-    """Return the first attempt of a proposal, which keeps on record why it was chosen."""
-    assert proposal.candidate
-    choices = {**proposal.candidate.choices, **why}
-    return Attempt(proposal.engine, proposal.candidate._replace(choices=choices), tolerance)
+def _explained(proposal: Proposal, **why: str) -> Proposal:
+    """Return a proposal that keeps on record why it was chosen."""
+    return proposal._replace(choices={**proposal.choices, **why})
 
 
 def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
@@ -168,7 +95,7 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
     ToleranceNotMet
         If there is none.
     """
-    before = engines.plain(attempt.engine)
+    before = engines.plain(attempt.proposal.engine)
     tolerance = attempt.tolerance
     if before.equation == 1 or (error.bound <= tolerance and not error.remark):
         return None
@@ -183,13 +110,13 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
         why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
         raise ToleranceNotMet(f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}")
     best = cheapest(exact)
-    expected = f"expected were {attempt.candidate.model_error:.1g}"
+    expected = f"expected were {attempt.proposal.model_error:.1g}"
     redone = (
         f"{left_out} along the run of {before.name}, {expected}: "
         f"run again with {best.engine}, Eq. (1)"
     )
-    following = _attempt(best, tolerance, plan=f"{best.engine}: {redone}", redone=redone)
-    return following._replace(planned_s=clock() - began)
+    best = _explained(best, plan=f"{best.engine}: {redone}", redone=redone)
+    return Attempt(best, tolerance, planned_s=clock() - began)
 
 
 def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposal]:
@@ -219,7 +146,7 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
 
 def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) -> list[Proposal]:
     """Return the proposals of engines that are asked only where no other one can do the scene."""
-    if any(proposal.candidate for proposal in others):
+    if any(proposal.possible for proposal in others):
         why = "only if asked for by name, or if no other engine can do the scene"
         return [Proposal(name, why=why) for name in engines.automatic("last")]
     return [ask(engines.plain(name), scene, tolerance) for name in engines.automatic("last")]
@@ -237,7 +164,7 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     Returns
     -------
     Proposal
-        Without a candidate where the engine cannot do the scene or meet the tolerance.
+        Without steps where the engine cannot do the scene or meet the tolerance.
     """
     name = engine.name
     equation = engine.equation
@@ -245,17 +172,17 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
         why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, equation, why=why)
     try:
-        candidate = engine.candidate(engine.part(scene), tolerance)
+        proposal = engine.propose(engine.part(scene), tolerance)
     except ToleranceNotMet as error:
         return Proposal(name, equation, why=error.reason)
     except InputError as error:
         why = "; ".join(f"{key}: {fault}" for key, fault in error.faults)
         return Proposal(name, equation, why=why)
-    return judge(Proposal(name, equation, candidate), scene, tolerance)
+    return judge(proposal, scene, tolerance)
 
 
 def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
-    """Return a proposal with the verdict on its candidate."""
+    """Return a proposal with the verdict on it."""
     theory = THEORY.get(proposal.equation or 1, f"Eq. ({proposal.equation})")
     if proposal.model_error + proposal.solver_error <= tolerance * SUM_ROUNDING:
         return proposal._replace(kept=True, why="within the tolerance")
@@ -287,7 +214,7 @@ def cheapest(proposals: Sequence[Proposal]) -> Proposal:
     best = min(proposals, key=lambda proposal: proposal.price_s)
     if not best.kept:
         # an engine that cannot do the scene at all says nothing of the tolerance
-        asked = [proposal for proposal in proposals if proposal.candidate or proposal.equation == 1]
+        asked = [proposal for proposal in proposals if proposal.possible or proposal.equation == 1]
         raise ToleranceNotMet("; ".join(f"{proposal.engine}: {proposal.why}" for proposal in asked))
     return best
 
@@ -301,14 +228,14 @@ def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
     return why
 
 
-def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
+def record(engine: Engine, scene: Scene, proposal: Proposal, tolerance: float) -> dict[str, str]:
     """Return the record of an answer: versions, choices, and the remarks of the engine."""
     asked = GIVEN_STEP if engine.step else f"{tolerance:g}"
     return {
         **versions(),
         "tolerance": asked,
-        **candidate.choices,
-        **engine.describe(scene, candidate),
+        **proposal.record(),
+        **engine.describe(scene, proposal),
         **damping_record(scene),
     }
 

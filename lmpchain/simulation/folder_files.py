@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 
 from .. import engines
-from ..engines.base import Engine
+from ..engines.base import Engine, Proposal
 from ..errors import InputError, check_tolerance, short
+from ..integrators.steps import Steps
 from ..scene.scene import Scene
 from ..trajectory import zarr_store as store
 from ..util import mpi
@@ -47,6 +48,10 @@ RUN = "run.json"
 STATUS = "status.json"
 SUMS = "SHA256SUMS"
 CHECKPOINT_FILES = ("checkpoint", "checkpoint-before")
+# A proposal in the notes of older versions, in this order where it is a list.
+OLD_PROPOSAL = ("step", "active_grains", "model_error", "solver_error", "cost_s", "tolerance",
+                "steps_per_landing", "stride", "fixed", "adaptive", "coarse_openings", "integrator",
+                "choices")  # fmt: skip
 UNSEALED = ("sha256", "sessions", SEALED)  # in run.json: what is no part of the order
 IN_STATE = "state."  # before the names of the arrays of a state, so that they never meet another
 HASH = hashlib.sha256
@@ -270,6 +275,39 @@ def _unpack(content: memoryview) -> tuple[dict[str, Any], dict[str, Array]] | No
     except Exception:
         # whatever it is, it is no checkpoint, though it bears its hash
         return None
+
+
+def renew(attempt: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the notes of an attempt as this version writes them, from those of any version."""
+    renewed = dict(attempt)
+    if "candidate" in renewed:
+        engine = renewed.pop("engine")
+        renewed["proposal"] = _renew_proposal(engine, renewed.pop("candidate"))
+        if renewed["best"]:
+            error, best = renewed["best"]
+            old = dict(zip(OLD_PROPOSAL, best, strict=True))
+            renewed["best"] = error, _renew_proposal(engine, old)
+    return renewed
+
+
+def _renew_proposal(engine: str, old: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the notes of a proposal from those of older versions, which had no record of steps."""
+    new = {key: old[key] for key in OLD_PROPOSAL}
+    steps = Steps(
+        per_landing=new.pop("steps_per_landing"),
+        stride=new.pop("stride"),
+        step=new.pop("step"),
+        adaptive=new.pop("adaptive"),
+        coarse_openings=new.pop("coarse_openings"),
+        dense=int(old["stride"] > 1),
+    )
+    # Diameters were written as text.
+    choices = {
+        key: float(text) if key.endswith("_m") else text for key, text in old["choices"].items()
+    }
+    equation = engines.get(engine).equation
+    fields = {"engine": engine, "equation": equation, "steps": steps._asdict(), "choices": choices}
+    return Proposal(**new | fields)._asdict()
 
 
 def check_new(folder: str | PathLike[str]) -> Path:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..engines.base import Engine
-from ..engines.step_control import Attempt, first_attempt, next_attempt
+from ..engines.step_control import Attempt, next_attempt
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost
@@ -17,7 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from .accumulation import GatheringRun, at_samples
 from .api import check_on_miss, simulate
-from .choice import damping_record, engine_for, record, refusals
+from .choice import choose, damping_record, engine_for, record, refusals
 
 # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 BATCH_NUMBERS = 2**18
@@ -110,15 +110,15 @@ def in_batches(
         return
     for number, scene in scenes.items():
         with suppress(LmpchainError):
-            attempt = first_attempt(engine, engine.part(scene), tolerance)
+            attempt = choose(scene, engine, tolerance)
             # else the light cone saves more than a batch
-            if 2 * attempt.candidate.active_grains >= scene.chain.grains:
+            if 2 * attempt.proposal.active_grains >= scene.chain.grains:
                 attempts[number] = attempt
     while attempts:
         groups: dict[Any, list[int]] = {}
         for number, attempt in attempts.items():
             scene = scenes[number]
-            key = scene.quantities, engine.batch_key(scene.fine, attempt.candidate)
+            key = scene.quantities, engine.batch_key(scene.fine, attempt.proposal)
             groups.setdefault(key, []).append(number)
         following: dict[int, Attempt] = {}
         for numbers in _split(scenes, groups.values()):
@@ -148,10 +148,10 @@ def _solve(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
     """Run scenes together; return answer, next attempt, and reason of a miss for each."""
-    candidate = attempts[0].candidate
+    proposal = attempts[0].proposal
     parts = [scene.fine for scene in scenes]
     gathering = None
-    with closing(engine.start(parts, candidate)) as answering:
+    with closing(engine.start(parts, proposal)) as answering:
         run = answering
         if scenes[0].quantities:
             run = gathering = GatheringRun(run, engine, scenes, parts, {})
@@ -166,7 +166,7 @@ def _solve(
     for scene, quantities, summed in zip(scenes, gathered, energies, strict=False):
         quantities |= at_samples(scene, summed)
     cost = _share(cost, attempts)
-    provenance = record(engine, scenes[0], candidate, tolerance)
+    provenance = record(engine, scenes[0], proposal, tolerance)
     results = []
     for row, (scene, attempt, error) in enumerate(zip(scenes, attempts, errors, strict=True)):
         following, missed = next_attempt(engine, scene.fine, attempt, error)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import engines
-from ..engines.base import Engine
+from ..engines.base import Engine, Proposal
 from ..errors import check_tolerance
 from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
@@ -18,7 +18,7 @@ from ..util.notebook import Shown
 from ..util.plotting import LEAST_ERROR, axes_in_units, legend
 from ..util.tables import align, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
-from .choice import Proposal, ask, cheapest, propose, reason
+from .choice import ask, cheapest, propose, reason
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -177,7 +177,6 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
         proposals = [ask(each, scene, tolerance) for each in _ways(engine, scene)]
         best = cheapest(proposals)
         why = f"with {best.integrator} is the cheapest way" if best.integrator else "was asked for"
-    assert best.active_grains is not None
     return Plan(
         engine=best.engine,
         integrator=best.integrator,
@@ -202,7 +201,7 @@ def _ways(name: str, scene: Scene) -> list[Engine]:
 
 def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     """Return what an engine would take that is asked for by name only."""
-    if proposal.candidate or proposal.equation is not None:
+    if proposal.possible or proposal.equation is not None:
         return proposal
     # trials begin anew with shorter steps: where a drive may do any work, for how long is unknown
     unbounded = scene.excitation.does_work and scene.largest_strain == math.inf
@@ -212,7 +211,7 @@ def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
         cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")
     asked = ask(engine, scene, tolerance)
-    why = proposal.why if asked.candidate else f"{proposal.why}; {asked.why}"
+    why = proposal.why if asked.possible else f"{proposal.why}; {asked.why}"
     return asked._replace(kept=False, why=why)
 
 
@@ -222,9 +221,8 @@ def _label(proposal: Proposal) -> str:
 
 def _verdict(proposal: Proposal) -> str:
     """Return in words whether a proposal is kept, and why."""
-    choices = proposal.candidate.choices if proposal.candidate else {}
-    diameter = choices.get("diameter")
-    drawn = f"; {diameter} diameter: {choices['why']}" if diameter else ""
+    diameter = proposal.choices.get("diameter")
+    drawn = f"; {diameter} diameter: {proposal.choices['why']}" if diameter else ""
     return f"{'kept' if proposal.kept else 'dropped'}: {proposal.why}{drawn}"
 
 
@@ -233,6 +231,6 @@ def _cells(proposal: Proposal) -> Iterator[str]:
     yield "" if proposal.equation is None else f"({proposal.equation})"
     yield "0" if proposal.model_error == 0 else number(proposal.model_error, ".1g")
     yield number(proposal.solver_error, ".1g")
-    yield "" if proposal.active_grains is None else str(proposal.active_grains)
+    yield str(proposal.active_grains or "")
     yield number(proposal.step, unit="s")
     yield number(1e3 * proposal.cost_s, unit="ms")

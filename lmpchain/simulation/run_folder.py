@@ -279,9 +279,9 @@ class RunFolder:
                 files.save_checkpoint(self.path, self._notes(self._before), {})
             engine = self._answering
             scene = self._known
-            choices = record(engine, scene, attempt.candidate, self.tolerance)
+            choices = record(engine, scene, attempt.proposal, self.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
-            engine.write_inputs(scene.fine, attempt.candidate, self.tolerance, self.path)
+            engine.write_inputs(scene.fine, attempt.proposal, self.tolerance, self.path)
             files.write_sums(self.path, finished=False)
         self._writer = store.Writer(self.path, self._known, self.samples)
         self._next = time.monotonic() + INTERVALS.checkpoint_s
@@ -328,10 +328,10 @@ class RunFolder:
 
     def _notes(self, spent: Mapping[str, float]) -> dict[str, Any]:
         assert self.attempt
-        attempt = self.attempt._asdict()
-        candidate = self.attempt.candidate._asdict()
+        proposal = self.attempt.proposal
+        noted = proposal._asdict() | {"steps": proposal.steps._asdict()}
         return {
-            "attempt": attempt | {"candidate": candidate},
+            "attempt": self.attempt._asdict() | {"proposal": noted},
             "samples": self.samples,
             "spent": spent,
         }
@@ -359,7 +359,7 @@ class RunFolder:
             "samples_done": self.samples,
             "samples": self._known.samples,
             "attempt": attempt.number if attempt else 0,
-            "step_s": attempt.candidate.step if attempt else None,
+            "step_s": attempt.proposal.step if attempt else None,
             "tolerance": self.tolerance,
             "best_effort": self.best_effort,
             "error_estimate": self._estimate,
@@ -378,18 +378,19 @@ def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attem
     from pydantic import TypeAdapter, ValidationError
 
     try:
-        attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
-        candidate = attempt.candidate
+        noted = files.renew(notes["attempt"])
+        attempt = TypeAdapter(Attempt).validate_json(json.dumps(noted))
+        proposal = attempt.proposal
         times = dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
-        if not (0 < candidate.step < math.inf and candidate.steps_per_landing > 0):
+        if not (0 < proposal.step < math.inf and proposal.steps.per_landing > 0):
             raise ValueError("it has no steps")
         if not 0 < attempt.tolerance < 1:
             raise ValueError("it has no tolerance")
-        fields = notes["attempt"]["candidate"].keys()
+        fields = noted["proposal"].keys()
         # another version may have more fields, or fewer
-        if candidate._asdict().keys() != fields or times.keys() != spent.keys():
+        if proposal._asdict().keys() != fields or times.keys() != spent.keys():
             raise ValueError("it has other fields")
-        if attempt.engine not in engines.names():
+        if attempt.proposal.engine not in engines.names():
             raise ValueError("it has no engine")
         if not all(0 <= time_s < math.inf for time_s in times.values()):
             raise ValueError("it took no time that there is")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..engines.base import Candidate
+from ..engines.base import Proposal
 from ..engines.native import Native
 from ..engines.stepping.amplification import separate
 from ..errors import InputError, RunFailed
@@ -64,12 +64,12 @@ def reflection_time(scene: Scene) -> float:
     InputError
         If the exponent is not 1.5 or the scene is no impulse.
     """
-    if scene.chain.exponent != 1.5 or not scene.excitation.strike_velocity:
+    if scene.chain.exponent != 1.5 or not scene.strike_velocity:
         message = "a reflection time is known for a strike on a chain of exponent 1.5"
         raise InputError.at("excitation", message)
     chain = scene.chain
     gamma = float(chain.contact_constants.mean() / chain.masses.mean())
-    speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.excitation.strike_velocity)) ** 0.2
+    speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.strike_velocity)) ** 0.2
     return 2 * chain.grains / speed
 
 
@@ -154,20 +154,20 @@ def growth(
     ToleranceNotMet
         If round-off alone is above `accuracy`, the error of the runs without any growth.
     """
-    candidate = Native("rkn6").candidate(scene.reached, accuracy)
-    return scene.time, divergence(scene, candidate, perturbation)
+    proposal = Native("rkn6").propose(scene.reached, accuracy)
+    return scene.time, divergence(scene, proposal, perturbation)
 
 
-def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
+def divergence(scene: Scene, proposal: Proposal, change: float) -> Array:
     """Return the relative distance of a run and a perturbed one at every sample, (T,).
 
-    Both have the integrator and the steps of the candidate. What remains is the change, rounding,
+    Both have the integrator and the steps of the proposal. What remains is the change, rounding,
     and what the scene makes of them.
 
     Parameters
     ----------
     scene : Scene
-    candidate : Candidate
+    proposal : Proposal
         Of the native engine.
     change : float
         Relative size of the perturbation.
@@ -182,8 +182,9 @@ def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
     RunFailed
         If a run breaks down.
     """
-    schedule = candidate.sampled.schedule()
-    distance = separate(scene.reached, (change,), BY_NAME[candidate.integrator], schedule)[0]
+    distance = separate(
+        scene.reached, (change,), BY_NAME[proposal.integrator], proposal.steps.sampled
+    )[0]
     if not np.isfinite(distance).all():
         raise RunFailed("two runs that begin a little apart broke down: use a shorter step")
     return distance

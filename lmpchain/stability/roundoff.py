@@ -132,13 +132,12 @@ def _engine(
 
 def _steps(scene: Scene) -> int:
     """Return the steps with omega h = 0.3 that a scene takes."""
-    intervals = scene.samples - 1
-    return intervals * math.ceil(scene.duration / intervals * scene.highest_frequency / STEP)
+    return scene.intervals * math.ceil(scene.sampling_phase / STEP)
 
 
 def _speed(scene: Scene) -> float:
     """Return about the largest velocity, m/s."""
-    u, v = (float(np.abs(x).max()) for x in scene.excitation.largest(scene.chain))
+    u, v = scene.imposed
     return max(v, u * scene.highest_frequency) or scene.chain.length_scale / scene.chain.time_scale
 
 
@@ -166,7 +165,7 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
             u = u + drift * h * v
             push = acceleration(u)
         v = v + splitting.kicks[-1] * h * push
-        if step % (steps // (scene.samples - 1)) == 0:
+        if step % (steps // scene.intervals) == 0:
             samples.append((u, v))
     displacement, velocity = zip(*samples, strict=True)
     return np.array(displacement, dtype=float), np.array(velocity, dtype=float)

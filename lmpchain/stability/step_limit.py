@@ -12,6 +12,7 @@ import numpy as np
 from .. import engines
 from ..errors import RunFailed
 from ..integrators.methods import METHODS
+from ..integrators.steps import Steps
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.lazy import listed
@@ -153,7 +154,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
 
     Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected,
     until a run breaks: a grain moves with more than one and a half times all the energy there is.
-    Then the step is bisected. The steps are given to `Engine.start` as a candidate, past the check
+    Then the step is bisected. The steps are given to `Engine.start` as a proposal, past the check
     that refuses steps that are unstable at rest.
 
     Parameters
@@ -175,7 +176,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     scene = scene.ungathered
     expected = limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator, step=expected / 4)
-    proposed = solver.candidate(solver.part(scene), 0.5)
+    proposed = solver.propose(solver.part(scene), 0.5)
     edge = scene.reached.chain.band_edge
     suspected = suspect(integrator) / edge if edge else math.inf
 
@@ -184,9 +185,9 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
         steps = math.ceil(scene.duration / step / 2000)
         samples = max(1, int(scene.duration / step / steps))
         trial = scene.replace(duration=samples * steps * step, samples=samples + 1)
-        candidate = proposed._replace(steps_per_landing=steps, step=step)
+        proposal = proposed._replace(steps=Steps(steps, 1, step))
         try:
-            with closing(solver.start([trial], candidate)) as run:
+            with closing(solver.start([trial], proposal)) as run:
                 for _ in run.blocks():
                     pass
         except RunFailed:

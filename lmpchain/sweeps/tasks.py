@@ -120,7 +120,7 @@ def announced_work(
     costs = []
     for scene in scenes[:: math.ceil(len(scenes) / TASKS.priced) or 1]:
         with suppress(LmpchainError):
-            costs.append(engine.candidate(engine.part(scene), plan.tolerance).cost_s)
+            costs.append(engine.propose(engine.part(scene), plan.tolerance).cost_s)
     cost_s = total / workers * sum(costs) / max(1, len(costs))
     work = f"{total} scenes by {engine.name} for a tolerance of {plan.tolerance:.2g}"
     return announced(cost_s, work, "fewer scenes, a larger tolerance or more workers takes less")

@@ -24,8 +24,8 @@ from lmpchain.design import (
 from lmpchain.design.changes import changed
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 GRAINS = 6
 DAMPING = {"viscoelastic": 1e-7, "drag": 3e3}
@@ -268,7 +268,7 @@ def test_steps_that_are_held_are_those_of_the_engine():
     assert held.time.size == 5
     interval = case.duration / 4
     count = int(np.ceil(interval / step))
-    schedule = StepSchedule(count, 1, interval / count, True)
+    schedule = Steps(count, 1, interval / count, True)
     run = NativeStepper(ChainBatch([case.replace(samples=5)]), method, schedule, {})
     u, v = np.zeros((2, 1, 5, GRAINS))
     lengths = []

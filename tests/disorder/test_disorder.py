@@ -298,7 +298,7 @@ def test_a_batch_is_its_chains(engine, monkeypatch):
     made = MADE[engine](scene)
     scenes = [realisation(scene, 3, 11, i) for i in range(5)]
     alone = [simulate(each, made, 0.9) for each in scenes]
-    run = made.start(scenes, made.candidate(scenes[0], 1e-6))
+    run = made.start(scenes, made.propose(scenes[0], 1e-6))
     blocks = list(run.blocks())
     for name in ("displacement", "velocity"):
         together = np.concatenate([getattr(block, name) for block in blocks], axis=1)

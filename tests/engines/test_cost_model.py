@@ -80,13 +80,13 @@ def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.Mon
     scene = SCENE.replace(chain=CHAIN.replace(damping={"viscoelastic": 2e-8}))
     monkeypatch.setattr("lmpchain.engines.cost_model.PATIENCE_S", 0.0)
     with pytest.warns(UserWarning, match="the native trial that finds the step") as told:
-        steps = Lammps().candidate(scene, 1e-5).steps(scene.samples)
+        steps = Lammps().propose(scene, 1e-5).steps(scene.samples)
     announcements = [str(each.message) for each in told]
     assert len(announcements) > 1
     assert any(f"with {steps} steps of" in text for text in announcements)
 
 
 def test_the_expected_time_grows_with_the_steps():
-    candidate = Native("verlet").candidate(SCENE, 1e-6)
-    shorter = candidate.with_steps(3 * candidate.steps_per_landing)
+    candidate = Native("verlet").propose(SCENE, 1e-6)
+    shorter = candidate.with_steps(candidate.steps.shortened(3 * candidate.steps.per_landing))
     assert shorter.cost_s == pytest.approx(3 * candidate.cost_s)

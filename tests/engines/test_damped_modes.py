@@ -141,7 +141,7 @@ def test_what_linearising_leaves_out_is_within_its_estimate():
         scene = drawn(seed)
         t = simulate(scene, engine="modes")
         error = solve(scene, 1e-12).error(t.displacement, t.velocity)
-        foreseen = Modes().candidate(Modes().part(scene), 1e-6).model_error
+        foreseen = Modes().propose(Modes().part(scene), 1e-6).model_error
         assert error <= max(3 * foreseen, 1e-9)
         ratios.append(error / (t.error_estimate.model + 1e-10))
     assert max(ratios) < 3

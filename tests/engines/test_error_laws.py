@@ -25,7 +25,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Native
-from lmpchain.engines.base import Candidate, ErrorBudget
+from lmpchain.engines.base import ErrorBudget, Proposal
 from lmpchain.engines.stepping.amplification import (
     GROWTH,
     amplify_rounding,
@@ -41,14 +41,14 @@ from lmpchain.engines.stepping.round_off import (
     rounded_energy,
 )
 from lmpchain.engines.stepping.step_choice import STEP_CONTROL
+from lmpchain.integrators.steps import Steps
 from lmpchain.stability.predictability import divergence
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util.arrays import EPSILON
 
-CANDIDATE = Candidate(
-    step=2e-7, active_grains=9, model_error=0.0, solver_error=1e-6, cost_s=1e-3,
-    steps_per_landing=7,
-    stride=3, adaptive=True, coarse_openings=True, integrator="rkn6",
+PROPOSAL = Proposal(
+    "native", 1, Steps(7, 3, 2e-7, True, coarse_openings=True, dense=1), 9, 0.0, 1e-6, 1e-3,
+    integrator="rkn6",
 )  # fmt: skip
 
 
@@ -127,10 +127,10 @@ def test_errors_fall_with_the_order_of_the_method_where_touching_grains_part(cha
     scene = scene.replace(duration=30 / scene.highest_frequency)
     true, _ = reference(scene, 1e-17)
     engine = Native("rkn6")
-    proposed = engine.candidate(scene, 1e-6).sampled
+    proposed = engine.propose(scene, 1e-6)
     errors = []
     for steps in (24, 192):
-        run = engine.start([scene], proposed.with_steps(steps))
+        run = engine.start([scene], proposed.with_steps(proposed.steps.sampled.shortened(steps)))
         motion = (x[0] for x in blocks_of(run))
         errors.append(true.error(*motion))
         assert errors[-1] <= run.errors()[0].solver
@@ -301,7 +301,7 @@ def test_a_nearby_scene_differs_by_a_fraction_of_the_largest_motion(kind):
 def test_the_divergence_of_two_runs_is_that_of_two_answers():
     """At all samples, of grains not recorded, too, over the largest motion between samples."""
     scene = smooth(samples=6).replace(grains=[2])
-    candidate = Native("rkn6").candidate(scene.replace(grains="all"), 1e-10)
+    candidate = Native("rkn6").propose(scene.replace(grains="all"), 1e-10)
     apart = divergence(scene, candidate, 1e-4)
     whole = scene.replace(grains="all")
     dense = simulate(whole.replace(samples=501), "native", 1e-12)
@@ -324,7 +324,7 @@ def test_what_becomes_of_a_last_digit_is_what_becomes_of_a_small_change():
         grains=6, diameter=1e-3 * np.random.default_rng(2).uniform(0.7, 1.3, 6), top="wall"
     )
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=9)
-    candidate = Native("rkn6").candidate(scene, 1e-9)
+    candidate = Native("rkn6").propose(scene, 1e-9)
     grown = amplify_rounding(scene, 1.0)
     near = [divergence(scene, candidate, change).max() / 1e-9 for change in (1e-9, -1e-9, 0.5e-9)]
     assert max(near) > 20
@@ -353,23 +353,22 @@ def test_no_scene_makes_more_of_a_digit_than_its_phase_allows():
     assert could_grow(scene.replace(duration=10.0), 1.0) < math.inf
 
 
-# --- candidates, budgets and the next step
+# --- proposals, budgets and the next step
 
 
-def test_steps_of_a_candidate():
+def test_steps_of_a_proposal():
     """Seven steps from a landing to the next, three samples later."""
-    assert CANDIDATE.steps(11) == 24
-    assert CANDIDATE.steps(10) == 21
-    schedule = CANDIDATE.schedule()
-    assert (schedule.steps, schedule.stride, schedule.step) == (7, 3, 2e-7)
-    assert (schedule.adaptive, schedule.dense) == (True, 1)
-    finer = CANDIDATE.with_steps(14)
-    assert (finer.steps_per_landing, finer.stride, finer.coarse_openings) == (14, 3, False)
+    assert PROPOSAL.steps.total(10) == 24
+    assert PROPOSAL.steps.total(9) == 21
+    finer = PROPOSAL.with_steps(PROPOSAL.steps.shortened(14))
+    steps = finer.steps
+    assert (steps.per_landing, steps.stride, steps.coarse_openings) == (14, 3, False)
     assert finer.step == pytest.approx(1e-7, rel=1e-15)
-    every = CANDIDATE.sampled
-    assert (every.steps_per_landing, every.stride) == (3, 1)
+    assert finer.cost_s == pytest.approx(2e-3, rel=1e-15)
+    every = PROPOSAL.steps.sampled
+    assert (every.per_landing, every.stride, every.dense) == (3, 1, 0)
     assert every.step == pytest.approx(2e-7 * 7 / 9, rel=1e-15)
-    assert every.schedule().dense == 0
+    assert PROPOSAL.with_steps(every).cost_s == pytest.approx(9e-3 / 7, rel=1e-15)
 
 
 def test_the_parts_of_an_error_budget():
@@ -407,32 +406,32 @@ def test_the_next_step_is_neither_much_shorter_nor_hardly_so():
     assert STEP_CONTROL.ratio(budget._replace(roundoff=0.9e-6), 1e-6) is not None
 
 
-def test_a_candidate_is_refined_to_the_steps_that_its_error_asks_for():
+def test_a_proposal_is_refined_to_the_steps_that_its_error_asks_for():
     engine = Native("rkn6")
     scene = smooth(samples=6)
-    candidate = engine.candidate(scene, 1e-9)
+    candidate = engine.propose(scene, 1e-9)
     missed = ErrorBudget(64 * 0.7e-9, 0.0, 6)
     better = engine.refine(candidate, missed, 1e-9)
-    assert better.steps_per_landing == math.ceil(2 * candidate.steps_per_landing - 1e-9)
-    total = better.step * better.steps_per_landing / better.stride
+    assert better.steps.per_landing == math.ceil(2 * candidate.steps.per_landing - 1e-9)
+    total = better.step * better.steps.per_landing / better.steps.stride
     assert total == pytest.approx(scene.duration / 5, rel=1e-12)
-    assert not better.adaptive
-    assert engine.refine(candidate, missed._replace(order=2), 1e-9).adaptive
+    assert not better.steps.adaptive
+    assert engine.refine(candidate, missed._replace(order=2), 1e-9).steps.adaptive
     equal = Native("rkn6", adaptive=False)
-    assert not equal.refine(candidate, missed._replace(order=2), 1e-9).adaptive
+    assert not equal.refine(candidate, missed._replace(order=2), 1e-9).steps.adaptive
     assert engine.refine(candidate, missed._replace(roundoff=1e-9), 1e-9) is None
     broken = engine.refine(candidate, None, 1e-9)
-    assert broken.stride == 1
+    assert broken.steps.stride == 1
     assert broken.step <= candidate.step / 8
 
 
 def test_rounding_of_interpolated_samples_is_left_out_by_interpolating_none():
     engine = Native("rkn6")
     scene = smooth(samples=1001)
-    candidate = engine.candidate(scene, 1e-6)
-    assert candidate.stride > 1
+    candidate = engine.propose(scene, 1e-6)
+    assert candidate.steps.stride > 1
     rounded = engine.refine(candidate, ErrorBudget(0.0, 1e-5, 6), 1e-6)
-    assert rounded.stride == 1
+    assert rounded.steps.stride == 1
     assert engine.refine(rounded, ErrorBudget(0.0, 1e-5, 6), 1e-6) is None
 
 
@@ -477,7 +476,7 @@ def test_a_step_that_is_given_may_be_up_to_the_stability_limit():
 def test_runs_of_more_than_ten_years_are_refused():
     scene = paper("weak", samples=3).replace(duration=1e12)
     with pytest.raises(InputError, match=r"duration: would take some \d.* years: shorten it"):
-        Native().candidate(scene, 1e-6)
+        Native().propose(scene, 1e-6)
 
 
 @pytest.mark.parametrize("engine", ["native", "auto"])

@@ -23,6 +23,7 @@ from lmpchain import (
 )
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
+from lmpchain.engines.stepping import step_choice
 from lmpchain.engines.stepping.companions import OPENINGS, Companions, recurs
 from lmpchain.engines.stepping.step_choice import FIRST_STEP, choose_step, expected_reach, land
 from lmpchain.integrators.methods import METHODS
@@ -89,10 +90,10 @@ def test_cost_never_falls_as_the_tolerance_falls():
     ):
         work = []
         for tolerance in 10.0 ** -np.arange(1, 12.6, 0.25):
-            choices = [
-                choose_step(scene, METHODS[name], tolerance, True) for name in ("rkn4", "rkn6")
-            ]
-            work.append(min(choice.work for choice in choices))
+            methods = METHODS["rkn4"], METHODS["rkn6"]
+            work.append(
+                min(step_choice.work(m, choose_step(scene, m, tolerance, True)) for m in methods)
+            )
         assert all(later >= 0.999 * earlier for earlier, later in pairwise(work))
 
 
@@ -102,9 +103,9 @@ def test_of_scenes_that_nothing_bounds_the_first_attempt_shows_the_step(tmp_path
     The answer is the same however it was asked for.
     """
     engine = Native("rkn6")
-    first = engine.candidate(VACUUM, 1e-6)
-    assert engine.candidate(VACUUM, 1e-9).step == first.step
-    assert engine.candidate(column(1e-2), 1e-9).step < engine.candidate(column(1e-2), 1e-6).step
+    first = engine.propose(VACUUM, 1e-6)
+    assert engine.propose(VACUUM, 1e-9).step == first.step
+    assert engine.propose(column(1e-2), 1e-9).step < engine.propose(column(1e-2), 1e-6).step
     truth = reference(VACUUM)
     for tolerance in (1e-6, 1e-9):
         answer = simulate(VACUUM, "native", tolerance)
@@ -123,8 +124,8 @@ def test_of_scenes_that_nothing_bounds_the_first_attempt_shows_the_step(tmp_path
 
 
 def ratios(scene: Scene, tolerance: float, **options) -> list[float]:
-    candidate = Native("rkn6", **options).candidate(scene, tolerance)
-    companions = Companions(RKN6, [scene], candidate)
+    candidate = Native("rkn6", **options).propose(scene, tolerance)
+    companions = Companions(RKN6, [scene], candidate.steps)
     return [schedule.ratio for schedule in companions.schedules]
 
 
@@ -153,14 +154,14 @@ def test_the_order_that_is_trusted():
     Six, four if coarse, and two at equal steps.
     """
     strong = column(1e-2)
-    candidate = Native("kahan-li8").candidate(strong, 1e-10)
+    candidate = Native("kahan-li8").propose(strong, 1e-10)
     method = METHODS["kahan-li8"]
 
     def order(scene=strong, opens=True, smooth=True, **changes):
-        companions = Companions(method, [scene], candidate._replace(**changes))
+        companions = Companions(method, [scene], candidate.steps._replace(**changes))
         return companions.order(opens, smooth)
 
-    assert candidate.adaptive
+    assert candidate.steps.adaptive
     assert order(opens=False) == 8
     assert order(coarse_openings=False) == 6
     assert order(coarse_openings=True) == 4
@@ -169,7 +170,7 @@ def test_the_order_that_is_trusted():
     assert order(adaptive=False) == 2
     assert order(adaptive=False, opens=False) == 8
     assert order(adaptive=False, opens=False, smooth=False) == 2
-    verlet = Companions(METHODS["verlet"], [strong], candidate._replace(adaptive=False))
+    verlet = Companions(METHODS["verlet"], [strong], candidate.steps._replace(adaptive=False))
     assert verlet.order(True, True) == 2
 
 
@@ -196,10 +197,10 @@ def test_the_longest_steps_of_companions_fit_between_two_corners_of_what_acts():
     half_sine = Force(shape="half-sine", amplitude=1e-3, duration=5e-6)
     for excitation, spacing in ((push, 5e-6), (half_sine, 5e-6)):
         scene = Scene(chain=VACUUM.chain, excitation=excitation, duration=6e-5, samples=2)
-        candidate = Native("rkn6").candidate(scene, 1e-3)
-        assert candidate.adaptive
+        candidate = Native("rkn6").propose(scene, 1e-3)
+        assert candidate.steps.adaptive
         assert 4 * candidate.step <= spacing * (1 + 1e-9)
-        schedules = Companions(RKN6, [scene], candidate).schedules
+        schedules = Companions(RKN6, [scene], candidate.steps).schedules
         assert {2, 4} <= {schedule.ratio for schedule in schedules}
 
 
@@ -210,7 +211,7 @@ def test_a_scene_that_amplifies_rounding_is_refused_at_once_with_the_time_up_to_
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, samples=101)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:
         simulate(scene, "native", 1e-7)
-    assert refusal.value.trajectory.cost.step_s > Native().candidate(scene, 1e-7).step / 20
+    assert refusal.value.trajectory.cost.step_s > Native().propose(scene, 1e-7).step / 20
     known_s = float(refusal.value.reason.split("at t = ")[1].split(" s;")[0])
     assert 2e-4 < known_s < 1.9e-3
     samples = int(100 * known_s / scene.duration) - 4

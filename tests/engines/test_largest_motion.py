@@ -86,7 +86,7 @@ def test_the_largest_motion_is_found(integrator, scene):
     chosen = MOTIONS[scene]
     engine = Native(integrator, adaptive=integrator != "rkn6")
     tolerance = 1e-4 if METHODS[integrator].order <= 4 else 1e-8
-    candidate = engine.candidate(chosen, tolerance)
+    candidate = engine.propose(chosen, tolerance)
     run = engine.start([chosen], candidate)
     for _ in run.blocks():
         pass
@@ -100,7 +100,7 @@ def test_the_largest_motion_is_found(integrator, scene):
 def test_the_largest_motion_of_a_lammps_run_is_that_of_its_twin():
     scene = oscillator(Impulse(velocity=SPEED), 2, 3)
     engine = Lammps()
-    run = engine.start([scene], engine.candidate(scene, 1e-7))
+    run = engine.start([scene], engine.propose(scene, 1e-7))
     try:
         for _ in run.blocks():
             pass

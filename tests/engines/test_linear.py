@@ -252,7 +252,7 @@ def test_batches_and_restarts(engine, monkeypatch):
     ]
     monkeypatch.setattr(linear, "BLOCK", 4)
     made = {"modes": Modes, "chebyshev": Chebyshev}[engine]()
-    candidate = made.candidate(scenes[0], 1e-6)
+    candidate = made.propose(scenes[0], 1e-6)
     run = made.start(scenes, candidate)
     together = np.concatenate([block.velocity for block in run.blocks()], axis=1)
     assert run.progress == 1

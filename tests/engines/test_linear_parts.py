@@ -149,7 +149,7 @@ def test_what_a_linear_answer_has_cost(engine):
 @pytest.mark.parametrize("made", [Modes(), Chebyshev()])
 def test_a_batch_needs_scenes_that_are_recorded_alike(made):
     scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=9)
-    candidate = made.candidate(scene, 1e-6)
+    candidate = made.propose(scene, 1e-6)
     with pytest.raises(ValueError, match="a batch needs chains of one length"):
         made.start([scene, scene.replace(samples=8)], candidate)
     run = made.start([scene, scene], candidate)
@@ -196,7 +196,7 @@ def test_costs_of_linear_answers_grow_with_their_work():
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
         profile = Profile(velocity=np.append(np.full(grains - 1, 1e-9), 0.0))
         scene = Scene(chain=chain, excitation=profile, duration=duration, samples=samples)
-        return engine.candidate(scene, 1e-6).cost_s
+        return engine.propose(scene, 1e-6).cost_s
 
     modes = Modes()
     series = Chebyshev()
@@ -340,7 +340,7 @@ def test_the_expected_error_of_linear_theory_goes_like_the_strike_and_the_curvat
     factors = model_error.FACTORS
     assert expected == pytest.approx(factors.doubt * factors.strays * walk, rel=1e-9)
     driven = scene.replace(excitation=Drive(amplitude=1e-16, frequency=0.1 * HZ))
-    radians = model_error.fastest(driven) * driven.duration
+    radians = driven.linear_frequency * driven.duration
     walk = excess * driven.linear_strain * (1 + radians)
     assert model_error.expected_error(driven) == pytest.approx(0.6 * walk, rel=1e-9)
     springs = struck(1e-7, gravity=0.0, top_load=1e-2, exponent=1.0)
@@ -387,9 +387,9 @@ def test_how_far_a_train_of_waves_travels_at_its_largest_strain():
 
 def test_the_fastest_of_chain_and_excitation():
     scene = Scene(chain=LOADED, excitation=Drive(amplitude=1e-12, frequency=5 * HZ), duration=1e-4)
-    assert model_error.fastest(scene) == pytest.approx(5 * EDGE, rel=1e-12)
+    assert scene.linear_frequency == pytest.approx(5 * EDGE, rel=1e-12)
     slow = scene.replace(excitation=Drive(amplitude=1e-12, frequency=0.1 * HZ))
-    assert model_error.fastest(slow) == EDGE
+    assert slow.linear_frequency == EDGE
 
 
 def test_where_a_solution_is_looked_at_between_its_samples():
@@ -401,7 +401,7 @@ def test_where_a_solution_is_looked_at_between_its_samples():
         duration=1e3 / struck(gravity=0.0, top_load=1e-2).chain.band_edge
     )
     times = model_error.evaluation_times(calm)
-    fastest = model_error.fastest(calm)
+    fastest = calm.linear_frequency
     assert np.all(np.diff(times) > 0)
     assert times[0] == 0.0
     assert calm.duration * 0.97 < times[-1] < calm.duration
@@ -437,7 +437,7 @@ def test_samples_may_be_close_enough_to_need_no_other_look():
     long = wild.replace(duration=1e7 / scene.chain.band_edge, samples=2)
     assert not model_error.decidable(long)
     assert model_error.decidable(scene.replace(duration=1e7 / scene.chain.band_edge, samples=2))
-    assert Modes().candidate(long, 0.9).model_error == 1.0
+    assert Modes().propose(long, 0.9).model_error == 1.0
 
 
 # --- closed forms
@@ -463,23 +463,23 @@ def test_what_closed_forms_know_beforehand():
     """Nothing, unless all contacts are equally stiff and the end is out of reach."""
     column = struck(1e-7)
     for made in (Bessel(), Continuum()):
-        candidate = made.candidate(column, 0.9)
+        candidate = made.propose(column, 0.9)
         assert np.isnan(candidate.model_error)
         assert candidate.active_grains == 40
         assert made.part(column) is column.fine  # the whole, not the light cone
         assert not made.batches
     loaded = struck(1e-9, grains=400, gravity=0.0, top_load=1e-2).replace(duration=2e-5)
-    series = Chebyshev().candidate(loaded.reached, 0.9)
-    candidate = Bessel().candidate(loaded, 0.9)
+    series = Chebyshev().propose(loaded.reached, 0.9)
+    candidate = Bessel().propose(loaded, 0.9)
     assert (candidate.model_error, candidate.active_grains) == (series.model_error, 400)
     back = loaded.replace(duration=5e-3)
-    assert np.isnan(Bessel().candidate(back, 0.9).model_error)
+    assert np.isnan(Bessel().propose(back, 0.9).model_error)
 
 
 def test_a_look_finds_less_than_was_expected_before_it():
     scene = struck(1e-8, gravity=0.0, top_load=1e-2)
     for made in (Modes(), Chebyshev()):
-        candidate = made.candidate(scene, 1e-6)
+        candidate = made.propose(scene, 1e-6)
         assert candidate.model_error == model_error.expected_error(scene)
         assert candidate.step == pytest.approx(scene.duration / 10, rel=1e-12)
         assert candidate.active_grains == 40

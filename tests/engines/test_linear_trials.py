@@ -221,12 +221,12 @@ def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
     strike = Impulse(velocity=1.005 * chain.length_scale / chain.time_scale)
     scene = Scene(chain=chain, excitation=strike, duration=1e7 / chain.band_edge, samples=5)
     assert 1 <= scene.linear_strain < 1.01
-    candidate = Modes().candidate(scene, 1e-6)
+    candidate = Modes().propose(scene, 1e-6)
     assert candidate.model_error == 1.0
     with pytest.warns(UserWarning, match="contacts may open"):
         assert simulate(scene, "modes").error_estimate.model == 1
     weak = Scene(**scene.given() | {"excitation": strike.scaled(0.98)})
-    assert Modes().candidate(weak, 1e-6).model_error == 0
+    assert Modes().propose(weak, 1e-6).model_error == 0
     assert simulate(weak, "modes").error_estimate.model == 0
 
 

@@ -13,7 +13,8 @@ import pytest
 import lmpchain
 from lmpchain import Chain, Impulse, Scene, engines, simulate
 from lmpchain.cli import main
-from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
+from lmpchain.engines.base import Engine, ErrorBudget, Proposal, Run
+from lmpchain.integrators.steps import Steps
 from lmpchain.trajectory.record import Block, Cost
 
 ROUNDING = 1e-14
@@ -39,11 +40,11 @@ class Oscillator(Engine):
             return [("grains", "oscillator knows one grain on one spring that stays pressed")]
         return []
 
-    def candidate(self, scene, tolerance):
+    def propose(self, scene, tolerance):
         """Propose the formula."""
-        return Candidate(
-            scene.duration / (scene.samples - 1), scene.chain.grains, 0.0, ROUNDING, self.start_up_s
-        )
+        steps = Steps.spread(scene.duration / (scene.samples - 1), 1)
+        grains = scene.chain.grains
+        return Proposal(self.name, self.equation, steps, grains, 0.0, ROUNDING, self.start_up_s)
 
     def refine(self, candidate, error, tolerance):
         """Nothing is better than the exact solution."""

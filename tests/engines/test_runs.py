@@ -70,7 +70,7 @@ def test_what_a_run_in_lammps_has_cost():
 
 @pytest.mark.parametrize("engine", [Native(step=2e-8), Lammps("rkn6", step=1e-7)])
 def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
-    candidate = engine.candidate(SCENE, 1e-6)
+    candidate = engine.propose(SCENE, 1e-6)
     run = engine.start([SCENE], candidate)
     blocks = []
     states = []
@@ -114,7 +114,7 @@ def test_distances_of_runs_are_those_of_answers_at_their_steps():
     """The answer from that at twice the step, and that from the one at four times."""
     step = SCENE.duration / 160
     engine = Native("verlet", step=step)
-    run = engine.start([SCENE], engine.candidate(SCENE, 1e-6))
+    run = engine.start([SCENE], engine.propose(SCENE, 1e-6))
     for _ in run.blocks():
         pass
     distances = run.state()["differences"][:, :, 0]
@@ -159,29 +159,29 @@ def test_recorded_grains_are_columns_of_all():
 def test_samples_that_are_interpolated_are_as_exact_as_the_others():
     """Of a thousand samples of a calm motion few are the end of a step."""
     scene = smooth(samples=1001)
-    candidate = Native("rkn6").candidate(scene, 1e-6)
-    assert candidate.stride > 1
-    assert candidate.steps(1001) < 500
+    candidate = Native("rkn6").propose(scene, 1e-6)
+    assert candidate.steps.stride > 1
+    assert candidate.steps.total(1000) < 500
     t = simulate(scene, Native("rkn6"), 1e-6)
     assert t.cost.steps < 500
     u, v, own = extended_reference(scene)
     error = relative_error(t.displacement, t.velocity, u, v)
     assert own < error / 10
     assert error / 3 < t.error_estimate.total <= 1e-6
-    assert Native("rkn6", adaptive=False).candidate(scene, 1e-6).stride == 1
+    assert Native("rkn6", adaptive=False).propose(scene, 1e-6).steps.stride == 1
     vacuum = Scene(
         chain=CHAIN.replace(gravity=0.0),
         excitation=Impulse(velocity=1e-2),
         duration=scene.duration,
         samples=1001,
     )
-    assert Native("rkn6").candidate(vacuum, 1e-6).stride == 1
+    assert Native("rkn6").propose(vacuum, 1e-6).steps.stride == 1
 
 
 def test_scenes_of_a_batch_are_of_one_kind():
     """They may differ in numbers, not in what is computed or recorded."""
     engine = Native()
-    candidate = engine.candidate(SCENE, 1e-6)
+    candidate = engine.propose(SCENE, 1e-6)
     alike_ones = (
         SCENE.replace(excitation=Impulse(velocity=2e-3)),
         SCENE.replace(excitation=Impulse(velocity=1e-3, grain=4)),
@@ -207,11 +207,11 @@ def test_scenes_of_a_batch_are_of_one_kind():
             engine.start([SCENE, other], candidate)
     key = engine.batch_key(SCENE, candidate)
     for changed in (
-        {"steps_per_landing": 3},
-        {"stride": 2},
-        {"step": 1e-8},
-        {"adaptive": not candidate.adaptive},
-        {"coarse_openings": not candidate.coarse_openings},
+        {"steps": candidate.steps._replace(per_landing=3)},
+        {"steps": candidate.steps._replace(stride=2)},
+        {"steps": candidate.steps._replace(step=1e-8)},
+        {"steps": candidate.steps._replace(adaptive=not candidate.steps.adaptive)},
+        {"steps": candidate.steps._replace(coarse_openings=not candidate.steps.coarse_openings)},
         {"integrator": "verlet"},
         {"choices": {"force": "plain"}},
     ):
@@ -222,9 +222,9 @@ def test_progress_in_lammps_is_that_of_the_time(monkeypatch):
     """Between samples, too, and the native twin behind it counts for the time that it takes."""
     engine = Lammps("verlet", step=1e-8)
     scene = SCENE.replace(samples=2)
-    run = engine.start([scene], engine.candidate(scene, 1e-6))
+    run = engine.start([scene], engine.propose(scene, 1e-6))
     answer, twin = run._movers
-    assert run.candidate.steps(2) == 4000
+    assert run.proposal.steps.total(1) == 4000
     assert run.progress == 0
     fields = np.zeros((2, 1, 1, 10))
     run._answer.fill(*fields, offset=1, until=1, max_steps=1000)
@@ -242,7 +242,7 @@ def test_a_batch_has_the_answers_and_errors_of_its_scenes(small_blocks):
     velocities = (1e-3, 1e-5, 8e-4)
     scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in velocities]
     engine = Native(step=2e-8)
-    candidate = engine.candidate(SCENE, 1e-6)
+    candidate = engine.propose(SCENE, 1e-6)
     run = engine.start(scenes, candidate)
     velocity = np.concatenate([block.velocity for block in run.blocks()], axis=1)
     for place, scene in enumerate(scenes):

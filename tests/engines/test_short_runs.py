@@ -14,6 +14,7 @@ from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
 from lmpchain.engines.stepping.companions import Companions
 from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.steps import Steps
 
 
 def short_scene(rng: np.random.Generator) -> Scene:
@@ -143,7 +144,7 @@ def test_adaptive_steps_end_where_a_run_breaks_down():
     true = reference(scene)
     for steps in (1, 2, 4):
         step = scene.duration / (scene.samples - 1) / steps
-        candidate = engine.candidate(scene, 1e-5)._replace(step=step, steps_per_landing=steps)
+        candidate = engine.propose(scene, 1e-5).with_steps(Steps(steps, 1, step))
         run = engine.start([scene], candidate)
         with suppress(RunFailed):
             (u,), (v,) = blocks_of(run)
@@ -163,7 +164,7 @@ def test_where_twice_the_step_is_unstable_half_of_it_shows_the_error(
     step = 0.6 * method.stability_limit / chain.band_edge
     scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=20 * step, samples=2)
     given = Native(integrator, step=step)
-    (companion,) = Companions(method, [scene], given.candidate(scene, 1e-6)).schedules
+    (companion,) = Companions(method, [scene], given.propose(scene, 1e-6).steps).schedules
     assert companion.step == pytest.approx(step / 2, rel=1e-9)
     t = simulate(scene, given)
     true, own = true_error(t, scene)

@@ -19,16 +19,15 @@ def main(words: list[str]) -> int:
     """Run a command of lmpchain."""
     companion_run.BLOCK_S = 0.02
     run_folder.INTERVALS = run_folder.INTERVALS._replace(checkpoint_s=0.02, checkpoint_share=0.5)
-    honest = time_stepping.TimeSteppingEngine.candidate
+    honest = time_stepping.TimeSteppingEngine.propose
 
-    def candidate(engine, *arguments):
+    def propose(engine, *arguments):
         right = honest(engine, *arguments)
-        steps = (
-            right.steps_per_landing if engine.step else max(1, right.steps_per_landing // LONGER)
-        )
+        count = right.steps.per_landing
+        steps = right.steps.shortened(count if engine.step else max(1, count // LONGER))
         return right.with_steps(steps)
 
-    time_stepping.TimeSteppingEngine.candidate = candidate
+    time_stepping.TimeSteppingEngine.propose = propose
     return command_line.main(words)
 
 

@@ -17,8 +17,8 @@ from lmpchain.integrators.held_steps import adaptive_steps
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.openings import OPENING_STEPS
 from lmpchain.integrators.splittings import RKN4, RKN6, Splitting
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 GRAINS = 7
 LOOKS = 4
@@ -186,7 +186,7 @@ def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
     scene = SCENES[name]
     method = RKN4 if name == "springs" else RKN6
     steps, states, made = adapted(scene, method, 6)
-    schedule = StepSchedule(6, 1, scene.duration / LOOKS / 6, True)
+    schedule = Steps(6, 1, scene.duration / LOOKS / 6, True)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
     fields = np.zeros((2, 1, LOOKS + 1, GRAINS))
     fields[:, 0, 0] = scene.initial()
@@ -213,7 +213,7 @@ def test_dop853_shortens_its_steps_where_contacts_open_as_in_plain_numpy(name: s
     scene = SCENES[name]
     method = METHODS["dop853"]
     steps, states, made = adapted(scene, method, 3)
-    schedule = StepSchedule(3, 1, scene.duration / LOOKS / 3, True)
+    schedule = Steps(3, 1, scene.duration / LOOKS / 3, True)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
     fields = np.zeros((2, 1, LOOKS + 1, GRAINS))
     fields[:, 0, 0] = scene.initial()
@@ -235,12 +235,12 @@ def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride
     steps = 10
     dense = 2 if stride == 4 else 1
     interval = scene.duration / (4 * LOOKS)
-    schedule = StepSchedule(steps, stride, stride * interval / steps, True, dense=dense)
+    schedule = Steps(steps, stride, stride * interval / steps, True, dense=dense)
     stepper = NativeStepper(ChainBatch([scene]), RKN6, schedule, {})
     fields = np.full((2, 1, 4 * LOOKS + 1, GRAINS), np.nan)
     stepper.fill(*fields, 0, 4 * LOOKS, 2**62)
     fine = scene.replace(samples=4 * LOOKS + 1)
-    each = NativeStepper(ChainBatch([fine]), RKN6, StepSchedule(40, 1, interval / 40, True), {})
+    each = NativeStepper(ChainBatch([fine]), RKN6, Steps(40, 1, interval / 40, True), {})
     true = np.zeros((2, 1, 4 * LOOKS + 1, GRAINS))
     each.fill(*true, 0, 4 * LOOKS, 2**62)
     samples = np.arange(1, 4 * LOOKS + 1)

@@ -10,11 +10,11 @@ from numba import njit
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.stepping.round_off import native_floor
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.layout import STATE, Span
+from lmpchain.integrators.kernels.layout import STATE
 from lmpchain.integrators.kernels.sample_loop import end_of_step
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps, clocks
 
 SPEED = 1e-3
 
@@ -34,7 +34,7 @@ def phase_error(periods: float, integrator: str, reach: float, adaptive: bool, s
     scene, omega = oscillator(periods, samples)
     interval = scene.duration / (samples - 1)
     steps = int(np.ceil(interval * float(omega) / reach))
-    schedule = StepSchedule(steps, 1, interval / steps, adaptive)
+    schedule = Steps(steps, 1, interval / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene]), METHODS[integrator], schedule, {})
     u, v = np.zeros((2, 1, samples, 2))
     stepper.fill(u, v, 0, samples - 1, 2**62)
@@ -77,27 +77,33 @@ class Bodies(NamedTuple):
 
 
 @njit
-def ends(bodies, span, left, step):
-    return end_of_step(bodies, span, left, step)
+def ends(bodies, clock, left, step):
+    return end_of_step(bodies, clock, left, step)
+
+
+def clock_of(length: float) -> np.void:
+    clock = clocks([Steps(1, 1, length)], length, 1)[0]
+    clock["length"] = length
+    return clock
 
 
 @pytest.mark.parametrize("step", [1e-30, 1e-19, 0.0])
 def test_there_are_never_too_many_steps_to_be_counted(step):
     """More than 2^63 steps in the time left, where a contact opens, once were one giant step."""
     state = np.zeros(1, STATE)[0]
-    span = Span(0.0, 3.0, 3.0, 1, 3.0)
-    after = ends(Bodies(state), span, 3.0, step)
+    clock = clock_of(3.0)
+    after = ends(Bodies(state), clock, 3.0, step)
     assert 0 < after < 1e-14
     state["done"] = 3.0 - 2e-15
-    assert state["done"] < ends(Bodies(state), span, 3.0 - state["done"], step) <= 3.0
+    assert state["done"] < ends(Bodies(state), clock, 3.0 - state["done"], step) <= 3.0
 
 
 def test_steps_add_up_to_the_span_exactly():
     state = np.zeros(1, STATE)[0]
-    span = Span(0.0, 0.7, 0.7, 1, 0.7)
+    clock = clock_of(0.7)
     sizes = []
-    while state["done"] < span.length:
-        done = ends(Bodies(state), span, span.length - state["done"], 0.7 / 333.3)
+    while state["done"] < clock["length"]:
+        done = ends(Bodies(state), clock, clock["length"] - state["done"], 0.7 / 333.3)
         sizes.append(Fraction(done - state["done"]))
         state["done"] = done
     assert len(sizes) == 334
@@ -107,8 +113,8 @@ def test_steps_add_up_to_the_span_exactly():
 @pytest.mark.parametrize("steps", [32, 33, 141, 1000])
 @pytest.mark.parametrize("ratio", [2, 4])
 def test_companions_of_many_steps_land_on_every_sample(steps: int, ratio: int):
-    schedule = StepSchedule(steps, 1, 1e-9, True).longer(ratio)
+    schedule = Steps(steps, 1, 1e-9, True).longer(ratio)
     assert schedule.stride == 1
-    assert schedule.step * schedule.steps == pytest.approx(steps * 1e-9, rel=1e-14)
+    assert schedule.step * schedule.per_landing == pytest.approx(steps * 1e-9, rel=1e-14)
     assert schedule.step / 1e-9 == pytest.approx(ratio, rel=0.1)
-    assert StepSchedule(3, 1, 1e-9, True).longer(ratio).stride == ratio
+    assert Steps(3, 1, 1e-9, True).longer(ratio).stride == ratio

@@ -7,8 +7,8 @@ from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 CHAIN = Chain(grains=30, diameter=1e-3, top="wall")
 SCENES = [
@@ -36,7 +36,7 @@ def test_they_have_the_bits_of_runs_of_their_own(
     method = METHODS[name]
     steps = 9 * landing if method_of_one_stage(name) else 3 * landing
     step = landing * SCENES[0].duration / 24 / steps
-    own = StepSchedule(steps, landing, step, adaptive, dense=int(landing > 1))
+    own = Steps(steps, landing, step, adaptive, dense=int(landing > 1))
     schedules = [own, own.longer(2), own.longer(4)]
     shape = len(SCENES), 25, CHAIN.grains
     alone = []
@@ -85,7 +85,7 @@ def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, la
         chain=chain, excitation=Impulse(velocity=1e-3, grain=150), duration=4e-6, samples=25
     )
     steps = 9 * landing if method_of_one_stage(name) else 3 * landing
-    own = StepSchedule(
+    own = Steps(
         steps, landing, landing * scene.duration / 24 / steps, adaptive, dense=int(landing > 1)
     )
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], own, {}, 1, [own.longer(2)])

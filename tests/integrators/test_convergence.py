@@ -160,7 +160,7 @@ def test_exact_restart(engine, integrator, excitation):
     chain = Chain(grains=30, material="glass", diameter=1e-3, **ends)
     scene = Scene(chain=chain, excitation=struck, duration=30e-6, samples=9)
     solver = fixed_step(engine, integrator, 1e-7)
-    candidate = solver.candidate(scene, 1e-6)
+    candidate = solver.propose(scene, 1e-6)
 
     def run(state=None, stop=None):
         started = solver.start([scene], candidate, state)
@@ -216,11 +216,11 @@ def test_batch_equals_single_runs(integrator, velocities):
             Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=30e-6, samples=5)
         )
     solver = engines.Native(integrator=integrator, step=1e-7)
-    run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
+    run = solver.start(scenes, solver.propose(scenes[0], 1e-6))
     _, together = blocks_of(run)
     errors = run.errors()
     threaded = engines.Native(integrator=integrator, step=1e-7, threads=2).start(
-        scenes, run.candidate
+        scenes, run.proposal
     )
     assert np.array_equal(together, blocks_of(threaded)[1])
     for i, scene in enumerate(scenes):
@@ -233,4 +233,4 @@ def test_batch_of_unlike_scenes_is_refused():
     scenes = [smooth(grains=8), smooth(grains=9)]
     solver = engines.Native(step=1e-6)
     with pytest.raises(ValueError, match="a batch needs"):
-        solver.start(scenes, solver.candidate(scenes[0], 1e-6))
+        solver.start(scenes, solver.propose(scenes[0], 1e-6))

@@ -91,13 +91,13 @@ def test_every_way_to_run_gives_the_same_bits():
 def test_a_run_goes_on_with_the_same_bits(tmp_path):
     from lmpchain.integrators.batch import ChainBatch
     from lmpchain.integrators.methods import DAMPED
-    from lmpchain.integrators.step_schedule import StepSchedule
     from lmpchain.integrators.stepper import NativeStepper
+    from lmpchain.integrators.steps import Steps
 
     scene = Scene(
         chain=damped_chain(), excitation=Impulse(velocity=3e-2), duration=6e-5, samples=10
     )
-    schedule = StepSchedule(7, 1, scene.duration / 9 / 7, adaptive=True)
+    schedule = Steps(7, 1, scene.duration / 9 / 7, adaptive=True)
     for method in DAMPED.values():
         fields = np.empty((2, 2, 1, scene.samples, 12))
         whole = NativeStepper(ChainBatch([scene]), method, schedule, {})

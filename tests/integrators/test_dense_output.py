@@ -13,10 +13,10 @@ from lmpchain.engines.native import Native
 from lmpchain.engines.stepping.companions import Companions
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.dense_output import DenseRates, fill_samples
-from lmpchain.integrators.kernels.layout import CLOCK, LEAST_SHARE, PAD, STATE, SampleRow, Span
+from lmpchain.integrators.kernels.layout import LEAST_SHARE, PAD, STATE, SampleRow
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps, clocks
 
 # grain 2 is fixed
 SPRING = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
@@ -25,7 +25,7 @@ SPEED = 1e-3
 
 
 def samples_of(
-    scene: Scene, schedule: StepSchedule, name: str = "rkn6", threads: int = 1, most: int = 2**62
+    scene: Scene, schedule: Steps, name: str = "rkn6", threads: int = 1, most: int = 2**62
 ):
     """Return displacements and velocities, (T, N) each, made in pieces of at most so many steps."""
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], schedule, {}, threads)
@@ -47,8 +47,8 @@ class Ends(NamedTuple):
 
 
 @njit
-def fill(ends, clock, span, rates, out):
-    fill_samples(ends, clock, span, PAD, PAD + 1, rates, out)
+def fill(ends, clock, rates, out):
+    fill_samples(ends, clock, PAD, PAD + 1, rates, out)
 
 
 def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
@@ -65,13 +65,12 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
         state["done"] = h
         rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
         ends = Ends(history, rows[0], rows[1], state)
-        clock = np.array([(h / 24, 24, 1, h, 24, True, 1)], CLOCK)[0]
-        span = Span(0.0, h, h, 1, h)
+        clock = clocks([Steps(1, 24, h, True, dense=1)], h / 24, 24)[0]
+        clock["end"] = clock["length"] = h
         u, v = np.zeros((2, 25, 1))
         fill(
             ends,
             clock,
-            span,
             DenseRates(rows[0], rows[2], rows[0], rows[3]),
             SampleRow(u, v, 0, np.zeros((0, 2))),
         )
@@ -90,8 +89,8 @@ def test_samples_between_steps_are_as_good_as_the_steps(top):
     engine = Native("rkn6")
     truth = reference(scene)
     for tolerance in (1e-4, 1e-9):
-        candidate = engine.candidate(scene, tolerance)
-        assert candidate.stride > 1
+        candidate = engine.propose(scene, tolerance)
+        assert candidate.steps.stride > 1
         answer = simulate(scene, engine, tolerance)
         error = relative_error(
             answer.displacement, answer.velocity, truth.displacement, truth.velocity
@@ -112,15 +111,15 @@ def test_samples_between_steps_are_as_good_as_the_steps(top):
 def test_steps_end_on_every_sample_where_something_acts(excitation):
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
     scene = Scene(chain=chain, excitation=excitation, duration=8e-5, samples=801)
-    candidate = Native("rkn6").candidate(scene, 1e-4)
-    assert (candidate.stride, candidate.step) == (1, 8e-5 / 800)
+    candidate = Native("rkn6").propose(scene, 1e-4)
+    assert (candidate.steps.stride, candidate.step) == (1, 8e-5 / 800)
 
 
 def test_pieces_and_threads_change_no_bit():
     chain = Chain(grains=2 * LEAST_SHARE + 100, diameter=1e-3, gravity=0.0, top_load=1e-3)
     strike = Impulse(velocity=1e-2, grain=LEAST_SHARE)
     scene = Scene(chain=chain, excitation=strike, duration=40 / chain.band_edge, samples=25)
-    schedule = StepSchedule(9, 12, scene.duration / 18, True, dense=1)
+    schedule = Steps(9, 12, scene.duration / 18, True, dense=1)
     once, pieces, *shared = (
         samples_of(scene, schedule, "rkn6", *how) for how in ((1,), (1, 1), *[(2, 3)] * 20)
     )
@@ -134,9 +133,9 @@ def test_companions_are_compared_in_every_step():
     scene = Scene(
         chain=SPRING, excitation=Impulse(velocity=SPEED), duration=20 / OMEGA, samples=1001
     )
-    candidate = Native("rkn6").candidate(scene, 1e-6)
-    for schedule in Companions(METHODS["rkn6"], [scene], candidate).schedules:
-        assert schedule.dense <= schedule.stride / schedule.steps
+    candidate = Native("rkn6").propose(scene, 1e-6)
+    for schedule in Companions(METHODS["rkn6"], [scene], candidate.steps).schedules:
+        assert schedule.dense <= schedule.stride / schedule.per_landing
         u, _ = samples_of(scene, schedule, "rkn6")
         assert u[schedule.dense : schedule.stride : schedule.dense].any(1).all()
 
@@ -150,7 +149,7 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
     )
     few = scene.replace(samples=21)
     vacuum = scene.replace(chain=scene.chain.replace(gravity=0.0))
-    assert Native().candidate(scene, 1e-6).stride > 1
+    assert Native().propose(scene, 1e-6).steps.stride > 1
     for engine, other, tolerance in (
         (Native(), few, 1e-9),
         (Native(), scene, 1e-13),  # displacements over a step are rounded
@@ -159,10 +158,10 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
         (Native(adaptive=False), scene, 1e-6),
         (Native(step=1e-8), scene, 1e-6),
     ):
-        assert engine.candidate(other, tolerance).stride == 1
-    dense_one = Native().candidate(scene, 1e-6)
-    sampled = dense_one.sampled
-    assert (sampled.stride, sampled.step * sampled.steps_per_landing) == (
+        assert engine.propose(other, tolerance).steps.stride == 1
+    dense_one = Native().propose(scene, 1e-6)
+    sampled = dense_one.steps.sampled
+    assert (sampled.stride, sampled.step * sampled.per_landing) == (
         1,
         pytest.approx(scene.time[1], rel=1e-14),
     )
@@ -177,9 +176,10 @@ def test_rounding_of_samples_between_short_steps_is_known():
     scene = Scene(chain=chain, excitation=strike, duration=12 / chain.band_edge, samples=241)
     engine = Native("rkn6")
     truth = reference(scene)
-    candidate = engine.candidate(scene, 1e-6)
-    assert candidate.stride > 1
-    run = engine.start([scene], candidate.with_steps(50 * candidate.steps_per_landing))
+    candidate = engine.propose(scene, 1e-6)
+    assert candidate.steps.stride > 1
+    shorter = candidate.steps.shortened(50 * candidate.steps.per_landing)
+    run = engine.start([scene], candidate.with_steps(shorter))
     blocks = list(run.blocks())
     u, v = (
         np.concatenate(fields, 1)[0]

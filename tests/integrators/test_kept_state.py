@@ -6,8 +6,8 @@ import pytest
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 SCENE = Scene(
     chain=Chain(grains=12, diameter=1e-3),
@@ -15,7 +15,7 @@ SCENE = Scene(
     duration=1.5e-4,
     samples=13,
 )
-SCHEDULE = StepSchedule(2, 1, SCENE.duration / 24, False)  # steps four times too long
+SCHEDULE = Steps(2, 1, SCENE.duration / 24, False)  # steps four times too long
 
 
 def stepper(state):

@@ -27,8 +27,8 @@ from lmpchain.integrators.kernels.contact_forces import ROOTS, Form
 from lmpchain.integrators.kernels.layout import STATE, Links
 from lmpchain.integrators.kernels.openings import Near, _find_nearness
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 Array = NDArray[np.float64]
 EPSILON = np.finfo(float).eps
@@ -186,7 +186,7 @@ def untiled() -> Any:
     march = sample_loop.sample_loop(names["_advance"], True)
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT, _nrt=False)(march)
     # now it is known what it takes
-    NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], StepSchedule(1, 1, 1e-6, False), {})
+    NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], Steps(1, 1, 1e-6, False), {})
     made.compile(kernels.march.signatures[0])
     return made
 
@@ -205,7 +205,7 @@ def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: py
         stepper = NativeStepper(
             ChainBatch([scene], "exact"),
             METHODS["rkn4"],
-            StepSchedule(15, 1, scene.duration / 30, False),
+            Steps(15, 1, scene.duration / 30, False),
             {},
         )
         u, v = np.zeros((2, 1, 3, chain.grains))

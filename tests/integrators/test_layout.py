@@ -16,8 +16,8 @@ from lmpchain.integrators.kernels.layout import (
     team,
 )
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
 N = 5
@@ -285,7 +285,7 @@ def test_batches_of_splines_of_any_length_move_as_each_alone():
         scenes.append(Scene(chain=chain, excitation=force, duration=4e-5, samples=5))
     together = np.zeros((2, 3, 5, N))
     for name in ("rkn4", "dop853", "gear4"):
-        schedule = StepSchedule(9, 1, 1e-5 / 9, False)
+        schedule = Steps(9, 1, 1e-5 / 9, False)
         NativeStepper(ChainBatch(scenes), METHODS[name], schedule, {}).fill(*together, 0, 4, 2**62)
         for number, scene in enumerate(scenes):
             alone = np.zeros((2, 1, 5, N))
@@ -385,9 +385,7 @@ def test_extremes_are_those_of_all_steps(name: str):
     edge = chain.band_edge
     start = Profile(displacement=scale * u, velocity=scale * edge * v)
     scene = Scene(chain=chain, excitation=start, duration=20 / edge, samples=201)
-    stepper = NativeStepper(
-        ChainBatch([scene]), METHODS[name], StepSchedule(1, 1, 0.1 / edge, False), {}
-    )
+    stepper = NativeStepper(ChainBatch([scene]), METHODS[name], Steps(1, 1, 0.1 / edge, False), {})
     fields = np.zeros((2, 1, 201, N))
     stepper.fill(*fields, 0, 200, 2**62)
     fields[:, 0, 0] = scene.initial()

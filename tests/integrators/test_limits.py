@@ -8,6 +8,7 @@ from lmpchain import Chain, Drive, Impulse, RunFailed, Scene
 from lmpchain.engines.native import Native
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.table import UNBOUNDED
+from lmpchain.integrators.steps import Steps
 
 
 def test_what_twice_the_kinetic_energy_cannot_exceed():
@@ -49,9 +50,7 @@ def test_grains_that_come_too_close_are_told_where_answers_are_compared(steps: i
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.862e-3), duration=4.5e-4, samples=9)
     engine = Native("rkn4", adaptive=False)
     step = scene.duration / 8 / steps
-    run = engine.start(
-        [scene], engine.candidate(scene, 1e-3).sampled._replace(step=step, steps_per_landing=steps)
-    )
+    run = engine.start([scene], engine.propose(scene, 1e-3).with_steps(Steps(steps, 1, step)))
     if lost == "answer":
         with pytest.raises(RunFailed, match="a contact overlaps more than the total energy allows"):
             list(run.blocks())

@@ -26,8 +26,8 @@ from lmpchain.integrators.kernels.layout import (
     Team,
 )
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 share = team.share.py_func
 widen = window.widen.py_func
@@ -193,7 +193,7 @@ def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_
     step = reach / scene.highest_frequency * (0.2 if name != "dop853" else 1.0)
     steps = 500
     scene = scene.replace(duration=steps * step)
-    run = NativeStepper(ChainBatch([scene]), METHODS[name], StepSchedule(steps, 1, step, False), {})
+    run = NativeStepper(ChainBatch([scene]), METHODS[name], Steps(steps, 1, step, False), {})
     fields = np.zeros((2, 1, 2, 5))
     due = 0
     each = max(1, int(1 / (step * scene.highest_frequency)))

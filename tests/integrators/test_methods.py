@@ -19,8 +19,8 @@ from lmpchain.integrators.kernels.layout import LEAST_SHARE, STATE
 from lmpchain.integrators.method import first_growth
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS, Splitting
-from lmpchain.integrators.step_schedule import MANY_STEPS, StepSchedule
 from lmpchain.integrators.stepper import NativeStepper, room_for
+from lmpchain.integrators.steps import MANY_STEPS, Steps
 
 # --- what methods say
 
@@ -138,7 +138,7 @@ def test_the_first_growth_is_found_on_a_grid_of_thousandths():
 @pytest.mark.parametrize("stride", [1, 3, 4])
 @pytest.mark.parametrize("steps", [1, 2, 7, 10])
 def test_the_total_counts_steps_no_longer_than_those_between_landings(stride: int, steps: int):
-    schedule = StepSchedule(steps, stride, 1.0, False)
+    schedule = Steps(steps, stride, 1.0, False)
     for samples in range(1, 20):
         whole, rest = divmod(samples, stride)
         expected = whole * steps + int(np.ceil(Fraction(rest * steps, stride)))
@@ -146,23 +146,23 @@ def test_the_total_counts_steps_no_longer_than_those_between_landings(stride: in
 
 
 def test_a_companion_of_twice_the_step_lands_on_every_second_sample():
-    own = StepSchedule(3, 1, 1e-9, True, coarse_openings=True)
+    own = Steps(3, 1, 1e-9, True, coarse_openings=True)
     longer = own.longer(2)
-    assert longer == StepSchedule(3, 2, 2e-9, True, 2, True)
+    assert longer == Steps(3, 2, 2e-9, True, 2, True)
     shorter = own.longer(1.5)
     assert shorter.step == pytest.approx(1.5e-9, rel=1e-15)
-    assert shorter == StepSchedule(2, 1, shorter.step, True, 1.5, True)
-    assert StepSchedule(4, 1, 1e-9, True).longer(2) == StepSchedule(2, 1, 2e-9, True, 2)
-    assert StepSchedule(2, 1, 1e-9, True).longer(1.25) == StepSchedule(8, 5, 1.25e-9, True, 1.25)
+    assert shorter == Steps(2, 1, shorter.step, True, 1.5, True)
+    assert Steps(4, 1, 1e-9, True).longer(2) == Steps(2, 1, 2e-9, True, 2)
+    assert Steps(2, 1, 1e-9, True).longer(1.25) == Steps(8, 5, 1.25e-9, True, 1.25)
 
 
 def test_a_companion_of_many_steps_lands_on_all_samples():
-    longer = StepSchedule(MANY_STEPS, 1, 1e-9, True).longer(2)
-    assert (longer.stride, longer.steps, longer.ratio) == (1, MANY_STEPS // 2, 2)
+    longer = Steps(MANY_STEPS, 1, 1e-9, True).longer(2)
+    assert (longer.stride, longer.per_landing, longer.ratio) == (1, MANY_STEPS // 2, 2)
     assert longer.step == pytest.approx(2e-9, rel=1e-15)
-    assert StepSchedule(MANY_STEPS - 1, 1, 1e-9, True).longer(2).stride == 2
-    odd = StepSchedule(33, 1, 1e-9, True).longer(2)
-    assert (odd.steps, odd.stride) == (17, 1)
+    assert Steps(MANY_STEPS - 1, 1, 1e-9, True).longer(2).stride == 2
+    odd = Steps(33, 1, 1e-9, True).longer(2)
+    assert (odd.per_landing, odd.stride) == (17, 1)
     assert odd.step == pytest.approx(33e-9 / 17, rel=1e-15)
 
 
@@ -172,16 +172,16 @@ def test_a_companion_of_a_dense_run_is_compared_in_one_sample_a_step_or_more():
         (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2),
         (16, 8, 4, 2), (3, 2, 2, 1), (3, 3, 2, 2),
     ):  # fmt: skip
-        longer = StepSchedule(steps, stride, 1e-9, True, dense=1).longer(ratio)
+        longer = Steps(steps, stride, 1e-9, True, dense=1).longer(ratio)
         fewer = -(-steps // ratio)
-        assert (longer.steps, longer.stride, longer.dense) == (fewer, stride, dense)
+        assert (longer.per_landing, longer.stride, longer.dense) == (fewer, stride, dense)
         assert longer.step == pytest.approx(1e-9 * steps / fewer, rel=1e-15)
         assert longer.ratio == ratio
 
 
 def test_half_the_step_is_twice_the_steps():
-    halved = StepSchedule(3, 2, 1e-9, True, 1.0, True, 1).halved
-    assert halved == StepSchedule(6, 2, 5e-10, True, 0.5, True, 1)
+    halved = Steps(3, 2, 1e-9, True, 1.0, True, 1).halved
+    assert halved == Steps(6, 2, 5e-10, True, 0.5, True, 1)
 
 
 # --- what acts, as a function of amplitude and frequency or of samples
@@ -265,7 +265,7 @@ SCENES = [
 
 
 def stepper(companions: int = 0, state=None, **options) -> NativeStepper:
-    own = StepSchedule(3, 1, SCENES[0].duration / 24, False)
+    own = Steps(3, 1, SCENES[0].duration / 24, False)
     beside = [own.longer(2), own.longer(4)][:companions]
     return NativeStepper(
         ChainBatch(SCENES), METHODS["verlet"], own, state or {}, companions=beside, **options
@@ -344,7 +344,7 @@ def test_threads_share_a_long_chain_or_a_batch():
         excitation=Impulse(velocity=1e-3),
         duration=1e-6,
     )
-    own = StepSchedule(2, 1, 1e-8, False)
+    own = Steps(2, 1, 1e-8, False)
     for scenes, threads, teams, works in (
         ([long], 2, 2, 2),
         ([long], 3, 2, 2),

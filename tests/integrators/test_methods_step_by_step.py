@@ -18,8 +18,8 @@ from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.kernels.right_hand_side import TILE
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 GRAINS = 7
 UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
@@ -132,7 +132,7 @@ def acted(name: str) -> Scene:
 
 
 def answer(
-    scene: Scene, method: str, schedule: StepSchedule, force: str = "auto"
+    scene: Scene, method: str, schedule: Steps, force: str = "auto"
 ) -> tuple[np.ndarray, NativeStepper]:
     """Return displacements and velocities (2, T, N), in pieces of a few steps."""
     stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {})
@@ -195,7 +195,7 @@ def distance(fields: np.ndarray, others: np.ndarray) -> float:
 def test_grains_that_fly_about_move_as_in_plain_numpy(law: str, method: str):
     scene, force, name = LAWS[law]
     assert name_of(ChainBatch([scene], force).links.form[0]) == name
-    schedule = StepSchedule(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
+    schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
     fields, stepper = answer(scene, method, schedule, force)
     assert stepper.steps == 4 * STEPS_EACH
     assert distance(fields, plainly(scene, method, STEPS_EACH)) < 1e-13
@@ -206,7 +206,7 @@ def test_grains_that_fly_about_move_as_in_plain_numpy(law: str, method: str):
 def test_what_acts_moves_grains_as_in_plain_numpy(name: str, method: str):
     """Between steps, too, where a burst ends: there a step is made as two, but of order 2."""
     scene = acted(name)
-    schedule = StepSchedule(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
+    schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
     fields, _ = answer(scene, method, schedule)
     assert distance(fields, plainly(scene, method, STEPS_EACH)) < 2e-13
 
@@ -214,7 +214,7 @@ def test_what_acts_moves_grains_as_in_plain_numpy(name: str, method: str):
 @pytest.mark.parametrize("method", ["rkn4", "kahan-li6", "kahan-li8"])
 def test_other_splittings_move_grains_as_in_plain_numpy(method: str):
     scene, force, _ = LAWS["touching wall, 2"]
-    fields, _ = answer(scene, method, StepSchedule(6, 1, scene.duration / 24, False), force)
+    fields, _ = answer(scene, method, Steps(6, 1, scene.duration / 24, False), force)
     assert distance(fields, plainly(scene, method, 6)) < 1e-13
 
 
@@ -223,7 +223,7 @@ def test_a_run_lands_on_every_third_sample_and_on_the_last(method: str):
     """On the last after as many steps as are no longer than the others."""
     scene, force, _ = LAWS["corrected"]
     scene = scene.replace(samples=9)
-    schedule = StepSchedule(10, 3, 3 * scene.duration / 80, False)
+    schedule = Steps(10, 3, 3 * scene.duration / 80, False)
     fields, stepper = answer(scene, method, schedule, force)
     interval = WIDE(scene.duration) / 8
     lengths = [3 * interval / 10] * 20 + [2 * interval / 7] * 7
@@ -255,9 +255,7 @@ def test_a_wave_in_a_long_chain_is_followed_by_a_window(method: str, adaptive: b
     v[119:123] = scale * np.array([1, -0.7, 0.4, 1])
     profile = Profile(displacement=u, velocity=v)
     scene = Scene(chain=chain, excitation=profile, duration=8 / chain.band_edge, samples=3)
-    fields, stepper = answer(
-        scene, method, StepSchedule(steps, 1, scene.duration / 2 / steps, adaptive)
-    )
+    fields, stepper = answer(scene, method, Steps(steps, 1, scene.duration / 2 / steps, adaptive))
     assert stepper.steps == 2 * steps
     assert distance(fields, plainly(scene, method, steps)) < 1e-13
     first, last = (stepper.watched[name][0] - PAD for name in ("first", "last"))
@@ -293,9 +291,7 @@ def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str
     steps = 6
     if method == "rkn4":
         steps = 2
-    fields, stepper = answer(
-        scene, method, StepSchedule(steps, 1, duration / steps, False), "plain"
-    )
+    fields, stepper = answer(scene, method, Steps(steps, 1, duration / steps, False), "plain")
     true = plainly(scene, method, steps)
     assert distance(fields, true) < 1e-13
     assert stepper.steps == steps

@@ -39,8 +39,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     """Where the length of steps follows from the motion, too."""
     scene = paper("fig1", samples=61)
     engine = engines.Native(integrator=integrator)
-    candidate = engine.candidate(scene, 1e-9)
-    assert candidate.adaptive
+    candidate = engine.propose(scene, 1e-9)
+    assert candidate.steps.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
     monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # few samples a block
@@ -153,9 +153,9 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
     engine = Native("rkn6")
     truth = reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
-    candidate = engine.candidate(scene, 1e-3)._replace(
-        step=step, steps_per_landing=steps, coarse_openings=False
-    )
+    candidate = engine.propose(scene, 1e-3)
+    taken = candidate.steps._replace(step=step, per_landing=steps, coarse_openings=False)
+    candidate = candidate.with_steps(taken)
     run = engine.start([scene], candidate)
     (u,), (v,) = blocks_of(run)
     error = relative_error(u, v, truth.displacement, truth.velocity)
@@ -174,11 +174,12 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
     # nor are samples interpolated
     monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
-    candidate = engine.candidate(scene, 1e-4)
+    candidate = engine.propose(scene, 1e-4)
     truth = reference(scene)
     costs = []
-    assert candidate.coarse_openings
-    for proposed in (candidate, candidate._replace(coarse_openings=False)):
+    assert candidate.steps.coarse_openings
+    fine = candidate.with_steps(candidate.steps._replace(coarse_openings=False))
+    for proposed in (candidate, fine):
         run = engine.start([scene], proposed)
         (u,), (v,) = blocks_of(run)
         assert (
@@ -188,9 +189,9 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     assert costs[0] < 0.75 * costs[1]
     refined = engine.refine(candidate, run.errors()[0]._replace(truncation=2e-4, order=4.0), 1e-4)
     assert refined is not None
-    assert (refined.coarse_openings, refined.steps_per_landing) == (
+    assert (refined.steps.coarse_openings, refined.steps.per_landing) == (
         False,
-        candidate.steps_per_landing,
+        candidate.steps.per_landing,
     )
 
 
@@ -202,8 +203,8 @@ def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too(
     springs = scene.replace(chain=scene.chain.replace(exponent=1.0))
     engine = Native("rkn6")
     monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
-    assert engine.candidate(scene, 1e-2).coarse_openings
-    assert not Native("rkn6").candidate(scene, 1e-12).coarse_openings
-    assert not Native("rkn6").candidate(springs, 1e-2).coarse_openings
-    assert not Native("verlet").candidate(scene, 1e-2).coarse_openings
-    assert not Native("rkn6", adaptive=False).candidate(scene, 1e-2).coarse_openings
+    assert engine.propose(scene, 1e-2).steps.coarse_openings
+    assert not Native("rkn6").propose(scene, 1e-12).steps.coarse_openings
+    assert not Native("rkn6").propose(springs, 1e-2).steps.coarse_openings
+    assert not Native("verlet").propose(scene, 1e-2).steps.coarse_openings
+    assert not Native("rkn6", adaptive=False).propose(scene, 1e-2).steps.coarse_openings

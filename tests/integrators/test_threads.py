@@ -14,8 +14,8 @@ from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import LEAST_SHARE
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
-from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 
 GRAINS = 5 * LEAST_SHARE + 21
 SEVERAL = (2, 3, 5)
@@ -57,7 +57,7 @@ def answer(
     scene: Scene, threads: int, method: str, adaptive: bool, steps: int = 4, force: str = "auto"
 ) -> list[Any]:
     """Return the samples and the state at the end, in pieces of three steps."""
-    schedule = StepSchedule(steps, 1, scene.duration / (scene.samples - 1) / steps, adaptive)
+    schedule = Steps(steps, 1, scene.duration / (scene.samples - 1) / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {}, threads)
     u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
     while stepper.sample < scene.samples - 1:
@@ -181,7 +181,7 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
         # else it lands at the end only
-        started = engine.start([scene], engine.candidate(scene, 1e-3).sampled, kept)
+        started = engine.start([scene], engine.propose(scene, 1e-3).sampled, kept)
         blocks = []
         for block in started.blocks():
             blocks += [block.velocity[0]]
@@ -201,7 +201,7 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
 
 def test_short_chains_and_batches_are_not_split():
     scene = noisy(2 * LEAST_SHARE - 1)
-    schedule = StepSchedule(2, 1, scene.duration / 6, False)
+    schedule = Steps(2, 1, scene.duration / 6, False)
     for scenes, method in (([scene], "verlet"), ([noisy()] * 2, "verlet"), ([noisy()], "dop853")):
         stepper = NativeStepper(ChainBatch(scenes), METHODS[method], schedule, {}, 2)
         assert len(stepper._teams) == 1
@@ -212,7 +212,7 @@ def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.Monkey
     """Ctrl-C may come when some threads have begun and others have not."""
     scene = noisy()
     stepper = NativeStepper(
-        ChainBatch([scene]), METHODS["verlet"], StepSchedule(2, 1, scene.duration / 6, False), {}, 3
+        ChainBatch([scene]), METHODS["verlet"], Steps(2, 1, scene.duration / 6, False), {}, 3
     )
     submit = stepper._pool.submit
     begun = []

@@ -229,7 +229,7 @@ def test_checkpoints_and_tasks_with_the_right_hash(originals: Path, tmp_path: Pa
                 arrays = dict(kept)
             if turn.random() < 0.5:
                 notes = json.loads(str(arrays["notes"]))
-                notes["attempt"]["candidate"].pop("choices")
+                notes["attempt"]["proposal"].pop("choices")
                 arrays["notes"] = np.array(json.dumps(spoilt(notes, turn)))
             else:
                 name = turn.choice([name for name in arrays if name != "notes"])

@@ -360,7 +360,7 @@ def test_batch_equals_single_runs(integrator: str):
     ]
     scenes = [scene_of(WALLED, each, samples=5) for each in given]
     solver = engines.Native(integrator=integrator, step=scenes[0].duration / 200)
-    run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
+    run = solver.start(scenes, solver.propose(scenes[0], 1e-6))
     u, v = blocks_of(run)
     for i, scene in enumerate(scenes):
         alone = simulate(scene, engine=solver)
@@ -384,7 +384,7 @@ def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pyt
     scene = scene_of(*STRONG[kind], samples=9)
     options = {"diameter": "gauge"} if engine == "lammps" else {}
     solver = engines.get(engine, integrator=integrator, step=scene.duration / 203, **options)
-    candidate = solver.candidate(scene, 1e-6)
+    candidate = solver.propose(scene, 1e-6)
     whole = solver.start([scene], candidate)
     u, v = blocks_of(whole)
     monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # four samples a block
@@ -593,7 +593,7 @@ def test_random_scenes(seed: int):
     step = scene.duration / 10 / int(rng.integers(3, 20))
     asked: list[Any] = ["native", "auto"]
     with suppress(InputError):  # a step that is not stable here
-        engines.Native(integrator, step).candidate(scene, tolerance)
+        engines.Native(integrator, step).propose(scene, tolerance)
         asked.append(engines.Native(integrator, step))
     for engine in asked:
         options = {"integrator": integrator} if engine == "native" else {}

@@ -336,11 +336,11 @@ def test_batch_equals_single_runs(integrator: str):
         chain = Chain(grains=25, diameter=1e-3 * rng.uniform(0.9, 1.1, 25), bottom="wall")
         scenes.append(Scene(chain=chain, excitation=make(chain), duration=3e-5, samples=5))
     solver = engines.Native(integrator=integrator, step=1e-7)
-    run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
+    run = solver.start(scenes, solver.propose(scenes[0], 1e-6))
     u, v = blocks_of(run)
     errors = run.errors()
     threaded = engines.Native(integrator=integrator, step=1e-7, threads=3).start(
-        scenes, run.candidate
+        scenes, run.proposal
     )
     for one, other in zip((u, v), blocks_of(threaded), strict=True):
         assert np.array_equal(one, other)
@@ -358,7 +358,7 @@ def test_a_driven_chain_is_not_of_a_kind_with_one_that_is_struck():
     struck = Scene(**driven.given() | {"excitation": Impulse(velocity=1e-6)})
     solver = engines.Native(step=1e-6)
     with pytest.raises(ValueError, match="a batch needs"):
-        solver.start([driven, struck], solver.candidate(driven, 1e-6))
+        solver.start([driven, struck], solver.propose(driven, 1e-6))
 
 
 @every
@@ -372,7 +372,7 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
         Scene(chain=chain, excitation=make(chain, s), duration=3e-5, samples=9) for s in (1e-3, 3.0)
     ]
     solver = engines.Native(integrator=integrator, step=1e-7)
-    candidate = solver.candidate(scenes[0], 1e-6)
+    candidate = solver.propose(scenes[0], 1e-6)
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
     # four samples a block, after the one at t = 0
@@ -445,7 +445,7 @@ def test_knots_and_touching_walls_count_as_not_smooth() -> None:
     ):
         scene = Scene(chain=chain, excitation=excitation, duration=1e-4, samples=3)
         solver = engines.Native("rkn4", step=1e-6)
-        run = solver.start([scene], solver.candidate(scene, 1e-6))
+        run = solver.start([scene], solver.propose(scene, 1e-6))
         for _ in run.blocks():
             pass
         assert run.errors()[0].order == (METHODS["rkn4"].order if smooth else 2)

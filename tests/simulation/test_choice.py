@@ -14,11 +14,11 @@ from helpers.example_scenes import paper
 import lmpchain
 from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, engines, simulate
 from lmpchain.engines import Native, cost_model
-from lmpchain.engines.base import Candidate, ErrorBudget
+from lmpchain.engines.base import ErrorBudget, Proposal
 from lmpchain.engines.step_control import Attempt
+from lmpchain.integrators.steps import Steps
 from lmpchain.simulation import calibration, planner
 from lmpchain.simulation.choice import (
-    Proposal,
     cheapest,
     choose,
     engine_for,
@@ -43,12 +43,19 @@ def shipped(tmp_path, monkeypatch):
     cost_model.measured.cache_clear()
 
 
-def candidate(model: float = 0.0, solver: float = 1e-9, cost: float = 1.0, **more) -> Candidate:
-    return Candidate(1e-7, 10, model, solver, cost, **more)
+def proposal(
+    engine: str = "modes",
+    equation: int = 3,
+    model: float = 0.0,
+    solver: float = 1e-9,
+    cost: float = 1.0,
+    **more,
+) -> Proposal:
+    return Proposal(engine, equation, Steps(1, 1, 1e-7), 10, model, solver, cost, **more)
 
 
 def judged(equation: int = 3, tolerance: float = 1e-6, **errors) -> tuple[bool, str]:
-    verdict = judge(Proposal("modes", equation, candidate(**errors)), SCENE, tolerance)
+    verdict = judge(proposal("modes", equation, **errors), SCENE, tolerance)
     return verdict.kept, verdict.why
 
 
@@ -83,18 +90,17 @@ def test_errors_are_said_in_per_cent(error, words):
 
 
 def test_numbers_of_a_proposal():
-    made = candidate(1e-3, 1e-9, 2.5, integrator="rkn6")
-    proposal = Proposal("native", 1, made, kept=True)
-    assert proposal.price_s == proposal.cost_s == 2.5
-    assert proposal._replace(kept=False).price_s == math.inf
+    made = proposal("native", 1, 1e-3, 1e-9, 2.5, integrator="rkn6", kept=True)
+    assert made.price_s == made.cost_s == 2.5
+    assert made._replace(kept=False).price_s == math.inf
     nothing = Proposal("modes", 3)
-    assert (nothing.integrator, nothing.active_grains, nothing.price_s) == ("", None, math.inf)
+    assert (nothing.integrator, nothing.possible, nothing.price_s) == ("", False, math.inf)
     assert all(
         math.isnan(x)
         for x in (nothing.model_error, nothing.solver_error, nothing.step, nothing.cost_s)
     )
-    row = proposal.to_json()
-    assert row == {
+    assert nothing.to_json()["active_grains"] is None
+    assert made.to_json() == {
         "engine": "native", "equation": 1, "integrator": "rkn6", "model_error": 1e-3,
         "solver_error": 1e-9, "active_grains": 10, "step": 1e-7, "cost_s": 2.5, "kept": True,
         "why": "",
@@ -103,17 +109,17 @@ def test_numbers_of_a_proposal():
 
 def test_why_the_cheapest_is_taken():
     kept = [
-        Proposal(name, eq, candidate(cost=c), kept=True)
+        proposal(name, eq, cost=c, kept=True)
         for name, eq, c in (("native", 1, 3.0), ("modes", 3, 1.0))
     ]
     native, modes = kept
     assert cheapest(kept).engine == "modes"
     assert reason(modes, kept) == "solves Eq. (3), the cheapest within the tolerance"
-    dropped = Proposal("modes", 3, candidate(0.5), why="too far off")
+    dropped = proposal(model=0.5, why="too far off")
     plain = "solves Eq. (1), the cheapest within the tolerance"
     but = "; modes would cost less, but too far off"
     assert reason(native, [native, dropped]) == plain + but
-    dearer = Proposal("modes", 3, candidate(0.5, cost=4.0), why="too far off")
+    dearer = proposal(model=0.5, cost=4.0, why="too far off")
     refused = Proposal("bessel", 4, why="cannot do it")
     assert reason(native, [native, refused, dearer]) == plain
     with pytest.raises(ToleranceNotMet, match=r"^modes: too far off; native: too many digits$"):
@@ -148,7 +154,7 @@ def test_which_engine_costs_least(grains, radians, samples, tolerance, order):
     """Steps take their time by the radian, modes by the grain, the series by either."""
     scene = swinging(grains, radians, samples)
     costs = {
-        name: engines.plain(name).candidate(scene.reached, tolerance).cost_s
+        name: engines.plain(name).propose(scene.reached, tolerance).cost_s
         for name in ("native", "modes", "chebyshev")
     }
     assert sorted(costs, key=lambda name: costs[name]) == order.split()
@@ -160,7 +166,7 @@ def test_engines_that_begin_later_than_native_ends_are_not_asked():
     every = {proposal.engine: proposal for proposal in propose(short, 1e-3, every=True)}
     assert set(every) == set(engines.names())
     native = every["native"].cost_s
-    asked = [proposal.engine for proposal in propose(short, 1e-3) if proposal.candidate]
+    asked = [proposal.engine for proposal in propose(short, 1e-3) if proposal.possible]
     assert asked == ["native"]
     for name in ("modes", "chebyshev"):
         assert native < engines.plain(name).start_up_s < every[name].cost_s
@@ -247,7 +253,7 @@ def test_engines_by_name():
 
 
 def test_a_record_says_what_was_asked():
-    made = Native().candidate(SCENE, 1e-6)
+    made = Native().propose(SCENE, 1e-6)
     given = record(Native(step=1e-7), SCENE, made, 1e-6)
     assert given["tolerance"] == "none, for a step was given"
     kept = record(Native(), SCENE, made, 1e-6)
@@ -258,23 +264,23 @@ def test_a_record_says_what_was_asked():
 
 def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
     """Its own words: what it leaves out, what was expected, which engine does it again."""
-    attempt = Attempt("modes", candidate(3e-7), 1e-6)
+    attempt = Attempt(proposal(model=3e-7), 1e-6)
     good = ErrorBudget(0.0, 1e-12, 1.0, model=5e-7, model_bound=9e-7)
     assert fall_back(SCENE, attempt, good) is None
-    assert fall_back(SCENE, attempt._replace(engine="native"), good._replace(model=1.0)) is None
+    native = attempt._replace(proposal=attempt.proposal._replace(engine="native"))
+    assert fall_back(SCENE, native, good._replace(model=1.0)) is None
     for error in (good._replace(model_bound=2e-6), good._replace(remark="contact 3 opens")):
         following = fall_back(SCENE, attempt, error)
-        assert following.engine == "native"
+        assert following.proposal.engine == "native"
         assert following.tolerance == 1e-6
         most = max(error.model, error.model_bound)
         remark = ", contact 3 opens" if error.remark else ""
-        assert following.candidate.choices["redone"] == (
+        assert following.proposal.choices["redone"] == (
             f"Eq. (3) leaves out up to {most:.1g} of the solution{remark} along the run of modes, "
             "expected were 3e-07: run again with native, Eq. (1)"
         )
         assert (
-            following.candidate.choices["plan"]
-            == f"native: {following.candidate.choices['redone']}"
+            following.proposal.choices["plan"] == f"native: {following.proposal.choices['redone']}"
         )
     with pytest.raises(
         ToleranceNotMet, match=r"with the tolerance of 1e-16 exceeded; native: round-off alone"
@@ -287,7 +293,7 @@ def test_best_effort_loosens_what_no_engine_can():
     assert 1e-16 < attempt.tolerance < 1e-12
     assert "round-off alone" in attempt.refusal
     assert attempt.planned_s >= 0
-    assert attempt.candidate.choices["plan"].startswith("native: solves Eq. (1), ")
+    assert attempt.proposal.choices["plan"].startswith("native: solves Eq. (1), ")
 
 
 # --- calibration
@@ -311,7 +317,7 @@ class Answers:
         """Spend the time; the first answers of a row take longer."""
         self.count += 1
         start, slowness = cost_model.speed(engine.name, engine.start_up_s)
-        work = (engine.candidate(engine.part(scene), tolerance).cost_s - start) / slowness
+        work = (engine.propose(engine.part(scene), tolerance).cost_s - start) / slowness
         late = 0.1 if self.count % calibration.REPEATS else 0.0
         self.now += self.start + self.slowness * work + late
 

@@ -7,6 +7,7 @@ import json
 import signal
 import time
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ from lmpchain.simulation.folder_files import (
     check_new,
     load_checkpoints,
     remove,
+    renew,
     resume_command,
     save_checkpoint,
 )
@@ -192,7 +194,7 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
         1e-6,
     )
     assert kept["best_effort"] is False
-    assert kept["step_s"] == Native().candidate(SCENE, 1e-6).step
+    assert kept["step_s"] == Native().propose(SCENE, 1e-6).step
     assert kept["error_estimate"] == lmpchain.Trajectory.load(folder).error_estimate.total
     assert kept["pid"] > 0
     first_s = kept["wall_s"]
@@ -357,16 +359,46 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
         ):
             resume(folder)
 
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"step": 0.0}})
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"steps_per_landing": 0}})
+    proposal = whole["proposal"]
+    for wrong in ({"step": 0.0}, {"per_landing": 0}):
+        noted(attempt=whole | {"proposal": proposal | {"steps": proposal["steps"] | wrong}})
     noted(attempt=whole | {"tolerance": 1.0})
     noted(attempt=whole | {"tolerance": 0.0})
-    noted(attempt=whole | {"engine": "fast"})
-    noted(attempt=whole | {"candidate": whole["candidate"] | {"colour": 1}})
+    noted(attempt=whole | {"proposal": proposal | {"engine": "fast"}})
+    noted(attempt=whole | {"proposal": proposal | {"colour": 1}})
     noted(spent=kept["spent"] | {"wall_s": -1.0})
     noted(spent=kept["spent"] | {"more_s": 1.0})
     save_checkpoint(folder, kept, state)
     assert resume(folder).time.size == 61
+
+
+def test_a_checkpoint_without_a_record_of_steps_goes_on_with_the_same_bits(tmp_path, small_blocks):
+    """Earlier versions wrote the fields of the steps beside the others, and diameters as text."""
+    folder = tmp_path / "run"
+    stopped(folder)
+    kept, state = next(load_checkpoints(folder))
+    attempt = kept["attempt"]
+    new = attempt.pop("proposal")
+    steps = new["steps"]
+    old = {
+        "step": steps["step"],
+        **{key: new[key] for key in ("active_grains", "model_error", "solver_error", "cost_s")},
+        "tolerance": new["tolerance"],
+        "steps_per_landing": steps["per_landing"],
+        "stride": steps["stride"],
+        "fixed": new["fixed"],
+        "adaptive": steps["adaptive"],
+        "coarse_openings": steps["coarse_openings"],
+        "integrator": new["integrator"],
+        "choices": new["choices"] | {"drawn_m": "1.5e-07"},
+    }
+    attempt |= {"engine": new["engine"], "candidate": old, "best": [1e-3, list(old.values())]}
+    save_checkpoint(folder, kept, state)
+    renewed = renew(attempt)
+    assert renewed["proposal"]["choices"].pop("drawn_m") == 1.5e-7
+    assert renewed["proposal"] == new
+    assert renewed["best"][1]["steps"] == steps
+    assert np.array_equal(resume(folder).velocity, simulate(SCENE, "native", 1e-6).velocity)
 
 
 def test_a_finished_run_that_missed_tells_it_again(tmp_path):
@@ -468,7 +500,8 @@ def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
     scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in (1.0e-4, 1.1e-4, 1.2e-4)]
     engine = Native()
     attempts = [
-        first_attempt(engine, scene, 1e-6)._replace(planned_s=0.3, spent_s=0.6) for scene in scenes
+        first_attempt(partial(engine.propose, scene), 1e-6)._replace(planned_s=0.3, spent_s=0.6)
+        for scene in scenes
     ]
     honest = engine.start
     costs = []

@@ -262,9 +262,7 @@ def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
     scene = springs(2, samples=4)
     engine = engines.plain("modes")
     part = engine.part(scene)
-    run = GatheringRun(
-        engine.start([part], engine.candidate(part, 0.9)), engine, [scene], [part], {}
-    )
+    run = GatheringRun(engine.start([part], engine.propose(part, 0.9)), engine, [scene], [part], {})
     blocks = list(run.blocks())
     assert run.progress == 1
     assert blocks[0].samples.start == 0
@@ -277,7 +275,7 @@ def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
     assert set(own) == {key for key in state if not key.startswith("gathered.")}
     assert len(state) > len(own)
     again = GatheringRun(
-        engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], state
+        engine.start([part], engine.propose(part, 0.9), own), engine, [scene], [part], state
     )
     one = run.results([1e-9])[0]
     other = again.results([1e-9])[0]
@@ -287,7 +285,7 @@ def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
     wrong = state | {"gathered.0.fast": np.zeros((3, 2))}
     with pytest.raises(ValueError, match="the state that was kept does not fit"):
         GatheringRun(
-            engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], wrong
+            engine.start([part], engine.propose(part, 0.9), own), engine, [scene], [part], wrong
         )
     assert run.cost().steps == part.samples - 1
     assert run.errors()[0].roundoff > 0

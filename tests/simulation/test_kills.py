@@ -35,6 +35,7 @@ from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
 from lmpchain.engines.stepping import companion_run, time_stepping
+from lmpchain.integrators.steps import Steps
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.folder_files import is_run
 from lmpchain.simulation.run_folder import status
@@ -71,8 +72,8 @@ def breakdown(monkeypatch: pytest.MonkeyPatch):
 
     def choose(*arguments):
         candidate = honest(*arguments)
-        longer = candidate.steps_per_landing * candidate.step
-        return candidate._replace(step=longer, steps_per_landing=1)
+        longer = candidate.steps.per_landing * candidate.step
+        return candidate.with_steps(Steps(1, 1, longer))
 
     monkeypatch.setattr(time_stepping.TimeSteppingEngine, "propose", choose)
     scene = Scene(chain=SMALL.chain, excitation=SMALL.excitation, duration=1.5e-4, samples=13)

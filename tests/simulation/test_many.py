@@ -60,7 +60,7 @@ def test_a_sine_beside_points_is_as_it_is_alone():
         Scene(chain=chain, excitation=drive, duration=duration, samples=3) for drive in drives
     ]
     engine = Native("dop853")
-    candidates = [engine.candidate(scene, 1e-6).schedule() for scene in scenes]
+    candidates = [engine.propose(scene, 1e-6).steps for scene in scenes]
     assert candidates[0] == candidates[1]
     for t, scene in zip(simulate_many(scenes, 1e-6, engine), scenes, strict=True):
         assert np.array_equal(t.velocity, simulate(scene, engine, 1e-6).velocity)

@@ -228,7 +228,7 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     modes = Modes()
     if modes.refuses(scene):
         return
-    candidate = modes.candidate(scene, 0.9)
+    candidate = modes.propose(scene, 0.9)
     t = simulate(scene, modes, 0.9, on_miss="warn")
     (u, v, _) = extended_reference(scene)
     true = relative_error(t.displacement, t.velocity, u, v) - t.error_estimate.solver
@@ -406,7 +406,7 @@ def test_table_and_json(tmp_path: Path, capsys):
     assert lammps["why"].startswith("only if asked for by name")
     assert lammps["cost_s"] > 0
     assert not lammps["kept"]
-    assert lammps["step"] == lmpchain.engines.get("lammps").candidate(plan_scene(), 1e-3).step
+    assert lammps["step"] == lmpchain.engines.get("lammps").propose(plan_scene(), 1e-3).step
 
 
 def plan_scene() -> Scene:

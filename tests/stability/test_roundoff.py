@@ -1,6 +1,7 @@
 """The floor of round-off and the predictability time, held against extended precision."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -246,7 +247,7 @@ def test_no_double_precision_run_holds_beyond_the_predictability_time():
     true = reference(scene)
     said = {tolerance: predictability_time(scene, tolerance) for tolerance in (1e-9, 1e-6)}
     for engine in (Native("rkn6"), Native("dop853")):
-        run = engine.start([scene], engine.candidate(scene, 1e-11))
+        run = engine.start([scene], engine.propose(scene, 1e-11))
         pairs = zip((x[0] for x in blocks_of(run)), (true.displacement, true.velocity), strict=True)
         error = np.max([np.abs(x - y).max(1) / np.abs(y).max() for x, y in pairs], axis=0)
         for tolerance, end in said.items():
@@ -293,7 +294,7 @@ def answerable(scene, tolerance, patient):
     None where it breaks down.
     """
     native = Native()
-    attempt = first_attempt(native, scene, tolerance)
+    attempt = first_attempt(partial(native.propose, scene), tolerance)
     try:
         outcome = solve_to_tolerance(
             native, [scene], attempt, lambda run: [None for _ in run.blocks()], patient=patient
@@ -309,7 +310,7 @@ def test_what_can_be_answered_is_not_refused():
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
         scene = Scene(**whole.given() | {"duration": part * end})
-        first = first_attempt(Native(), scene, 1e-6)
+        first = first_attempt(partial(Native().propose, scene), 1e-6)
         outcome = solve_to_tolerance(Native(), [scene], first, lambda run: list(run.blocks()))
         assert outcome.missed == ""
 
@@ -331,7 +332,7 @@ def test_no_random_scene_is_refused_that_can_be_answered():
                     **scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)}
                 )
             tolerance = 10 ** rng.uniform(-6, -3)
-            if Native().candidate(scene, tolerance).cost_s > 0.005:
+            if Native().propose(scene, tolerance).cost_s > 0.005:
                 continue
         except (InputError, ToleranceNotMet):
             continue

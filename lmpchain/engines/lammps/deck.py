@@ -226,8 +226,8 @@ def _fill(
     scene = column.scene
     # velocity Verlet and its compositions kick in LAMMPS; else the kicks come from outside
     kicks = carries(splitting) and not kicks_by_force(scene, splitting)
-    every = round(scene.duration / (scene.samples - 1) / step)
-    count = every * (scene.samples - 1) * deck_steps(splitting)
+    every = round(scene.sampling_interval / step)
+    count = every * scene.intervals * deck_steps(splitting)
     if values["alone"] and count > STEPS_OF_A_RUN:
         most = f"{count} steps are more than LAMMPS counts in a run, {STEPS_OF_A_RUN}"
         raise InputError.at(
@@ -237,7 +237,7 @@ def _fill(
         "column": column,
         "step": step,
         "every": every,
-        "samples": scene.samples - 1,
+        "samples": scene.intervals,
         "integrator": splitting.name,
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",

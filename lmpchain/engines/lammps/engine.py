@@ -16,7 +16,7 @@ from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
 from ...integrators.method import Method
 from ...integrators.methods import methods_of
 from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
-from ...integrators.step_schedule import StepSchedule
+from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import Array
@@ -24,18 +24,16 @@ from ...util.files import expanded, make_folder
 from ...util.plotting import COLOURS
 from ...util.remarks import warn
 from ...util.suggestions import not_among
-from ..base import Candidate, ErrorBudget, Run
+from ..base import ErrorBudget, Proposal, Run
 from ..cost_model import announce, check_time
 from ..native import Native
 from ..step_control import (
     Attempt,
     Outcome,
     first_attempt,
-    loosen,
     solve_to_tolerance,
 )
 from ..stepping.companion_run import CompanionRun
-from ..stepping.step_choice import StepChoice
 from ..stepping.time_stepping import TimeSteppingEngine
 from . import deck, watching
 from .column import PAIR_STYLES, LammpsColumn
@@ -204,7 +202,7 @@ class Lammps(TimeSteppingEngine):
         Only its first attempt is foreseen.
         """
         try:
-            return first_attempt(self._trial(scene), scene, tolerance / 2).candidate.cost_s
+            return self._trial(scene).propose(scene, tolerance / 2).cost_s
         except ToleranceNotMet:
             return math.inf
 
@@ -212,20 +210,22 @@ class Lammps(TimeSteppingEngine):
         """Return the engine of the native trial: the same map."""
         return Native(self.splitting(scene).name, self.step, adaptive=False)
 
-    def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
+    def propose_steps(
+        self, scene: Scene, tolerance: float, method: Method, steps: Steps
+    ) -> Proposal:
         """Find the step with native trials of the same map, and the diameter from the round-off."""
-        if choice.steps > deck.STEPS_OF_A_RUN:
+        if steps.per_landing > deck.STEPS_OF_A_RUN:
             # refuses years of work, which more samples would not shorten
-            super().propose(scene, tolerance, choice)
-            most = f"{choice.steps} steps from one to the next are more than LAMMPS counts"
+            super().propose_steps(scene, tolerance, method, steps)
+            most = f"{steps.per_landing} steps from one to the next are more than LAMMPS counts"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
         fixed = self.step is not None
         # the overlaps of a driven column, and so the gauge diameter, are known from a trial only
         bounded = not scene.excitation.does_work
         if fixed and (self.diameter == "physical" or (self.diameter == "gauge" and bounded)):
-            candidate = super().propose(scene, tolerance, choice)
+            proposal = super().propose_steps(scene, tolerance, method, steps)
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
-            return candidate._replace(choices=_choices(gauge, "as asked"))
+            return proposal._replace(choices=_choices(gauge, "as asked"))
         native = self._trial(scene)
         # half of the tolerance is for the step, half for round-off
         try:
@@ -233,10 +233,10 @@ class Lammps(TimeSteppingEngine):
         except ToleranceNotMet as limit:
             raise _without_heights(limit.reason, limit.known_until) from None
         peaks, closest = trial.collected
-        steps = trial.attempt.candidate.steps(scene.samples)
+        taken = trial.attempt.proposal.steps.total(scene.intervals)
         gauge = gauge_diameter(scene, closest)
         errors = tuple(
-            min(self.round_off(scene, drawn, steps, peaks), LARGEST_ERROR) for drawn in (0.0, gauge)
+            min(self.round_off(scene, drawn, taken, peaks), LARGEST_ERROR) for drawn in (0.0, gauge)
         )
         # a given step has no tolerance: its own error says which round-off is too much
         asked_for = f"the given step leaves {trial.error.truncation:.1g}"
@@ -250,11 +250,12 @@ class Lammps(TimeSteppingEngine):
             f"round-off in heights leaves about {errors[0]:.1g} with the physical diameter, "
             f"{errors[1]:.1g} with the gauge diameter; {asked_for}"
         )
-        choices = _choices(gauge if small else 0.0, reason) | {"gauge_m": repr(gauge)}
-        return trial.attempt.candidate._replace(
+        choices = _choices(gauge if small else 0.0, reason) | {"gauge_m": gauge}
+        return trial.attempt.proposal._replace(
+            engine=self.name,
             solver_error=min(trial.error.truncation + errors[small], LARGEST_ERROR),
             tolerance=math.inf if fixed else tolerance,
-            cost_s=self.cost(scene, choice.method, steps),
+            cost_s=self.cost(scene, method, taken),
             choices=choices,
         )
 
@@ -306,28 +307,28 @@ class Lammps(TimeSteppingEngine):
         return HEIGHTS.typical * self.round_off(scene, gauge, steps, np.array([np.inf, speed]))
 
     def refine(
-        self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
-    ) -> Candidate | None:
+        self, proposal: Proposal, error: ErrorBudget | None, tolerance: float
+    ) -> Proposal | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
-        gauge = float(candidate.choices.get("gauge_m", 0.0))
-        free = self.diameter == "auto" and gauge and not _gauge_of(candidate)
+        gauge = gauge_of(proposal, "gauge_m")
+        free = self.diameter == "auto" and gauge and not gauge_of(proposal)
         if free and error and error.roundoff > 0.5 * tolerance:
             reason = f"the physical diameter left {error.roundoff:.1g}"
-            return candidate._replace(choices=_choices(gauge, reason))
-        return super().refine(candidate, error, tolerance)
+            return proposal._replace(choices=_choices(gauge, reason))
+        return super().refine(proposal, error, tolerance)
 
     def stepper(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
-        schedules: Sequence[StepSchedule],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> LammpsStepper:
         """Make the stepper of the answer."""
         # one instance, one chain: companions are native runs
         (scene,) = scenes
         schedule = schedules[0]
-        column = self.column(scene, candidate)
+        column = self.column(scene, proposal)
         if self.run_folder and self.include:
             word(self.run_folder)
             outputs = watching.make_outputs(self.run_folder.absolute())
@@ -347,24 +348,24 @@ class Lammps(TimeSteppingEngine):
             schedule.step,
             state,
             communicator,
-            every=schedule.steps,
+            every=schedule.per_landing,
             keep=self.keep,
         )
         if self.log and splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper
 
-    def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> LammpsColumn:
-        """Return the column of a candidate, with the choices as remarks for the head of a deck."""
-        error = candidate.solver_error
+    def column(self, scene: Scene, proposal: Proposal, remark: str = "") -> LammpsColumn:
+        """Return the column of a proposal, with the choices as remarks for the head of a deck."""
+        error = proposal.solver_error
         expected = "not estimated beforehand" if math.isnan(error) else f"{error:.1g}"
         remarks = (
-            f"{candidate.choices['diameter']} diameter: {candidate.choices['why']}",
+            f"{proposal.choices['diameter']} diameter: {proposal.choices['why']}",
             f"{self.splitting(scene).name}, expected error {expected}",
             *([remark] if remark else []),
         )
         return LammpsColumn(
-            scene, _gauge_of(candidate), self.pair_style, remarks, self.template, self.include
+            scene, gauge_of(proposal), self.pair_style, remarks, self.template, self.include
         )
 
     def options(self) -> dict[str, Any]:
@@ -402,17 +403,17 @@ class Lammps(TimeSteppingEngine):
         return prepared
 
     def write_inputs(
-        self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path
+        self, scene: Scene, proposal: Proposal, tolerance: float, folder: Path
     ) -> None:
         """Write the deck of the run; where no deck can carry it, that of Verlet at equal cost."""
         driven = scene.excitation.does_work
         splitting = self.splitting(scene)
         integrator = splitting.name
-        step = candidate.step
+        step = proposal.step
         if not deck.carries(splitting) or (driven and splitting.order > 2):
             integrator = "verlet"
             step /= splitting.evaluations
-        diameter = "physical" if driven else candidate.choices["diameter"]
+        diameter = "gauge" if gauge_of(proposal) and not driven else "physical"
         try:
             engine = Lammps(integrator, step, diameter, self.pair_style)
             engine.write_deck(scene, tolerance, folder / DECK, overwrite=False)
@@ -427,15 +428,16 @@ class Lammps(TimeSteppingEngine):
         """
         if not overwrite:
             deck.check_folder(folder)
-        candidate, _, refusal = loosen(partial(self.candidate, self.part(scene)), tolerance)
+        attempt = first_attempt(partial(self.propose, self.part(scene)), tolerance, True)
+        refusal = attempt.refusal
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
-        column = self.column(scene, candidate, remark)
+        column = self.column(scene, attempt.proposal, remark)
         make_folder(folder)
         deck.write_data(column, folder / "column.data")
         path = folder / "in.column"
-        return deck.write_deck(column, path, candidate.step, self.splitting(scene))
+        return deck.write_deck(column, path, attempt.proposal.step, self.splitting(scene))
 
-    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+    def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
         """Return the pair style, the version of LAMMPS, and the text of the user's template."""
         import lammps
 
@@ -468,20 +470,20 @@ def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[
 
     def begin(attempt: Attempt) -> None:
         announce(
-            attempt.candidate.cost_s,
+            attempt.proposal.cost_s,
             f"the native trial that finds the step of LAMMPS, {attempt.work(scene.samples)},",
             "a larger tolerance, a shorter duration or a given step takes less",
             spent_s=attempt.spent_s,
         )
 
-    first = first_attempt(native, scene, tolerance)
+    first = first_attempt(partial(native.propose, scene), tolerance)
     trial = solve_to_tolerance(native, [scene], first, _largest_motion, begin)
-    longer = native.lengthen(scene, trial.attempt.candidate, trial.error, tolerance)
+    longer = native.lengthen(scene, trial.attempt.proposal, trial.error, tolerance)
     if trial.missed or not longer:
         return trial
-    attempt = Attempt(native.name, longer, tolerance)
+    attempt = Attempt(longer, tolerance)
     lengthened = solve_to_tolerance(native, [scene], attempt, _largest_motion, begin)
-    gains = lengthened.attempt.candidate.step > trial.attempt.candidate.step
+    gains = lengthened.attempt.proposal.step > trial.attempt.proposal.step
     return lengthened if gains and not lengthened.missed else trial
 
 
@@ -506,15 +508,18 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """
     contacts = scene.chain.contacts
     driven = scene.excitation.does_work
-    overlap = contacts.overlap + closest if driven else contacts.overlap_bound(scene.energy)
+    overlap = contacts.overlap + closest if driven else scene.overlap_bounds
     gauge = HEIGHTS.headroom * float(overlap.max())
     return gauge if gauge < scene.chain.diameters.min() else 0.0
 
 
-def _choices(gauge: float, reason: str) -> dict[str, str]:
-    """Return the choice of a diameter, 0 for the physical one, for the record."""
-    return {"diameter": "gauge" if gauge else "physical", "drawn_m": repr(gauge), "why": reason}
+def _choices(gauge: float, reason: str) -> dict[str, str | float]:
+    """Return the choice of a diameter, m, 0 for the physical one, and the reason."""
+    return {"diameter": "gauge" if gauge else "physical", "drawn_m": gauge, "why": reason}
 
 
-def _gauge_of(candidate: Candidate) -> float:
-    return float(candidate.choices["drawn_m"])
+def gauge_of(proposal: Proposal, key: str = "drawn_m") -> float:
+    """Return the gauge diameter that is drawn, or may be, m; 0 for the physical one."""
+    gauge = proposal.choices.get(key, 0.0)
+    assert not isinstance(gauge, str)
+    return gauge

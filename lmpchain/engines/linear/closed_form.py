@@ -14,7 +14,7 @@ from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
 from ...util.compilation import clock
 from ...util.plotting import COLOURS
-from ..base import Candidate, ErrorBudget, Run
+from ..base import ErrorBudget, Proposal, Run
 from .engine import Chebyshev, LinearEngine, LinearRun
 from .model_error import unlike
 from .solutions import LinearSolution
@@ -52,11 +52,11 @@ class ClosedForm(LinearEngine):
         ]
         return super().refuses(reached) + reasons
 
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+    def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose the formula, whose error is known before the run only where it is exact."""
-        candidate = super().candidate(scene.reached, tolerance)
-        candidate = candidate._replace(active_grains=scene.chain.grains)
-        return candidate if self.exact(scene) else candidate._replace(model_error=math.nan)
+        proposal = super().propose(scene.reached, tolerance)
+        proposal = proposal._replace(active_grains=scene.chain.grains)
+        return proposal if self.exact(scene) else proposal._replace(model_error=math.nan)
 
     def exact(self, scene: Scene) -> bool:
         """Say whether the formula solves Eq. (3) for this scene."""
@@ -73,13 +73,11 @@ class ClosedForm(LinearEngine):
     def start(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
+        proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> ClosedFormRun:
         """Start one scene, or a batch of scenes recorded alike."""
-        return ClosedFormRun(
-            self, scenes, self._beside.start(scenes, candidate, state), state or {}
-        )
+        return ClosedFormRun(self, scenes, self._beside.start(scenes, proposal, state), state or {})
 
     @abstractmethod
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
@@ -103,7 +101,7 @@ class Bessel(ClosedForm):
         from ...theory import bessel
 
         unit = scene.chain.time_scale
-        strike = scene.excitation.strike_velocity
+        strike = scene.strike_velocity
         n = scene.recorded
         T = times[:, None] / unit
         return strike * unit * bessel.free_end_impulse(n, T), strike * bessel.free_end(n, T)
@@ -129,7 +127,7 @@ class Continuum(ClosedForm):
         from ...theory import continuum
 
         unit = scene.chain.time_scale
-        strike = scene.excitation.strike_velocity
+        strike = scene.strike_velocity
         phi, speed = continuum.impulse_of_grain(
             scene.recorded, times[:, None] / unit, scene.chain.exponent
         )

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from ...integrators.kernels.chebyshev import SPAN, terms
 from ...integrators.kernels.phase_error import Evaluations
+from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import EPSILON, Array, last_digit
 from ...util.compilation import clock
 from ...util.plotting import COLOURS
-from ..base import Candidate, Engine, ErrorBudget, Run
+from ..base import Engine, ErrorBudget, Proposal, Run
 from ..cost_model import seconds
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
 from .solutions import ChebyshevSolution, LinearSolution, ModalSolution
@@ -56,10 +57,12 @@ class LinearEngine(Engine):
             reasons.append(("excitation", why))
         return reasons
 
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+    def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose the one way there is."""
-        return Candidate(
-            step=scene.duration / (scene.samples - 1),
+        return Proposal(
+            engine=self.name,
+            equation=self.equation,
+            steps=Steps.spread(scene.sampling_interval, 1),
             active_grains=scene.chain.grains,
             model_error=expected_error(scene),
             solver_error=self.round_off(scene),
@@ -94,13 +97,13 @@ class LinearEngine(Engine):
     def start(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
+        proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> Run:
         """Start one scene, or a batch of scenes recorded alike."""
         return LinearRun(self, scenes, state or {})
 
-    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> None:
+    def refine(self, proposal: Proposal, error: ErrorBudget | None, tolerance: float) -> None:
         """Nothing can be better than round-off."""
         return None
 
@@ -314,11 +317,11 @@ class LinearRun(Run):
             integration_s=self._integration_s,
             estimate_s=self._estimate_s,
             setup_s=self._setup_s,
-            steps=self._scene.samples - 1,
+            steps=self._scene.intervals,
             force_evaluations=sum(solution.work for solution in self._solutions),
             active_grains=self._scene.chain.grains,
             integrator=self._engine.name,
-            step_s=self._scene.duration / (self._scene.samples - 1),
+            step_s=self._scene.sampling_interval,
             ranks=1,
         )
 

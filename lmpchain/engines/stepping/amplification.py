@@ -14,13 +14,12 @@ import numpy as np
 
 from ...integrators.batch import ChainBatch
 from ...integrators.method import Method
-from ...integrators.methods import BY_NAME, methods_of
-from ...integrators.step_schedule import StepSchedule
+from ...integrators.methods import methods_of
 from ...integrators.stepper import NativeStepper
+from ...integrators.steps import Steps
 from ...scene.excitation import Profile
 from ...scene.scene import Scene
 from ...util.arrays import EPSILON, Array
-from ..base import Candidate
 from .round_off import accumulate
 
 BLOCK_BYTES = 2**24  # of samples held at a time
@@ -92,7 +91,7 @@ def separate(
     scene: Scene,
     changes: Sequence[float],
     method: Method,
-    schedule: StepSchedule,
+    schedule: Steps,
     enough: float = math.inf,
 ) -> Array:
     """Return how far runs that begin a small change apart come from the unchanged one.
@@ -140,7 +139,7 @@ def separate(
 
 def could_grow(scene: Scene, evaluations: float) -> float:
     """Return a bound on `amplify_rounding`, from the phase of the fastest motion alone."""
-    exponent = GROWTH.rate * scene.highest_frequency * scene.duration
+    exponent = GROWTH.rate * scene.total_phase
     digits = count_digits(evaluations)
     return GROWTH.digit * digits * math.exp(min(exponent, 99.0))  # more than any scene has room for
 
@@ -156,11 +155,10 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
 def grow_digit(scene: Scene, enough: float = math.inf) -> Array:
     """Return what becomes of a last digit at each sample, (T,), followed until it is `enough`."""
     changes = (GROWTH.digit * np.array(GROWTH.changes)).tolist()
-    interval = scene.duration / (scene.samples - 1)
     method = methods_of(scene.chain.damped)["verlet"]
     for reach in (GROWTH.reach, GROWTH.reach / GROWTH.shorter):
-        steps = math.ceil(interval * scene.highest_frequency / reach)
-        schedule = StepSchedule(steps, 1, interval / steps, adaptive=False)
+        steps = math.ceil(scene.sampling_phase / reach)
+        schedule = Steps.spread(scene.sampling_interval, steps)
         distances = separate(scene, changes, method, schedule, enough)
         # steps too long for contacts that are pressed so much stiffer show no growth but their own
         if distances.max() <= GROWTH.broken:
@@ -170,15 +168,14 @@ def grow_digit(scene: Scene, enough: float = math.inf) -> Array:
     return distances.max(0, where=followed[:, None], initial=0.0)
 
 
-def repeat_rounding(scene: Scene, candidate: Candidate) -> Array:
+def repeat_rounding(scene: Scene, method: Method, steps: Steps) -> Array:
     """Return the rounding of an answer at each sample, (T,), as runs with its steps show it.
 
     They begin a last digit apart, and round in other ways from there on. They take several times
     the time of the answer.
     """
     changes = EPSILON * np.array(GROWTH.repeats)
-    schedule = candidate.sampled.schedule()
-    distances = separate(scene, changes.tolist(), BY_NAME[candidate.integrator], schedule)
+    distances = separate(scene, changes.tolist(), method, steps.sampled)
     return GROWTH.safety * distances.max(0)
 
 

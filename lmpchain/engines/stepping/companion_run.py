@@ -19,13 +19,13 @@ from ...errors import RunFailed
 from ...integrators.batch import ROUNDED, ChainBatch
 from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, AuxiliaryRuns, compare
 from ...integrators.method import Method
-from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import NativeStepper, Stepper, room_for
+from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR, Block, Cost
 from ...util.arrays import EPSILON, SMALLEST, Array, as_slice, last_digit
 from ...util.compilation import clock
-from ..base import Candidate, ErrorBudget, Run
+from ..base import ErrorBudget, Proposal, Run
 from .amplification import (
     GROWTH,
     amplify_rounding,
@@ -81,7 +81,7 @@ WRONG = {
     NOT_A_NUMBER: "positions or velocities are no longer numbers",
 }
 
-MakeStepper = Callable[[Sequence[StepSchedule], Mapping[str, Array]], Stepper]
+MakeStepper = Callable[[Sequence[Steps], Mapping[str, Array]], Stepper]
 Fill = Callable[[int, int], int]  # to a sample, by no more than so many steps; returns the steps
 
 
@@ -142,7 +142,7 @@ class CompanionRun(Run):
     method : Method
     scenes : sequence of R scenes
         One, or a batch of like ones.
-    candidate : Candidate
+    proposal : Proposal
     state : mapping, optional
         What `state` returned.
     twin : bool
@@ -157,7 +157,7 @@ class CompanionRun(Run):
         make: MakeStepper,
         method: Method,
         scenes: Sequence[Scene],
-        candidate: Candidate,
+        proposal: Proposal,
         state: Mapping[str, Array] | None,
         twin: bool,
         work_s: float = 0.0,
@@ -165,10 +165,10 @@ class CompanionRun(Run):
         began = clock()
         self.scene = scenes[0]
         self.method = method
-        self.candidate = candidate
+        self.proposal = proposal
         self._scenes = scenes
         self._twin = twin
-        self._companions = Companions(method, scenes, candidate, twin)
+        self._companions = Companions(method, scenes, proposal.steps, twin)
         self.realisations = len(scenes)
         self._make_steppers(make, state)
         self._chains: ChainBatch = self.native.chains
@@ -182,7 +182,7 @@ class CompanionRun(Run):
         bytes_a_sample = 16 * (runs + 1) * self.realisations * grains
         self._longest_block = fit_block(BLOCK_BYTES // bytes_a_sample, samples, self._together)
         # a guess to begin with
-        self._sample_s = candidate.cost_s * self.realisations / samples
+        self._sample_s = proposal.cost_s * self.realisations / samples
         # with a twin, heights round by as much however little has moved, and the motion may grow
         # yet: a share of it says nothing of the end, and a native trial was judged before
         self._looks = frozenset() if twin else self._choose_looks(work_s)
@@ -208,7 +208,7 @@ class CompanionRun(Run):
         """
         samples = self.scene.samples
         looks = place_looks(work_s, samples - 1, self._together)
-        evaluations = self.candidate.steps(samples) * self._rounded_in_step
+        evaluations = self.proposal.steps.total(samples - 1) * self._rounded_in_step
         chaotic = any(
             self._may_grow(real, evaluations, self._hopeless) for real in range(self.realisations)
         )
@@ -224,7 +224,7 @@ class CompanionRun(Run):
             self.native = NativeStepper(chains, self.method, answer, start, companions=beside)
             self._answer = make((answer,), restrict("answer", state))
             steppers = [self._answer, self.native]
-            evaluations = self.candidate.steps(self.scene.samples) * self.method.evaluations
+            evaluations = self.proposal.steps.total(self.scene.intervals) * self.method.evaluations
             self._allowed = chains.allowed + 3 * rounded_energy(self.scene, evaluations)
         else:
             self._answer = make((answer, *beside), restrict("native", state))
@@ -264,7 +264,7 @@ class CompanionRun(Run):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer; samples that a restored state already had are not repeated."""
-        final = self.scene.samples - 1
+        final = self.scene.intervals
         while self._sample < final:
             if self._sample in self._looks:
                 self.judge(self)
@@ -348,8 +348,8 @@ class CompanionRun(Run):
         return Block(slice(first, stop), u, v)
 
     def _describe_breakdown(self, sample: int, cause: str) -> str:
-        t = sample * self.scene.duration / (self.scene.samples - 1)
-        step = self.candidate.step
+        t = self.scene.time[sample]
+        step = self.proposal.step
         return (
             f"{cause}, after t = {t:.4g} s at steps of {step:.3g} s: "
             "use a shorter step or a tolerance"
@@ -380,7 +380,7 @@ class CompanionRun(Run):
     @property
     def _done(self) -> Array:
         """Part of the steps done by an answer that is not native, and by its twin, (2,)."""
-        answer = float(self._answer.steps.max()) / self.candidate.steps(self.scene.samples)
+        answer = float(self._answer.steps.max()) / self.proposal.steps.total(self.scene.intervals)
         return np.array([answer, self.native.progress])
 
     def errors(self) -> list[ErrorBudget]:
@@ -443,7 +443,7 @@ class CompanionRun(Run):
             touching = self._round(real, motion, 0.0)
             bound = max(roundoff, float(amplified.max()))
             if self._shall_repeat(truncation, touching, bound, motion.evaluations):
-                repeated = repeat_rounding(scene, self.candidate)
+                repeated = repeat_rounding(scene, self.method, self.proposal.steps)
                 amplified = np.fmin(amplified, repeated)
                 # to one side all of these drift alike; not so the companions, at other steps
                 one_sided = EPSILON * drift(motion.evaluations, flights)
@@ -461,7 +461,7 @@ class CompanionRun(Run):
         `touching` is the part of the rounding error that these runs cannot reduce, and `bound` is
         the estimate without them.
         """
-        tolerance = self.candidate.tolerance
+        tolerance = self.proposal.tolerance
         if tolerance == math.inf:
             # rounding is measured if it may be the larger part of the error, but not if a single
             # digit grows as large as the motion
@@ -480,7 +480,7 @@ class CompanionRun(Run):
     @property
     def _hopeless(self) -> float:
         """Amplified rounding, relative, that is far beyond the tolerance, whatever the steps."""
-        return GROWTH.pessimism * min(self.candidate.tolerance, LARGEST_ERROR)
+        return GROWTH.pessimism * min(self.proposal.tolerance, LARGEST_ERROR)
 
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return what damping has taken and what was put in, with their errors.
@@ -533,12 +533,12 @@ class CompanionRun(Run):
         field = late.argmax(1)[:, None]
         grown = np.take_along_axis(np.fmax(late, TINY) / np.fmax(early, TINY), field, 1)[:, 0]
         power = np.clip(np.log(grown) / math.log(LOOKS.window), 0.0, LOOKS.steepest)
-        remaining = (self.scene.samples - 1) / self._sample
+        remaining = self.scene.intervals / self._sample
         budgets = []
         for real, error in enumerate(self.errors()):
             truncation = error.truncation * remaining ** float(power[real])
             order = error.order
-            if self.candidate.adaptive:
+            if self.proposal.steps.adaptive:
                 # what grows fast behind openings falls no faster than where steps are coarse there
                 order = min(order, OPENINGS.coarse_order)
             error = error._replace(truncation=truncation, order=order)
@@ -571,13 +571,13 @@ class CompanionRun(Run):
 
     def _free_flights(self, real: int, motion: LargestMotion) -> float:
         """Return the same where contacts open: none turns faster than the fastest motion."""
-        radians = self._scenes[real].highest_frequency * self._scenes[real].duration
+        radians = self._scenes[real].total_phase
         return max(min(self._flights(real, motion), radians), 1.0)
 
     def _round(self, real: int, motion: LargestMotion, flights: float) -> float:
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
-        radians = scene.highest_frequency * scene.duration
+        radians = scene.total_phase
         # what moves at all moves by more than the smallest double
         path = max(motion.velocity * scene.duration, SMALLEST)
         digit = last_digit(min(motion.displacement, motion.velocity, path))
@@ -585,7 +585,7 @@ class CompanionRun(Run):
         steps = max(motion.evaluations / self._rounded_in_step, 1.0)
         if self._chains.plain[real]:
             roundoff += self.method.spread * plain_loss(scene, steps) / motion.velocity
-        if self.candidate.stride > 1:
+        if self.proposal.steps.stride > 1:
             roundoff += interpolation_loss(steps, self._flights(real, motion))
         if scene.chain.damped:
             # Row 0 is the answer, or its twin: companions may have broken down.
@@ -597,8 +597,8 @@ class CompanionRun(Run):
     def _may_amplify(self, real: int, motion: LargestMotion, estimate: float) -> bool:
         """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
-        complete = self._sample == self.scene.samples - 1
-        counts = min(estimate, self.candidate.tolerance)
+        complete = self._sample == self.scene.intervals
+        counts = min(estimate, self.proposal.tolerance)
         return complete and self._may_grow(real, motion.evaluations, counts)
 
     def cost(self) -> Cost:
@@ -618,7 +618,7 @@ class CompanionRun(Run):
             force_evaluations=steps * self.method.evaluations,
             active_grains=self.scene.chain.grains,
             integrator=self.method.name,
-            step_s=self.candidate.step,
+            step_s=self.proposal.step,
             ranks=self._answer.ranks,
         )
 

@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...integrators.method import Method
-from ...integrators.step_schedule import MANY_STEPS, StepSchedule
+from ...integrators.steps import MANY_STEPS, Steps
 from ...scene.excitation import Displacement, Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ..base import Candidate
 from .estimate import estimate_truncation
 
 
@@ -73,11 +72,11 @@ class OpeningOrder:
         """Say whether the force of contacts of this exponent has a kink at an opening."""
         return exponent < self.kinked_below
 
-    def trusted_order(self, candidate: Candidate) -> float:
+    def trusted_order(self, steps: Steps) -> float:
         """Return the highest order that is trusted where contacts open, or nearly so."""
-        if not candidate.adaptive:
+        if not steps.adaptive:
             return self.equal_order
-        return self.coarse_order if candidate.coarse_openings else self.order
+        return self.coarse_order if steps.coarse_openings else self.order
 
 
 OPENINGS = OpeningOrder()
@@ -96,15 +95,16 @@ class Companions:
     ----------
     method : Method
     scenes : sequence of R scenes
-    candidate : Candidate
+    steps : Steps
+        Those of the answer.
     twin : bool
         Whether a twin at the same steps runs beside the answer, too.
 
     Attributes
     ----------
-    answer : StepSchedule
-        That of the answer.
-    schedules : tuple of StepSchedule
+    answer : Steps
+        Those of the answer.
+    schedules : tuple of Steps
         Those of the companions.
     ratios : tuple of float
         Mean steps of the companions over those of the answer.
@@ -117,31 +117,26 @@ class Companions:
         Whether contacts may open again and again, so that errors scatter.
     """
 
-    def __init__(
-        self, method: Method, scenes: Sequence[Scene], candidate: Candidate, twin: bool = False
-    ):
+    def __init__(self, method: Method, scenes: Sequence[Scene], steps: Steps, twin: bool = False):
         self._method = method
-        self._candidate = candidate
+        self.answer = steps
         exponent = scenes[0].chain.exponent
-        self._order_at_openings = min(method.order, OPENINGS.trusted_order(candidate))
-        longer = longer_steps(method, scenes[0], candidate)
+        self._order_at_openings = min(method.order, OPENINGS.trusted_order(steps))
+        longer = longer_steps(method, scenes[0], steps)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._far = [scene.largest_strain > OPENINGS.far for scene in scenes]
-        self._nearby = len(longer) == 2 and candidate.adaptive and any(self.recurrent)
+        self._nearby = len(longer) == 2 and steps.adaptive and any(self.recurrent)
         if self._nearby:
             kinks = OPENINGS.kinks(exponent)
             longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
-        self.answer = candidate.schedule()
-        arrangement = _arrange(
-            self.answer, tuple(longer), self._nearby, twin, scenes[0].samples - 1
-        )
+        arrangement = _arrange(self.answer, tuple(longer), self._nearby, twin, scenes[0].intervals)
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
         self._least_ratio = [self._ratio_between_corners(scene) for scene in scenes]
 
     def order(self, opens: bool, smooth_excitation: bool) -> float:
         """Return the order of the method that is trusted; less where contacts open or nearly so."""
         # adaptive steps end on the knots of an excitation, equal ones pass over them
-        regular = not opens and (self._candidate.adaptive or smooth_excitation)
+        regular = not opens and (self.answer.adaptive or smooth_excitation)
         return self._method.order if regular else self._order_at_openings
 
     def compare_energies(self, balance: Array) -> Array:
@@ -178,7 +173,7 @@ class Companions:
         # errors scatter where contacts open; elsewhere this distance, too, has the order
         gain = 1.0 if opens else self.ratios[-1] ** order - 1
         order, slow_order = self._orders(real, order, opens)
-        settled = not self._candidate.adaptive and slow_order == self._method.order
+        settled = not self.answer.adaptive and slow_order == self._method.order
         return max(
             estimate_truncation(
                 field[:proper],
@@ -197,9 +192,9 @@ class Companions:
 
         All runs end steps on corners, so that between these the ratio is that of two whole numbers.
         """
-        times = np.array([0.0, *corners(scene), scene.duration])
-        if len(times) == 2 or not self._candidate.adaptive:
+        if not scene.corners or not self.answer.adaptive:
             return self.ratios[0]
+        times = np.array([0.0, *scene.corners, scene.duration])
         # A piece that is shorter than a step of a companion is the last one, and has few steps.
         long = np.diff(times) >= LONGER[-1] * self.answer.step
         pieces = times[:-1][long], times[1:][long]
@@ -211,7 +206,7 @@ class Companions:
 
         The error of a method of order 2 is its own: that of openings is smaller.
         """
-        if self._candidate.adaptive or self._method.order <= OPENINGS.equal_order:
+        if self.answer.adaptive or self._method.order <= OPENINGS.equal_order:
             return order, order
         if opens:
             return OPENINGS.scattered_order, OPENINGS.scattered_order
@@ -221,7 +216,7 @@ class Companions:
 class Arrangement(NamedTuple):
     """Schedules of companions and how they are compared; the fields are those of `Companions`."""
 
-    schedules: tuple[StepSchedule, ...]
+    schedules: tuple[Steps, ...]
     ratios: tuple[float, ...]
     against: NDArray[np.int64]
     strides: NDArray[np.int64]
@@ -230,7 +225,7 @@ class Arrangement(NamedTuple):
 
 @lru_cache(maxsize=256)  # like scenes have like companions
 def _arrange(
-    answer: StepSchedule, longer: tuple[float, ...], nearby: bool, twin: bool, final: int
+    answer: Steps, longer: tuple[float, ...], nearby: bool, twin: bool, final: int
 ) -> Arrangement:
     """Arrange companions at steps longer by these ratios, or at half the step if there are none."""
     schedules = tuple(answer.longer(ratio) for ratio in longer) or (answer.halved,)
@@ -243,38 +238,27 @@ def _arrange(
     return Arrangement(schedules, ratios, against, strides, together)
 
 
-def longer_steps(method: Method, scene: Scene, candidate: Candidate) -> list[float]:
+def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
     """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
 
     None where these are unstable or too few. Where damping ends a motion within a few samples its
     error is there in the first of them alone, and companions must land on each: then 3 serves, too,
     but there must be two, and no corners of a force.
     """
-    if candidate.steps(scene.samples) < FEWEST_STEPS:
+    if answer.total(scene.intervals) < FEWEST_STEPS:
         return []
-    reach = candidate.step * scene.chain.fastest_rate
-    steps = candidate.steps_per_landing
-    if steps < MANY_STEPS and dies(scene):
+    reach = answer.step * scene.chain.fastest_rate
+    steps = answer.per_landing
+    dies = scene.sampling_decay > DIES
+    if steps < MANY_STEPS and dies:
         ratios = [ratio for ratio in DIVIDING if steps % ratio == 0][:2]
     else:
         ratios = list(LONGER)
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
     # One companion at longer steps may be right by chance where motions die within a step or two,
     # and where corners end steps, all of them may pass the last one before a sample alike.
-    seen = len(stable) > 1 and not corners(scene)
-    return stable if seen or not dies(scene) else []
-
-
-def corners(scene: Scene) -> list[float]:
-    """Return the times inside of the duration at which steps end because a force has a corner."""
-    waveform = scene.excitation.waveform
-    return [t for t in waveform.corners if 0.0 < t < scene.duration] if waveform else []
-
-
-def dies(scene: Scene) -> bool:
-    """Say whether damping ends the fastest motion within a few samples."""
-    interval = scene.duration / (scene.samples - 1)
-    return scene.chain.damping.decay(scene.highest_frequency, interval) > DIES
+    seen = len(stable) > 1 and not scene.corners
+    return stable if seen or not dies else []
 
 
 def recurs(scene: Scene) -> bool:
@@ -289,7 +273,8 @@ def recurs(scene: Scene) -> bool:
         below = scene.chain.grains - scene.excitation.grain
         # a wave that runs from one end has the whole chain before it
         crossed = min(above, below) or scene.chain.grains
-    returns = scene.highest_frequency * scene.duration > OPENINGS.returning * crossed
-    opens = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
+    returns = scene.total_phase > OPENINGS.returning * crossed
     chain = scene.chain
-    return opens and (returns or OPENINGS.kinks(chain.exponent) or not chain.linearisable)
+    # The bounds on strains take arrays of all contacts: they are asked for last.
+    recurs = returns or OPENINGS.kinks(chain.exponent) or not chain.linearisable
+    return recurs and min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near

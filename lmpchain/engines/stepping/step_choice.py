@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from ...errors import InputError
 from ...integrators.method import Method
-from ...integrators.step_schedule import MANY_STEPS
+from ...integrators.steps import MANY_STEPS, Steps
 from ...scene.scene import Scene
 from ..base import ErrorBudget
-from .companions import LONGER, OPENINGS, dies
+from .companions import DIES, LONGER, OPENINGS
 from .estimate import TRUST
 from .round_off import interpolation_loss
 
@@ -155,36 +154,19 @@ INTERPOLATION = Interpolation()
 STEP_CONTROL = StepControl()
 
 
-class StepChoice(NamedTuple):
-    """The step of a method for a scene.
-
-    Attributes
-    ----------
-    method : Method
-    steps : int
-        From one landing on a sample to the next.
-    stride : int
-        Samples from landing to landing; what lies between is interpolated.
-    adaptive : bool
-        Whether steps are shorter where a contact is about to open or has just closed.
-    coarse : bool
-        Whether these are longer than what keeps the order of the method there.
-    work : float
-        Time a sample, in evaluations of the force.
-    """
-
-    method: Method
-    steps: int
-    stride: int
-    adaptive: bool
-    coarse: bool
-    work: float
+def work(method: Method, steps: Steps) -> float:
+    """Return the time that steps take for each sample, in evaluations of the force."""
+    evaluations = method.evaluations * steps.per_landing / steps.stride
+    if steps.stride == 1:
+        return evaluations
+    # Steps that could all be equal cost half as much as those that look for samples between them.
+    return evaluations * (1.0 if steps.adaptive else 2.0) + INTERPOLATION.evaluations
 
 
 MOST_STEPS = 2**53  # from one sample to the next: larger numbers have no ones any more
 
 
-def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
+def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     """Return the largest step up to the one that was given, s, which divides the sample interval.
 
     Raises
@@ -197,16 +179,16 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> StepChoice:
     if step * edge > stable:
         why = f"where {method.name} stops being stable on this chain (got {step:g})"
         raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
-    interval = scene.duration / (scene.samples - 1)
+    interval = scene.sampling_interval
     if not interval / step < MOST_STEPS:
         least = f"longer than {interval / MOST_STEPS:.1g} s"
         raise InputError.at("step", f"must be {least}, or steps cannot be counted (got {step:g})")
     # a step that divides it but for round-off does
     steps = math.ceil(interval / step * (1 - 1e-12))
-    return StepChoice(method, steps, 1, False, False, method.evaluations * steps)
+    return Steps.spread(interval, steps)
 
 
-def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> StepChoice:
+def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> Steps:
     """Return the longest step of a method that should meet the tolerance.
 
     Parameters
@@ -220,23 +202,26 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     may_open = scene.largest_strain > FIRST_STEP.safe_strain
     shortens = adaptive and method.adaptive and may_open
     reach = expected_reach(scene, method, tolerance, shortens)
-    phase = scene.highest_frequency * scene.duration / (scene.samples - 1)  # of an interval
+    interval = scene.sampling_interval
+    phase = scene.sampling_phase
     steps = math.ceil(phase / reach)
     # Two companions land on every sample, by halves, thirds or quarters of its steps.
-    while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and dies(scene):
+    while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and scene.sampling_decay > DIES:
         steps += 1
     coarse = False
     if shortens and not OPENINGS.kinks(scene.chain.exponent):
         # where samples hold steps short, shorter ones near openings would only cost
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
-    choices = [StepChoice(method, steps, 1, shortens, coarse, method.evaluations * steps)]
+    sampled = Steps.spread(interval, steps, 1, shortens, coarse)
     # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign, and
     # polynomials know nothing of the corners of what acts all along
     smooth = scene.chain.linearisable and not scene.excitation.does_work
     if adaptive and smooth and method.interpolates:
-        choices += _interpolate(scene, method, tolerance, shortens, phase, reach)
-    return min(choices, key=lambda choice: choice.work)
+        passing = _pass_samples(scene, tolerance, shortens, phase, reach)
+        if passing and work(method, passing) < work(method, sampled):
+            return passing
+    return sampled
 
 
 def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> float:
@@ -244,7 +229,7 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     strain = scene.largest_strain
     if strain == math.inf:
         tolerance = max(tolerance, FIRST_STEP.foreseen)
-    radians = scene.highest_frequency * scene.duration
+    radians = scene.total_phase
     error = method.error_constant
     # an order of 1 loses nothing where contacts open, and the motion dies away as its error grows
     if method.order > 1:
@@ -271,28 +256,25 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     return reach
 
 
-def _interpolate(
-    scene: Scene, method: Method, tolerance: float, adaptive: bool, phase: float, reach: float
-) -> list[StepChoice]:
-    """Return the choice of steps that pass over samples, if there are such steps.
+def _pass_samples(
+    scene: Scene, tolerance: float, adaptive: bool, phase: float, reach: float
+) -> Steps | None:
+    """Return steps that pass over samples, if there are such steps.
 
     There is none where interpolated samples would be wrong, or too many to hold.
     """
     smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
     rate = phase / min(reach, smooth)  # steps a sample
-    if interpolation_loss(rate * (scene.samples - 1)) > tolerance / TRUST.safety:
-        return []
+    if interpolation_loss(rate * scene.intervals) > tolerance / TRUST.safety:
+        return None
     steps, stride = land(scene, rate)
     if not 1 < stride <= INTERPOLATION.values // scene.chain.grains:
-        return []
-    # steps that could all be equal cost half as much as those that look for samples between
-    evaluations = method.evaluations * steps / stride * (1.0 if adaptive else 2.0)
-    work = evaluations + INTERPOLATION.evaluations
-    return [StepChoice(method, steps, stride, adaptive, False, work)]
+        return None
+    return Steps.spread(scene.sampling_interval, steps, stride, adaptive)
 
 
 def land(scene: Scene, rate: float) -> tuple[int, int]:
     """Return steps and samples from one landing to the next, at about so many steps a sample."""
     # blocks of samples are multiples of 4 long
-    stride = min(scene.samples - 1, 4 * math.ceil(INTERPOLATION.steps / rate / 4))
+    stride = min(scene.intervals, 4 * math.ceil(INTERPOLATION.steps / rate / 4))
     return math.ceil(rate * stride), stride

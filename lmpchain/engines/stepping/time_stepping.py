@@ -11,16 +11,16 @@ from typing import ClassVar
 from ...errors import InputError, shown
 from ...integrators.method import Method
 from ...integrators.methods import BY_NAME, DAMPED, methods_of
-from ...integrators.step_schedule import StepSchedule
 from ...integrators.stepper import Stepper
+from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.suggestions import not_among
-from ..base import Candidate, Engine, ErrorBudget
+from ..base import Engine, ErrorBudget, Proposal
 from ..cost_model import seconds
 from .companion_run import CompanionRun
 from .companions import LONGER, longer_steps
-from .step_choice import FIRST_STEP, STEP_CONTROL, StepChoice, choose_given_step, choose_step
+from .step_choice import FIRST_STEP, STEP_CONTROL, choose_given_step, choose_step, work
 
 AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
 AUTOMATIC_DAMPED = ("dop853",)  # the cheapest at every tolerance where forces know velocities
@@ -76,8 +76,8 @@ class TimeSteppingEngine(Engine):
     def stepper(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
-        schedules: Sequence[StepSchedule],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> Stepper:
         """Make the stepper of the answer, from the start or a kept state.
@@ -85,43 +85,42 @@ class TimeSteppingEngine(Engine):
         A native one moves the companions of the answer, too.
         """
 
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+    def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
-        choices = [
-            choose_step(scene, method, tolerance, self.adaptive)
+        ways = [
+            (method, choose_step(scene, method, tolerance, self.adaptive))
             if self.step is None
-            else choose_given_step(scene, method, self.step)
+            else (method, choose_given_step(scene, method, self.step))
             for method in self.methods(scene)
         ]
-        return self.propose(scene, tolerance, min(choices, key=lambda choice: choice.work))
+        return self.propose_steps(scene, tolerance, *min(ways, key=lambda way: work(*way)))
 
-    def propose(self, scene: Scene, tolerance: float, choice: StepChoice) -> Candidate:
-        """Propose the steps of a choice."""
+    def propose_steps(
+        self, scene: Scene, tolerance: float, method: Method, steps: Steps
+    ) -> Proposal:
+        """Propose these steps of a method."""
         fixed = self.step is not None
-        candidate = Candidate(
-            step=scene.duration / (scene.samples - 1) * choice.stride / choice.steps,
+        cost_s = self.cost(scene, method, steps.total(scene.intervals))
+        # years of work are a slip in a unit, as seconds for microseconds
+        if cost_s > LONGEST_RUN_S:
+            years = cost_s / 3.15e7
+            cure = "shorten it, or ask for less accuracy"
+            raise InputError.at("duration", f"would take some {years:.1g} years: {cure}")
+        return Proposal(
+            engine=self.name,
+            equation=self.equation,
+            steps=steps,
             active_grains=scene.chain.grains,
             model_error=0.0,
             solver_error=math.nan if fixed else tolerance,
-            cost_s=math.nan,
+            cost_s=cost_s,
             tolerance=math.inf if fixed else tolerance,
-            steps_per_landing=choice.steps,
-            stride=choice.stride,
             fixed=fixed,
-            adaptive=choice.adaptive,
-            coarse_openings=choice.coarse,
-            integrator=choice.method.name,
+            integrator=method.name,
             choices=self.choices(scene),
         )
-        cost = self.cost(scene, choice.method, candidate.steps(scene.samples))
-        # years of work are a slip in a unit, as seconds for microseconds
-        if cost > LONGEST_RUN_S:
-            years = cost / 3.15e7
-            cure = "shorten it, or ask for less accuracy"
-            raise InputError.at("duration", f"would take some {years:.1g} years: {cure}")
-        return candidate._replace(cost_s=cost)
 
-    def choices(self, scene: Scene) -> Mapping[str, str]:
+    def choices(self, scene: Scene) -> Mapping[str, str | float]:
         """Return the choices made on behalf of the user."""
         return {}
 
@@ -139,65 +138,68 @@ class TimeSteppingEngine(Engine):
         return scene.chain.grains
 
     def refine(
-        self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
-    ) -> Candidate | None:
+        self, proposal: Proposal, error: ErrorBudget | None, tolerance: float
+    ) -> Proposal | None:
         """Shorten the step as the error asks for; let steps adapt where contacts open after all."""
-        method = BY_NAME[candidate.integrator]
+        method = BY_NAME[proposal.integrator]
+        steps = proposal.steps
         ratio = STEP_CONTROL.ratio(error, tolerance)
         if ratio is None:
             # to interpolate no sample loses less
-            return candidate.sampled if candidate.stride > 1 else None
+            return proposal.with_steps(steps.sampled) if steps.stride > 1 else None
         if error is None or error.order < method.order:
             # contacts open after all
-            candidate = candidate._replace(adaptive=self.adaptive and method.adaptive)
-            if candidate.coarse_openings:
+            steps = steps._replace(adaptive=self.adaptive and method.adaptive)
+            if steps.coarse_openings:
                 # steps near openings get their full order, and those elsewhere may stay as long
                 ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
-        shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
+        shorter = steps.shortened(math.ceil(steps.per_landing * ratio))
         # with a step a sample or more, to interpolate none is cheaper
-        return shorter.sampled if shorter.steps_per_landing > shorter.stride else shorter
+        every = shorter.per_landing > shorter.stride
+        return proposal.with_steps(shorter.sampled if every else shorter)
 
     def lengthen(
-        self, scene: Scene, candidate: Candidate, error: ErrorBudget, tolerance: float
-    ) -> Candidate | None:
+        self, scene: Scene, proposal: Proposal, error: ErrorBudget, tolerance: float
+    ) -> Proposal | None:
         """Lengthen a step as far as its error allows; None if that gains little, or is not asked.
 
         Companions at four times the step remain stable, which show the rate at which errors fall.
         """
-        method = BY_NAME[candidate.integrator]
-        interval = candidate.step * candidate.steps_per_landing
+        method = BY_NAME[proposal.integrator]
+        steps = proposal.steps
+        interval = steps.step * steps.per_landing
         longest = min(method.stability_limit, math.pi) / LONGER[-1] / scene.highest_frequency
-        aimed = candidate.steps_per_landing * STEP_CONTROL.aim(error, tolerance)
+        aimed = steps.per_landing * STEP_CONTROL.aim(error, tolerance)
         # companions that broke down show no error to go by
         if math.isinf(aimed):
             return None
-        steps = math.ceil(max(aimed, interval / longest))
-        gains = candidate.steps_per_landing >= STEP_CONTROL.least * steps
-        return candidate.with_steps(steps) if gains and not candidate.fixed else None
+        fewer = math.ceil(max(aimed, interval / longest))
+        gains = steps.per_landing >= STEP_CONTROL.least * fewer
+        return proposal.with_steps(steps.shortened(fewer)) if gains and not proposal.fixed else None
 
-    def batch_key(self, scene: Scene, candidate: Candidate) -> tuple:
+    def batch_key(self, scene: Scene, proposal: Proposal) -> tuple:
         """Return a key of scenes of one kind that take the same steps."""
-        longer = longer_steps(BY_NAME[candidate.integrator], scene, candidate)
-        schedule = candidate.schedule()
-        return *kind(scene), schedule, candidate.integrator, *longer, *candidate.choices.items()
+        steps = proposal.steps
+        longer = longer_steps(BY_NAME[proposal.integrator], scene, steps)
+        return *kind(scene), steps, proposal.integrator, *longer, *proposal.choices.items()
 
     def start(
         self,
         scenes: Sequence[Scene],
-        candidate: Candidate,
+        proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> CompanionRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
-        make = partial(self.stepper, scenes, candidate)
-        method = BY_NAME[candidate.integrator]
+        make = partial(self.stepper, scenes, proposal)
+        method = BY_NAME[proposal.integrator]
         scene = scenes[0]
         # as shipped: where a run is judged must not rest on the speed of a machine
-        evaluations = method.evaluations * candidate.steps(scene.samples)
+        evaluations = method.evaluations * proposal.steps.total(scene.intervals)
         work_s = self.seconds_per_grain_step * evaluations * scene.chain.grains * len(scenes)
         try:
-            return CompanionRun(make, method, scenes, candidate, state, self.twin, work_s)
+            return CompanionRun(make, method, scenes, proposal, state, self.twin, work_s)
         except (LookupError, TypeError, ValueError) as error:
             # without a state it is a fault of this package, not of a file
             if state is None or isinstance(error, InputError):

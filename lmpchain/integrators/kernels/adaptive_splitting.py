@@ -49,19 +49,19 @@ def _finish_kick(chain, margin, rates):
 
 
 @inlined
-def _fill_passed(chain, rates, clock, span, out, beyond):
+def _fill_passed(chain, rates, clock, out, beyond):
     """Fill the samples that the step before has passed; return whether it took jerks (W,)."""
     state = chain.state
     first, last = share(chain)
-    if clock.dense == 0 or passes(chain, clock, span, state.step_begin, state.done) == 0:
+    if clock.dense == 0 or passes(chain, clock, state.step_begin, state.done) == 0:
         return False
     fill_jerk(chain, first, last, rates, beyond)
-    fill_samples(chain, clock, span, first, last, rates, out)
+    fill_samples(chain, clock, first, last, rates, out)
     return True
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out, landed):
+def _advance(chain, method, work, clock, out, landed):
     """Complete the last kick, and take one step."""
     (kicks, drifts, reach), openings = method
     rows, rates = work
@@ -70,13 +70,13 @@ def _advance(chain, method, work, clock, span, out, landed):
     w = chain.v
     state = chain.state
     stages = drifts.size
-    t = span.begin + state.done
+    t = clock.begin + state.done
     if not landed:
         recall(chain, t)
         # before the forces, like all that is imposed
         impose_velocity(chain, w, PAD, t)
     beyond = _finish_kick(chain, stages + 1, rates)
-    filled = _fill_passed(chain, rates, clock, span, out, beyond)
+    filled = _fill_passed(chain, rates, clock, out, beyond)
     if landed:
         hold(chain, w)
         return 0
@@ -86,15 +86,15 @@ def _advance(chain, method, work, clock, span, out, landed):
     grains = y[first:last]
     speeds = w[first:last]
     remaining = min(
-        span.length - state.done,
-        ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step),
+        clock.length - state.done,
+        ahead(chain, t, clock.begin + clock.length, RESOLUTION * clock.step),
     )
     # steps of one length up to the next landing or corner, but for openings
     h = clock.step * shorten(chain, y, w, pull, openings)
-    done = end_of_step(chain, span, remaining, h)
+    done = end_of_step(chain, clock, remaining, h)
     h = done - state.done
     if clock.dense > 0:
-        if passes(chain, clock, span, state.done, done) > 0:
+        if passes(chain, clock, state.done, done) > 0:
             if not filled:
                 fill_jerk(chain, first, last, rates, beyond)
             keep(chain, first, last, rates)
@@ -116,7 +116,7 @@ def _advance(chain, method, work, clock, span, out, landed):
     # the last kick waits for the forces that the next step begins with
     state.done = done
     state.pending = kicks[stages] * h
-    impose(chain, y, span.begin + state.done, span.begin + state.done)
+    impose(chain, y, clock.begin + state.done, clock.begin + state.done)
     return 1
 
 

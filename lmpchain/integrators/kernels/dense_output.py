@@ -25,10 +25,10 @@ class DenseRates(NamedTuple):
 
 
 @inlined
-def passes(chain, clock, span, begin, end):
+def passes(chain, clock, begin, end):
     """Return the first sample in begin < t <= end, 0 if there is none.
 
-    Samples and times are counted from the beginning of the span; on the sample at its end a step
+    Samples and times are counted from the last landing; on the sample of the next one a step
     lands.
     """
     before = chain.state.sample
@@ -37,7 +37,7 @@ def passes(chain, clock, span, begin, end):
     sample = int(begin / interval) // stride * stride - before % stride
     while sample * interval <= begin:
         sample += stride
-    return sample if sample * interval <= end and sample * interval < span.length else 0
+    return sample if sample * interval <= end and sample * interval < clock.length else 0
 
 
 @inlined
@@ -85,7 +85,7 @@ def keep(chain, first, last, rates):
 
 
 @inlined
-def fill_samples(chain, clock, span, first, last, rates, out):
+def fill_samples(chain, clock, first, last, rates, out):
     """Put the bodies first ... last-1 into all samples that the step that ends here has passed."""
     history = chain.history
     begin = chain.state.step_begin
@@ -100,8 +100,8 @@ def fill_samples(chain, clock, span, first, last, rates, out):
     j_1 = rates.jerk[first:last]
     h = end - begin
     interval = clock.interval
-    sample = passes(chain, clock, span, begin, end)
-    while sample > 0 and sample * interval <= end and sample * interval < span.length:
+    sample = passes(chain, clock, begin, end)
+    while sample > 0 and sample * interval <= end and sample * interval < clock.length:
         s = (sample * interval - begin) / h
         q = 1.0 - s
         s3 = s * s * s

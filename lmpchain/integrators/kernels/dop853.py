@@ -264,27 +264,27 @@ def _note_begin(chain, dissipation, clock, creep, reduced, force, now, inside):
 
 
 @inlined
-def _land(chain, dissipation, work, clock, span, stages, balanced):
+def _land(chain, dissipation, work, clock, stages, balanced):
     """Make the velocities of a chain, if it is damped, of the reduced ones."""
     force, _, reduced, slopes, _ = work
     state = chain.state
     if dissipation.acts:
         # a sample needs the forces where the step has ended
         accelerate(chain, chain.x, state.first, state.last, force, slopes[0])
-        _complete(chain, dissipation, clock, span.end, force, slopes[stages], reduced)
+        _complete(chain, dissipation, clock, clock.end, force, slopes[stages], reduced)
         state.pending = 0.0
         if balanced:
             state.lost -= _surplus(chain, dissipation, slopes[stages], reduced)
             if _drives(chain):
                 _, viscous = _press(chain, dissipation.viscosity[chain.number], force)
-                before = span.end - 0.25 * RESOLUTION * clock.step
-                taken = viscous * course(chain, span.end, 1, before)
+                before = clock.end - 0.25 * RESOLUTION * clock.step
+                taken = viscous * course(chain, clock.end, 1, before)
                 state.lost += taken
                 state.work += taken
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out, landed):
+def _advance(chain, method, work, clock, out, landed):
     """Take one step of the Runge-Kutta-Nystrom form.
 
     With the velocities v = w + d, viscous contacts and drag take the power - sum m v d'. Integrated
@@ -304,22 +304,22 @@ def _advance(chain, method, work, clock, span, out, landed):
     balanced = damped & (out.balance.shape[0] > 0)
     acted = balanced & chain.imposed.acts
     if landed:
-        _land(chain, dissipation, work, clock, span, stages, balanced)
+        _land(chain, dissipation, work, clock, stages, balanced)
         return 0
     widen(chain, stages + 2)
     first = state.first
     last = state.last
     window = slice(first, last)
-    now = span.begin + state.done
+    now = clock.begin + state.done
     remaining = min(
-        span.length - state.done,
-        ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step),
+        clock.length - state.done,
+        ahead(chain, now, clock.begin + clock.length, RESOLUTION * clock.step),
     )
     # the first stage is at the begin of the step: how near an opening is follows from its
     # accelerations
     put(z[first - 1 : last + 1], y[first - 1 : last + 1])
     # of what is imposed, by the law behind a corner on which the step may begin
-    inside = now + 0.5 * min(remaining, span.step)
+    inside = now + 0.5 * min(remaining, clock.equal_step)
     impose(chain, z, now, inside)
     impose_velocity(chain, w, PAD, now)
     accelerate(chain, z, first, last, force, slopes[0])
@@ -327,10 +327,10 @@ def _advance(chain, method, work, clock, span, out, landed):
         _complete(chain, dissipation, clock, now, force, slopes[stages], reduced)
         if balanced:
             _note_begin(chain, dissipation, clock, slopes[stages], reduced, force, now, inside)
-    h = span.step
+    h = clock.equal_step
     if adaptive:
         h = clock.step * shorten(chain, z, w, slopes[0], openings)
-    done = end_of_step(chain, span, remaining, h)
+    done = end_of_step(chain, clock, remaining, h)
     h = done - state.done
     inside = now + 0.5 * h
     _note_stage(chain, acted, dissipation, work, rates, weights[1, 0], 0, now, inside, h)
@@ -358,14 +358,14 @@ def _advance(chain, method, work, clock, span, out, landed):
         mass = dissipation.mass[chain.number, window]
         state.lost += _sum_losses(mass, weigh, count, slopes, creeps, lag, window)
     state.done = done
-    impose(chain, y, span.begin + state.done, span.begin + state.done)
+    impose(chain, y, clock.begin + state.done, clock.begin + state.done)
     watch(chain)
     if damped:
         put(w[window], reduced[window])
         rest_ahead(chain)
         state.pending = REDUCED
     else:
-        look(chain, clock, state.steps + 1, span.begin + done, 1.0)
+        look(chain, clock, state.steps + 1, clock.begin + done, 1.0)
     return 1
 
 

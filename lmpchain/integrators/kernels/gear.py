@@ -125,16 +125,16 @@ def _step(chain, corrections, work, now, then, h):
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out, landed):
+def _advance(chain, method, work, clock, out, landed):
     """Take one step, or two where what is imposed ends within it, and begin anew there."""
     if landed:
         return 0
     (corrections,) = method
     state = chain.state
-    h = span.step
+    h = clock.equal_step
     widen(chain, 4)
-    now = span.begin + state.done * h
-    then = span.begin + (state.done + 1) * h
+    now = clock.begin + state.done * h
+    then = clock.begin + (state.done + 1) * h
     to_corner = cut(chain, now, h)
     corner = now + to_corner if to_corner > 0.0 else then
     for begin, end, length in (

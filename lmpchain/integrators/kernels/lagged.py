@@ -68,7 +68,7 @@ def _note(chain, dissipation, work, h):
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out, landed):
+def _advance(chain, method, work, clock, out, landed):
     """Take one step: half a kick, a drift, the forces at the velocities of then, half a kick."""
     if landed:
         return 0
@@ -77,9 +77,9 @@ def _advance(chain, method, work, clock, span, out, landed):
     state = chain.state
     x = chain.x
     v = chain.v
-    h = span.step
-    now = span.begin + state.done * h
-    then = span.begin + (state.done + 1) * h
+    h = clock.equal_step
+    now = clock.begin + state.done * h
+    then = clock.begin + (state.done + 1) * h
     widen(chain, 2)
     a = chain.history[0]
     # later ones are known from the end of the step before

@@ -32,20 +32,6 @@ WAVE = np.dtype(
     align=True,
 )
 
-# The clock of a schedule of steps.
-CLOCK = np.dtype(
-    [
-        ("interval", "f8"),  # s, between two samples
-        ("final", "i8"),  # number of the last sample
-        ("steps", "i8"),  # from one landing on a sample to the next, if all are equal
-        ("step", "f8"),  # s, the longest
-        ("stride", "i8"),  # samples from one landing to the next
-        ("looks", "?"),  # whether the largest motion is looked for
-        ("dense", "i8"),  # every so manieth sample between is interpolated; 0: none
-    ],
-    align=True,
-)
-
 # State of a chain between two calls, from which a run goes on with the same bits:
 STATE = np.dtype(
     [
@@ -348,13 +334,3 @@ class SampleRow(NamedTuple):
     v: Array
     first: int
     balance: Array
-
-
-class Span(NamedTuple):
-    """From one landing to the next: begin, end and length in s, and its steps if all are equal."""
-
-    begin: float
-    end: float
-    length: float
-    steps: int
-    step: float

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from .contact_forces import inlined, pasted
-from .layout import BatchMember, Imposed, Links, SampleRow, Span
+from .layout import BatchMember, Imposed, Links, SampleRow
 from .window import record
 
 # of the time between two landings: shorter steps would not move the clock, and there would be too
@@ -71,18 +71,18 @@ def _row(fields, real, schedule):
 
 
 @inlined
-def end_of_step(chain, span, remaining, step):
+def end_of_step(chain, clock, remaining, step):
     """Return `state.done` after a step of at most this length, one of equal ones in the time left.
 
     The step to take is the difference to `state.done`, not `step`: all steps together then are the
-    span, exactly.
+    time from landing to landing, exactly.
     """
     done = chain.state.done
     # 1e-9: what fits into so many steps but for rounding is not cut into one more
-    steps = max(1, math.ceil(remaining / max(step, SHORTEST * span.length) - 1e-9))
+    steps = max(1, math.ceil(remaining / max(step, SHORTEST * clock.length) - 1e-9))
     # the clock lands on the sample itself, not a rounding beside it
-    lands = steps == 1 and remaining == span.length - done
-    return span.length if lands else done + remaining / steps
+    lands = steps == 1 and remaining == clock.length - done
+    return clock.length if lands else done + remaining / steps
 
 
 def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int]:
@@ -93,7 +93,7 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
 
     Parameters
     ----------
-    advance : function of (chain, method, work, clock, span, out, landed)
+    advance : function of (chain, method, work, clock, out, landed)
         Takes one step or a burst of them, updates `state.done` and returns how many; if the chain
         has landed on a sample, it completes displacements and velocities there and returns 0.
     counted : bool
@@ -120,21 +120,22 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
             while state.sample < goal.until and done < goal.steps:
                 sample = state.sample
                 landing = min(sample + clock.stride, clock.final)
-                length = (landing - sample) * clock.interval
-                steps = (clock.steps * (landing - sample) + clock.stride - 1) // clock.stride
-                span = Span(
-                    sample * clock.interval, landing * clock.interval, length, steps, length / steps
-                )
-                end = float(steps) if counted else length
+                count = landing - sample
+                clock.begin = sample * clock.interval
+                clock.end = landing * clock.interval
+                clock.length = count * clock.interval
+                clock.steps = (clock.per_landing * count + clock.stride - 1) // clock.stride
+                clock.equal_step = clock.length / clock.steps
+                end = float(clock.steps) if counted else clock.length
                 landed = False
                 # in one place, for LLVM puts it in every place where it is called
                 while not landed and (state.done == end or done < goal.steps):
                     landed = state.done == end
-                    steps_made = advance(chain, method, work, clock, span, out, landed)
+                    steps_made = advance(chain, method, work, clock, out, landed)
                     state.steps += steps_made
                     done += steps_made
                 if landed:
-                    record(chain, span.end, out.u[landing - out.first], out.v[landing - out.first])
+                    record(chain, clock.end, out.u[landing - out.first], out.v[landing - out.first])
                     if out.balance.shape[0] > 0:
                         out.balance[landing, 0] = state.lost
                         out.balance[landing, 1] = state.work

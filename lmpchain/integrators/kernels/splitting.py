@@ -27,7 +27,7 @@ def _fill_step(chain, method, rows, row, origin, before, h):
 
 
 @inlined
-def _burst(chain, span, stages):
+def _burst(chain, clock, stages):
     """Return the number of steps between two updates of the window."""
     state = chain.state
     # rows of a burst are swept together, which pays where the window need not grow, or is long
@@ -36,45 +36,45 @@ def _burst(chain, span, stages):
     steps = max(1, ROWS // stages) if wide else 1
     if chain.imposed.acts:
         # it may press grains together at any time, and contacts are watched after each burst
-        steps = min(steps, max(1, int(LOOKS.radians / (span.step * chain.omega))))
-    return min(span.steps - int(state.done), steps)
+        steps = min(steps, max(1, int(LOOKS.radians / (clock.equal_step * chain.omega))))
+    return min(clock.steps - int(state.done), steps)
 
 
 @inlined
-def _land(chain, work, span):
+def _land(chain, work, clock):
     """Complete the last kick, where a sample lies between it and the first of the next step."""
     rows = slice_rows(work, slice(0, 1))
     rows.kick[0] = chain.state.pending
     rows.drift[0] = 0.0
     if chain.imposed.acts:
-        rows.path[0] = imposed(chain, span.end)
+        rows.path[0] = imposed(chain, clock.end)
     sweep(chain, rows)
     chain.state.pending = 0.0
 
 
 @pasted
-def _advance(chain, method, work, clock, span, out, landed):
+def _advance(chain, method, work, clock, out, landed):
     """Take a burst of steps; the last kick of a step and the first of the next are one.
 
     A step in which what is imposed ends is made as two, so that the order is kept.
     """
     if landed:
-        _land(chain, work, span)
+        _land(chain, work, clock)
         return 0
     kicks, drifts, _ = method
     state = chain.state
     stages = drifts.size
-    h = span.step
+    h = clock.equal_step
     # of a speed, without the last kick
     missing = kicks[stages] * clock.step * chain.omega
     complete = 1.0 / (1.0 + 0.5 * missing * missing)
-    burst = _burst(chain, span, stages)
+    burst = _burst(chain, clock, stages)
     # counted from the landing, so that times do not depend on how steps are shared out over bursts
     made = state.done
     filled = 0
     halved = burst
     for step in range(burst):
-        begin = span.begin + (made + step) * h
+        begin = clock.begin + (made + step) * h
         # a corner leaves an order of 2 as it is
         corner = cut(chain, begin, h) if stages > 1 else 0.0
         if corner > 0.0:
@@ -83,7 +83,7 @@ def _advance(chain, method, work, clock, span, out, landed):
             filled += stages
             _fill_step(chain, method, work, filled, begin + corner, 0.0, h - corner)
         else:
-            _fill_step(chain, method, work, filled, span.begin, made + step, h)
+            _fill_step(chain, method, work, filled, clock.begin, made + step, h)
         filled += stages
     widen(chain, filled + 1)
     step = 0
@@ -93,7 +93,7 @@ def _advance(chain, method, work, clock, span, out, landed):
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, slice_rows(work, until_look))
-        look(chain, clock, steps_before + end, span.begin + (made + end) * h, complete)
+        look(chain, clock, steps_before + end, clock.begin + (made + end) * h, complete)
         step = end
     watch(chain)
     state.done += burst

@@ -121,7 +121,7 @@ def look(chain, clock, steps, t, complete):
     without the last kick may have grown.
     """
     state = chain.state
-    if steps < state.next_look or not clock.looks:
+    if steps < state.next_look or clock.ratio != 1.0:
         return
     interval = int(min(max(LOOKS.radians / (clock.step * chain.omega), 1.0), LOOKS.longest))
     state.next_look = steps + interval + steps // LOOKS.settled

@@ -63,8 +63,8 @@ def strike_at_top(trajectory: Trajectory) -> float:
         faults.append(("grains", "takes several: a single one has no wave"))
     elif not is_uniform(chain):
         faults.append(("material", "takes equal grains, as the column of the paper has"))
-    if not excitation.strikes_top or not excitation.strike_velocity:
+    if not excitation.strikes_top or not scene.strike_velocity:
         faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
     if faults:
         raise InputError(faults)
-    return excitation.strike_velocity
+    return scene.strike_velocity

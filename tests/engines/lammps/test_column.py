@@ -353,7 +353,7 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
 
 def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
     scene = paper("weak", 3)
-    loose, tight = (Lammps().candidate(scene, tolerance) for tolerance in (1e-2, 1e-6))
+    loose, tight = (Lammps().propose(scene, tolerance) for tolerance in (1e-2, 1e-6))
     assert loose.choices["diameter"] == "physical"
     assert loose.choices["drawn_m"] == "0.0"
     assert tight.choices["diameter"] == "gauge"
@@ -367,20 +367,20 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
         ToleranceNotMet,
         match=r"above the tolerance of 1e-06: the gauge diameter leaves .*, and the",
     ):
-        Lammps(diameter="physical").candidate(scene, 1e-6)
+        Lammps(diameter="physical").propose(scene, 1e-6)
     with pytest.raises(ToleranceNotMet, match=r'integrator "rkn6" needs far fewer steps'):
-        Lammps("verlet").candidate(scene.replace(duration=1e-5), 1e-10)
+        Lammps("verlet").propose(scene.replace(duration=1e-5), 1e-10)
 
 
 def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
     engine = Lammps()
     scene = paper("weak", 3)
-    candidate = engine.candidate(scene, 1e-2)
+    candidate = engine.propose(scene, 1e-2)
     missed = ErrorBudget(1e-9, 0.6e-2, 6.0)
     better = engine.refine(candidate, missed, 1e-2)
     assert better.choices["diameter"] == "gauge"
     assert better.choices["why"] == "the physical diameter left 0.006"
-    assert better.steps_per_landing == candidate.steps_per_landing
+    assert better.steps.per_landing == candidate.steps.per_landing
     assert (
         engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2).step
         < candidate.step
@@ -393,12 +393,12 @@ def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
 def test_remarks_at_the_head_of_a_deck():
     engine = Lammps("verlet", step=1e-7, diameter="physical")
     scene = paper("weak", 3)
-    made = engine.column(scene, engine.candidate(scene, 1e-6), "one more")
+    made = engine.column(scene, engine.propose(scene, 1e-6), "one more")
     assert made.remarks == (
         "physical diameter: as asked", "verlet, expected error not estimated beforehand",
         "one more",
     )  # fmt: skip
-    estimated = Lammps().candidate(scene, 1e-6)
+    estimated = Lammps().propose(scene, 1e-6)
     assert (
         Lammps().column(scene, estimated).remarks[1]
         == f"rkn6, expected error {estimated.solver_error:.1g}"

@@ -89,16 +89,16 @@ def test_ranks_give_the_bytes_of_one():
 def test_a_run_goes_on_with_the_same_bits():
     scene = scene_of(CHAINS["held"])
     engine = Lammps("verlet", step=3e-8, diameter="physical")
-    candidate = engine.candidate(scene, 1e-3)
+    candidate = engine.propose(scene, 1e-3)
     whole = simulate(scene, engine=engine)
     u, v = np.empty((2, 1, 7, 12))
-    stepper = engine.stepper([scene], candidate, [candidate.schedule()], {})
+    stepper = engine.stepper([scene], candidate, [candidate.steps], {})
     for sample in range(1, 7):
         stepper.fill(u, v, 0, sample, 10**6)
         state = stepper.state()
         stepper.close()
         # another LAMMPS, which knows no velocities of half a step before
-        stepper = engine.stepper([scene], candidate, [candidate.schedule()], state)
+        stepper = engine.stepper([scene], candidate, [candidate.steps], state)
     stepper.close()
     assert v[0, 1:].tobytes() == whole.velocity[1:].tobytes()
 

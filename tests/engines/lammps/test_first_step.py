@@ -35,7 +35,7 @@ def test_steps_are_as_long_as_the_tolerance_allows(chain, tolerance):
     """Errors were 2000 times smaller than asked for, at steps 40 times shorter than needed."""
     scene = struck(chain)
     lammps = Lammps("verlet")
-    step = lammps.candidate(lammps.part(scene), tolerance).step
+    step = lammps.propose(lammps.part(scene), tolerance).step
     truth, doubt = taylor_series.reference(scene, 1e-16)
     # the map of LAMMPS, without its round-off
     answer = simulate(scene, Native("verlet", step=step, adaptive=False))
@@ -53,7 +53,7 @@ def test_steps_stay_where_companions_are_stable():
     scene = struck(VACUUM)
     for integrator in Lammps.integrators:
         lammps = Lammps(integrator)
-        step = lammps.candidate(lammps.part(scene), 0.5).step
+        step = lammps.propose(lammps.part(scene), 0.5).step
         stable = min(lammps.methods(scene)[0].stability_limit, math.pi)
         assert step * scene.highest_frequency <= stable / 4 * (1 + 1e-12)
 
@@ -61,7 +61,7 @@ def test_steps_stay_where_companions_are_stable():
 def test_a_given_step_stays():
     scene = struck(STRIKER)
     lammps = Lammps("verlet", step=1e-8)
-    assert lammps.candidate(lammps.part(scene), 1e-3).step == pytest.approx(1e-8, rel=1e-12)
+    assert lammps.propose(lammps.part(scene), 1e-3).step == pytest.approx(1e-8, rel=1e-12)
 
 
 def test_the_estimate_holds_in_random_strikers():
@@ -83,7 +83,7 @@ def test_the_estimate_holds_in_random_strikers():
         scene = Scene(chain=chain, excitation=strike, duration=2e-4, samples=21)
         tolerance = 10 ** rng.uniform(-6, -3)
         lammps = Lammps("verlet")
-        step = lammps.candidate(lammps.part(scene), tolerance).step
+        step = lammps.propose(lammps.part(scene), tolerance).step
         truth = simulate(scene, "native", 1e-11)
         answer = simulate(scene, Native("verlet", step=step, adaptive=False))
         error = max(

@@ -27,7 +27,7 @@ from lmpchain import (
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.steps import Steps
 
 TEMPLATES = Path(__file__).parents[3] / "templates"
 VERLET = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
@@ -100,8 +100,8 @@ def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
     """A force of the user's own that depends on time is the same in chunks of any size."""
     Path("clock.include").write_text("print           $(time:%.17g) append clock.txt screen no\n")
     engine = Lammps(integrator=integrator, step=1e-7, include="clock.include")
-    candidate = engine.candidate(small(), 1.0)
-    schedule = StepSchedule(candidate.steps_per_landing, 1, candidate.step, False)
+    candidate = engine.propose(small(), 1.0)
+    schedule = Steps(candidate.steps.per_landing, 1, candidate.step, False)
     state: dict[str, Any] = {}
     for _ in range(2):
         stepper = engine.stepper([small()], candidate, [schedule], state)

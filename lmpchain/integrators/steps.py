@@ -1,0 +1,147 @@
+"""The steps of a run, and where they land on samples."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..util.arrays import Array
+
+# Auxiliary runs with this many steps between two samples land on each of them: a landing then
+# changes their steps by little, and a collision may show in one sample only;
+# analysis/calibration/richardson_estimate.py
+MANY_STEPS = 32
+
+
+class Steps(NamedTuple):
+    """The steps of a run from one recorded sample on which it lands to the next.
+
+    Attributes
+    ----------
+    per_landing : int
+        Steps from one landing to the next, if all are equal.
+    stride : int
+        Samples from one landing to the next; samples between them are interpolated.
+    step : float
+        Largest step size, s.
+    adaptive : bool
+        Whether steps are shorter where a contact is about to open or has just closed.
+    ratio : float
+        Step over that of the answer.
+    coarse_openings : bool
+        Whether steps near openings are too long to keep the order of the method there.
+    dense : int
+        Every `dense`-th sample between two landings is interpolated; 0: none.
+    """
+
+    per_landing: int
+    stride: int
+    step: float
+    adaptive: bool = False
+    ratio: float = 1.0
+    coarse_openings: bool = False
+    dense: int = 0
+
+    @classmethod
+    def spread(
+        cls,
+        interval: float,
+        per_landing: int,
+        stride: int = 1,
+        adaptive: bool = False,
+        coarse_openings: bool = False,
+    ) -> Steps:
+        """Return so many steps from landing to landing, of samples that are `interval` s apart."""
+        step = interval * stride / per_landing
+        dense = int(stride > 1)
+        return cls(per_landing, stride, step, adaptive, 1.0, coarse_openings, dense)
+
+    @property
+    def sampled(self) -> Steps:
+        """Steps of about this length that land on every sample."""
+        steps = math.ceil(self.per_landing / self.stride)
+        ratio = self.per_landing / (self.stride * steps)
+        return self._replace(per_landing=steps, stride=1, step=self.step * ratio, dense=0)
+
+    def shortened(self, per_landing: int) -> Steps:
+        """Return so many steps from landing to landing, none of them coarse near openings."""
+        step = self.step * (self.per_landing / per_landing)
+        return self._replace(per_landing=per_landing, step=step, coarse_openings=False)
+
+    def longer(self, ratio: float) -> Steps:
+        """Return the steps of an auxiliary run, longer by this ratio.
+
+        If the answer interpolates samples, the auxiliary run interpolates every 4th, 2nd or each of
+        them, because they are only compared. Otherwise, with many steps a sample, it lands on every
+        sample. With few, its landings are as much further apart as its steps are longer.
+        """
+        steps = math.ceil(self.per_landing / ratio)
+        longer = self._replace(
+            per_landing=steps, step=self.step * self.per_landing / steps, ratio=ratio
+        )
+        if self.stride > 1:
+            # Each step must pass one interpolated sample at least.
+            samples = ratio * self.stride / self.per_landing
+            return longer._replace(dense=next(n for n in (4, 2, 1) if n == 1 or samples >= n))
+        if self.per_landing >= MANY_STEPS:
+            return longer
+        # In lowest terms, landings are as close as whole numbers of longer steps allow.
+        numerator, denominator = ratio.as_integer_ratio()
+        common = math.gcd(denominator * self.per_landing, numerator)
+        return longer._replace(
+            per_landing=denominator * self.per_landing // common,
+            stride=numerator // common,
+            step=self.step * ratio,
+        )
+
+    @property
+    def halved(self) -> Steps:
+        """The steps of an auxiliary run at half the step."""
+        return self._replace(
+            per_landing=2 * self.per_landing, step=self.step / 2, ratio=self.ratio / 2
+        )
+
+    @property
+    def filled(self) -> int:
+        """Samples from one that the run fills, by landing or interpolation, to the next."""
+        return self.dense or self.stride
+
+    def total(self, samples: int) -> int:
+        """Return the steps from sample 0 to the sample of this number, if all are equal."""
+        # Rounded up, in integers: a run is never a step short.
+        return -(-self.per_landing * samples // self.stride)
+
+    def longest_between(self, begin: Array, end: Array) -> Array:
+        """Return the longest step between two corners, (C,) s, on which steps end as on landings.
+
+        The steps between a corner and a landing are equal, and as few as their length allows.
+        """
+        landing = self.per_landing * self.step
+        first = np.minimum(np.ceil(begin / landing) * landing, end)
+        last = np.maximum(np.floor(end / landing) * landing, first)
+        lengths = np.array([first - begin, last - first, end - last])
+        return (lengths / np.maximum(np.ceil(lengths / self.step - 1e-9), 1)).max(0)
+
+
+# Row of compiled loops: the fields of `Steps`, the time between two samples in s and the number of
+# the last one; then, filled by the loops, the landing at work: where it begins and ends, s, its
+# length, s, and its steps and their length, s, if all are equal.
+CLOCK = np.dtype(
+    [
+        *((name, {int: "i8", float: "f8", bool: "?"}[kind])
+          for name, kind in get_type_hints(Steps).items()),
+        ("interval", "f8"), ("final", "i8"),
+        ("begin", "f8"), ("end", "f8"), ("length", "f8"), ("steps", "i8"), ("equal_step", "f8"),
+    ],
+    align=True,
+)  # fmt: skip
+
+
+def clocks(schedules: Sequence[Steps], interval: float, final: int) -> NDArray[Any]:
+    """Return a row of compiled loops for each of these steps, (F,) of CLOCK."""
+    landing = (0.0, 0.0, 0.0, 0, 0.0)
+    return np.array([(*steps, interval, final, *landing) for steps in schedules], CLOCK)
