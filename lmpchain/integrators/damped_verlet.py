@@ -48,7 +48,7 @@ class DampedVerlet:
         """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.damped_verlet import make_work, march
 
-        return March(march, make_work, (batch.dissipation, self.lead), history=2)
+        return March(march, make_work, (self.lead,), history=2)
 
 
 MODIFIED = DampedVerlet(

@@ -177,9 +177,11 @@ class Lammps(TimeSteppingEngine):
             fault = "kicks from outside know no velocities: use verlet, or leave it out"
             return [("integrator", fault)]
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
-        if scene.chain.exponent not in exponents:
+        law = scene.chain.law
+        if law.power not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
-            fault = f"knows {allowed} only (got {scene.chain.exponent:g}); use the engine native"
+            got = law if law.power is None else f"{law.power:g}"
+            fault = f"knows {allowed} only (got {got}); use the engine native"
             return [("exponent", f"{self.pair_style} in LAMMPS {fault}")]
         grains = scene.chain.grains
         if (self.ranks or 1) > grains:
