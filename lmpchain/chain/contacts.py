@@ -194,10 +194,10 @@ class Contacts:
         """Return an upper bound of each overlap for this energy above rest, (..., N+1) m."""
         return self.overlap + self.approach_bound(energy)
 
-    def largest_strain(self, energy: float | Array) -> Array:
-        """Return `Scene.largest_strain`, (...), for this energy above rest, (...) or (..., 1) J."""
-        # a loose contact has no strain; where there is none, neither moves
-        strain = self.approach_bound(energy) / np.where(self.pressed, self.overlap, 1.0)
+    def strain_bound(self, approach: Array) -> Array:
+        """Return a bound on the strains by one on each approach, (..., N+1) m; see `Scene`."""
+        # A loose contact has no strain; where there is none, neither moves.
+        strain = approach / np.where(self.pressed, self.overlap, 1.0)
         bounded = (self.pressed == self.exists).all(-1)
         # of one chain a number, and no array of none
         return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]
