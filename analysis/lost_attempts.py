@@ -19,8 +19,8 @@ from figures import TABLES, write_table
 
 from lmpchain import Chain, Impulse, Profile, Scene, simulate
 from lmpchain.engines import Native
-from lmpchain.engines.stepping import companion_run
-from lmpchain.engines.stepping.companion_run import JudgingTimes
+from lmpchain.engines.stepping import monitor
+from lmpchain.engines.stepping.monitor import JudgingTimes
 
 COLUMNS = (
     "scene",
@@ -51,12 +51,12 @@ def springs() -> Scene:
 @contextmanager
 def unseen() -> Iterator[None]:
     """Have every attempt run to its end."""
-    looks = companion_run.LOOKS
-    companion_run.LOOKS = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
+    looks = monitor.LOOKS
+    monitor.LOOKS = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
     try:
         yield
     finally:
-        companion_run.LOOKS = looks  # type: ignore[misc]
+        monitor.LOOKS = looks  # type: ignore[misc]
 
 
 class Watched(Native):

@@ -86,6 +86,14 @@ class Stepper(Protocol):
         Returns the steps made.
         """
 
+    @property
+    def progress(self) -> float:
+        """Part of its work that is done, 0 to 1."""
+
+    @property
+    def own_part(self) -> float:
+        """Part of its steps that were those of the answer."""
+
     def state(self) -> dict[str, Array]:
         """Return the arrays from which a run goes on with the same bits."""
 

@@ -13,7 +13,8 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.stepping import companion_run, step_choice
+from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import step_choice
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
@@ -43,8 +44,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     assert candidate.steps.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
-    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # few samples a block
-    monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # few samples a block
+    monkeypatch.setattr(stepping_run, "PIECE_S", 1e-5)
     pieces = []
     state = None
     while not pieces or pieces[-1].samples.stop < scene.samples:

@@ -13,9 +13,11 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
+from ...integrators.batch import ChainBatch
 from ...integrators.method import Method
-from ...integrators.methods import methods_of
+from ...integrators.methods import BY_NAME, methods_of
 from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
+from ...integrators.stepper import NativeStepper, Stepper
 from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
@@ -25,14 +27,15 @@ from ...util.remarks import warn
 from ...util.suggestions import not_among
 from ..base import ErrorBudget, Proposal, Run
 from ..cost_model import announce, check_time
-from ..native import Native
 from ..step_control import (
     Attempt,
     Outcome,
     first_attempt,
     solve_to_tolerance,
 )
-from ..stepping.companion_run import CompanionRun
+from ..stepping.compiled import CompiledSteps
+from ..stepping.monitor import Monitor, TwinMonitor
+from ..stepping.run import SteppingRun, restrict
 from ..stepping.time_stepping import TimeSteppingEngine
 from . import deck, watching
 from .column import PAIR_STYLES, LammpsColumn
@@ -115,6 +118,7 @@ class Lammps(TimeSteppingEngine):
     inputs: ClassVar[tuple[str, ...]] = (f"{DECK}/in.column", f"{DECK}/column.data")
     logs: ClassVar[tuple[str, ...]] = (LOG,)
     ranks_of_mpi: ClassVar[bool] = True
+    monitor: ClassVar[type[Monitor]] = TwinMonitor
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8
     # file for the messages of LAMMPS; of splittings the set-up only, as each drift is a run
@@ -202,9 +206,9 @@ class Lammps(TimeSteppingEngine):
         except ToleranceNotMet:
             return math.inf
 
-    def _trial(self, scene: Scene) -> Native:
+    def _trial(self, scene: Scene) -> CompiledSteps:
         """Return the engine of the native trial: the same map."""
-        return Native(self.splitting(scene).name, self.step, adaptive=False)
+        return CompiledSteps(self.splitting(scene).name, self.step)
 
     def propose_steps(
         self, scene: Scene, tolerance: float, method: Method, steps: Steps
@@ -321,7 +325,7 @@ class Lammps(TimeSteppingEngine):
         state: Mapping[str, Array],
     ) -> LammpsStepper:
         """Make the stepper of the answer."""
-        # one instance, one chain: companions are native runs
+        # one instance, one chain: auxiliary runs are native
         (scene,) = scenes
         schedule = schedules[0]
         column = self.column(scene, proposal)
@@ -350,6 +354,25 @@ class Lammps(TimeSteppingEngine):
         if self.log and splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper
+
+    def steppers(
+        self,
+        scenes: Sequence[Scene],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
+        state: Mapping[str, Array] | None,
+    ) -> dict[str, Stepper]:
+        """Make the steppers of a run: of the answer, then of its native twin and auxiliary runs."""
+        twin, *beside = schedules
+        native = NativeStepper(
+            ChainBatch(scenes),
+            BY_NAME[proposal.integrator],
+            twin,
+            restrict("native", state),
+            companions=beside,
+        )
+        answer = self.stepper(scenes, proposal, schedules, restrict("answer", state))
+        return {"answer": answer, "native": native}
 
     def column(self, scene: Scene, proposal: Proposal, remark: str = "") -> LammpsColumn:
         """Return the column of a proposal, with the choices as remarks for the head of a deck."""
@@ -458,7 +481,9 @@ def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
         raise InputError.at("ranks", f"must be a whole number from 1 (got {shown(ranks)})")
 
 
-def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[Array, float]]:
+def _try_steps(
+    native: CompiledSteps, scene: Scene, tolerance: float
+) -> Outcome[tuple[Array, float]]:
     """Return the native trial at the longest steps that meet the tolerance, if any do.
 
     Where nothing bounds the strain beforehand, its first steps may be much too short.
@@ -490,10 +515,10 @@ def _without_heights(reason: str, known_until: float) -> ToleranceNotMet:
 
 def _largest_motion(run: Run) -> tuple[Array, float]:
     """Run; return the largest displacement and velocity, m, m/s, and the closest approach, m."""
-    assert isinstance(run, CompanionRun)
+    assert isinstance(run, SteppingRun)
     for _ in run.blocks():
         check_time()
-    return run.peaks[0], float(run.closest[0])
+    return run.monitor.peaks[0], float(run.monitor.closest[0])
 
 
 def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:

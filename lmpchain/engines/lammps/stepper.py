@@ -39,6 +39,7 @@ class LammpsStepper:
     """
 
     stride = 1
+    own_part = 1.0
     # Each step is a command or a loop of LAMMPS, slower than compiled kernels.
     guessed_rate = 1e6
 
@@ -128,6 +129,11 @@ class LammpsStepper:
     def steps(self) -> Array:
         """Steps made, (1,)."""
         return np.array([self._done])
+
+    @property
+    def progress(self) -> float:
+        """Part of its steps that are made."""
+        return self._done / (self._every * (self._column.scene.samples - 1))
 
     def _take(self) -> None:
         """Take the motion from all ranks; raises `RunFailed` if they are no numbers."""

@@ -15,13 +15,13 @@ d12 that follows from the gain, e is at least 2 d12 ((1 - s) / (r1^p - 1) + s / 
 ========  ==========  =========================================================================
 symbol    variable    meaning
 ========  ==========  =========================================================================
-d12       fine        distance of the answer from a companion at steps r1 h = 2 h, over the
+d12       fine        distance of the answer from an auxiliary run at steps r1 h = 2 h, over the
                       largest motion
-d24       coarse      distance of that companion from one at steps r2 h = 4 h
+d24       coarse      distance of that run from one at steps r2 h = 4 h
 dn        nearby      distance of the answer from one at 1.5 h, which runs where errors may scatter;
                       over 1.5^p - 1 if no contact opened
-r1, r2    ratios      steps of the companions over h
-p         order       order that is trusted, see `Companions.truncation`
+r1, r2    ratios      steps of the auxiliary runs over h
+p         order       order that is trusted, see `AuxiliarySteps.truncation`
 g         gain        error at steps r1 h over that at h, as observed:
                       (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
                       of twice the length; g^(ln r / ln r1) where corners of a force cut steps, and

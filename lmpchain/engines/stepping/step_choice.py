@@ -20,7 +20,7 @@ from ...integrators.method import Method
 from ...integrators.steps import MANY_STEPS, Steps
 from ...scene.scene import Scene
 from ..base import ErrorBudget
-from .companions import LONGER, OPENINGS, dies
+from .auxiliary_runs import LONGER, OPENINGS, dies
 from .estimate import TRUST
 from .round_off import interpolation_loss
 

@@ -1,25 +1,26 @@
-"""Engines that step through time: options, steps, and the start of a run with companions."""
+"""Engines that step through time: options, steps, and the start of a run with auxiliary runs."""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import ClassVar
 
 from ...errors import InputError, shown
 from ...integrators.method import Method
 from ...integrators.methods import BY_NAME, DAMPED, methods_of
-from ...integrators.stepper import Stepper
+from ...integrators.stepper import NativeStepper, Stepper
 from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from ...util.compilation import clock
 from ...util.suggestions import not_among
 from ..base import Engine, ErrorBudget, Proposal
 from ..cost_model import seconds
-from .companion_run import CompanionRun
-from .companions import LONGER, longer_steps
+from .auxiliary_runs import LONGER, AuxiliarySteps, longer_steps
+from .monitor import Monitor
+from .run import SteppingRun, restrict
 from .step_choice import FIRST_STEP, STEP_CONTROL, choose_given_step, choose_step, work
 
 AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
@@ -33,15 +34,14 @@ class TimeSteppingEngine(Engine):
 
     Attributes
     ----------
-    twin : bool
-        Whether a native twin measures its round-off. Its steps must then be those of the native
-        engine in exact arithmetic.
+    monitor : type
+        What estimates the error of its runs.
     adaptive : bool
         Whether steps are shorter where contacts open and pass over samples, if the method allows.
     """
 
     adaptive: bool = False
-    twin: ClassVar[bool] = True
+    monitor: ClassVar[type[Monitor]] = Monitor
     dissipates: ClassVar[bool] = True
 
     def __init__(self, integrator: str, step: float | None):
@@ -82,8 +82,21 @@ class TimeSteppingEngine(Engine):
     ) -> Stepper:
         """Make the stepper of the answer, from the start or a kept state.
 
-        A native one moves the companions of the answer, too.
+        A native stepper moves the auxiliary runs, too.
         """
+
+    def steppers(
+        self,
+        scenes: Sequence[Scene],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
+        state: Mapping[str, Array] | None,
+    ) -> dict[str, Stepper]:
+        """Make the steppers of a run, by the name of their state: that of the answer first.
+
+        "native" is the one that moves the auxiliary runs.
+        """
+        return {"native": self.stepper(scenes, proposal, schedules, restrict("native", state))}
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
@@ -163,14 +176,14 @@ class TimeSteppingEngine(Engine):
     ) -> Proposal | None:
         """Lengthen a step as far as its error allows; None if that gains little, or is not asked.
 
-        Companions at four times the step remain stable, which show the rate at which errors fall.
+        Auxiliary runs at four times the step stay stable: they show the rate at which errors fall.
         """
         method = BY_NAME[proposal.integrator]
         steps = proposal.steps
         interval = steps.step * steps.per_landing
         longest = min(method.stability_limit, math.pi) / LONGER[-1] / scene.highest_frequency
         aimed = steps.per_landing * STEP_CONTROL.aim(error, tolerance)
-        # companions that broke down show no error to go by
+        # auxiliary runs that broke down show no error to go by
         if math.isinf(aimed):
             return None
         fewer = math.ceil(max(aimed, interval / longest))
@@ -182,18 +195,24 @@ class TimeSteppingEngine(Engine):
         scenes: Sequence[Scene],
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
-    ) -> CompanionRun:
+    ) -> SteppingRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
-        make = partial(self.stepper, scenes, proposal)
+        began = clock()
         method = BY_NAME[proposal.integrator]
         scene = scenes[0]
         # as shipped: where a run is judged must not rest on the speed of a machine
         evaluations = method.evaluations * proposal.steps.total(scene.samples - 1)
         work_s = self.seconds_per_grain_step * evaluations * scene.chain.grains * len(scenes)
+        auxiliary = AuxiliarySteps(method, scenes, proposal.steps, self.monitor.twins)
+        schedules = proposal.steps, *auxiliary.schedules
         try:
-            return CompanionRun(make, method, scenes, proposal, state, self.twin, work_s)
+            steppers = self.steppers(scenes, proposal, schedules, state)
+            native = steppers["native"]
+            assert isinstance(native, NativeStepper)
+            monitor = self.monitor(native, auxiliary, method, scenes, proposal)
+            return SteppingRun(steppers, monitor, method, scenes, proposal, state, work_s, began)
         except (LookupError, TypeError, ValueError) as error:
             # without a state it is a fault of this package, not of a file
             if state is None or isinstance(error, InputError):

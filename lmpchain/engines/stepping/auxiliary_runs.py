@@ -1,9 +1,9 @@
-"""Companions of an answer: native runs at other steps, whose distances show its truncation error.
+"""Auxiliary runs: native runs at other steps, whose distances show the error of an answer.
 
-They run at 2h and 4h, for the rate at which differences shrink gives the error; where 4h is too
-long there is one at 2h, and where that is, one at h/2. Where contacts open again and again errors
-scatter, and two runs may agree by chance: there runs one more, at about 1.5h. So it does where
-contacts only touch at rest.
+Auxiliary runs have steps 2h and 4h, because the rate at which differences shrink gives the error.
+If 4h is too long, there is one at 2h; if that is too long, one at h/2. If contacts open again and
+again, or only touch at rest, errors scatter and two runs may agree by chance. Then there is one
+more run, at about 1.5h.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +52,7 @@ class OpeningOrder:
         Phase of the fastest motion, in radians a grain, after which waves come back to contacts
         that opened: errors scatter from there on.
     nearby, nearby_kinked : float
-        Step of the companion that runs where errors scatter, over that of the answer, and that for
+        Step of the auxiliary run where errors scatter, over that of the answer, and that for
         forces with kinks.
     """
 
@@ -81,15 +80,17 @@ class OpeningOrder:
 
 OPENINGS = OpeningOrder()
 STRIKES = (Impulse, Displacement)  # of one grain
-LONGER = (2.0, 4.0)  # steps of companions over those of the answer
+LONGER = (2.0, 4.0)  # steps of auxiliary runs over those of the answer
 DIVIDING = (2.0, 3.0, 4.0)  # the same where each is to land on every sample
-# exponent of the decay between two samples from which on companions land on each
+# exponent of the decay between two samples from which on auxiliary runs land on each
 DIES = 0.25
-FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
+FEWEST_STEPS = 8  # of a run whose auxiliary runs have longer steps: of fewer, two may have the same
 
 
-class Companions:
-    """The companions of an answer to a scene, or to R like ones.
+class AuxiliarySteps:
+    """The steps of the auxiliary runs of an answer to a scene, or to R like ones.
+
+    They say how these runs are compared, and what truncation error their distances show.
 
     Parameters
     ----------
@@ -97,17 +98,17 @@ class Companions:
     scenes : sequence of R scenes
     steps : Steps
         Those of the answer.
-    twin : bool
-        Whether a twin at the same steps runs beside the answer, too.
+    twins : int
+        Runs beside the answer that have its steps.
 
     Attributes
     ----------
     answer : Steps
         Those of the answer.
     schedules : tuple of Steps
-        Those of the companions.
+        Those of the auxiliary runs.
     ratios : tuple of float
-        Mean steps of the companions over those of the answer.
+        Mean steps of the auxiliary runs over those of the answer.
     against, strides : (S,) arrays
         With which run each of the S beside the answer is compared (0: the answer, from 1: one of
         these), and every how many samples.
@@ -117,7 +118,7 @@ class Companions:
         Whether contacts may open again and again, so that errors scatter.
     """
 
-    def __init__(self, method: Method, scenes: Sequence[Scene], steps: Steps, twin: bool = False):
+    def __init__(self, method: Method, scenes: Sequence[Scene], steps: Steps, twins: int = 0):
         self._method = method
         self.answer = steps
         exponent = scenes[0].chain.exponent
@@ -130,7 +131,7 @@ class Companions:
             kinks = OPENINGS.kinks(exponent)
             longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
         arrangement = _arrange(
-            self.answer, tuple(longer), self._nearby, twin, scenes[0].samples - 1
+            self.answer, tuple(longer), self._nearby, twins, scenes[0].samples - 1
         )
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
         self._least_ratio = [self._ratio_between_corners(scene) for scene in scenes]
@@ -144,7 +145,7 @@ class Companions:
     def compare_energies(self, balance: Array) -> Array:
         """Return the largest differences between energies of the runs, (S, R, 2) J.
 
-        `balance` has those of the answer, or of its twin, and of the companions, (S + 1, R, T, 2).
+        `balance` has those of the answer or its twin, then of the auxiliary runs, (S + 1, R, T, 2).
         """
         against = [*range(len(self.schedules) - self._nearby), *[0] * self._nearby]
         final = balance.shape[2] - 1
@@ -190,14 +191,14 @@ class Companions:
         )
 
     def _ratio_between_corners(self, scene: Scene) -> float:
-        """Return the smallest ratio of steps of the first companion between corners of a force.
+        """Return the smallest ratio of steps of the first auxiliary run between corners of a force.
 
         All runs end steps on corners, so that between these the ratio is that of two whole numbers.
         """
         times = np.array([0.0, *corners(scene), scene.duration])
         if len(times) == 2 or not self.answer.adaptive:
             return self.ratios[0]
-        # A piece that is shorter than a step of a companion is the last one, and has few steps.
+        # A piece that is shorter than a step of an auxiliary run is the last one, with few steps.
         long = np.diff(times) >= LONGER[-1] * self.answer.step
         pieces = times[:-1][long], times[1:][long]
         steps = self.schedules[0].longest_between(*pieces) / self.answer.longest_between(*pieces)
@@ -215,37 +216,30 @@ class Companions:
         return order, min(order, OPENINGS.equal_order) if self._far[real] else order
 
 
-class Arrangement(NamedTuple):
-    """Schedules of companions and how they are compared; the fields are those of `Companions`."""
-
-    schedules: tuple[Steps, ...]
-    ratios: tuple[float, ...]
-    against: NDArray[np.int64]
-    strides: NDArray[np.int64]
-    together: int
-
-
-@lru_cache(maxsize=256)  # like scenes have like companions
+@lru_cache(maxsize=256)  # like scenes have like auxiliary runs
 def _arrange(
-    answer: Steps, longer: tuple[float, ...], nearby: bool, twin: bool, final: int
-) -> Arrangement:
-    """Arrange companions at steps longer by these ratios, or at half the step if there are none."""
+    answer: Steps, longer: tuple[float, ...], nearby: bool, twins: int, final: int
+) -> tuple[tuple[Steps, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
+    """Return steps and ratios of auxiliary runs, `against`, `strides` and `together` of them.
+
+    Their steps are longer by these ratios, or half as long if there are none.
+    """
     schedules = tuple(answer.longer(ratio) for ratio in longer) or (answer.halved,)
     ratios = tuple(answer.total(final) / schedule.total(final) for schedule in schedules)
-    runs = (*[answer] * twin, *schedules)
+    runs = (*[answer] * twins, *schedules)
     # each is compared with the one of the next shorter steps, but the nearby one with the answer
     against = np.array([*range(len(runs) - nearby), *[0] * nearby])
     strides = np.array([schedule.filled for schedule in runs])
     together = math.lcm(4, *(schedule.stride for schedule in runs))
-    return Arrangement(schedules, ratios, against, strides, together)
+    return schedules, ratios, against, strides, together
 
 
 def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
-    """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
+    """Return how many times as long the steps of auxiliary runs are: 2 and 4, 2 alone, or none.
 
     None where these are unstable or too few. Where damping ends a motion within a few samples its
-    error is there in the first of them alone, and companions must land on each: then 3 serves, too,
-    but there must be two, and no corners of a force.
+    error is there in the first of them alone, and auxiliary runs must land on each: then 3 serves,
+    too, but there must be two, and no corners of a force.
     """
     if answer.total(scene.samples - 1) < FEWEST_STEPS:
         return []
@@ -256,8 +250,8 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
     else:
         ratios = list(LONGER)
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
-    # One companion at longer steps may be right by chance where motions die within a step or two,
-    # and where corners end steps, all of them may pass the last one before a sample alike.
+    # One auxiliary run at longer steps may be right by chance where motions die within a step or
+    # two, and where corners end steps, all of them may pass the last one before a sample alike.
     seen = len(stable) > 1 and not corners(scene)
     return stable if seen or not dies(scene) else []
 
