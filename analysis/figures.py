@@ -19,8 +19,9 @@ from matplotlib.collections import QuadMesh
 from matplotlib.text import Text
 
 import lmpchain
+from lmpchain.engines import Lammps, Native
 from lmpchain.util.files import write_aside
-from lmpchain.util.plotting import COLOURS, MARKERS, figure, typeset
+from lmpchain.util.plotting import COLOURS, figure, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,8 +31,8 @@ HERE = Path(__file__).parent
 TABLES = HERE / "tables"  # which pages include
 SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # Okabe and Ito
 NATIVE, LAMMPS = (
-    {"ls": "none", "marker": MARKERS[name], "ms": size, "mfc": "none", "color": COLOURS[name]}
-    for name, size in (("native", 3.5), ("lammps", 6.5))
+    {"ls": "none", "marker": marker, "ms": size, "mfc": "none", "color": colour}
+    for (colour, marker), size in ((Native.style, 3.5), (Lammps.style, 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
 SVG = "--svg"
@@ -39,7 +40,7 @@ PRINT_DPI = 300
 PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
 # the paper's formula where it is wrong
 PRINTED = {
-    "color": COLOURS["modes"],
+    "color": COLOURS["green"],
     "lw": 1.4,
     "ls": "--",
 }

@@ -42,7 +42,7 @@ ENGINES: dict[str, Callable[[float], Any]] = {
     "lammps verlet, 1 rank": lambda step: Lammps(integrator="verlet", step=step),
     "lammps verlet, 2 ranks": lambda step: Lammps(integrator="verlet", step=step, ranks=2),
 }
-LAMMPS: dict[str, Any] = {"color": COLOURS["lammps"], "ls": "--"}
+LAMMPS: dict[str, Any] = {"color": COLOURS["vermilion"], "ls": "--"}
 STYLES: dict[str, dict[str, Any]] = {
     "native verlet": look_of("verlet"),
     "native rkn6": look_of("rkn6"),

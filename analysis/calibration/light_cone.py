@@ -24,8 +24,8 @@ from lmpchain.engines.linear.engine import Modes
 from lmpchain.engines.native import Native
 from lmpchain.integrators import batch
 from lmpchain.integrators.kernels.splitting import PAD
-from lmpchain.scene import light_cone
-from lmpchain.scene.light_cone import CUT
+from lmpchain.scene import facts
+from lmpchain.scene.facts import CUT
 
 
 def struck(grains: int, periods: float, strike_number: float = 0.01, samples: int = 11) -> Scene:
@@ -56,7 +56,7 @@ def _cut(engine: Engine, quick: bool) -> Row:
         scene = struck(math.ceil(needed / part), periods)
         times = []
         for worth in (1.1, 0.0):  # always, and never
-            with mock.patch.object(light_cone, "CUT", dataclasses.replace(CUT, share=worth)):
+            with mock.patch.object(facts, "CUT", dataclasses.replace(CUT, share=worth)):
                 run = partial(fresh, engine, scene)
                 times.append(best(run, repeats))
         ratios[part] = times[0] / times[1]

@@ -26,7 +26,7 @@ from scenes import drawn
 from lmpchain import Scene
 from lmpchain.engines.linear import resonance
 from lmpchain.engines.linear.engine import Modes
-from lmpchain.engines.linear.model_error import LOOKS, fastest
+from lmpchain.engines.linear.model_error import LOOKS
 from lmpchain.engines.linear.resonance import FEW
 from lmpchain.errors import InputError
 
@@ -40,7 +40,7 @@ ALL = {"kinds": ("gravity", "load"), "driven": 0.0, "grains": (2, 3, 5, 12)}
 def lowest(scene: Scene, per_radian: float) -> float:
     """Return the lowest strain along the linear solution, with so many evaluations a radian."""
     times = np.linspace(
-        0, scene.duration, math.ceil(per_radian * scene.duration * fastest(scene)) + 1
+        0, scene.duration, math.ceil(per_radian * scene.duration * scene.linear_frequency) + 1
     )
     u = Modes().solve(scene, {}).at(times)[0]
     contacts = scene.chain.contacts

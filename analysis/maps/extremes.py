@@ -15,7 +15,7 @@ from lmpchain import Chain
 from lmpchain.chain.plausible import LIMITS
 from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
-from lmpchain.util.plotting import MARKERS, figure
+from lmpchain.util.plotting import figure
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED = SHADES
 POINT = {"ls": "none", "ms": 5, "mfc": "none"}
@@ -115,9 +115,7 @@ def _bending(axes: Axes, data: dict[str, Any]) -> None:
     axes.plot(
         data["gauges"], data["rates"], color=BLUE, lw=1.2, label="linear stability of a column"
     )
-    axes.plot(
-        data["gauges"], data["growth"], **POINT, marker=MARKERS["lammps"], color=RED, label="LAMMPS"
-    )
+    axes.plot(data["gauges"], data["growth"], **POINT, marker="o", color=RED, label="LAMMPS")
     axes.axhline(data["band_edge"], color="0.4", ls="--", lw=1)
     axes.annotate(
         "band edge",

@@ -104,7 +104,7 @@ def _fields(axes: Axes, data: dict[str, Any]) -> None:
         data["from_linear"],
         **POINT,
         marker="^",
-        color=COLOURS["modes"],
+        color=COLOURS["green"],
         label="linear theory",
     )
     axes.set(xlabel="gravity (m/s²)", ylabel="relative error", ylim=(None, 30))

@@ -144,9 +144,13 @@ def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
     own = data["estimate"]
     axes.plot(numbers, own["most"], color="0.7", label="expected from the strike alone")
     axes.plot(
-        numbers, own["look"], "--", color=COLOURS["lammps"], label="bound from the linear solution"
+        numbers,
+        own["look"],
+        "--",
+        color=COLOURS["vermilion"],
+        label="bound from the linear solution",
     )
-    axes.plot(numbers, own["after"], color=COLOURS["native"], label="estimate after the run")
+    axes.plot(numbers, own["after"], color=COLOURS["blue"], label="estimate after the run")
     axes.plot(
         numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured"
     )

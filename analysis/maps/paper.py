@@ -27,7 +27,7 @@ SCENES = {
 MOVED, TIMES = 50, (1, 5, 10, 12)  # Fig. 2
 LAMBDA = 0.5  # Fig. 8
 BOX = {"facecolor": "w", "lw": 0, "pad": 0.6}  # behind words that lines pass
-POINT = {"marker": "o", "ls": "none", "color": COLOURS["lammps"], "ms": 6}
+POINT = {"marker": "o", "ls": "none", "color": COLOURS["vermilion"], "ms": 6}
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -113,12 +113,12 @@ def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
     )
     axes.loglog(depth, 2 * depth ** (1 / 6), color="black", ls=":")
     axes.text(15, 2.6, "band edge of the chain", fontsize="small")
-    axes.loglog(depth, 4 ** (1 / 3) * depth ** (-1 / 6), color=COLOURS["native"])
-    axes.text(5, 1.35, "Fig. 9: front of a strike", color=COLOURS["native"])
-    axes.loglog([1, h[-1]], [LAMBDA, LAMBDA], color=COLOURS["lammps"])
+    axes.loglog(depth, 4 ** (1 / 3) * depth ** (-1 / 6), color=COLOURS["blue"])
+    axes.text(5, 1.35, "Fig. 9: front of a strike", color=COLOURS["blue"])
+    axes.loglog([1, h[-1]], [LAMBDA, LAMBDA], color=COLOURS["vermilion"])
     for row, below in ((0, 8), (-1, 8)):
         _point(axes, h[row], LAMBDA, f"{100 * error[row]:.0f} %", (0, below), "center")
-    axes.text(1.3, 0.53, "Fig. 8: driven top", color=COLOURS["lammps"], bbox=BOX)
+    axes.text(1.3, 0.53, "Fig. 8: driven top", color=COLOURS["vermilion"], bbox=BOX)
     tenth = float(np.interp(0.1, error, h))
     _point(axes, tenth, LAMBDA, f"measured: 10 %\nat h = {tenth:.0f}", (0, -28), "center")
     for level in (0.01, 0.1):

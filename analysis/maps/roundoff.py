@@ -12,7 +12,7 @@ import numpy as np
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.stability.roundoff import floor, measured_floor
-from lmpchain.util.plotting import COLOURS, MARKERS, figure
+from lmpchain.util.plotting import COLOURS, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,10 +26,10 @@ WAYS: dict[str, dict[str, str]] = {
     "native, exact force": {"engine": "native", "force": "exact"},
 }
 STYLES = (
-    (COLOURS["lammps"], MARKERS["lammps"]),
-    (COLOURS["continuum"], MARKERS["modes"]),
-    (COLOURS["bessel"], MARKERS["bessel"]),
-    (COLOURS["native"], MARKERS["native"]),
+    (COLOURS["vermilion"], "o"),
+    (COLOURS["orange"], "^"),
+    (COLOURS["sky blue"], "v"),
+    (COLOURS["blue"], "s"),
 )
 
 

@@ -8,9 +8,10 @@ import numpy as np
 
 import lmpchain
 from lmpchain import engines
+from lmpchain.engines import class_of
 from lmpchain.integrators.methods import METHODS, Method
 from lmpchain.stability.step_limit import blow_up, limit
-from lmpchain.util.plotting import COLOURS, MARKERS, figure
+from lmpchain.util.plotting import figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -141,8 +142,8 @@ def style(engine: str, size: float) -> dict[str, Any]:
     """Return how the points of an engine are drawn."""
     label = "measured, LAMMPS" if engine == "lammps" else f"measured, {engine}"
     drawn = {
-        "color": COLOURS[engine],
-        "marker": MARKERS[engine],
+        "color": class_of(engine).style[0],
+        "marker": class_of(engine).style[1],
         "ms": size,
         "mfc": "none",
         "mew": 1.4,

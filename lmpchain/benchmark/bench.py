@@ -127,7 +127,7 @@ class Bench:
 
     def over_steps(self, name: str, integrator: str) -> Iterator[CurvePoint]:
         """Yield points at ever shorter steps, from the longest stable one to round-off."""
-        interval = self.scene.duration / (self.scene.samples - 1)
+        interval = self.scene.sampling_interval
 
         def at(steps: int) -> Engine:
             return engines.get(name, integrator=integrator, step=interval / steps)
@@ -302,9 +302,9 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
     scans = [Scan("native", "", partial(Bench.over_tolerances, name="native"))]
     methods = methods_of(scene.chain.damped)
     refusals = []
-    for name in (*engines.automatic(), *engines.ON_REQUEST):
+    for name in sorted(engines.names(), key=lambda name: engines.class_of(name).auto == "last"):
         engine = engines.get(name)
-        if reasons := engine.obstacles(scene):
+        if reasons := engines.obstacles(engine, scene):
             refusals.append(f"{name}: {reasons[0][1]}")
         elif engine.integrators:
             scans += [

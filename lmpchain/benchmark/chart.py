@@ -9,8 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, groupby
 from typing import TYPE_CHECKING, Any
 
+from ..engines import class_of
 from ..scene.scene import Scene
-from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, legend, look_of, panels, window
+from ..util.plotting import COLOURS, LEAST_ERROR, legend, look_of, panels, window
 from .pareto import KNOWN, front, time_to
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ TARGET = 1e-6  # error
 FRONT = "#F0E442"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 LAMMPS: dict[str, Any] = {
-    "color": COLOURS["lammps"],
+    "color": COLOURS["vermilion"],
     "ms": 5,
     "lw": 1.3,
     "zorder": 3.5,
@@ -104,7 +105,7 @@ def _write_ways(ax: Axes, result: Any) -> None:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     for row, line in enumerate(lines):
-        colour = COLOURS["lammps"] if "lammps" in line else "black"
+        colour = COLOURS["vermilion"] if "lammps" in line else "black"
         weight = "bold" if row == 0 else "normal"
         height = 1 - row / len(lines)
         text: dict[str, Any] = {"family": "monospace", "fontsize": "small", "va": "top"}
@@ -202,7 +203,7 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
     for _, group in groupby(points, key=height):
         errors, costs, names = zip(*group, strict=True)
         for error, cost, name in zip(errors, costs, names, strict=True):
-            ax.plot(cost, error, MARKERS.get(name, "x"), color="0.8", mec="k", ms=8, zorder=5)
+            ax.plot(cost, error, class_of(name).style[1], color="0.8", mec="k", ms=8, zorder=5)
         label = textwrap.fill(", ".join(names), 20)
         place = ax.transAxes.inverted().transform(ax.transData.transform((max(costs), errors[0])))
         # on the side where there is room

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..engines import class_of
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import (
-    COLOURS,
     LEAST_ERROR,
-    MARKERS,
     label_ends,
     legend,
     panels,
@@ -289,7 +288,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     """Draw velocity against grain number at the end, reference as a line, engines as markers."""
     reference = comparison.reference
     scene = comparison.trajectories[0].scene
-    unit = scene.excitation.strike_velocity
+    unit = scene.strike_velocity
     label = r"velocity / strike velocity $v_0$"
     if not unit:
         unit = 1.0
@@ -305,12 +304,12 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
             answer.grains[visible],
             answer.velocity[-1, visible] / unit,
             linestyle="none",
-            marker=MARKERS.get(answer.engine, "x"),
+            marker=class_of(answer.engine).style[1],
             # smaller and smaller, so that none hides the one below
             markersize=7.5 - 3.5 * index / max(1, count - 1),
             markerfacecolor="none",
             markeredgewidth=1.3,
-            color=_colour(answer.engine),
+            color=class_of(answer.engine).style[0],
             label=answer.engine,
         )
     axes.axhline(0, color="0.8", lw=0.8, zorder=0)
@@ -366,7 +365,7 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     curves = comparison.errors_over_time()
     for answer, row, curve in zip(comparison.trajectories, comparison.rows, curves, strict=True):
         values = np.maximum(curve, LEAST_ERROR)
-        colour = _colour(answer.engine)
+        colour = class_of(answer.engine).style[0]
         # at t = 0 the error is 0
         axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)
         axes.axhline(max(row.expected_error, LEAST_ERROR), color=colour, ls="--", lw=1.3)
@@ -375,7 +374,7 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     set_title(axes, "Error over time; dashed: expected by the engine, dotted: of the reference")
     axes.margins(y=0.12)
     ends = [
-        (float(max(curve[-1], LEAST_ERROR)), row.engine, _colour(row.engine))
+        (float(max(curve[-1], LEAST_ERROR)), row.engine, class_of(row.engine).style[0])
         for row, curve in zip(comparison.rows, curves, strict=True)
     ]
     label_ends(axes, [*ends, (float(max(reference.error, LEAST_ERROR)), "reference", "0.4")])
@@ -388,11 +387,11 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
         x = max(row.integration_s, 1e-9)
         y = max(row.error, LEAST_ERROR)
         expected = max(row.expected_error, LEAST_ERROR)
-        colour = _colour(row.engine)
+        colour, marker = class_of(row.engine).style
         axes.loglog([x, x], [y, expected], color=colour, ls="--", lw=1.3)
         axes.loglog(x, expected, "_", ms=10, mew=1.8, color=colour)
         name = row.engine if row.integrator == row.engine else f"{row.engine}, {row.integrator}"
-        axes.loglog(x, y, MARKERS.get(row.engine, "x"), ms=8, color=colour, label=name)
+        axes.loglog(x, y, marker, ms=8, color=colour, label=name)
         end = max(y, expected) if above else min(y, expected)
         text: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "small"}
         axes.annotate(name, (x, end), (0, height), textcoords="offset points", color=colour, **text)
@@ -403,7 +402,3 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
 
 def _leaves(values: Array, limits: tuple[float, float]) -> bool:
     return bool(np.any((values < limits[0]) | (values > limits[1])))
-
-
-def _colour(engine: str) -> str:
-    return COLOURS.get(engine, "#000000")

@@ -120,7 +120,7 @@ def cures(scene: Scene, solution: Reference, integrator: str) -> tuple[Cure, ...
 
 
 def _cures_of(scene: Scene, solution: Reference, integrator: str) -> Iterator[Cure]:
-    interval = scene.duration / (scene.samples - 1)
+    interval = scene.sampling_interval
     # of a driven scene the overlaps, and so the gauge diameter, are not known beforehand
     gauge = 0.0 if scene.excitation.does_work else gauge_diameter(scene)
     measured: dict[int, float] = {}
@@ -129,7 +129,7 @@ def _cures_of(scene: Scene, solution: Reference, integrator: str) -> Iterator[Cu
         if per_sample is None:
             yield Cure(target, integrator, math.nan, 0, math.nan, math.nan, "physical")
             continue
-        steps = per_sample * (scene.samples - 1)
+        steps = per_sample * scene.intervals
         heights = height_round_off(scene, integrator, steps, solution)
         small = heights > target / 2 and gauge > 0
         if small:
@@ -154,7 +154,7 @@ def _fewest_steps(
     """
     method = methods_of(scene.chain.damped)[integrator]
     engine = Native(integrator)
-    interval = scene.duration / (scene.samples - 1)
+    interval = scene.sampling_interval
     failing = 0
 
     def measure(steps: int) -> float:
@@ -182,7 +182,7 @@ def _fewest_steps(
             if coarse
             else max(steps + 1, min(steps_for(steps, SEARCH.room * target), most))
         )
-        cost = engine.cost(scene, method, steps * (scene.samples - 1))
+        cost = engine.cost(scene, method, steps * scene.intervals)
         if cost > SEARCH.cost_s or (stalled > SEARCH.patience and not coarse):
             return None
     # one step back, where the last one went too far

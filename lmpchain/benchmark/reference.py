@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..chain.equilibrium import force_at_rest
 from ..errors import RunFailed
 from ..scene.scene import Scene
-from ..scene.strike import first_overlaps
 from ..util.arrays import EPSILON, Array
 from ..util.lazy import listed
 
@@ -177,7 +176,7 @@ class _Motion:
         chain = scene.chain
         excitation = scene.excitation
         self.wave = excitation.waveform
-        self.delta = Long(chain.exponent)
+        self.delta = Long(chain.law.power_of("the reference solution"))
         self.driven = bool(excitation.driven)
         self.walled = excitation.wall is not None
         self.pushed = None
@@ -190,7 +189,7 @@ class _Motion:
         carried = force_at_rest(weight, chain.top_load, chain.load_grain)
         pressed = (constant > 0) & (carried > 0)
         overlap = np.where(pressed, carried / np.where(pressed, constant, 1), 0) ** (1 / self.delta)
-        deepest = first_overlaps(chain, excitation).astype(Long)
+        deepest = scene.first_overlaps.astype(Long)
         heavier = np.maximum(np.append(mass[0], mass), np.append(mass, mass[-1]))
         stiffness = self.delta * constant * deepest ** (self.delta - 1)
         fastest = np.sqrt((stiffness / heavier).max())

@@ -3,55 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
-from .contacts import Contacts, dynamical_matrix, hertz_constant, pair_value
+from .contacts import Contacts, dynamical_matrix, reduced
+from .impurities import with_impurities
+from .materials import sphere_mass
 from .plausible import LIMITS
 
+if TYPE_CHECKING:
+    from .chain import Chain
 
-class Grains(NamedTuple):
-    """Grains and walls of chains of N grains, which determine everything at rest.
-
-    Arrays are (..., N), or as said; NaN stands for a value that follows from the others.
-
-    Attributes
-    ----------
-    diameters, densities, moduli : arrays
-        m, kg/m3, and plane-strain moduli E / (1 - nu^2), Pa.
-    masses : array
-        kg; NaN where the mass is that of a sphere of the grain's density.
-    contact_constants : (..., N-1) array
-        Of the contacts between grains, N/m^delta; NaN where Hertz's law gives it.
-    walls : two of bool
-        Whether there is a wall at the top, and at the bottom.
-    wall_moduli : two of float
-        Pa; NaN where it is that of the grain which touches the wall.
-    wall_constants : two of float
-        N/m^delta; NaN where it follows from the wall's material.
-    top_load, gravity, exponent : float
-        N, m/s2, and delta.
-    load_grain : int
-        The grain, from 1, that the load acts on.
-    """
-
-    diameters: Array
-    densities: Array
-    moduli: Array
-    masses: Array
-    contact_constants: Array
-    walls: Sequence[bool]
-    wall_moduli: Sequence[float]
-    wall_constants: Sequence[float] | Array
-    top_load: float
-    gravity: float
-    exponent: float
-    load_grain: int = 1
+Values = Any  # of every grain or contact, (..., N), or one number that all share, or (1,) of it
+Ends = tuple[Values, Values, Values]  # of the top, of those between, of the bottom
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,20 +78,54 @@ class Equilibrium:
         )
 
 
-def derive_chain(grains: Grains) -> Equilibrium:
-    """Return chains at rest: masses, contact constants, forces, overlaps and stiffnesses."""
-    diameters = grains.diameters
-    sphere = grains.densities * np.pi / 6 * diameters**3
-    masses = np.where(np.isnan(grains.masses), sphere, grains.masses)
-    between = (diameters[..., :-1] + diameters[..., 1:]) / 2
-    lengths = _with_ends(between, diameters[..., 0], diameters[..., -1])
-    constants = _contact_constants(grains, lengths)
+def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equilibrium:
+    """Return a chain at rest, or R chains like it of which some values were drawn.
+
+    A value that all grains share stays one number until rows of grains are filled, so that a chain
+    of like grains takes little time.
+
+    Parameters
+    ----------
+    chain : Chain
+    drawn : mapping of (R, N) or (R, N-1) arrays, optional
+        What takes the place of fields of the chain: "diameter", "masses", "contact_constants", or
+        "material.density", "material.youngs_modulus", "material.poissons_ratio". Impurities keep
+        their own values.
+    """
+    drawn = drawn or {}
+    grains = chain.grains
+    rows = next(iter(drawn.values())).shape[:-1] if drawn else ()
+    # an array in any case: a power of a Python float raises where it overflows, and has other bits
+    diameter = np.atleast_1d(drawn.get("diameter", chain.diameter))
+    diameter = with_impurities(diameter, chain.impurity, attrgetter("diameter"), grains)
+    density, youngs, poisson = (
+        chain.of_material(name, drawn.get(f"material.{name}"))
+        for name in ("density", "youngs_modulus", "poissons_ratio")
+    )
+    mass = drawn.get("masses", chain.given_masses)
+    mass = sphere_mass(density, diameter) if mass is None else mass
+    mass = with_impurities(mass, chain.impurity, attrgetter("mass"), grains)
+    upper, lower = _neighbours(diameter)
+    lengths = (_end(diameter, 0), (upper + lower) / 2, _end(diameter, -1))
+    given = drawn.get("contact_constants", chain.given_contact_constants)
+    modulus = youngs / (1 - poisson * poisson)
+    constants = _contact_constants(chain, modulus, diameter, lengths, given)
+    masses = np.full((*rows, grains), mass)
     # in long doubles: the rounding of the weight of many grains would show in the stiffnesses
-    weight = grains.gravity * masses.cumsum(-1, dtype=np.longdouble)
-    force = force_at_rest(weight, grains.top_load, grains.load_grain).astype(float)
-    force = np.where(constants > 0, force, 0.0)
-    contacts = Contacts.at_rest(constants, force, grains.exponent)
-    return Equilibrium(contacts, *map(read_only, (lengths, diameters, masses)))
+    weight = chain.gravity * masses.cumsum(-1, dtype=np.longdouble)
+    force = force_at_rest(weight, chain.top_load, chain.load_grain).astype(float)
+    # nothing carries a force where there is no wall
+    if chain.top != "wall":
+        force[..., 0] = 0.0
+    if chain.bottom != "wall":
+        force[..., -1] = 0.0
+    shape = (*rows, grains + 1)
+    return Equilibrium(
+        Contacts.at_rest(_fill(shape, constants), force, chain.law),
+        read_only(_fill(shape, lengths)),
+        read_only(np.full(masses.shape, diameter)),
+        read_only(masses),
+    )
 
 
 def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDArray[Any]:
@@ -143,34 +147,65 @@ def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDA
     return force
 
 
-def _contact_constants(grains: Grains, lengths: Array) -> Array:
-    """Return the constants of all contacts, (..., N+1) N/m^delta, 0 where there is no wall."""
-    outer = (grains.moduli[..., 0], grains.moduli[..., -1])
-    planes = [
-        of_grain if math.isnan(wall) else wall
-        for wall, of_grain in zip(grains.wall_moduli, outer, strict=True)
-    ]
-    modulus = pair_value(_with_ends(grains.moduli, *planes))
-    radius = pair_value(_with_ends(grains.diameters / 2, math.inf, math.inf))
-    # Hertz's constants, which given ones replace
-    natural = hertz_constant(modulus, radius, lengths, grains.exponent)
-    fixed = grains.contact_constants
-    between = np.where(np.isnan(fixed), natural[..., 1:-1], fixed)
-    ends: list[Any] = []
-    for wall, constant, end in zip(grains.walls, grains.wall_constants, (0, -1), strict=True):
-        if wall and math.isnan(constant):
-            constant = natural[..., end]
-            # in the proportion of Hertz's law to the next contact, which may be given
-            if between.shape[-1]:
-                constant = constant * (between[..., end] / natural[..., 1:-1][..., end])
-        ends.append(constant if wall else 0.0)
-    return _with_ends(between, *ends)
+def _contact_constants(
+    chain: Chain, modulus: Values, diameter: Values, lengths: Ends, given: Array | None
+) -> Ends:
+    """Return the constants of the contact at the top, of those between grains, and at the bottom.
+
+    In N/m^delta; 0 where there is no wall.
+
+    Parameters
+    ----------
+    chain : Chain
+    modulus, diameter : Values
+        Plane-strain moduli, Pa, and m.
+    lengths : Ends
+        Mean diameters of the same contacts, m.
+    given : (..., N-1) array, optional
+        Constants between grains, in place of those of Hertz's law.
+    """
+    natural = chain.law.constant(
+        reduced(*_neighbours(modulus)), reduced(*_neighbours(diameter / 2)), lengths[1]
+    )
+    between = natural if given is None else given
+    # the constant of a wall is in the proportion of Hertz's law to that of the next contact
+    scale = 1.0 if given is None else given / natural
+    ends: list[Values] = []
+    for end, kind, wall in (
+        (0, chain.top, chain.top_material),
+        (-1, chain.bottom, chain.bottom_material),
+    ):
+        if kind != "wall":
+            ends.append(0.0)
+        elif chain.given_wall_constants is not None:
+            ends.append(chain.given_wall_constants[end])
+        else:
+            of_grain = _end(modulus, end)
+            plane = wall.plane_strain_modulus if wall else of_grain
+            radius = reduced(_end(diameter, end) / 2, math.inf)
+            pair = reduced(of_grain, plane)
+            constant = chain.law.constant(pair, radius, lengths[end])
+            ends.append(constant * _end(scale, end) if chain.grains > 1 else constant)
+    return ends[0], between, ends[1]
 
 
-def _with_ends(values: Array, first: float | Array, last: float | Array) -> Array:
-    """Return a row of values (..., B) between one more at either end, (...)."""
-    row = np.empty((*values.shape[:-1], values.shape[-1] + 2))
-    row[..., 0] = first
-    row[..., 1:-1] = values
-    row[..., -1] = last
+def _neighbours(values: Values) -> tuple[Values, Values]:
+    """Return the values (..., N) of the upper and the lower grain of every contact between grains.
+
+    A value that all grains share stands for both.
+    """
+    return (values, values) if np.size(values) == 1 else (values[..., :-1], values[..., 1:])
+
+
+def _end(values: Values, end: int) -> Values:
+    """Return the value of the first (end 0) or the last grain (-1), (..., 1), or that of all."""
+    if np.size(values) == 1:
+        return values
+    return values[..., :1] if end == 0 else values[..., -1:]
+
+
+def _fill(shape: tuple[int, ...], values: Ends) -> Array:
+    """Return rows (..., B) of a value, B - 2 values or one number for them, and a last value."""
+    row = np.empty(shape)
+    row[..., :1], row[..., 1:-1], row[..., -1:] = values
     return row

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Checked, Positive, Whole, each
-from .materials import Material, OneMaterial
+from .materials import Material, OneMaterial, sphere_mass
 
 
 class Impurity(Checked):
@@ -72,12 +71,19 @@ def misfits(
             )
 
 
-def with_impurities(values: Array, impurities: Sequence[Impurity], key: str) -> Array:
-    """Return a copy of the values (..., N) in which impurities have theirs."""
-    changed = np.array(values, dtype=float)
-    for impurity in impurities:
-        if (value := getattr(impurity, key)) is not None:
-            changed[..., impurity.grain - 1] = value
+def with_impurities(
+    values: Any,
+    impurities: Sequence[Impurity],
+    own: Callable[[Impurity], float | None],
+    grains: int,
+) -> Any:
+    """Return values (..., N), or the value that all grains share, with those of impurities."""
+    changes = {i.grain - 1: value for i in impurities if (value := own(i)) is not None}
+    if not changes:
+        return values
+    changed = np.array(np.broadcast_to(values, (*np.shape(values)[:-1], grains)), dtype=float)
+    for place, value in changes.items():
+        changed[..., place] = value
     return changed
 
 
@@ -106,10 +112,8 @@ def kinds(material: Material, diameter: float, impurities: Sequence[Any]) -> Kin
     materials = [material, *(impurity.material or material for impurity in impurities)]
     diameters = [diameter, *(impurity.diameter or diameter for impurity in impurities)]
     own_masses = [None, *(impurity.mass for impurity in impurities)]
-    # a power of a Python float raises where it overflows, one of numpy's is infinite
+    densities = np.array([material.density for material in materials])
     with np.errstate(over="ignore"):
-        masses = [
-            mass or kind.density * np.pi / 6 * float(np.float64(width) ** 3)
-            for kind, width, mass in zip(materials, diameters, own_masses, strict=True)
-        ]
+        spheres = sphere_mass(densities, np.array(diameters)).tolist()
+    masses = [mass or sphere for mass, sphere in zip(own_masses, spheres, strict=True)]
     return Kinds(materials, diameters, masses)

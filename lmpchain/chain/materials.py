@@ -6,9 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..errors import shown
+from ..util.arrays import Array
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Real
 
@@ -217,6 +219,11 @@ SYNONYMS = {
     "floatglass": "soda_lime_glass",
     "wc": "tungsten_carbide",
 }
+
+
+def sphere_mass(density: float | Array, diameter: Array) -> Array:
+    """Return the mass of spheres of this density, kg/m3, and diameter, m: (...) kg."""
+    return density * np.pi / 6 * diameter**3  # type: ignore[no-any-return]
 
 
 def _letters(name: str) -> str:

@@ -99,11 +99,17 @@ def _uses_ranks(argv: Sequence[str] | None) -> bool:
         except SystemExit:
             # wrong, as the first process is about to say
             return False
+    from ..engines import class_of
+
     if arguments.command is resume:
         from ..simulation.folder_files import engine_of
 
-        return engine_of(arguments.folder) == "lammps"
-    return arguments.command is run and arguments.engine == "lammps"
+        name = engine_of(arguments.folder)
+    elif arguments.command is run:
+        name = arguments.engine
+    else:
+        return False
+    return class_of(name).ranks_of_mpi
 
 
 def _run(argv: Sequence[str] | None) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ..errors import InputError
+from ..util.suggestions import either
 
 # heavy modules are imported inside the functions, so that wrong input is reported at once
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def output(name: str, scene: str, suffixes: Sequence[str] = (), *, force: bool =
     source = expanded(scene)
     _check_file(name, path, "" if suffixes else "run.nc")
     if suffixes and path.suffix.lower() not in suffixes:
-        endings = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        endings = either(suffixes)
         raise InputError.at(name, f"must end in {endings}")
     if path.exists() and source.exists() and path.samefile(source):
         raise InputError.at(name, "is the file that is read; name another file")

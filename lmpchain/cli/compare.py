@@ -96,7 +96,7 @@ def _able(names: list[str], scene: Scene) -> tuple[list[str], list[tuple[str, st
     """
     from .. import engines
 
-    reasons = {name: engines.get(name).obstacles(scene) for name in names}
+    reasons = {name: engines.obstacles(engines.get(name), scene) for name in names}
     refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
     able = [name for name in names if not reasons[name]]
     if not able:

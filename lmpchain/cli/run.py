@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.remarks import warn
+from ..util.suggestions import either
 from ..util.tables import align, counted
 from .common import beside, complain, gather, on_terminal, output, read
 
@@ -45,12 +46,13 @@ def run(arguments: argparse.Namespace) -> int:
         lambda: _engine(arguments),
         lambda: check_tolerance(arguments.tolerance),
     )
+    from .. import engines
     from ..simulation.api import simulate
-    from ..simulation.choice import obstacles
+    from ..simulation.choice import refusals
     from ..simulation.folder_files import is_run, remove
     from ..stability.pre_run import pre_run_warnings
 
-    if reasons := obstacles(scene, engine):
+    if reasons := refusals(scene, engine):
         raise InputError(reasons)
     # only now, when nothing is wrong with the input, is an earlier run taken away
     if in_folder and is_run(path):
@@ -59,8 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
         warn(warning, stacklevel=1)
     if mpi.count_idle():
         name = engine.name if engine else arguments.engine
+        able = either(each for each in engines.names() if engines.class_of(each).ranks_of_mpi)
         warn(
-            f"the engine {name} runs on one rank; --engine lammps would use them all",
+            f"the engine {name} runs on one rank; --engine {able} would use them all",
             stacklevel=1,
         )
     return _report(

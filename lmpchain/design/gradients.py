@@ -95,11 +95,10 @@ class Gradient(Mapping[str, Array]):
 
 def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
     """Return the number of times after t = 0 of an objective: samples, or a multiple of them."""
-    looks = scene.samples - 1
+    looks = scene.intervals
     # a peak or a crossing may lie between two samples
     if objective.dense:
-        turn = scene.duration / looks * scene.highest_frequency
-        looks *= finer * max(1, math.ceil(turn / RUNS.look))
+        looks *= finer * max(1, math.ceil(scene.sampling_phase / RUNS.look))
     return looks
 
 
@@ -241,7 +240,7 @@ def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gr
     scene = task.scene
     value, inputs, run = answer
     evaluations = run.steps * task.method.evaluations
-    floor = 10 * native_floor(evaluations, scene.highest_frequency * scene.duration)
+    floor = 10 * native_floor(evaluations, scene.total_phase)
     terms = _terms(scene, value, inputs)
     gradients = {}
     errors = {}

@@ -58,7 +58,7 @@ class Problem:
             self._add_parameter(name, params.values(scene, name), parameters[name])
         for number, trace in enumerate(traces, 1):
             self._add_nuisances(trace, f" {number}" if len(traces) > 1 else "")
-        self.looks = max(8, int(np.ceil(scene.duration * scene.highest_frequency / TURN)))
+        self.looks = max(8, int(np.ceil(scene.total_phase / TURN)))
         self.grains = np.unique(np.concatenate([trace.grains(scene) for trace in traces]))
 
     @property

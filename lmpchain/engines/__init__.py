@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from inspect import signature
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ..errors import InputError
+from ..scene.scene import Scene
 from ..util.lazy import listed
-from ..util.suggestions import did_you_mean, not_among
+from ..util.suggestions import did_you_mean, either, not_among
 from .base import Engine
 
 if TYPE_CHECKING:
@@ -33,7 +35,6 @@ REGISTRY = {  # module and class, by name
 __all__ = ["Engine", "automatic", "get", "names", *(cls for _, cls in REGISTRY.values())]
 # of `simulate` for every engine
 ARGUMENTS = ("engine", "tolerance", "on_miss", "progress", "folder", "max_wall")
-ON_REQUEST = frozenset({"lammps"})  # taken by "auto" only where no other engine can do a scene
 
 
 def names() -> tuple[str, ...]:
@@ -51,9 +52,9 @@ def names() -> tuple[str, ...]:
     return tuple(REGISTRY)
 
 
-def automatic() -> tuple[str, ...]:
-    """Return the names of the engines among which "auto" chooses."""
-    return tuple(name for name in REGISTRY if name not in ON_REQUEST)
+def automatic(when: Literal["cheapest", "last"] = "cheapest") -> tuple[str, ...]:
+    """Return the names of the engines that "auto" takes then, see `Engine.auto`."""
+    return tuple(name for name in REGISTRY if class_of(name).auto == when)
 
 
 def get(engine: str | Engine, **options: Any) -> Engine:
@@ -88,6 +89,31 @@ def get(engine: str | Engine, **options: Any) -> Engine:
 def plain(name: str) -> Engine:
     """Return the engine of this name without options, the same one every time."""
     return get(name)
+
+
+def class_of(name: str) -> type[Engine]:
+    """Return the class of an engine, for its attributes; `Engine` for a name that is unknown."""
+    return _load(*REGISTRY[name]) if name in REGISTRY else Engine
+
+
+def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
+    """Return why an engine cannot do a scene or accumulate its quantities, as (key, reason)."""
+    reasons = engine.refuses(engine.part(scene))
+    if scene.chain.damped and not engine.dissipates:
+        cure = f"use {_those_that(lambda engine: engine.dissipates)}"
+        fault = f"{engine.name} conserves energy: leave damping out, or {cure}"
+        reasons = [*reasons, ("chain.damping", fault)]
+    # quantities follow from accelerations, which the two chain equations give
+    if scene.quantities and not engine.moves_grains:
+        why = f"{engine.name} solves no equation of motion of the grains, which gathering needs"
+        cure = f"use {_those_that(lambda engine: engine.moves_grains)}"
+        reasons = [*reasons, ("quantities", f"{why}; {cure}")]
+    return reasons
+
+
+def _those_that(do: Callable[[Engine], bool]) -> str:
+    """Return in words the engines of "auto" that have some property."""
+    return either(name for name in (*automatic(), *automatic("last")) if do(plain(name)))
 
 
 @cache

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from copy import copy
 from inspect import signature
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -227,6 +227,13 @@ class Engine(ABC):
     name : str
     equation : int
         Number in the paper of the equation that it solves.
+    auto : "never", "cheapest" or "last"
+        When "auto" takes the engine: never, where it is the cheapest, or where no other engine can
+        do the scene.
+    style : (str, str)
+        Colour and marker of its points in charts.
+    citation : str
+        What a publication that shows its answers cites beside this package.
     integrators : tuple of str
         The methods among which it lets choose; empty if it does not step through time.
     inputs, logs : tuple of str
@@ -252,6 +259,9 @@ class Engine(ABC):
 
     name: ClassVar[str]
     equation: ClassVar[int]
+    auto: ClassVar[Literal["never", "cheapest", "last"]] = "never"
+    style: ClassVar[tuple[str, str]] = ("#000000", "x")
+    citation: ClassVar[str] = ""
     integrators: ClassVar[tuple[str, ...]] = ()
     inputs: ClassVar[tuple[str, ...]] = ()
     logs: ClassVar[tuple[str, ...]] = ()
@@ -302,6 +312,13 @@ class Engine(ABC):
         exceeds the tolerance.
         """
 
+    def batch_key(self, scene: Scene, proposal: Proposal) -> Hashable:
+        """Return a key of scenes that have the answers and errors in a batch that they have alone.
+
+        None by default: such a scene is answered alone.
+        """
+        return None
+
     @abstractmethod
     def start(
         self,
@@ -341,15 +358,3 @@ class Engine(ABC):
     def part(self, scene: Scene) -> Scene:
         """Return the part of a scene that is computed: the light cone, or all grains."""
         return scene.fine if self.whole else scene.fine.reached
-
-    def obstacles(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why a scene cannot be answered or its quantities not gathered: (key, reason)."""
-        reasons = self.refuses(self.part(scene))
-        if scene.chain.damped and not self.dissipates:
-            cure = "leave damping out, or use native, lammps or modes"
-            reasons = [*reasons, ("chain.damping", f"{self.name} conserves energy: {cure}")]
-        # quantities are gathered from accelerations, which the two chain equations give
-        if scene.quantities and not self.moves_grains:
-            why = f"{self.name} solves no equation of motion of the grains, which gathering needs"
-            reasons = [*reasons, ("quantities", f"{why}; use native, lammps, modes or chebyshev")]
-        return reasons

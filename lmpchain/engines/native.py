@@ -10,6 +10,7 @@ from ..errors import InputError, shown
 from ..integrators.batch import FORCES
 from ..scene.scene import Scene
 from ..util.arrays import check_flags
+from ..util.plotting import COLOURS
 from ..util.suggestions import not_among
 from .base import Proposal
 from .stepping.compiled import CompiledSteps
@@ -41,6 +42,8 @@ class Native(CompiledSteps):
         If an option is wrong.
     """
 
+    auto = "cheapest"
+    style = (COLOURS["blue"], "s")
     batches: ClassVar[bool] = True
 
     def __init__(

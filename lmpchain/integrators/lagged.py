@@ -41,4 +41,4 @@ class LaggedVerlet:
         """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.lagged import make_work, march
 
-        return March(march, make_work, (batch.dissipation,), history=1)
+        return March(march, make_work, (), history=1)

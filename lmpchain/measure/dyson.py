@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..chain.chain import Chain
+from ..chain.contacts import Contacts
 from ..errors import InputError, shown
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
@@ -269,7 +270,7 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
         weight=weight,
         as_printed=dyson.average(velocity, kappa, orders[:, None]),
         normalised=dyson.average(velocity, kappa, orders[:, None], normalised=True),
-        unit=trajectory.scene.excitation.strike_velocity or 1.0,
+        unit=trajectory.scene.strike_velocity or 1.0,
     )
 
 
@@ -338,9 +339,10 @@ def relative_stiffness(chain: Chain) -> Array:
         )
     chain.refuse_loose("relative stiffness")
     stiffness = chain.contacts.stiffness[1:].copy()
-    force = chain.contacts.force
+    contacts = chain.contacts
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]
         # K and its force follow from those above: the last contact would carry one more weight
-        stiffness[-1] = stiffness[-2] * chain.contacts.stiffness_for_force(1 + weight / force[-2])
+        above = contacts.constant[-2], contacts.force[-2] + weight
+        stiffness[-1] = Contacts.at_rest(*above, contacts.law).stiffness
     return stiffness / stiffness[0]

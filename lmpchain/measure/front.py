@@ -275,7 +275,7 @@ def _check_times(trajectory: Trajectory, error: Array) -> None:
     """Raise `InputError` if errors of times, (P,) s, are those of samples too far apart."""
     scene = trajectory.scene
     unresolved = int((error > UNRESOLVED * scene.duration).sum())
-    needed = 1 + int(np.ceil(scene.highest_frequency * scene.duration / RESOLVED_TURN))
+    needed = 1 + int(np.ceil(scene.total_phase / RESOLVED_TURN))
     if 2 * unresolved > error.size and needed > scene.samples:
         raise InputError.at(
             "samples",

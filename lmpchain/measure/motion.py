@@ -101,7 +101,7 @@ class Motion:
         self.grains = grains
         self.displacement = displacement
         self.velocity = velocity
-        self.step = scene.duration / (scene.samples - 1)
+        self.step = scene.sampling_interval
         self._equation = equation
         self._error = error if math.isfinite(error) else 0.0
         # largest sizes of each grain at the samples; abs() would copy the fields
@@ -286,7 +286,7 @@ class Motion:
         scene = self.scene
         chain = scene.chain
         u, v = np.maximum(self.sampled, scene.imposed).tolist()
-        angle = scene.highest_frequency * self.step
+        angle = scene.sampling_phase
         resolved = self._all_recorded and angle <= RESOLVED
         if resolved or not self._energy_bounds:
             factor = 1 / math.cos(min(angle, RESOLVED) / 2)
@@ -297,9 +297,15 @@ class Motion:
         farthest = u + fastest * (self.step / 2 if self._all_recorded else scene.duration)
         # no contact opens: each holds its share of the energy
         if self._equation == 3 or scene.largest_strain < 1:
+            # of its energy, a change r of an overlap o takes no less than (r / o)^2 times that of
+            # an opening, or k r^2 / 2
+            contacts = chain.contacts
+            opening = np.minimum(
+                contacts.energy(-contacts.overlap), contacts.stiffness * contacts.overlap**2 / 2
+            )
             softness = np.zeros(chain.grains + 1)
-            np.divide(1.0, chain.contacts.stiffness, where=chain.contacts.pressed, out=softness)
-            square = (chain.exponent + 1) * scene.energy * softness[1:].sum()
+            np.divide(contacts.overlap**2, opening, where=contacts.pressed, out=softness)
+            square = scene.energy * softness[1:].sum()
             # only where something holds the bottom: else the chain may fall as a whole
             farthest = min(farthest, math.sqrt(square)) if softness[-2:].any() else farthest
         return max(u, farthest), fastest
@@ -315,7 +321,7 @@ class Motion:
 
         They are -1 where nothing hides; the shape is (1, 0) if nothing hides anywhere.
         """
-        angle = self.scene.highest_frequency * self.step
+        angle = self.scene.sampling_phase
         if angle <= RESOLVED_BY_DIFFERENCES or (angle <= RESOLVED and self._lawful.all()):
             return np.zeros((1, 0))
         lawful = self._lawful[self._moving]
@@ -355,7 +361,7 @@ class Motion:
             # each contact twice: a bound
             of_grains = masses * v**2 / 2 + elastic[:, 1:] + elastic[:, :-1]
             # a wave passes fewer than omega h / 2 grains in an interval
-            reach = math.ceil(scene.highest_frequency * self.step / 2) + 2
+            reach = math.ceil(scene.sampling_phase / 2) + 2
             sums = np.pad(np.cumsum(of_grains, axis=1), ((0, 0), (1, 0)))
             n = np.arange(masses.size)
             above = sums[:, np.maximum(n - reach, 0)]
@@ -367,7 +373,7 @@ class Motion:
             # a contact has the energy within reach of either of its grains
             above = np.pad(energy, ((0, 0), (1, 0)))
             below = np.pad(energy, ((0, 0), (0, 1)))
-            stiffness = contacts.stiffness_at(contacts.overlap_bound(np.maximum(above, below)))
+            stiffness = contacts.stiffness_bound(contacts.overlap_bound(np.maximum(above, below)))
         square = np.broadcast_to((stiffness[..., 1:] + stiffness[..., :-1]) / masses, energy.shape)
         # a grain turns no faster than the fastest of itself and its neighbours
         edged = np.pad(square, ((0, 0), (1, 1)))

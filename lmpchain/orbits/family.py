@@ -232,7 +232,7 @@ class Family(Shown, Tabular):
 
     def _mark_events(self, ax: Axes, places: Array) -> None:
         """Draw events at places and heights (2, E)."""
-        ring: dict[str, Any] = {"color": COLOURS["lammps"], "mfc": "none", "ms": 4.5, "mew": 0.9}
+        ring: dict[str, Any] = {"color": COLOURS["vermilion"], "mfc": "none", "ms": 4.5, "mew": 0.9}
         for kind, mark in MARKS.items():
             events = [number for number, event in enumerate(self.events) if event.kind == kind]
             if events:
@@ -261,7 +261,7 @@ class Family(Shown, Tabular):
                 # points would fill the gaps of a dotted line
                 marker = "" if style == ":" else "."
                 shown = np.where(chosen, height, np.nan)
-                ax.plot(place, shown, style, marker=marker, color=COLOURS["native"], label=label)
+                ax.plot(place, shown, style, marker=marker, color=COLOURS["blue"], label=label)
 
     @staticmethod
     def _scale_by_decades(ax: Axes, unit: str) -> None:

@@ -10,6 +10,7 @@ from os import PathLike
 import numpy as np
 
 from ..chain.chain import Chain
+from ..engines import class_of
 from ..errors import InputError, LmpchainError
 from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
@@ -145,8 +146,8 @@ def _citation(trajectory: Trajectory) -> str:
         f"  version = {{{release}}}",
         "}",
     ]
-    if trajectory.engine == "lammps":
-        lines.append("and LAMMPS, which solved it: doi:10.1016/j.cpc.2021.108171")
+    if cited := class_of(trajectory.engine).citation:
+        lines.append(f"and {cited}")
     return "\n".join(lines)
 
 
@@ -195,7 +196,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     cost = trajectory.cost
     chain = scene.chain
     ends = f"top {chain.top}, bottom {chain.bottom}"
-    yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, exponent {chain.exponent:g}"
+    yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, {chain.law}"
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N{_of_load(chain)}"
     values = ", ".join(
         f"{key} {value:g} {unit_of(key, scene.excitation.kind)}".rstrip()

@@ -224,7 +224,7 @@ class _Grid(NamedTuple):
 def _make_grid(plan: Sweep) -> _Grid:
     with warnings_aside():
         scenes = [plan.scene(plan.place(number)) for number in range(plan.count)]
-    turn = max(scene.highest_frequency * scene.duration for scene in scenes)
+    turn = max(scene.total_phase for scene in scenes)
     # such that samples show the front, as far as they may
     samples = min(max(*(s.samples for s in scenes), math.ceil(turn) + 1), PAGE.samples)
     with warnings_aside():

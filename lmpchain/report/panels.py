@@ -110,7 +110,7 @@ def waveforms(run: Trajectory) -> Panel:
     above.set_ylabel("velocity downward")
     above.yaxis.set_major_formatter(UnitFormatter("m/s"))
     legend(above)
-    below.axhline(0, color=COLOURS["lammps"], lw=0.8)
+    below.axhline(0, color=COLOURS["vermilion"], lw=0.8)
     below.set(xlabel="grain, from the top", ylabel="difference\n/ largest")
     end = np.abs(run.velocity[-1])
     peak = f"grain {run.grains[end.argmax()]}, {si(end.max(), 'm/s', 1)}"
@@ -177,7 +177,8 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     """Return the power with which the peak velocity falls with depth, and the kind of wave."""
     chain = run.scene.chain
     excitation = run.scene.excitation
-    if chain.grains == 1 or not is_uniform(chain) or not excitation.strike_velocity:
+    single = chain.grains == 1 or not is_uniform(chain)
+    if single or not run.scene.strike_velocity or chain.law.power is None:
         return None, ""
     # without compression a strike breaks up into waves that keep their heights
     if not chain.compressed:
@@ -187,7 +188,7 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     if chain.gravity == 0:
         return 1 / 3, "weak wave far from the strike"
     if excitation.strikes_top and chain.top == "free" and chain.top_load == 0:
-        return decay(chain.exponent)[0], "weak wave deep in the column"
+        return decay(chain.law.power)[0], "weak wave deep in the column"
     return None, ""
 
 

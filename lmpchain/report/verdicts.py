@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .. import engines
 from ..errors import InputError
 from ..measure import front
 from ..scene.scene import Scene
@@ -50,8 +51,6 @@ UNITS_OF_KEYS = {
     "youngs_modulus": "Pa",
     "mass": "kg",
 }
-# engines of linear theory: the second takes damped chains, too
-LINEAR_ENGINES = ("chebyshev", "modes")
 
 
 def unit_of(name: str, kind: str) -> str:
@@ -67,14 +66,14 @@ def linear_theory(run: Trajectory) -> Trajectory | None:
 # the parts of a page ask for it one after the other
 @lru_cache(maxsize=1)
 def _linear_run(scene: Scene) -> Trajectory | None:
-    for engine in LINEAR_ENGINES:
-        try:
-            with warnings_aside():
-                # the difference is shown
-                return simulate(scene, engine)
-        except InputError:
-            continue
-    return None
+    linear = [engine for engine in map(engines.plain, engines.names()) if engine.equation == 3]
+    able = [engine for engine in linear if not engines.obstacles(engine, scene)]
+    if not able:
+        return None
+    cheapest = min(able, key=lambda engine: engine.propose(engine.part(scene), 0.5).cost_s)
+    with warnings_aside():
+        # the difference is shown
+        return simulate(scene, cheapest)
 
 
 def departure(run: Trajectory, linear: Trajectory) -> float:
@@ -106,14 +105,14 @@ def front_below(run: Trajectory) -> front.Front:
     )
     if track.grain.size < fewest:
         raise missing
-    step = scene.duration / (scene.samples - 1)
+    step = scene.sampling_interval
     # times nearer to one another than the samples show tell nothing of their order
     shown = track.time_error < step
     resolved = np.diff(track.time[shown])
     # what does not pass one grain after the other is no front, but a mode that swings
     if shown.sum() >= fewest and np.mean(resolved > 0) >= FRONT_LIMITS.onward:
         return track.where(shown)
-    needed = 1 + int(np.ceil(scene.highest_frequency * scene.duration / front.RESOLVED_TURN))
+    needed = 1 + int(np.ceil(scene.total_phase / front.RESOLVED_TURN))
     if needed > scene.samples:
         raise InputError.at(
             "samples",

@@ -80,7 +80,7 @@ class Recording(Checked):
 
     def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
         """Yield the faults of times, grains and contacts that the chain does not allow."""
-        if self.duration / (self.samples - 1) < sys.float_info.min:
+        if self.duration < (self.samples - 1) * sys.float_info.min:
             samples = f"{self.samples} samples in {self.duration:g} s"
             fault = f"{samples} are too close for numbers of full precision"
             yield "duration", f"{fault}: record for longer"

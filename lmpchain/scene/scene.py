@@ -7,37 +7,22 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import InstanceOf
 
-from ..chain.chain import Chain
 from ..chain.picture import DETAILED_GRAINS, DRAWN_POINTS
-from ..chain.plausible import LIMITS
+from ..chain.plausible import LIMITS, beyond_hertz
 from ..errors import InputError, shown
-from ..util.arrays import Array, as_slice
+from ..util.arrays import Array
 from ..util.caching import cached_property
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
 from ..util.tables import counted
 from ..util.validation import make_unchecked
 from . import toml_file
-from .base import Excitation
 from .excitation import Drive
-from .light_cone import reached
-from .recording import Recording
-from .strike import (
-    Squeeze,
-    Surroundings,
-    first_overlaps,
-    squeezed,
-    strike_faults,
-    strike_number,
-    strike_remarks,
-    surroundings,
-)
+from .facts import SceneFacts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +41,7 @@ ERRS_BY_10_PERCENT = 0.4
 DRAWN_AROUND = 10  # grains at rest drawn on either side of those that are moved
 
 
-class Scene(Recording):
+class Scene(SceneFacts):
     """A chain, an excitation, and what is recorded.
 
     Parameters
@@ -92,15 +77,12 @@ class Scene(Recording):
     8.48
     """
 
-    chain: Chain
-    excitation: InstanceOf[Excitation]
-
     def _faults(self) -> Iterator[tuple[str, str]]:
         misfits = list(self.excitation.faults(self.chain, self.duration))
         yield from misfits
         # how far an excitation squeezes a chain that it does not fit cannot be computed
         if not misfits and not self._gentle:
-            yield from strike_faults(self.excitation, self._squeeze)
+            yield from self.strike_faults()
         yield from self.faults(self.chain)
 
     def _remarks(self) -> Iterator[str]:
@@ -115,32 +97,24 @@ class Scene(Recording):
                 cure = "A is in seconds, 1e-9 to 1e-6 for most grains"
                 yield f"chain.damping.viscoelastic: A omega is {turn:.2g}, a dashpot; {cure}"
         if not self._gentle:
-            yield from strike_remarks(
-                self.chain, self.excitation, self._surroundings, self._squeeze.compression
-            )
+            yield from self._strike_remarks()
 
-    @cached_property
-    def _overlap_bound(self) -> float:
-        """Bound on overlaps at rest and in the first collision, m; infinite where none is known."""
-        bounds = self.chain.bounds
-        speed = self.excitation.strike_velocity
-        return bounds.struck(speed) if bounds and speed else np.inf
-
-    @property
-    def _gentle(self) -> bool:
-        """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
-        # with arrays of all contacts in place of bounds, a run of 100 grains takes a fifth longer
-        bounds = self.chain.bounds
-        return (
-            bounds is not None
-            and self._overlap_bound <= LIMITS.hertz_compression * bounds.narrowest
-            and abs(self.excitation.strike_velocity) <= bounds.slowest
-        )
-
-    @cached_property
-    def _squeeze(self) -> Squeeze:
-        """The contact that is squeezed most at first, and to what part of the diameter."""
-        return squeezed(self._surroundings)
+    def _strike_remarks(self) -> Iterator[str]:
+        """Yield remarks on overlaps beyond Hertz's law, and on grains faster than sound in them."""
+        chain = self.chain
+        _, compression = self.first_squeeze
+        limit = LIMITS.hertz_compression
+        # a chain that is squeezed so at rest says it of itself
+        if chain.law.power == 1.5 and compression > limit > chain.equilibrium.compression.max():
+            yield f"{self._strength}: {beyond_hertz(compression)}"
+        first, near = self._surroundings
+        speed = np.abs(near.excitation.largest(near.chain)[1])
+        sound = near.chain.by_grain("sound_speed")
+        worst = int((speed / sound).argmax())
+        if speed[worst] > sound[worst]:
+            grain = f"grain {worst + first} moves at {speed[worst]:.3g} m/s"
+            faster = f"faster than sound in its material, {sound[worst]:.3g} m/s"
+            yield f"{self._strength}: {grain}, {faster}"
 
     def _summary(self) -> Iterator[Sequence[str]]:
         yield "chain", repr(self.chain), ""
@@ -191,11 +165,6 @@ class Scene(Recording):
         legend(ax)
         return ax
 
-    @property
-    def time(self) -> Array:
-        """Recorded times, (T,) s."""
-        return np.linspace(0.0, self.duration, self.samples)
-
     @cached_property
     def finer(self) -> int:
         """Intervals from sample to sample that quantities are gathered in: 1, 2, 3, 4, 6, 8 ...
@@ -204,8 +173,7 @@ class Scene(Recording):
         """
         if not self.quantities:
             return 1
-        turn = self.highest_frequency * self.duration / (self.samples - 1)
-        needed = turn / GATHERING_TURN
+        needed = self.sampling_phase / GATHERING_TURN
         power = 2 ** max(0, math.ceil(math.log2(needed)))
         # between two powers of 2, half as much again as the smaller one
         between = 3 * power // 4
@@ -218,7 +186,7 @@ class Scene(Recording):
 
     @cached_property
     def _fine(self) -> Scene:
-        samples = (self.samples - 1) * self.finer + 1
+        samples = self.intervals * self.finer + 1
         return make_unchecked(
             Scene,
             chain=self.chain,
@@ -232,11 +200,6 @@ class Scene(Recording):
         """The scene with samples alone, for studies of the methods and not of the answer."""
         return self.replace(quantities=None) if self.quantities else self
 
-    @property
-    def recorded(self) -> np.ndarray:
-        """Recorded grains, (G,) numbers from 1."""
-        return self.numbers(self.chain)
-
     def initial(self) -> tuple[Array, Array]:
         """Return displacement (N,) m and velocity (N,) m/s at t = 0."""
         return self.excitation.initial(self.chain)
@@ -245,61 +208,6 @@ class Scene(Recording):
     def drive(self) -> Drive | None:
         """The prescribed motion of grain 1 or of the top wall, if there is one."""
         return self.excitation if isinstance(self.excitation, Drive) else None
-
-    @cached_property
-    def _surroundings(self) -> Surroundings:
-        return surroundings(self.chain, self.excitation)
-
-    @cached_property
-    def imposed(self) -> tuple[float, float]:
-        """The largest displacement and speed that the excitation imposes, m and m/s."""
-        return self._surroundings.excitation.strongest(self._surroundings.chain)
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether the excitation is none at all."""
-        return not any(self.imposed)
-
-    @cached_property
-    def energy(self) -> float:
-        """Energy above rest, J: that at t = 0, or infinite if the excitation does work later."""
-        return self._surroundings.excitation.energy(self._surroundings.chain)
-
-    @cached_property
-    def strike_number(self) -> float:
-        """Strike over what the contact below holds: v0 / (eps_n omega_n) or phi_0 / eps_n.
-
-        Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
-        """
-        return strike_number(self._surroundings.chain, self._surroundings.excitation)
-
-    @cached_property
-    def fastest_motion(self) -> float:
-        """The highest frequency that can be excited without damping, rad/s; 0 if nothing moves.
-
-        The band edge of the chain at rest, that of two grains pressed together by the strike, or
-        that of a drive.
-        """
-        bounds = self.chain.bounds
-        fastest = max(self.chain.band_edge, self.excitation.fastest)
-        # a bound below the others spares the overlaps of all contacts
-        if not (bounds and bounds.frequency(self._overlap_bound) <= fastest):
-            fastest = max(fastest, self._pair_frequency)
-        return float(fastest)
-
-    @cached_property
-    def highest_frequency(self) -> float:
-        """What bounds the steps of every method, rad/s: the highest frequency that can be excited.
-
-        Or the rate at which damping stops the fastest motion.
-        """
-        # nothing moves in a vacuum that is not struck: any frequency above 0 does
-        return self.chain.damping.fastest_rate(self.fastest_motion) or 1 / self.duration
-
-    @property
-    def damping_effect(self) -> float:
-        """About what leaving damping out would change at most, relative; 0 without damping."""
-        return self.chain.damping.effect(self.fastest_motion, self.duration)
 
     @property
     def damping_remark(self) -> str:
@@ -310,71 +218,12 @@ class Scene(Recording):
         size = f"at most about {100 * effect:.2g} %" if effect < 1 else "up to all of it"
         return f"leaving it out would change the answer by {size}"
 
-    @property
-    def _pair_frequency(self) -> float:
-        """Bound on the frequency of two grains pressed together by the strike, rad/s."""
-        overlap = first_overlaps(self.chain, self.excitation)
-        stiffness = self.chain.contacts.stiffness_at(overlap).max()
-        return math.sqrt(2 * stiffness / self.chain.masses.min())
-
-    @cached_property
-    def largest_strain(self) -> float:
-        """A bound on ``|r / eps|`` of all contacts, rigorous while it is small; else infinite."""
-        return float(self.chain.contacts.largest_strain(self.energy))
-
-    @cached_property
-    def linear_strain(self) -> float:
-        """A bound on ``|r / eps|`` of every contact of the linear chain at any time, or infinity.
-
-        Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its
-        compliance c is 1/k or, between two ends that stand still, where the others must give way,
-        ``(1 - (1/k) / sum 1/k) / k``.
-        """
-        contacts = self.chain.contacts
-        k = contacts.stiffness
-        pressed = contacts.pressed
-        # a contact that only touches opens at once: linear theory has no bound there
-        if not (pressed == contacts.exists).all() or not pressed.any():
-            return np.inf
-        compliance = np.divide(1.0, k, out=np.zeros(k.size), where=pressed)
-        # a wall at the top: both ends stand still, unless something drives it or works on the chain
-        if pressed[0] and not self.excitation.does_work:
-            compliance *= 1 - compliance / compliance.sum()
-        norm = self.excitation.energy_norm(self.chain, self.duration)
-        return float(norm * (np.sqrt(compliance[pressed]) / contacts.overlap[pressed]).max())
-
-    @cached_property
-    def light_cone(self) -> LightCone | None:
-        """The grains that the wave can have reached at the end; None if that is all of them."""
-        first, last = reached(self.chain, self.excitation, self.energy, self.duration)
-        if last - first + 1 == self.chain.grains:
-            return None
-        recorded = self.recorded
-        columns = np.flatnonzero((recorded >= first) & (recorded <= last))
-        return LightCone(self.part(first, last), recorded[columns] - first, as_slice(columns))
-
-    @property
-    def reached(self) -> Scene:
-        """The scene of the grains that the wave can have reached, recorded if not all."""
-        return self.light_cone.scene if self.light_cone else self
-
     def until(self, time: float) -> Self:
         """Return the scene to the last sample before a time, s; itself where that is t = 0."""
         last = int(np.searchsorted(self.time, time)) - 1
-        if last in (0, self.samples - 1):
+        if last in (0, self.intervals):
             return self
         return self.replace(duration=float(self.time[last]), samples=last + 1)
-
-    def part(self, first: int, last: int) -> Scene:
-        """Return grains first ... last, all recorded: right until a wave meets their ends."""
-        # a part of a valid scene is valid
-        return make_unchecked(
-            Scene,
-            chain=self.chain.part(first, last),
-            excitation=self.excitation.part(first, last),
-            duration=self.duration,
-            samples=self.samples,
-        )
 
     @classmethod
     def from_toml(cls, path: str | PathLike[str]) -> Self:
@@ -422,24 +271,6 @@ def check_scene(scene: object, key: str = "scene") -> None:
     if not isinstance(scene, Scene):
         cure = "make one, or read its file with Scene.from_toml"
         raise InputError.at(key, f"must be a Scene (got {shown(scene)}): {cure}")
-
-
-class LightCone(NamedTuple):
-    """The part of a scene that a wave can have reached; the rest need not be computed.
-
-    Attributes
-    ----------
-    scene : Scene
-        That part with all of its grains recorded.
-    rows : slice or (C,) array
-        Indices, among the recorded grains of that part, of those that the whole scene records.
-    columns : slice or (C,) array
-        Their places among the recorded grains of the whole scene.
-    """
-
-    scene: Scene
-    rows: slice | NDArray[np.intp]
-    columns: slice | NDArray[np.intp]
 
 
 def _verdict(strike_number: float) -> str:

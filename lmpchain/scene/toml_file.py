@@ -21,12 +21,12 @@ from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
 from ..util.suggestions import did_you_mean, not_among
-from ..util.validation import Checked
+from ..util.validation import Checked, make_unchecked
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
+from .facts import SceneFacts
 from .measured import Measured
 from .recording import Recording
-from .strike import squeezed, strike_faults, surroundings
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,8 @@ def _misfits(
         duration = recording.duration if recording else 0.0
         faults = list(excitation.faults(stand_in, duration))
         if chain and not faults:
-            faults = list(strike_faults(excitation, squeezed(surroundings(chain, excitation))))
+            facts = {"chain": chain, "excitation": excitation, "duration": duration}
+            faults = list(make_unchecked(SceneFacts, **facts).strike_faults())
         yield from InputError(faults).under("excitation")
     if recording:
         yield from InputError(recording.faults(stand_in)).under("recording")
@@ -168,8 +169,9 @@ def _of_this_length(table: Any) -> Chain | None:
 
 def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a scene file; of `recording`, the options of a recording are taken."""
+    laws = {"exponent": chain.law.power_of("a scene file")} if "law" in chain.given() else {}
     return {
-        "chain": _table(chain),
+        "chain": {key: value for key, value in _table(chain).items() if key != "law"} | laws,
         "excitation": {"kind": excitation.kind} | _table(excitation),
         "recording": {
             key: _toml(recording[key]) for key in Recording.arguments if key in recording

@@ -59,8 +59,8 @@ class Gatherer:
         self._scene = scene
         self._part = part
         self._first = first
-        self._final = part.samples - 1
-        self._step = part.duration / self._final
+        self._final = part.intervals
+        self._step = part.sampling_interval
         size = part.chain.grains
         # contacts by their numbers in the part
         self._peaks = self._contacts(PEAK)
@@ -200,7 +200,7 @@ class Gatherer:
         part = self._part
         state = self._state
         # between two samples a motion may be this much larger than at them
-        beyond = 1 / math.cos(part.highest_frequency * self._step / 2)
+        beyond = 1 / math.cos(part.sampling_phase / 2)
         u_error, v_error = error * np.maximum(beyond * state["largest"], part.imposed)
         results: dict[str, Array] = {}
         for name in self._scene.quantities:

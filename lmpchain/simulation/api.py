@@ -18,7 +18,8 @@ from ..engines.cost_model import PATIENCE_S, announce, check_time, in_words
 from ..engines.step_control import AVERAGES, PATIENCE, Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, LmpchainError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.methods import BY_NAME
-from ..scene.scene import LightCone, Scene, check_scene
+from ..scene.facts import LightCone
+from ..scene.scene import Scene, check_scene
 from ..trajectory.record import LARGEST_ERROR, Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags
@@ -26,7 +27,7 @@ from ..util.memory import free_memory
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
 from .accumulation import GatheringRun, at_samples, of_engine
-from .choice import choose, engine_for, fall_back, obstacles, record
+from .choice import choose, engine_for, fall_back, record, refusals
 
 if TYPE_CHECKING:
     from .run_folder import RunFolder
@@ -100,7 +101,7 @@ def simulate(
     check_on_miss(on_miss)
     check_flags(progress=progress)
     chosen = engine_for(engine, **options)
-    if reasons := obstacles(scene, chosen):
+    if reasons := refusals(scene, chosen):
         raise InputError(reasons)
     asked = scene, chosen, tolerance, on_miss == "warn"
     if folder is None:
@@ -297,7 +298,7 @@ def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
         check_time()
 
 
-def _expand(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
+def _expand(blocks: Iterator[Block], cone: LightCone[Scene] | None) -> Iterator[Block]:
     """Return blocks of the light cone as blocks of the whole scene."""
     if cone is None:
         return blocks

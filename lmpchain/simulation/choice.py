@@ -45,14 +45,14 @@ def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
     return engines.get("native" if engine == AUTO else engine, **options)
 
 
-def obstacles(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
+def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
     """Return why an engine, or with None any engine, cannot do a scene, as (key, reason)."""
     if engine:
-        return engine.obstacles(scene)
+        return engines.obstacles(engine, scene)
     reasons = []
     # one engine that can is enough; its faults are told only if none can
-    for other in map(engines.plain, (*engines.automatic(), *engines.ON_REQUEST)):
-        faults = other.obstacles(scene)
+    for other in map(engines.plain, (*engines.automatic(), *engines.automatic("last"))):
+        faults = engines.obstacles(other, scene)
         if not faults:
             return []
         reasons += faults
@@ -148,8 +148,8 @@ def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) 
     """Return the proposals of engines that are asked only where no other one can do the scene."""
     if any(proposal.possible for proposal in others):
         why = "only if asked for by name, or if no other engine can do the scene"
-        return [Proposal(name, why=why) for name in engines.ON_REQUEST]
-    return [ask(engines.plain(name), scene, tolerance) for name in engines.ON_REQUEST]
+        return [Proposal(name, why=why) for name in engines.automatic("last")]
+    return [ask(engines.plain(name), scene, tolerance) for name in engines.automatic("last")]
 
 
 def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
@@ -168,7 +168,7 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     """
     name = engine.name
     equation = engine.equation
-    if reasons := engine.obstacles(scene):
+    if reasons := engines.obstacles(engine, scene):
         why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, equation, why=why)
     try:

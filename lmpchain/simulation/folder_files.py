@@ -41,7 +41,7 @@ from ..util.files import (
 from ..util.locks import LOCK, describe_holder, is_lock, take_lock
 from ..util.provenance import checksum, checksums, describe_session
 from ..util.remarks import warn
-from .choice import AUTO, engine_for, obstacles
+from .choice import AUTO, engine_for, refusals
 
 SCENE = "scene.toml"
 RUN = "run.json"
@@ -185,7 +185,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
         raise InputError.at(
             "ranks", f"the engine {order['engine']} runs on one; leave the number of ranks out"
         )
-    if reasons := obstacles(scene, engine):
+    if reasons := refusals(scene, engine):
         raise InputError(reasons)
     session = _session(options)
     _compare_versions(old_versions, session["packages"])
@@ -393,11 +393,11 @@ def _is_aside(name: Path) -> bool:
 
 
 def _inputs() -> set[str]:
-    return {name for engine in engines.names() for name in engines.get(engine).inputs}
+    return {name for engine in engines.names() for name in engines.class_of(engine).inputs}
 
 
 def _logs() -> set[str]:
-    return {name for engine in engines.names() for name in engines.get(engine).logs}
+    return {name for engine in engines.names() for name in engines.class_of(engine).logs}
 
 
 def _names() -> set[str]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..engines.base import Engine
 from ..engines.step_control import Attempt, next_attempt
-from ..engines.stepping.time_stepping import alike
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene, check_scene
 from ..trajectory.record import Cost
@@ -18,7 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from .accumulation import GatheringRun, at_samples
 from .api import check_on_miss, simulate
-from .choice import choose, damping_record, engine_for, obstacles, record
+from .choice import choose, damping_record, engine_for, record, refusals
 
 # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 BATCH_NUMBERS = 2**18
@@ -84,7 +83,7 @@ def simulate_many(
     numbered = dict(enumerate(scenes))
     for number, scene in numbered.items():
         check_scene(scene, f"scenes.{number}")
-        if reasons := obstacles(scene, chosen):
+        if reasons := refusals(scene, chosen):
             raise InputError(InputError(reasons).under(f"scenes.{number}"))
     batches = dict(in_batches(chosen, numbered, tolerance)) if chosen else {}
     answers = []
@@ -119,7 +118,7 @@ def in_batches(
         groups: dict[Any, list[int]] = {}
         for number, attempt in attempts.items():
             scene = scenes[number]
-            key = scene.quantities, *alike(scene.fine, attempt.proposal)
+            key = scene.quantities, engine.batch_key(scene.fine, attempt.proposal)
             groups.setdefault(key, []).append(number)
         following: dict[int, Attempt] = {}
         for numbers in _split(scenes, groups.values()):

@@ -15,7 +15,7 @@ from ..errors import check_tolerance
 from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LEAST_ERROR, MARKERS, axes_in_units, legend
+from ..util.plotting import LEAST_ERROR, axes_in_units, legend
 from ..util.tables import align, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .choice import ask, cheapest, propose, reason
@@ -104,8 +104,7 @@ class Plan(Shown, Tabular):
         for proposal in self.candidates:
             error = max(proposal.model_error + proposal.solver_error, LEAST_ERROR)
             if np.isfinite([error, proposal.cost_s]).all():
-                colour = COLOURS.get(proposal.engine, "k")
-                marker = MARKERS.get(proposal.engine, "x")
+                colour, marker = engines.class_of(proposal.engine).style
                 # hollow: expected to miss the tolerance
                 filling = colour if proposal.kept else "none"
                 label = proposal.engine if proposal.kept else f"{proposal.engine}, dropped"
@@ -207,7 +206,7 @@ def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     # trials begin anew with shorter steps: where a drive may do any work, for how long is unknown
     unbounded = scene.excitation.does_work and scene.largest_strain == math.inf
     engine = engines.plain(proposal.engine)
-    possible = not engine.obstacles(scene)
+    possible = not engines.obstacles(engine, scene)
     if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > TRIAL_S):
         cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")

@@ -295,11 +295,6 @@ class _Course(NamedTuple):
     warm_up: int
     stretch: int
 
-    @property
-    def interval(self) -> float:
-        """Time between two samples, s."""
-        return self.scene.duration / (self.scene.samples - 1)
-
     def pieces(self, most: int) -> Iterator[tuple[int, int, int]]:
         """Yield stretch, -1 of the warm-up, first sample and last one, of no more than `most`."""
         first = 1
@@ -475,13 +470,14 @@ def averages(
     names = _check(scene, quantities, copies)
     observables = [observable(scene.chain, name) for name in names]
     course = _course(scene, time, warm_up)
-    scenes = _copies(scene, course.scene, copies)
-    method, reach = _first_reach(course.scene, tolerance)
-    samples = course.scene.samples - 1
+    longer = course.scene
+    scenes = _copies(scene, longer, copies)
+    method, reach = _first_reach(longer, tolerance)
+    samples = longer.intervals
     error = math.inf
     with ProgressBar(samples, "averages", " samples", layout=RATE, shown=progress) as bar:
         for _ in range(AVERAGING.attempts):
-            steps = math.ceil(course.interval * course.scene.highest_frequency / reach)
+            steps = math.ceil(longer.sampling_phase / reach)
             # before the first of them alone
             if error == math.inf:
                 work = Native.seconds_per_grain_step * method.evaluations * steps * samples
@@ -491,7 +487,7 @@ def averages(
                     f"the average over {copies * steps * samples} steps of {method.name}",
                     "a shorter time, fewer copies or a larger tolerance takes less",
                 )
-            schedule = Steps.spread(course.interval, steps)
+            schedule = Steps.spread(longer.sampling_interval, steps)
             try:
                 sums = _follow(course, scenes, observables, method, schedule, tolerance, bar)
             except _TooLong as fault:
@@ -593,7 +589,7 @@ def _first_reach(scene: Scene, tolerance: float) -> tuple[Splitting, float]:
         reach = (tolerance / ENERGY_ERRORS.smooth) ** (1 / method.order)
     else:
         method = SPLITTINGS["verlet"]
-        radians = scene.highest_frequency * scene.duration
+        radians = scene.total_phase
         error = ENERGY_ERRORS.wobble + ENERGY_ERRORS.walk * math.sqrt(radians)
         reach = math.sqrt(tolerance / error)
     return method, min(reach, ENERGY_ERRORS.longest * min(method.stability_limit, math.pi))
@@ -651,7 +647,7 @@ def _check_apart(u: Array, course: _Course) -> None:
     """Raise `InputError` unless copies, at (R, N) m, are as far apart as any two motions."""
     distances = np.abs(u[1:] - u[0]).max(-1)
     if (distances < AVERAGING.apart * np.abs(u).max()).any():
-        warm_up = course.warm_up * course.interval
+        warm_up = course.warm_up * course.scene.sampling_interval
         cure = "use one copy, or a longer warm_up"
         fault = f"begin so close that they are still together after {warm_up:.3g} s of warm-up"
         raise InputError.at("copies", f"{fault}: {cure}")
@@ -667,8 +663,8 @@ def _conclude(
 ) -> Averages:
     """Return the averages that follow from sums over stretches."""
     copies = sums.first.shape[1]
-    lasting = course.stretch * BATCHING.stretches * course.interval
-    warm_up = course.warm_up * course.interval
+    lasting = course.stretch * BATCHING.stretches * course.scene.sampling_interval
+    warm_up = course.warm_up * course.scene.sampling_interval
     ends = np.linspace(warm_up, warm_up + lasting, BATCHING.stretches + 1)
     fields = ("mean", "variance", "interval", "variance_interval", "correlation_time", "batches")
     results: dict[str, dict[str, Any]] = {field: {} for field in fields}

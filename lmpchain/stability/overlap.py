@@ -16,8 +16,8 @@ def deepest(scene: Scene) -> float:
     refuses strikes that squeeze a contact to more than a tenth at once; lighter grains below, or a
     floor, may be squeezed further.
     """
-    chain = scene.reached.chain
-    return float((chain.contacts.overlap_bound(scene.energy) / chain.contact_lengths).max())
+    reached = scene.reached
+    return float((reached.overlap_bounds / reached.chain.contact_lengths).max())
 
 
 def hertz_excess(strain: ArrayLike) -> Array:

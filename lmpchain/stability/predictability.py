@@ -64,12 +64,12 @@ def reflection_time(scene: Scene) -> float:
     InputError
         If the exponent is not 1.5 or the scene is no impulse.
     """
-    if scene.chain.exponent != 1.5 or not scene.excitation.strike_velocity:
+    if scene.chain.law.power != 1.5 or not scene.strike_velocity:
         message = "a reflection time is known for a strike on a chain of exponent 1.5"
         raise InputError.at("excitation", message)
     chain = scene.chain
     gamma = float(chain.contact_constants.mean() / chain.masses.mean())
-    speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.excitation.strike_velocity)) ** 0.2
+    speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.strike_velocity)) ** 0.2
     return 2 * chain.grains / speed
 
 
@@ -105,7 +105,7 @@ def amplifies(scene: Scene) -> bool:
     bool
     """
     grains = scene.chain.grains
-    if not scene.excitation.strikes_top or scene.chain.exponent != 1.5:
+    if not scene.excitation.strikes_top or scene.chain.law.power != 1.5:
         return False
     opens = MEASURED.opening < scene.strike_number < MEASURED.flying * grains
     return opens and MEASURED.fewest <= grains <= MEASURED.most

@@ -146,9 +146,9 @@ def _list(values: Array) -> list[float | None]:
 
 
 STRENGTHS = {
-    "Eq. (3), estimate": COLOURS["modes"],
+    "Eq. (3), estimate": COLOURS["green"],
     "Eq. (3), at most": "0.6",
-    "native, round-off": COLOURS["native"],
+    "native, round-off": COLOURS["blue"],
 }
 
 
@@ -158,7 +158,7 @@ def _draw_steps(axes: Axes, result: Stability) -> None:
     predicted = [row.predicted for row in rows]
     measured = [row.measured for row in rows]
     axes.plot(predicted, heights, "|", ms=16, mew=2, color="0.3", label="predicted")
-    axes.plot(measured, heights, "o", ms=6, color=COLOURS["lammps"], label="measured")
+    axes.plot(measured, heights, "o", ms=6, color=COLOURS["vermilion"], label="measured")
     label = "longest step before a run of this duration breaks down"
     axes.set(xscale="log", xlabel=label)
     set_title(axes, "Time step")
@@ -184,7 +184,7 @@ def _draw_energy(axes: Axes, result: Stability) -> None:
 def _draw_growth(axes: Axes, result: Stability) -> None:
     for curve in result.curves:
         if curve.panel == "growth":
-            axes.plot(curve.x, np.maximum(curve.y, LEAST_ERROR), color=COLOURS["native"], lw=1.3)
+            axes.plot(curve.x, np.maximum(curve.y, LEAST_ERROR), color=COLOURS["blue"], lw=1.3)
     end = result.scene.duration
     for level in (1e-3, TOLERANCE, 1e-9):
         axes.axhline(level, color="0.75", lw=0.8)
@@ -210,7 +210,7 @@ def _draw_strength(axes: Axes, result: Stability) -> None:
     styles = iter(("--", ":"))
     for curve in result.curves:
         if curve.panel == "strength":
-            colour = STRENGTHS.get(curve.name, COLOURS["lammps"])
+            colour = STRENGTHS.get(curve.name, COLOURS["vermilion"])
             style = "-" if curve.name in STRENGTHS else next(styles)
             error = np.maximum(curve.y, LEAST_ERROR)
             axes.plot(curve.x, error, color=colour, ls=style, lw=1.4, label=curve.name)

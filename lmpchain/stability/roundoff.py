@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..chain.contact_law import Power
 from ..chain.contacts import Contacts
 from ..chain.equilibrium import force_at_rest
 from ..engines import Lammps, Native
@@ -132,13 +133,12 @@ def _engine(
 
 def _steps(scene: Scene) -> int:
     """Return the steps with omega h = 0.3 that a scene takes."""
-    intervals = scene.samples - 1
-    return intervals * math.ceil(scene.duration / intervals * scene.highest_frequency / STEP)
+    return scene.intervals * math.ceil(scene.sampling_phase / STEP)
 
 
 def _speed(scene: Scene) -> float:
     """Return about the largest velocity, m/s."""
-    u, v = (float(np.abs(x).max()) for x in scene.excitation.largest(scene.chain))
+    u, v = scene.imposed
     return max(v, u * scene.highest_frequency) or scene.chain.length_scale / scene.chain.time_scale
 
 
@@ -149,8 +149,10 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
     constant: Any = chain.contacts.constant.astype(Long)
     weight = Long(chain.gravity) * np.cumsum(mass)
     carried = force_at_rest(weight, chain.top_load, chain.load_grain)
-    exponent: Any = Long(chain.exponent)
-    contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), exponent)
+    # changes of the forces of other laws have the accuracy of doubles
+    exponent: Any = Long(chain.law.power_of("measured round-off"))
+    law = Power(exponent)
+    contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), law)
     mobility = np.where(np.arange(chain.grains) < chain.movable, 1 / mass, 0)
     u, v = (x.astype(Long) for x in scene.initial())
     h = Long(scene.duration) / steps
@@ -166,7 +168,7 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
             u = u + drift * h * v
             push = acceleration(u)
         v = v + splitting.kicks[-1] * h * push
-        if step % (steps // (scene.samples - 1)) == 0:
+        if step % (steps // scene.intervals) == 0:
             samples.append((u, v))
     displacement, velocity = zip(*samples, strict=True)
     return np.array(displacement, dtype=float), np.array(velocity, dtype=float)

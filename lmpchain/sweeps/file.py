@@ -207,7 +207,7 @@ class Sweep:
         """Make a scene that the engine can answer; raises `InputError`."""
         engine = engines.get(self.engine)
         scene = with_gathered(self.scene(position), self.keep, engine.moves_grains)
-        if reasons := engine.obstacles(scene):
+        if reasons := engines.obstacles(engine, scene):
             raise InputError(reasons)
         return scene
 

@@ -172,7 +172,7 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     # between samples closer than this the equation of motion leaves no room for a larger value;
     # with damping accelerations follow from samples, which must be closer
     resolved = RESOLVED_BY_DIFFERENCES if scene.chain.damped else RESOLVED
-    swift = scene.highest_frequency * scene.duration / (scene.samples - 1) > resolved
+    swift = scene.sampling_phase > resolved
     # not where it is closest: samples alone do not show the largest force of a viscous contact
     viscous = scene.chain.damping.longest_time > 0
     gathered_names = {

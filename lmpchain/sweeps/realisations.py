@@ -113,13 +113,13 @@ def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
     }
     # a chain of impossible numbers is made alone, which says why
     with np.errstate(all="ignore"):
-        equilibria = derive_chain(chain.grains_with(drawn))
+        equilibria = derive_chain(chain, drawn)
         if disorder:
             law = {key: value for key, value in disorder.given().items() if key != "index"}
             factors = drawn_constants(chain, indices=[place[-1] for place in places], **law)
             # factors of what the contacts are with the grains that were drawn
             constants = equilibria.contacts.constant[..., 1:-1] * factors
-            equilibria = derive_chain(chain.grains_with(drawn | {"contact_constants": constants}))
+            equilibria = derive_chain(chain, drawn | {"contact_constants": constants})
         sound = _sound(chain, equilibria, drawn)
         chains = _chains(chain, equilibria, "diameter" in drawn)
     return [

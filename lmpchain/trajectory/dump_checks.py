@@ -127,7 +127,7 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
     """Raise `InputError` unless the frames are those of the samples."""
     steps = frames.steps
     samples = scene.samples
-    interval = scene.duration / (samples - 1)
+    interval = scene.sampling_interval
     if len(steps) != samples:
         duration = interval * (len(steps) - 1)
         cure = "run LAMMPS to its end"
@@ -157,8 +157,8 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
     if not (np.abs(times - scene.time) <= CHECKS.clock * scene.duration).all():
         raise InputError.at(
             name,
-            f"its frames are {times[-1] / (samples - 1):.6g} s apart by ITEM: TIME or v_time, the "
-            f"samples of the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or "
+            f"its frames are {times[-1] / scene.intervals:.6g} s apart by ITEM: TIME or v_time, "
+            f"the samples of the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or "
             f"{CURE}",
         )
 
@@ -304,11 +304,11 @@ def check_course(
     """
     if scene.samples < SAMPLED.fewest:
         return
-    interval = scene.duration / (scene.samples - 1)
-    angle = scene.highest_frequency * interval / 2
+    interval = scene.sampling_interval
+    angle = scene.sampling_phase / 2
     # the angles cubed: integrals of fourth order are off by less, of third order at both ends
     # velocities of a long step of velocity Verlet are off by a sixth of its angle squared
-    slip = CHECKS.course + (scene.highest_frequency * scene.duration / steps) ** 2 / 3
+    slip = CHECKS.course + (scene.total_phase / steps) ** 2 / 3
     single = angle <= SAMPLED.single
     # of a grain that is moved or pushed, velocities may jump between samples
     lawful = _lawful(scene)
@@ -320,7 +320,7 @@ def check_course(
     masses = scene.chain.masses
     sums = (u, v) if single else _grouped(scene, motion, angle)
     # steps below the last digit of a height are lost, all of them alike, and do not add at random
-    lost = rounding * steps / (scene.samples - 1)
+    lost = rounding * steps / scene.intervals
     last = digit + lost * math.sqrt(u.size)
     ratio, doubt = _compare(*sums, interval, last if single else last * masses.max() * masses.size)
     if _excess(ratio, doubt) > slip + (angle**3 / 2 if single else SAMPLED.leak):

@@ -31,7 +31,7 @@ class SampleReader(ProtoReader):
         self._read_next_timestep()
 
     def _reopen(self) -> None:
-        interval = self._run.scene.duration / (self.n_frames - 1)
+        interval = self._run.scene.sampling_interval
         self.ts = Timestep(self.n_atoms, dt=interval, velocities=True)
         self.ts.positions[:] = self.ts.velocities[:] = 0.0
         self.ts.frame = -1

@@ -22,20 +22,12 @@ if TYPE_CHECKING:
 
 # Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision
 COLOURS = {
-    "native": "#0072B2",
-    "lammps": "#D55E00",
-    "modes": "#009E73",
-    "chebyshev": "#CC79A7",
-    "bessel": "#56B4E9",
-    "continuum": "#E69F00",
-}
-MARKERS = {
-    "native": "s",
-    "lammps": "o",
-    "modes": "^",
-    "chebyshev": "D",
-    "bessel": "v",
-    "continuum": "P",
+    "blue": "#0072B2",
+    "vermilion": "#D55E00",
+    "green": "#009E73",
+    "pink": "#CC79A7",
+    "sky blue": "#56B4E9",
+    "orange": "#E69F00",
 }
 NARROW = 3.5  # inches: axes that share a page with others
 LEAST_ERROR = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis

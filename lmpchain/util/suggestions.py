@@ -32,6 +32,18 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f" (did you mean {names[close[0]]!r}?)" if close else ""
 
 
+def either(names: Iterable[str]) -> str:
+    """Return names as a choice in words.
+
+    Examples
+    --------
+    >>> either(["glass", "steel", "brass"])
+    'glass, steel or brass'
+    """
+    *others, last = names
+    return " or ".join(filter(None, (", ".join(others), last)))
+
+
 def not_among(name: object, known: Iterable[str]) -> str:
     """Return the fault of a name that is none of these.
 

@@ -13,8 +13,9 @@ from lmpchain.benchmark.comparison import Comparison, compare
 from lmpchain.benchmark.curves import CurvePoint, EngineCurve, WorkPrecision, machine
 from lmpchain.benchmark.pareto import front, time_to
 from lmpchain.benchmark.reference import Reference
+from lmpchain.engines import Bessel, Modes, class_of
 from lmpchain.trajectory.record import Cost, ErrorEstimate
-from lmpchain.util.plotting import COLOURS, MARKERS, figure, look_of
+from lmpchain.util.plotting import COLOURS, figure, look_of
 from lmpchain.util.provenance import processor
 
 CHAIN = Chain(grains=8, diameter=1e-3)
@@ -125,7 +126,9 @@ def test_rings_mark_the_longest_stable_steps_of_leading_curves(panels: Any):
         assert places == [(getattr(p, cost), p.error) for p in firsts]
         names = [each.name for each in CURVES if each.name in ringed]
         assert [r.get_markeredgecolor() for r in rings] == [
-            COLOURS["lammps"] if name.startswith("lammps") else look_of(name.split()[-1])["color"]
+            COLOURS["vermilion"]
+            if name.startswith("lammps")
+            else look_of(name.split()[-1])["color"]
             for name in names
         ]
 
@@ -136,7 +139,7 @@ def test_engines_of_one_point_stand_alone_and_are_named_together(panels: Any):
         line for line in over_time.lines if line.get_markersize() == 8 and line.get_marker() != "*"
     ]
     data = {line.get_marker(): tuple(line.get_xydata()[0]) for line in alone}
-    assert data == {MARKERS["modes"]: (0.01, 1e-4), MARKERS["bessel"]: (0.003, 1.05e-4)}
+    assert data == {Modes.style[1]: (0.01, 1e-4), Bessel.style[1]: (0.003, 1.05e-4)}
     (label,) = (text for text in over_time.texts if "modes" in text.get_text())
     assert label.get_text() == "modes, bessel"
     assert label.xy == (0.01, 1e-4)  # right of the slowest
@@ -195,7 +198,7 @@ def test_dots_are_times_to_one_error(panels: Any):
         pytest.approx([1e3 * times[name], row]) for row, name in enumerate(reached)
     ]
     colours = {name: look_of(name.split()[-1])["color"] for name in LEADING[1:]}
-    colours |= {LEADING[0]: "black", "lammps, rkn4": COLOURS["lammps"]}
+    colours |= {LEADING[0]: "black", "lammps, rkn4": COLOURS["vermilion"]}
     assert [dot.get_color() for dot in bars.lines] == [
         colours.get(name, "0.75") for name in reached
     ]
@@ -316,13 +319,13 @@ def test_lammps_is_in_its_colour_and_the_rows_are_below(panels: Any):
     for ax in panels[:2]:
         lines = lines_of(ax)
         for name in ("lammps, verlet", "lammps, rkn4"):
-            assert lines[name].get_color() == COLOURS["lammps"]
+            assert lines[name].get_color() == COLOURS["vermilion"]
     ways = panels[0].figure.axes[3]
     lines = [text.get_text() for text in ways.texts]
     assert [line.split()[1:3] for line in lines] == [line.split()[1:3] for line in RESULT.best()]
     assert [line[:5].strip() for line in lines[1:4:2]] == ["10⁻³", "10⁻⁶"]
     assert {text.get_color() for text in ways.texts if "lammps" in text.get_text()} == {
-        COLOURS["lammps"]
+        COLOURS["vermilion"]
     }
 
 
@@ -390,7 +393,7 @@ def test_the_wave_is_drawn_in_units_of_the_strike():
         assert lines[name].get_ydata() == pytest.approx(
             t.velocity[-1, first - 1 : last] / 2e-3, rel=1e-12
         )
-        assert (lines[name].get_color(), lines[name].get_marker()) == (COLOURS[name], MARKERS[name])
+        assert (lines[name].get_color(), lines[name].get_marker()) == class_of(name).style
         assert lines[name].get_linestyle() == "None"
         assert lines[name].get_markersize() == 7.5 - 3.5 * place
     span = v[-1].max() - v[-1].min()
@@ -466,14 +469,14 @@ def test_errors_over_time_and_cost_are_drawn_to_scale():
         errors = np.full(6, off) * np.abs(v).max() / np.abs(v).max()
         assert curves[name].get_xdata() == pytest.approx([1, 2, 3, 4, 5], rel=1e-9)
         assert curves[name].get_ydata() == pytest.approx(errors[1:], rel=1e-9)
-        assert curves[name].get_color() == COLOURS[name]
+        assert curves[name].get_color() == class_of(name).style[0]
         assert row.error == pytest.approx(off, rel=1e-9)
     levels = [(line.get_ydata()[0], line.get_color(), line.get_linestyle()) for line in ax.lines
               if len(line.get_ydata()) == 2]  # fmt: skip
     assert [level[0] for level in levels] == pytest.approx([3e-4, 3e-4, 1e-12], rel=1e-12)
     assert [level[1:] for level in levels] == [
-        (COLOURS["native"], "--"),
-        (COLOURS["lammps"], "--"),
+        (COLOURS["blue"], "--"),
+        (COLOURS["vermilion"], "--"),
         ("0.55", ":"),
     ]
     assert "dashed: expected by the engine, dotted: of the reference" in " ".join(
@@ -485,7 +488,7 @@ def test_errors_over_time_and_cost_are_drawn_to_scale():
     assert set(named) == {"native, rkn4", "lammps, rkn4"}
     for name, off in (("native, rkn4", 1e-3), ("lammps, rkn4", 0.5)):
         assert named[name].get_xydata()[0] == pytest.approx([0.3, off], rel=1e-9)
-        assert named[name].get_marker() == MARKERS[name.split(",")[0]]
+        assert named[name].get_marker() == class_of(name.split(",")[0]).style[1]
     bars = [line for line in cost.lines if line.get_linestyle() == "--"]
     assert [list(line.get_ydata()) for line in bars] == [
         pytest.approx([1e-3, 3e-4]),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Impulse, Impurity, Scene
-from lmpchain.scene.strike import first_overlaps
+from lmpchain.util.validation import make_unchecked
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -54,7 +54,7 @@ def test_arrays_stay_within_them(seed: int):
     assert contacts.overlap.max() <= known.overlap * (1 + 1e-12)
     speed = 10 ** random.uniform(-6, 0)
     strike = Impulse(velocity=speed, grain=int(random.integers(1, chain.movable + 1)))
-    overlaps = first_overlaps(chain, strike)
+    overlaps = make_unchecked(Scene, chain=chain, excitation=strike, duration=1e-4).first_overlaps
     assert overlaps.max() <= known.struck(speed)
     fastest = np.sqrt(2 * contacts.stiffness_at(overlaps).max() / masses.min())
     assert fastest <= known.frequency(known.struck(speed))
@@ -65,11 +65,7 @@ def test_arrays_stay_within_them(seed: int):
 def test_frequency_of_a_scene_is_that_of_its_arrays(velocity: float, gravity: float):
     chain = Chain(grains=40, diameter=1e-3, gravity=gravity)
     scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=1e-4)
-    pair = np.sqrt(
-        2
-        * chain.contacts.stiffness_at(first_overlaps(chain, scene.excitation)).max()
-        / chain.masses.min()
-    )
+    pair = np.sqrt(2 * chain.contacts.stiffness_at(scene.first_overlaps).max() / chain.masses.min())
     assert scene.highest_frequency == (max(chain.band_edge, pair) or 1e4)
 
 

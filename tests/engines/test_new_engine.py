@@ -18,6 +18,7 @@ from lmpchain.integrators.steps import Steps
 from lmpchain.trajectory.record import Block, Cost
 
 ROUNDING = 1e-14
+REGISTERED = engines.names()
 
 
 class Oscillator(Engine):
@@ -25,6 +26,7 @@ class Oscillator(Engine):
 
     name = "oscillator"
     equation = 1
+    auto = "cheapest"
     start_up_s = 1e-6
 
     def refuses(self, scene):
@@ -130,6 +132,19 @@ def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
     with pytest.raises(lmpchain.InputError, match="oscillator knows one grain"):
         simulate(two, "oscillator")
     assert lmpchain.plan(two).engine == "native"
+
+
+def test_it_joins_auto_only_if_it_says_so(spring: Scene, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Oscillator, "auto", "never")
+    assert {each.engine for each in lmpchain.plan(spring).candidates} == set(REGISTERED)
+    assert simulate(spring).engine != "oscillator"
+    monkeypatch.setattr(Oscillator, "auto", "last")
+    *_, one, other = lmpchain.plan(spring).candidates
+    assert (one.engine, other.engine) == ("lammps", "oscillator")
+    assert "only if asked for by name" in other.why
+    for name in REGISTERED:
+        monkeypatch.setattr(engines.class_of(name), "refuses", lambda *_: [("grains", "not mine")])
+    assert simulate(spring).engine == "oscillator"
 
 
 def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):

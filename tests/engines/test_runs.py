@@ -14,7 +14,7 @@ from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed,
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
 from lmpchain.engines.stepping import monitor
 from lmpchain.engines.stepping import run as stepping_run
-from lmpchain.engines.stepping.time_stepping import alike, kind
+from lmpchain.engines.stepping.time_stepping import kind
 from lmpchain.integrators.methods import METHODS
 
 CHAIN = Chain(grains=10, diameter=1e-3)
@@ -206,6 +206,7 @@ def test_scenes_of_a_batch_are_of_one_kind():
             ValueError, match="a batch needs chains of one kind and length, recorded alike"
         ):
             engine.start([SCENE, other], candidate)
+    key = engine.batch_key(SCENE, candidate)
     for changed in (
         {"steps": candidate.steps._replace(per_landing=3)},
         {"steps": candidate.steps._replace(stride=2)},
@@ -215,7 +216,7 @@ def test_scenes_of_a_batch_are_of_one_kind():
         {"integrator": "verlet"},
         {"choices": {"force": "plain"}},
     ):
-        assert alike(SCENE, candidate._replace(**changed)) != alike(SCENE, candidate)
+        assert engine.batch_key(SCENE, candidate._replace(**changed)) != key
 
 
 def test_progress_in_lammps_is_that_of_the_time(monkeypatch):

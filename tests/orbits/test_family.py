@@ -68,7 +68,7 @@ def test_a_picture_has_energies_over_frequencies_the_unstable_part_dashed():
     assert [line.get_marker() for line in ax.lines] == [".", ".", "o", "s", "D"]
     for line in (lines["stable"], lines["unstable"]):
         np.testing.assert_array_equal(line.get_xdata(), FREQUENCY)
-        assert line.get_color() == COLOURS["native"]
+        assert line.get_color() == COLOURS["blue"]
     np.testing.assert_array_equal(lines["stable"].get_ydata(), np.where(STABLE, ENERGY, np.nan))
     # the dashed line begins at the last stable orbit before it
     dashed = np.array([False, True, True, True, False])

@@ -468,4 +468,4 @@ def test_the_energy_is_that_of_the_strike_and_drifts_little(draw: Any, run: Traj
 
 
 def test_lines_are_told_apart_from_zero(draw: Any, run: Trajectory):
-    assert draw("waveforms", run).axes[1].lines[3].get_color() == COLOURS["lammps"]
+    assert draw("waveforms", run).axes[1].lines[3].get_color() == COLOURS["vermilion"]

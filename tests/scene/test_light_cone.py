@@ -22,7 +22,7 @@ from lmpchain import (
     engines,
     simulate,
 )
-from lmpchain.scene.light_cone import reached as grains_reached
+from lmpchain.scene.facts import find_reached
 
 BEADS = {"material": GLASS, "diameter": 1e-3}
 ROUNDING = 1e-14  # what a part weighs is added up in another order
@@ -49,10 +49,6 @@ SCENES = {
 }
 
 
-def reached(scene: Scene) -> tuple[int, int]:
-    return grains_reached(scene.chain, scene.excitation, scene.energy, scene.duration)
-
-
 class Whole(engines.Native):
     """The engine, without the light cone."""
 
@@ -64,7 +60,7 @@ class Whole(engines.Native):
 def test_what_is_left_out_makes_no_difference(name: str, tolerance: float):
     chain, strike, duration = SCENES[name]
     scene = Scene(chain=chain, excitation=strike, duration=duration, samples=5)
-    first, last = reached(scene)
+    first, last = find_reached(scene)
     assert last - first < 400, "most grains are left out"
     native = engines.Native()
     candidate = native.propose(native.part(scene), tolerance)
@@ -83,7 +79,7 @@ def test_random_scenes(seed: int):
     while scene.drive or scene.chain.grains < 20:
         scene = random_scene(rng)
     few = Scene(**scene.given() | {"duration": scene.duration / 20, "samples": 3})
-    first, last = reached(few)
+    first, last = find_reached(few)
     step = few.duration / 64
     if step * few.chain.band_edge > 0.5:
         step = 0.5 / few.chain.band_edge
@@ -120,14 +116,16 @@ def test_the_cone_is_as_wide_as_the_exact_solution_of_springs_needs(x: float):
     few = springs.part(1, 2000)
     for long, grain in ((springs, 10_000), (few, 1000)):
         scene = Scene(chain=long, excitation=Impulse(velocity=1e-6, grain=grain), duration=x / edge)
-        first, last = reached(scene)
+        first, last = find_reached(scene)
         away = farthest(x)
         assert grain - first == last - grain
         assert away <= last - grain <= away + 1
         assert ive(2 * (last - grain), x) * np.exp(x) < 1e-22
     wide = np.zeros(2000)
     wide[[899, 1099]] = 1e-6
-    first, last = reached(Scene(chain=few, excitation=Profile(velocity=wide), duration=x / edge))
+    first, last = find_reached(
+        Scene(chain=few, excitation=Profile(velocity=wide), duration=x / edge)
+    )
     assert away <= 900 - first == last - 1100 <= away + 1
 
 
@@ -161,10 +159,10 @@ def test_a_stiff_wall_widens_the_cone(end: str):
     edge = 2 * np.sqrt(stiff / chain.masses[0])
     grain = 1 if end == "top" else 600
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=grain), duration=60 / edge)
-    first, last = reached(scene)
+    first, last = find_reached(scene)
     assert farthest(60.0) <= last - first <= farthest(60.0) + 1
     inner = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=300), duration=60 / edge)
-    first, last = reached(inner)
+    first, last = find_reached(inner)
     assert farthest(20.0) <= last - 300 <= farthest(20.0) + 1
 
 
@@ -176,7 +174,7 @@ def test_what_is_recorded_of_a_cone_is_where_it_was():
             chain=chain, excitation=Impulse(velocity=1e-6), duration=60e-6, samples=7, grains=grains
         )
         cone = scene.light_cone
-        _, last = reached(scene)
+        _, last = find_reached(scene)
         assert cone.scene.chain == chain.part(1, last)
         assert cone.scene.samples == 7
         numbers = scene.recorded
@@ -188,7 +186,7 @@ def test_what_is_recorded_of_a_cone_is_where_it_was():
 def test_a_drive_is_not_cut():
     drive = Drive(amplitude=1e-9, frequency=1e4)
     scene = Scene(chain=Chain(grains=600, **BEADS), excitation=drive, duration=1e-5)
-    assert reached(scene) == (1, 600)
+    assert find_reached(scene) == (1, 600)
 
 
 def test_a_million_grains_take_the_memory_of_few():

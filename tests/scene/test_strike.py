@@ -23,7 +23,7 @@ from lmpchain import (
     Profile,
     Scene,
 )
-from lmpchain.scene.strike import first_overlaps, squeezed, strike_number, surroundings
+from lmpchain.scene.facts import SceneFacts
 from lmpchain.util.validation import make_unchecked
 
 STRIKES = {
@@ -102,9 +102,8 @@ def test_first_overlaps_are_those_of_pairs_of_bodies(
     strike: Any, ends: dict[str, Any], exponent: float
 ) -> None:
     chain = chain_of(ends | {"exponent": exponent})
-    assert first_overlaps(chain, strike) == pytest.approx(
-        one_by_one(chain, strike), rel=1e-12, abs=1e-20
-    )
+    scene = make_unchecked(SceneFacts, chain=chain, excitation=strike, duration=1e-5)
+    assert scene.first_overlaps == pytest.approx(one_by_one(chain, strike), rel=1e-12, abs=1e-20)
 
 
 @pytest.mark.parametrize(("strike", "ends"), CASES)
@@ -128,7 +127,6 @@ def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(
     else:
         number = 0.0 if scene.at_rest else np.inf
     assert scene.strike_number == pytest.approx(number, rel=1e-14)
-    assert strike_number(chain, strike) == pytest.approx(number, rel=1e-14)
     overlaps = np.array(one_by_one(chain, strike))
     stiffest = (chain.exponent * chain.contacts.constant * np.sqrt(overlaps)).max()
     pair = np.sqrt(2 * stiffest / chain.masses.min())
@@ -169,18 +167,18 @@ def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
         (Impulse(velocity=1e-4, grain=19_999), 19_998, 20_000),
         (Profile(velocity=wide), 99, 104),
     ):
-        around = surroundings(many, strike)
-        begin, near, excitation = around
-        assert (begin, near.grains) == (first, last - first + 1)
-        fields = zip(excitation.initial(near), strike.initial(many), strict=True)
+        scene = make_unchecked(SceneFacts, chain=many, excitation=strike, duration=1e-5)
+        begin, near = scene._surroundings
+        assert (begin, near.chain.grains) == (first, last - first + 1)
+        fields = zip(near.excitation.initial(near.chain), strike.initial(many), strict=True)
         assert all(np.array_equal(x, y[first - 1 : last]) for x, y in fields)
-        contact, relative = squeezed(around)
-        overlaps = first_overlaps(many, strike)[first - 1 : last + 1]
+        contact, relative = scene.first_squeeze
+        overlaps = scene.first_overlaps[first - 1 : last + 1]
         inside = overlaps[1:-1] if last < 20_000 else overlaps[1:]
         assert contact == first + int(np.argmax(inside))
         assert relative == pytest.approx(inside.max() / 1e-3, rel=1e-12)
-    few = Chain(grains=10_000, diameter=1e-3)
-    assert surroundings(few, Impulse(velocity=1e-4, grain=300))[:2] == (1, few)
+    few = scene.replace(chain=Chain(grains=10_000, diameter=1e-3), excitation=strike)
+    assert few._surroundings == (1, few)
 
 
 def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:

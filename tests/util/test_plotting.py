@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from matplotlib import colors, pyplot, rcParams
 
+from lmpchain import engines
 from lmpchain.util import plotting
 from lmpchain.util.plotting import (
     COLOURS,
-    MARKERS,
     SHADES,
     SHAPES,
     axes_in_units,
@@ -222,8 +222,10 @@ def test_lines_take_our_colours_in_turn_unless_there_are_lines_already():
 
 
 def test_engines_and_integrators_are_told_apart_by_colour_and_marker():
-    assert COLOURS.keys() == MARKERS.keys()
-    assert len(set(MARKERS.values())) == len(MARKERS)
+    looks = [engines.class_of(name).style for name in engines.names()]
+    colours, markers = zip(*looks, strict=True)
+    assert set(colours) == set(COLOURS.values())
+    assert len(set(markers)) == len(looks)
     assert len(SHADES) == len(SHAPES) == len(set(SHAPES))
     for palette in (list(COLOURS.values()), list(SHADES)):
         for one, other in combinations(palette, 2):

@@ -88,7 +88,7 @@ class LammpsColumn:
     @property
     def model(self) -> str:
         """Contact model of LAMMPS: hertz, with the root of the effective radius, or hooke."""
-        return "hooke" if self.chain.exponent == 1 else "hertz"
+        return "hooke" if self.chain.law.power == 1 else "hertz"
 
     @property
     def mobile(self) -> tuple[int, int]:

@@ -19,7 +19,6 @@ from ...integrators.splittings import Splitting
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import check_not_foreign, expanded, write_aside
-from ...util.templates import render, render_pieces, render_text
 from . import drive
 from .column import LammpsColumn
 from .worker import deck_steps
@@ -120,6 +119,9 @@ def _seal(text: str) -> str:
 
 def dump(path: str, every: int) -> str:
     """Return the commands that dump every `every`-th step, as in a deck that runs by itself."""
+    # Jinja2 is imported only where text is filled in, because "auto" loads this module.
+    from ...util.templates import render
+
     return render("dump.column", path=f'"{path}"', every=every)
 
 
@@ -172,6 +174,8 @@ def holds_motion(column: LammpsColumn, folder: Path | None) -> bool:
 
 def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
     """Write the data file, without velocities and heights at rest unless it is `whole`."""
+    from ...util.templates import render_pieces
+
     z, speeds = column.start
     if column.strike:
         # the deck strikes, so that the speed can be set on the command line
@@ -217,11 +221,13 @@ def _fill(
     column: LammpsColumn, step: float, splitting: Splitting, done: int = 0, **values: Any
 ) -> str:
     """Return the commands of the deck, or of the user's template in its place."""
+    from ...util.templates import render, render_text
+
     scene = column.scene
     # velocity Verlet and its compositions kick in LAMMPS; else the kicks come from outside
     kicks = carries(splitting) and not kicks_by_force(scene, splitting)
-    every = round(scene.duration / (scene.samples - 1) / step)
-    count = every * (scene.samples - 1) * deck_steps(splitting)
+    every = round(scene.sampling_interval / step)
+    count = every * scene.intervals * deck_steps(splitting)
     if values["alone"] and count > STEPS_OF_A_RUN:
         most = f"{count} steps are more than LAMMPS counts in a run, {STEPS_OF_A_RUN}"
         raise InputError.at(
@@ -231,7 +237,7 @@ def _fill(
         "column": column,
         "step": step,
         "every": every,
-        "samples": scene.samples - 1,
+        "samples": scene.intervals,
         "integrator": splitting.name,
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",

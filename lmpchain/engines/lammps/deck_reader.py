@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...chain.chain import Chain
+from ...chain.contact_law import power_law
 from ...chain.contacts import pair_value
 from ...chain.damping import Damping
 from ...errors import InputError, short
@@ -396,7 +397,7 @@ def _load(script: _Script, grains: _Grains, constant: float, exponent: float) ->
     d = grains.diameters
     overlap = max(0.0, float((d[0] + d[1]) / 2 - (grains.rest[0] - grains.rest[1])))
     weight = script.variable("g") * float(grains.masses[0])
-    load = constant * overlap**exponent - weight
+    load = float(power_law(exponent).force(overlap, constant)) - weight
     return load if load > GAPS * weight else 0.0
 
 

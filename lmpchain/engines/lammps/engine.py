@@ -23,6 +23,7 @@ from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import Array
 from ...util.files import expanded, make_folder
+from ...util.plotting import COLOURS
 from ...util.remarks import warn
 from ...util.suggestions import not_among
 from ..base import ErrorBudget, Proposal, Run
@@ -114,6 +115,9 @@ class Lammps(TimeSteppingEngine):
 
     name: ClassVar[str] = "lammps"
     equation: ClassVar[int] = 1
+    auto = "last"
+    style = (COLOURS["vermilion"], "o")
+    citation = "LAMMPS, which solved it: doi:10.1016/j.cpc.2021.108171"
     integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
     inputs: ClassVar[tuple[str, ...]] = (f"{DECK}/in.column", f"{DECK}/column.data")
     logs: ClassVar[tuple[str, ...]] = (LOG,)
@@ -174,9 +178,11 @@ class Lammps(TimeSteppingEngine):
             fault = "kicks from outside know no velocities: use verlet, or leave it out"
             return [("integrator", fault)]
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
-        if scene.chain.exponent not in exponents:
+        law = scene.chain.law
+        if law.power not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
-            fault = f"knows {allowed} only (got {scene.chain.exponent:g}); use the engine native"
+            got = law if law.power is None else f"{law.power:g}"
+            fault = f"knows {allowed} only (got {got}); use the engine native"
             return [("exponent", f"{self.pair_style} in LAMMPS {fault}")]
         grains = scene.chain.grains
         if (self.ranks or 1) > grains:
@@ -233,7 +239,7 @@ class Lammps(TimeSteppingEngine):
         except ToleranceNotMet as limit:
             raise _without_heights(limit.reason, limit.known_until) from None
         peaks, closest = trial.collected
-        taken = trial.attempt.proposal.steps.total(scene.samples - 1)
+        taken = trial.attempt.proposal.steps.total(scene.intervals)
         gauge = gauge_diameter(scene, closest)
         errors = tuple(
             min(self.round_off(scene, drawn, taken, peaks), LARGEST_ERROR) for drawn in (0.0, gauge)
@@ -529,7 +535,7 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """
     contacts = scene.chain.contacts
     driven = scene.excitation.does_work
-    overlap = contacts.overlap + closest if driven else contacts.overlap_bound(scene.energy)
+    overlap = contacts.overlap + closest if driven else scene.overlap_bounds
     gauge = HEIGHTS.headroom * float(overlap.max())
     return gauge if gauge < scene.chain.diameters.min() else 0.0
 

@@ -133,7 +133,7 @@ class LammpsStepper:
     @property
     def progress(self) -> float:
         """Part of its steps that are made."""
-        return self._done / (self._every * (self._column.scene.samples - 1))
+        return self._done / (self._every * self._column.scene.intervals)
 
     def _take(self) -> None:
         """Take the motion from all ranks; raises `RunFailed` if they are no numbers."""

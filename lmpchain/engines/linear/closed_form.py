@@ -13,10 +13,11 @@ from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
 from ...util.compilation import clock
+from ...util.plotting import COLOURS
 from ..base import ErrorBudget, Proposal, Run
 from .engine import Chebyshev, LinearEngine, LinearRun
 from .model_error import unlike
-from .solutions import Solution
+from .solutions import LinearSolution
 
 UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
 
@@ -65,7 +66,7 @@ class ClosedForm(LinearEngine):
         """Return the time for the exact solution beside it, and for the formula."""
         return self._beside.work(scene) + 1e-6 * scene.samples * scene.recorded.size
 
-    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
         """Return the exact solution beside the formula."""
         return self._beside.solve(scene, state)
 
@@ -87,6 +88,7 @@ class Bessel(ClosedForm):
     """The homogeneous chain, Eqs. (4) and (13): contacts as stiff as the first, and no bottom."""
 
     name: ClassVar[str] = "bessel"
+    style = (COLOURS["sky blue"], "v")
     equation: ClassVar[int] = 4
 
     def exact(self, scene: Scene) -> bool:
@@ -99,7 +101,7 @@ class Bessel(ClosedForm):
         from ...theory import bessel
 
         unit = scene.chain.time_scale
-        strike = scene.excitation.strike_velocity
+        strike = scene.strike_velocity
         n = scene.recorded
         T = times[:, None] / unit
         return strike * unit * bessel.free_end_impulse(n, T), strike * bessel.free_end(n, T)
@@ -109,11 +111,14 @@ class Continuum(ClosedForm):
     """The column as a continuum, Eq. (27): its impulse response, Eq. (35), averaged over grains."""
 
     name: ClassVar[str] = "continuum"
+    style = (COLOURS["orange"], "P")
     equation: ClassVar[int] = 27
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
+        if scene.chain.law.power is None:
+            reasons.append(("law", "continuum knows powers of the overlap only; use modes"))
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
             why = "continuum knows chains under gravity alone; use modes or chebyshev"
             reasons.append(("top_load", why))
@@ -124,9 +129,9 @@ class Continuum(ClosedForm):
         from ...theory import continuum
 
         unit = scene.chain.time_scale
-        strike = scene.excitation.strike_velocity
+        strike = scene.strike_velocity
         phi, speed = continuum.impulse_of_grain(
-            scene.recorded, times[:, None] / unit, scene.chain.exponent
+            scene.recorded, times[:, None] / unit, scene.chain.law.power_of("the continuum")
         )
         return strike * unit * phi, strike * speed
 

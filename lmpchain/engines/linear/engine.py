@@ -16,10 +16,11 @@ from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import EPSILON, Array, last_digit
 from ...util.compilation import clock
+from ...util.plotting import COLOURS
 from ..base import Engine, ErrorBudget, Proposal, Run
 from ..cost_model import seconds
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
-from .solutions import ChebyshevSolution, ModalSolution, Solution
+from .solutions import ChebyshevSolution, LinearSolution, ModalSolution
 
 BLOCK = 16  # samples a block, if so many fit
 # values that are at hand at a time, and that take no time worth speaking of
@@ -35,6 +36,7 @@ class LinearEngine(Engine):
     """An engine for the linearised chain, Eq. (3), exact to round-off."""
 
     equation: ClassVar[int] = 3
+    auto = "cheapest"
     # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
 
@@ -60,7 +62,7 @@ class LinearEngine(Engine):
         return Proposal(
             engine=self.name,
             equation=self.equation,
-            steps=Steps.spread(scene.duration / (scene.samples - 1), 1),
+            steps=Steps.spread(scene.sampling_interval, 1),
             active_grains=scene.chain.grains,
             model_error=expected_error(scene),
             solver_error=self.round_off(scene),
@@ -89,7 +91,7 @@ class LinearEngine(Engine):
         """Return the time for all evaluations on the reference machine, s."""
 
     @abstractmethod
-    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
         """Return the solution, from the start or from a kept state."""
 
     def start(
@@ -110,6 +112,7 @@ class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
+    style = (COLOURS["pink"], "D")
     start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -135,7 +138,7 @@ class Chebyshev(LinearEngine):
         reached = min(scene.chain.grains, 30 + radians / 4)  # on average, as the light cone grows
         return 7e-10 * polynomials * (reached + 100) + 1.3e-8 * count * scene.chain.grains
 
-    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
         """Return the solution, from the start or from a kept state."""
         return ChebyshevSolution(scene, state)
 
@@ -144,6 +147,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
+    style = (COLOURS["green"], "^")
     dissipates: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 2.4e-4
 
@@ -183,7 +187,7 @@ class Modes(LinearEngine):
         grains = scene.chain.grains
         return 5.5e-11 * grains**3 + 6e-8 * grains * _evaluations(scene)
 
-    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
         """Return the solution, whose start is all that is needed."""
         return ModalSolution(scene)
 
@@ -200,7 +204,11 @@ def _evaluations(scene: Scene) -> int:
 
 
 def _follow(
-    solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], size: int
+    solution: LinearSolution,
+    error: PhaseError,
+    times: Array,
+    recorded: NDArray[np.bool_],
+    size: int,
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Yield a solution, evaluated `size` times at once, and accumulate its model error."""
     for begin in range(0, times.size, size):
@@ -309,11 +317,11 @@ class LinearRun(Run):
             integration_s=self._integration_s,
             estimate_s=self._estimate_s,
             setup_s=self._setup_s,
-            steps=self._scene.samples - 1,
+            steps=self._scene.intervals,
             force_evaluations=sum(solution.work for solution in self._solutions),
             active_grains=self._scene.chain.grains,
             integrator=self._engine.name,
-            step_s=self._scene.duration / (self._scene.samples - 1),
+            step_s=self._scene.sampling_interval,
             ranks=1,
         )
 

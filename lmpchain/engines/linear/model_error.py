@@ -119,7 +119,7 @@ class PhaseError:
         self._excess = excess(scene)
         self._excitation = scene.excitation
         self._grain = first_moved(scene) - 1
-        self._fastest = fastest(scene)
+        self._fastest = scene.linear_frequency
         # a little more than half of the time from one close evaluation to the next
         near = 0.6 / LOOKS.resolved / self._fastest
         opening = LOOKS.opening if may_open(scene) else -np.inf
@@ -273,30 +273,21 @@ def expected_error(scene: Scene) -> float:
     """
     if may_open(scene):
         return 1.0
-    radians = fastest(scene) * scene.duration
+    radians = scene.linear_frequency * scene.duration
     # strains that keep step add up to omega t of them, others to its root
     walk = 1 + (radians if in_phase(scene) else math.sqrt(radians))
-    strains = excess(scene) * largest_strain(scene) * walk
+    strains = excess(scene) * scene.linear_strain * walk
     return min(1.0, FACTORS.doubt * FACTORS.strays * strains)
 
 
 def excess(scene: Scene) -> float:
-    """Return delta - 1, by which a force bends away from a straight line; viscosity adds to it.
+    """Return by how much a force bends away from a straight line; viscosity adds to it.
 
+    It is delta - 1 for a power, see `ContactLaw.bend`.
     Its force (1 + A d/dt) s^2 is larger by the modulus of 1 + i A omega than that of s^2 alone.
     """
-    turn = scene.chain.damping.longest_time * fastest(scene)
-    return math.hypot(1.0, turn) * (scene.chain.exponent - 1)
-
-
-def largest_strain(scene: Scene) -> float:
-    """Return a bound on the strain of the linear chain.
-
-    What drives a viscous contact works against more than stiffness.
-    """
-    if not scene.excitation.does_work:
-        return scene.linear_strain
-    return scene.linear_strain * (1 + scene.chain.damping.longest_time * fastest(scene))
+    turn = scene.chain.damping.longest_time * scene.linear_frequency
+    return math.hypot(1.0, turn) * float(np.abs(scene.chain.contacts.bend).max())
 
 
 def in_phase(scene: Scene) -> bool:
@@ -306,12 +297,7 @@ def in_phase(scene: Scene) -> bool:
 
 def may_open(scene: Scene) -> bool:
     """Whether the energy put in could open a contact of the linear chain."""
-    return largest_strain(scene) >= 1
-
-
-def fastest(scene: Scene) -> float:
-    """Return the highest frequency in the linear solution, rad/s."""
-    return max(scene.chain.band_edge, scene.excitation.fastest)
+    return scene.linear_strain >= 1
 
 
 def passage(scene: Scene) -> Array:
@@ -360,7 +346,7 @@ def evaluation_times(scene: Scene) -> Array:
     """
     if close := _close(scene):
         return np.linspace(0, scene.duration, close, endpoint=False)
-    first = LOOKS.earliest / fastest(scene)
+    first = LOOKS.earliest / scene.linear_frequency
     early = first * LOOKS.growth ** np.arange(_early(scene))
     spread = _spread(scene)
     # a fixed seed: a run that goes on must look at the same times
@@ -382,24 +368,24 @@ def decidable(scene: Scene) -> bool:
 def dense(scene: Scene) -> bool:
     """Whether samples resolve every oscillation, so that no other evaluations are needed."""
     in_a_radian = LOOKS.resolved if may_open(scene) else 1.0
-    return bool(in_a_radian * scene.duration * fastest(scene) <= scene.samples - 1)
+    return bool(in_a_radian * scene.duration * scene.linear_frequency <= scene.intervals)
 
 
 def _early(scene: Scene) -> int:
     """Return how many evaluations follow the beginning more and more slowly."""
-    radians = scene.duration * fastest(scene)
+    radians = scene.duration * scene.linear_frequency
     return max(0, int(math.log(radians / LOOKS.earliest) / math.log(LOOKS.growth)) + 1)
 
 
 def _spread(scene: Scene) -> int:
     """Return how many evaluations are spread all over the run."""
-    resolving = math.ceil(LOOKS.resolved * scene.duration * fastest(scene))
+    resolving = math.ceil(LOOKS.resolved * scene.duration * scene.linear_frequency)
     return max(LOOKS.evenly, min(LOOKS.few_values // scene.chain.grains, resolving))
 
 
 def _close(scene: Scene) -> int:
     """Return how many evaluations resolve every oscillation where contacts may open, or 0."""
-    needed = LOOKS.resolved * scene.duration * fastest(scene) + 1
+    needed = LOOKS.resolved * scene.duration * scene.linear_frequency + 1
     if may_open(scene) and needed * scene.chain.grains <= LOOKS.most_values:
         return max(LOOKS.evenly, math.ceil(needed))
     return 0

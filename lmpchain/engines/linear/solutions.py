@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,24 @@ from numpy.typing import NDArray
 from ...integrators.kernels.chebyshev import Propagator
 from ...scene.scene import Scene
 from ...util.arrays import Array
+
+
+class LinearSolution(Protocol):
+    """A solution of the linearised chain, as a run of a linear engine evaluates it."""
+
+    @property
+    def work(self) -> int:
+        """Evaluations so far, for the cost: polynomials, or modes."""
+
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return displacement and velocity at these times, (T, N) m and m/s.
+
+        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
+        Times of a later call are later.
+        """
+
+    def state(self) -> dict[str, Array]:
+        """Return the arrays from which `LinearEngine.solve` goes on."""
 
 
 class ChebyshevSolution:
@@ -39,10 +58,7 @@ class ChebyshevSolution:
         return self._chain.terms
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement and velocity at these times, (T, N) m and m/s.
-
-        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
-        """
+        """Return displacement, velocity and reach, as `LinearSolution.at` does."""
         before = self._time
         self._time = float(times[-1])
         u, v, reach = self._chain.advance(times - before)
@@ -85,7 +101,7 @@ class ModalSolution:
         return self._modes.frequency.size
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement and velocity as `ChebyshevSolution.at` does, at any times."""
+        """Return displacement, velocity and reach as `LinearSolution.at` does, at any times."""
         u, v = self._modes.response(times, *self._initial)
         top = np.empty((2, times.size, 0))
         if self._wave:
@@ -155,6 +171,3 @@ class ModalSolution:
     def state(self) -> dict[str, Array]:
         """Any time follows from the modes."""
         return {}
-
-
-Solution = ChebyshevSolution | ModalSolution

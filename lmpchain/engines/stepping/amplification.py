@@ -139,7 +139,7 @@ def separate(
 
 def could_grow(scene: Scene, evaluations: float) -> float:
     """Return a bound on `amplify_rounding`, from the phase of the fastest motion alone."""
-    exponent = GROWTH.rate * scene.highest_frequency * scene.duration
+    exponent = GROWTH.rate * scene.total_phase
     digits = count_digits(evaluations)
     return GROWTH.digit * digits * math.exp(min(exponent, 99.0))  # more than any scene has room for
 
@@ -155,11 +155,10 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
 def grow_digit(scene: Scene, enough: float = math.inf) -> Array:
     """Return what becomes of a last digit at each sample, (T,), followed until it is `enough`."""
     changes = (GROWTH.digit * np.array(GROWTH.changes)).tolist()
-    interval = scene.duration / (scene.samples - 1)
     method = methods_of(scene.chain.damped)["verlet"]
     for reach in (GROWTH.reach, GROWTH.reach / GROWTH.shorter):
-        steps = math.ceil(interval * scene.highest_frequency / reach)
-        schedule = Steps.spread(interval, steps)
+        steps = math.ceil(scene.sampling_phase / reach)
+        schedule = Steps.spread(scene.sampling_interval, steps)
         distances = separate(scene, changes, method, schedule, enough)
         # steps too long for contacts that are pressed so much stiffer show no growth but their own
         if distances.max() <= GROWTH.broken:

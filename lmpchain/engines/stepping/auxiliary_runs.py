@@ -47,7 +47,7 @@ class OpeningOrder:
     far : float
         Strain from which a contact that is pressed by equal steps began as good as open.
     kinked_below : float
-        Exponent below which the force has a kink at an opening.
+        Power of the overlap, with which a force sets in, below which it has a kink at an opening.
     returning : float
         Phase of the fastest motion, in radians a grain, after which waves come back to contacts
         that opened: errors scatter from there on.
@@ -67,9 +67,9 @@ class OpeningOrder:
     nearby: float = 1.5
     nearby_kinked: float = 1.75
 
-    def kinks(self, exponent: float) -> bool:
-        """Say whether the force of contacts of this exponent has a kink at an opening."""
-        return exponent < self.kinked_below
+    def kinks(self, onset: float) -> bool:
+        """Say whether a force that sets in with this power has a kink at an opening."""
+        return onset < self.kinked_below
 
     def trusted_order(self, steps: Steps) -> float:
         """Return the highest order that is trusted where contacts open, or nearly so."""
@@ -121,18 +121,15 @@ class AuxiliarySteps:
     def __init__(self, method: Method, scenes: Sequence[Scene], steps: Steps, twins: int = 0):
         self._method = method
         self.answer = steps
-        exponent = scenes[0].chain.exponent
         self._order_at_openings = min(method.order, OPENINGS.trusted_order(steps))
         longer = longer_steps(method, scenes[0], steps)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._far = [scene.largest_strain > OPENINGS.far for scene in scenes]
         self._nearby = len(longer) == 2 and steps.adaptive and any(self.recurrent)
         if self._nearby:
-            kinks = OPENINGS.kinks(exponent)
+            kinks = OPENINGS.kinks(scenes[0].chain.law.onset)
             longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
-        arrangement = _arrange(
-            self.answer, tuple(longer), self._nearby, twins, scenes[0].samples - 1
-        )
+        arrangement = _arrange(steps, tuple(longer), self._nearby, twins, scenes[0].intervals)
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
         self._least_ratio = [self._ratio_between_corners(scene) for scene in scenes]
 
@@ -195,9 +192,9 @@ class AuxiliarySteps:
 
         All runs end steps on corners, so that between these the ratio is that of two whole numbers.
         """
-        times = np.array([0.0, *corners(scene), scene.duration])
-        if len(times) == 2 or not self.answer.adaptive:
+        if not scene.corners or not self.answer.adaptive:
             return self.ratios[0]
+        times = np.array([0.0, *scene.corners, scene.duration])
         # A piece that is shorter than a step of an auxiliary run is the last one, with few steps.
         long = np.diff(times) >= LONGER[-1] * self.answer.step
         pieces = times[:-1][long], times[1:][long]
@@ -241,31 +238,20 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
     error is there in the first of them alone, and auxiliary runs must land on each: then 3 serves,
     too, but there must be two, and no corners of a force.
     """
-    if answer.total(scene.samples - 1) < FEWEST_STEPS:
+    if answer.total(scene.intervals) < FEWEST_STEPS:
         return []
     reach = answer.step * scene.chain.fastest_rate
     steps = answer.per_landing
-    if steps < MANY_STEPS and dies(scene):
+    dies = scene.sampling_decay > DIES
+    if steps < MANY_STEPS and dies:
         ratios = [ratio for ratio in DIVIDING if steps % ratio == 0][:2]
     else:
         ratios = list(LONGER)
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
     # One auxiliary run at longer steps may be right by chance where motions die within a step or
     # two, and where corners end steps, all of them may pass the last one before a sample alike.
-    seen = len(stable) > 1 and not corners(scene)
-    return stable if seen or not dies(scene) else []
-
-
-def corners(scene: Scene) -> list[float]:
-    """Return the times inside of the duration at which steps end because a force has a corner."""
-    waveform = scene.excitation.waveform
-    return [t for t in waveform.corners if 0.0 < t < scene.duration] if waveform else []
-
-
-def dies(scene: Scene) -> bool:
-    """Say whether damping ends the fastest motion within a few samples."""
-    interval = scene.duration / (scene.samples - 1)
-    return scene.chain.damping.decay(scene.highest_frequency, interval) > DIES
+    seen = len(stable) > 1 and not scene.corners
+    return stable if seen or not dies else []
 
 
 def recurs(scene: Scene) -> bool:
@@ -280,7 +266,8 @@ def recurs(scene: Scene) -> bool:
         below = scene.chain.grains - scene.excitation.grain
         # a wave that runs from one end has the whole chain before it
         crossed = min(above, below) or scene.chain.grains
-    returns = scene.highest_frequency * scene.duration > OPENINGS.returning * crossed
-    opens = min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
+    returns = scene.total_phase > OPENINGS.returning * crossed
     chain = scene.chain
-    return opens and (returns or OPENINGS.kinks(chain.exponent) or not chain.linearisable)
+    # The bounds on strains take arrays of all contacts: they are asked for last.
+    recurs = returns or OPENINGS.kinks(chain.law.onset) or not chain.linearisable
+    return recurs and min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near

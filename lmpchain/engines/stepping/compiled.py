@@ -43,8 +43,8 @@ class CompiledSteps(TimeSteppingEngine):
         proposal = super().propose_steps(scene, tolerance, method, steps)
         # a given step is taken, whatever it leaves, and what is held has no error
         if not proposal.fixed and scene.recorded[0] <= scene.chain.movable:
-            evaluations = steps.total(scene.samples - 1) * method.evaluations
-            floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
+            evaluations = steps.total(scene.intervals) * method.evaluations
+            floor = native_floor(evaluations, scene.total_phase)
             if floor > tolerance:
                 cure = "ask for less"
                 if self.integrator != "auto" and method.order < METHODS["rkn6"].order:
@@ -63,9 +63,7 @@ class CompiledSteps(TimeSteppingEngine):
 
         The phase shifts by a quarter of what `native_floor` allows for.
         """
-        walk = native_floor(
-            steps * self.methods(scene)[0].evaluations, scene.highest_frequency * scene.duration / 4
-        )
+        walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
         if force_form(scene, self.force) in ROOTS:
             walk += plain_loss(scene, steps) / speed
         return walk
@@ -74,7 +72,7 @@ class CompiledSteps(TimeSteppingEngine):
         """Return the grains that a step computes, on average: those that waves have reached."""
         first, last = scene.excitation.reach(scene.chain)
         # a front runs at half the highest frequency, so on average the cone has half its width
-        reached = last - first + 1 + 2 * PAD + scene.highest_frequency * scene.duration / 4
+        reached = last - first + 1 + 2 * PAD + scene.total_phase / 4
         return min(scene.chain.grains, reached)
 
     def stepper(

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RunFailed
-from ...integrators.batch import ROUNDED
 from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, AuxiliaryRuns, compare
+from ...integrators.kernels.table import ROUNDED
 from ...integrators.method import Method
 from ...integrators.stepper import NativeStepper, Stepper, room_for
 from ...scene.scene import Scene
@@ -156,7 +156,7 @@ class Monitor:
         samples = self._scene.samples
         self._differences = np.zeros((self.runs, samples, size, 2))
         self._peaks = np.zeros((size, 2))
-        if self._chains.dissipation.acts:
+        if self._chains.arrays.damped:
             native.balance = np.zeros((1 + len(auxiliary.schedules), size, samples, 2))
 
     def make_room(self, samples: int) -> None:
@@ -166,14 +166,14 @@ class Monitor:
 
     def _allow_energy(self) -> Array:
         """Return what twice the kinetic energy cannot exceed, (R,) J."""
-        return self._chains.allowed
+        return self._chains.arrays.allowed
 
     def _bound_approach(self) -> Array:
         """Return how much closer than at rest grains can come, (R,) m, unless a run is unstable."""
         # the energy of the weakest motions underflows
         energy = np.maximum(self._allowed, np.finfo(float).tiny)
         bound = self._chains.contacts.overlap_bound(energy[:, None]).max(1)
-        if self._chains.imposed.acts:
+        if self._chains.arrays.acts:
             # no energy bounds what is driven; a million times its length no column survives
             lengths = [scene.chain.diameters.sum() for scene in self._scenes]
             bound = np.minimum(bound, 1e6 * min(lengths))
@@ -184,13 +184,13 @@ class Monitor:
 
         The first one follows at once where it may turn out that the scene cannot be predicted.
         """
-        samples = self._scene.samples
-        looks = place_looks(work_s, samples - 1, together)
-        evaluations = self._proposal.steps.total(samples - 1) * self._rounded_in_step
+        intervals = self._scene.intervals
+        looks = place_looks(work_s, intervals, together)
+        evaluations = self._proposal.steps.total(intervals) * self._rounded_in_step
         chaotic = any(
             self._may_grow(real, evaluations, self._hopeless) for real in range(len(self._scenes))
         )
-        return looks | {together} if chaotic and together < samples - 1 else looks
+        return looks | {together} if chaotic and together < intervals else looks
 
     def fills(self, answer: Stepper, u: Array, v: Array, first: int) -> list[Fill]:
         """Return the functions that move each stepper on, and fill u and v from a sample on."""
@@ -226,7 +226,7 @@ class Monitor:
         self.seconds += clock() - began
 
     def _describe_breakdown(self, sample: int, cause: str) -> str:
-        t = sample * self._scene.duration / (self._scene.samples - 1)
+        t = self._scene.time[sample]
         step = self._proposal.step
         return (
             f"{cause}, after t = {t:.4g} s at steps of {step:.3g} s: "
@@ -268,12 +268,12 @@ class Monitor:
     def _scale(self) -> Array:
         """Return the largest displacement and velocity, (R, 2) m and m/s, to which errors refer."""
         scale = self._largest_values()
-        if self._chains.dissipation.acts:
+        if self._chains.arrays.damped:
             # reduced velocities leave their rounding where nothing moves
-            scale[:, 1] = np.maximum(scale[:, 1], ROUNDED * self._chains.scale[:, 1])
+            scale[:, 1] = np.maximum(scale[:, 1], ROUNDED * self._chains.arrays.scale[:, 1])
         # where nothing is set in motion, units take its place
-        idle = self._chains.scale[:, 1] == 0.0
-        scale[idle] = self._chains.units[idle]
+        idle = self._chains.arrays.scale[:, 1] == 0.0
+        scale[idle] = self._chains.arrays.units[idle]
         scale[scale == 0.0] = 1.0
         return scale
 
@@ -398,7 +398,7 @@ class Monitor:
         field = late.argmax(1)[:, None]
         grown = np.take_along_axis(np.fmax(late, TINY) / np.fmax(early, TINY), field, 1)[:, 0]
         power = np.clip(np.log(grown) / math.log(LOOKS.window), 0.0, LOOKS.steepest)
-        remaining = (self._scene.samples - 1) / self.sample
+        remaining = self._scene.intervals / self.sample
         budgets = []
         for real, error in enumerate(self.errors()):
             truncation = error.truncation * remaining ** float(power[real])
@@ -436,13 +436,13 @@ class Monitor:
 
     def _free_flights(self, real: int, motion: LargestMotion) -> float:
         """Return the same where contacts open: none turns faster than the fastest motion."""
-        radians = self._scenes[real].highest_frequency * self._scenes[real].duration
+        radians = self._scenes[real].total_phase
         return max(min(self._flights(real, motion), radians), 1.0)
 
     def _round(self, real: int, motion: LargestMotion, flights: float) -> float:
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
-        radians = scene.highest_frequency * scene.duration
+        radians = scene.total_phase
         # what moves at all moves by more than the smallest double
         path = max(motion.velocity * scene.duration, SMALLEST)
         digit = last_digit(min(motion.displacement, motion.velocity, path))
@@ -462,7 +462,7 @@ class Monitor:
     def _may_amplify(self, real: int, motion: LargestMotion, estimate: float) -> bool:
         """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
-        complete = self.sample == self._scene.samples - 1
+        complete = self.sample == self._scene.intervals
         counts = min(estimate, self._proposal.tolerance)
         return complete and self._may_grow(real, motion.evaluations, counts)
 
@@ -490,7 +490,7 @@ class TwinMonitor(Monitor):
 
     def _allow_energy(self) -> Array:
         """Return what twice the kinetic energy cannot exceed, (R,) J, with heights rounded."""
-        steps = self._proposal.steps.total(self._scene.samples - 1)
+        steps = self._proposal.steps.total(self._scene.intervals)
         rounded = rounded_energy(self._scene, steps * self._method.evaluations)
         return super()._allow_energy() + 3 * rounded
 

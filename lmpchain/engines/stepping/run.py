@@ -116,7 +116,7 @@ class SteppingRun(Run):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer; samples that a restored state already had are not repeated."""
-        final = self.scene.samples - 1
+        final = self.scene.intervals
         while self._sample < final:
             if self._sample in self._looks:
                 self.judge(self)

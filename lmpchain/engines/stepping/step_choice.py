@@ -20,7 +20,7 @@ from ...integrators.method import Method
 from ...integrators.steps import MANY_STEPS, Steps
 from ...scene.scene import Scene
 from ..base import ErrorBudget
-from .auxiliary_runs import LONGER, OPENINGS, dies
+from .auxiliary_runs import DIES, LONGER, OPENINGS
 from .estimate import TRUST
 from .round_off import interpolation_loss
 
@@ -179,7 +179,7 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     if step * edge > stable:
         why = f"where {method.name} stops being stable on this chain (got {step:g})"
         raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
-    interval = scene.duration / (scene.samples - 1)
+    interval = scene.sampling_interval
     if not interval / step < MOST_STEPS:
         least = f"longer than {interval / MOST_STEPS:.1g} s"
         raise InputError.at("step", f"must be {least}, or steps cannot be counted (got {step:g})")
@@ -202,14 +202,14 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     may_open = scene.largest_strain > FIRST_STEP.safe_strain
     shortens = adaptive and method.adaptive and may_open
     reach = expected_reach(scene, method, tolerance, shortens)
-    interval = scene.duration / (scene.samples - 1)
-    phase = scene.highest_frequency * scene.duration / (scene.samples - 1)
+    interval = scene.sampling_interval
+    phase = scene.sampling_phase
     steps = math.ceil(phase / reach)
     # Two companions land on every sample, by halves, thirds or quarters of its steps.
-    while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and dies(scene):
+    while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and scene.sampling_decay > DIES:
         steps += 1
     coarse = False
-    if shortens and not OPENINGS.kinks(scene.chain.exponent):
+    if shortens and not OPENINGS.kinks(scene.chain.law.onset):
         # where samples hold steps short, shorter ones near openings would only cost
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
@@ -229,7 +229,7 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     strain = scene.largest_strain
     if strain == math.inf:
         tolerance = max(tolerance, FIRST_STEP.foreseen)
-    radians = scene.highest_frequency * scene.duration
+    radians = scene.total_phase
     error = method.error_constant
     # an order of 1 loses nothing where contacts open, and the motion dies away as its error grows
     if method.order > 1:
@@ -265,16 +265,16 @@ def _pass_samples(
     """
     smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
     rate = phase / min(reach, smooth)  # steps a sample
-    if interpolation_loss(rate * (scene.samples - 1)) > tolerance / TRUST.safety:
+    if interpolation_loss(rate * scene.intervals) > tolerance / TRUST.safety:
         return None
     steps, stride = land(scene, rate)
     if not 1 < stride <= INTERPOLATION.values // scene.chain.grains:
         return None
-    return Steps.spread(scene.duration / (scene.samples - 1), steps, stride, adaptive)
+    return Steps.spread(scene.sampling_interval, steps, stride, adaptive)
 
 
 def land(scene: Scene, rate: float) -> tuple[int, int]:
     """Return steps and samples from one landing to the next, at about so many steps a sample."""
     # blocks of samples are multiples of 4 long
-    stride = min(scene.samples - 1, 4 * math.ceil(INTERPOLATION.steps / rate / 4))
+    stride = min(scene.intervals, 4 * math.ceil(INTERPOLATION.steps / rate / 4))
     return math.ceil(rate * stride), stride

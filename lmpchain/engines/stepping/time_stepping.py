@@ -113,7 +113,7 @@ class TimeSteppingEngine(Engine):
     ) -> Proposal:
         """Propose these steps of a method."""
         fixed = self.step is not None
-        cost_s = self.cost(scene, method, steps.total(scene.samples - 1))
+        cost_s = self.cost(scene, method, steps.total(scene.intervals))
         # years of work are a slip in a unit, as seconds for microseconds
         if cost_s > LONGEST_RUN_S:
             years = cost_s / 3.15e7
@@ -190,6 +190,12 @@ class TimeSteppingEngine(Engine):
         gains = steps.per_landing >= STEP_CONTROL.least * fewer
         return proposal.with_steps(steps.shortened(fewer)) if gains and not proposal.fixed else None
 
+    def batch_key(self, scene: Scene, proposal: Proposal) -> tuple:
+        """Return a key of scenes of one kind that take the same steps."""
+        steps = proposal.steps
+        longer = longer_steps(BY_NAME[proposal.integrator], scene, steps)
+        return *kind(scene), steps, proposal.integrator, *longer, *proposal.choices.items()
+
     def start(
         self,
         scenes: Sequence[Scene],
@@ -203,7 +209,7 @@ class TimeSteppingEngine(Engine):
         method = BY_NAME[proposal.integrator]
         scene = scenes[0]
         # as shipped: where a run is judged must not rest on the speed of a machine
-        evaluations = method.evaluations * proposal.steps.total(scene.samples - 1)
+        evaluations = method.evaluations * proposal.steps.total(scene.intervals)
         work_s = self.seconds_per_grain_step * evaluations * scene.chain.grains * len(scenes)
         auxiliary = AuxiliarySteps(method, scenes, proposal.steps, self.monitor.twins)
         schedules = proposal.steps, *auxiliary.schedules
@@ -226,18 +232,6 @@ def kind(scene: Scene) -> tuple:
     chain = scene.chain
     excitation = scene.excitation
     ends = chain.top, chain.bottom, chain.loose_grains
-    built = chain.grains, *ends, chain.exponent, chain.compressed, chain.damped
+    built = chain.grains, *ends, chain.law, chain.compressed, chain.damped
     acted = excitation.driven, excitation.does_work
     return *built, *acted, scene.samples, scene.duration, scene.grains
-
-
-def alike(scene: Scene, proposal: Proposal) -> tuple:
-    """Return a key of scenes whose answers and errors in a batch are those that they have alone."""
-    longer = longer_steps(BY_NAME[proposal.integrator], scene, proposal.steps)
-    return (
-        *kind(scene),
-        proposal.steps,
-        proposal.integrator,
-        *longer,
-        *proposal.choices.items(),
-    )

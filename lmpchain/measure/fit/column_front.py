@@ -55,7 +55,7 @@ def strike_at_top(trajectory: Trajectory) -> float:
         faults.append(("gravity", "takes a column under gravity alone, without a top load"))
     if chain.top != "free":
         faults.append(("top", "takes a free top, not a wall"))
-    if chain.exponent >= 3:
+    if chain.law.power_of("the front of a column") >= 3:
         faults.append(
             ("exponent", "takes one below 3: from there on waves are dispersed at the top")
         )
@@ -63,8 +63,8 @@ def strike_at_top(trajectory: Trajectory) -> float:
         faults.append(("grains", "takes several: a single one has no wave"))
     elif not is_uniform(chain):
         faults.append(("material", "takes equal grains, as the column of the paper has"))
-    if not excitation.strikes_top or not excitation.strike_velocity:
+    if not excitation.strikes_top or not scene.strike_velocity:
         faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
     if faults:
         raise InputError(faults)
-    return excitation.strike_velocity
+    return scene.strike_velocity

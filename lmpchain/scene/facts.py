@@ -1,0 +1,451 @@
+"""Facts that follow from a scene: its times, strengths, frequencies and reach.
+
+Each fact has one definition, here, and is computed once, when it is first read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import InstanceOf
+
+from ..chain.chain import Chain
+from ..chain.contacts import FEW_GRAINS
+from ..chain.plausible import LIMITS
+from ..util.arrays import Array, as_slice, read_only
+from ..util.caching import cached_property
+from ..util.validation import make_unchecked
+from .base import Excitation
+from .recording import Recording
+
+Part = TypeVar("Part", bound="SceneFacts")
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Limits of the cut of a chain to the grains that the wave can have reached.
+
+    Attributes
+    ----------
+    unseen : float
+        Motion over that of the grain that is struck which no answer holds.
+    share : float
+        Of the grains: where more are reached, all are computed
+        (analysis/calibration/light_cone.py).
+    shortest : int
+        Grains: a shorter chain is computed as a whole, for less than it takes to cut it.
+    """
+
+    unseen: float = 1e-22
+    share: float = 0.7
+    shortest: int = 128
+
+
+CUT = Cut()
+
+
+class LightCone(NamedTuple, Generic[Part]):
+    """The part of a scene that a wave can have reached; the rest need not be computed.
+
+    Attributes
+    ----------
+    scene : Scene
+        That part with all of its grains recorded.
+    rows : slice or (C,) array
+        Indices, among the recorded grains of that part, of those that the whole scene records.
+    columns : slice or (C,) array
+        Their places among the recorded grains of the whole scene.
+    """
+
+    scene: Part
+    rows: slice | NDArray[np.intp]
+    columns: slice | NDArray[np.intp]
+
+
+class SceneFacts(Recording):
+    """A chain, an excitation and a recording, with all that follows from them before a run.
+
+    `Scene` inherits these facts. Facts of the chain alone are those of `Chain`.
+    """
+
+    chain: Chain
+    excitation: InstanceOf[Excitation]
+
+    # Times and grains.
+
+    @cached_property
+    def time(self) -> Array:
+        """Recorded times, (T,) s."""
+        return read_only(np.linspace(0.0, self.duration, self.samples))
+
+    @cached_property
+    def intervals(self) -> int:
+        """Number of sampling intervals."""
+        return self.samples - 1
+
+    @cached_property
+    def sampling_interval(self) -> float:
+        """Time from one sample to the next, s."""
+        return self.duration / self.intervals
+
+    @cached_property
+    def recorded(self) -> NDArray[np.int64]:
+        """Recorded grains, (G,) numbers from 1."""
+        return read_only(self.numbers(self.chain))
+
+    @cached_property
+    def corners(self) -> tuple[float, ...]:
+        """Times between t = 0 and the end at which the applied force or motion has a kink, s."""
+        waveform = self.excitation.waveform
+        if waveform is None:
+            return ()
+        return tuple(t for t in waveform.corners if 0.0 < t < self.duration)
+
+    # Strength of the excitation.
+
+    @property
+    def strike_velocity(self) -> float:
+        """Velocity given to one grain at t = 0, m/s; 0 for any other excitation."""
+        return self.excitation.strike_velocity
+
+    @cached_property
+    def _surroundings(self) -> tuple[int, Self]:
+        """The grains that the excitation moves, with their neighbours: first number, and scene.
+
+        The whole scene if its chain is short, because its contacts are then known as soon.
+        """
+        if self.chain.grains <= FEW_GRAINS:
+            return 1, self
+        top, bottom = self.excitation.reach(self.chain)
+        first = self.chain.first_of_part(max(1, top - 1))
+        return first, self.part(first, min(self.chain.grains, bottom + 2))
+
+    @cached_property
+    def imposed(self) -> tuple[float, float]:
+        """The largest displacement and speed that the excitation imposes, m and m/s."""
+        _, near = self._surroundings
+        return near.excitation.strongest(near.chain)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the excitation moves nothing."""
+        return not any(self.imposed)
+
+    @cached_property
+    def energy(self) -> float:
+        """Energy above rest at t = 0, J; infinite if the excitation does work later."""
+        _, near = self._surroundings
+        return near.excitation.energy(near.chain)
+
+    @cached_property
+    def strike_number(self) -> float:
+        """Strike over what the contact below a grain holds: v0 / (eps_n omega_n) or phi_0 / eps_n.
+
+        Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
+        """
+        _, near = self._surroundings
+        chain = near.chain
+        excitation = near.excitation
+        contacts = chain.contacts
+        loose = chain.loose_grains
+        # For one struck grain no arrays over all others are needed.
+        if self.strike_velocity and chain.compressed:
+            n = excitation.grain  # type: ignore[attr-defined]
+            if n <= loose:
+                return np.inf
+            omega = (contacts.stiffness[n] / chain.masses[n - 1]) ** 0.5
+            return float(abs(self.strike_velocity) / (contacts.overlap[n] * omega))
+        moving = slice(0, chain.movable)
+        displacement, velocity = (np.abs(values[moving]) for values in excitation.largest(chain))
+        # Contacts that carry nothing at rest are as in the sonic vacuum.
+        free = slice(0, loose if chain.compressed else None)
+        if displacement[free].any() or velocity[free].any():
+            return np.inf
+        if not chain.compressed:
+            return 0.0
+        overlap = contacts.overlap[1:][moving][loose:]
+        omega = np.sqrt(contacts.stiffness[1:][moving][loose:] / chain.masses[moving][loose:])
+        shift = displacement[loose:] / overlap
+        return float(max(shift.max(), (velocity[loose:] / (overlap * omega)).max()))
+
+    # Overlaps and strains.
+
+    @cached_property
+    def first_overlaps(self) -> Array:
+        """The largest overlap of every contact at t = 0 or in the first collision, (N+1,) m.
+
+        Two bodies that approach with the relative velocity v, and nothing around them, come closer
+        than at rest by r with ``K r^(delta+1) / (delta+1) = mu v^2 / 2``, mu their reduced mass.
+        """
+        chain = self.chain
+        excitation = self.excitation
+        contacts = chain.contacts
+        displacement, velocity = excitation.initial(chain)
+        # Driven grains, held grains and walls do not give way.
+        inverse_mass = np.zeros(chain.grains + 2)
+        moving = slice(excitation.driven, chain.movable)
+        inverse_mass[1:-1][moving] = 1 / chain.masses[moving]
+        closer = contacts.closer(displacement)
+        approach = contacts.closer(excitation.largest(chain)[1])
+        # A driven body moves both ways, and squeezes the contacts on either side of it in turn.
+        if excitation.does_work:
+            closer = np.abs(closer)
+            approach = np.abs(approach)
+        approach = np.maximum(approach, 0.0)
+        # Grain 1 rests when the wall arrives, or moves towards it.
+        if excitation.wall:
+            approach[0] = excitation.wall.largest(1) + max(-velocity[0], 0.0)
+        collision = contacts.collision_overlap(approach, inverse_mass[:-1] + inverse_mass[1:])
+        overlaps = np.maximum(contacts.overlap + contacts.exists * closer, collision)
+        return read_only(overlaps)
+
+    @cached_property
+    def _first_overlap_bound(self) -> float:
+        """Bound on `first_overlaps` without arrays, m; infinite if none is known."""
+        bounds = self.chain.bounds
+        speed = self.strike_velocity
+        return bounds.struck(speed) if bounds and speed else np.inf
+
+    @property
+    def _gentle(self) -> bool:
+        """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
+        # With arrays of all contacts in place of bounds, a run of 100 grains takes a fifth longer.
+        bounds = self.chain.bounds
+        return (
+            bounds is not None
+            and self._first_overlap_bound <= LIMITS.hertz_compression * bounds.narrowest
+            and abs(self.strike_velocity) <= bounds.slowest
+        )
+
+    @cached_property
+    def first_squeeze(self) -> tuple[int, float]:
+        """The contact that is squeezed most at first, and its overlap over the mean diameter."""
+        first, near = self._surroundings
+        # A strike that is refused may overflow.
+        with np.errstate(over="ignore"):
+            compression = near.first_overlaps / near.chain.contact_lengths
+        worst = int(compression.argmax())
+        return worst + first - 1, float(compression[worst])
+
+    def strike_faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault if a contact is squeezed beyond the range of Hertz's law at first."""
+        contact, compression = self.first_squeeze
+        # A compression that is not a number is refused, too.
+        if not compression <= LIMITS.compression:
+            than = f"of the diameter, more than {LIMITS.compression:g}: strike more gently"
+            yield self._strength, f"squeezes contact {contact} to {compression:.2g} {than}"
+
+    @property
+    def _strength(self) -> str:
+        """The key of the scene file that sets how strong the excitation is."""
+        return "kind" if self.excitation.does_work else self.excitation.strength[0]
+
+    @cached_property
+    def overlap_bounds(self) -> Array:
+        """Bounds on the overlap of every contact at any time, (N+1,) m, by the energy."""
+        return read_only(self.chain.contacts.overlap_bound(self.energy))
+
+    @cached_property
+    def largest_strain(self) -> float:
+        """A bound on ``|r / eps|`` of all contacts, rigorous while it is small; else infinite."""
+        return float(self.chain.contacts.largest_strain(self.energy))
+
+    @cached_property
+    def linear_strain(self) -> float:
+        """A bound on ``|r / eps|`` of every contact of the linear chain at any time, or infinity.
+
+        Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its
+        compliance c is 1/k or, between two ends that stand still, where the others must give way,
+        ``(1 - (1/k) / sum 1/k) / k``. What drives a viscous contact works against more than
+        stiffness.
+        """
+        contacts = self.chain.contacts
+        k = contacts.stiffness
+        pressed = contacts.pressed
+        # A contact that only touches opens at once: linear theory has no bound there.
+        if not (pressed == contacts.exists).all() or not pressed.any():
+            return np.inf
+        compliance = np.divide(1.0, k, out=np.zeros(k.size), where=pressed)
+        does_work = self.excitation.does_work
+        # With a wall at the top both ends stand still, unless the excitation does work.
+        if pressed[0] and not does_work:
+            compliance *= 1 - compliance / compliance.sum()
+        norm = self.excitation.energy_norm(self.chain, self.duration)
+        bound = float(norm * (np.sqrt(compliance[pressed]) / contacts.overlap[pressed]).max())
+        if does_work:
+            bound *= 1 + self.chain.damping.longest_time * self.linear_frequency
+        return bound
+
+    # Frequencies and phases.
+
+    @cached_property
+    def linear_frequency(self) -> float:
+        """The highest frequency in the linear solution, rad/s: band edge or forcing."""
+        return max(self.chain.band_edge, self.excitation.fastest)
+
+    @cached_property
+    def fastest_motion(self) -> float:
+        """The highest frequency that can be excited without damping, rad/s; 0 if nothing moves.
+
+        The band edge of the chain at rest, that of two grains pressed together by the strike, or
+        that of the forcing.
+        """
+        bounds = self.chain.bounds
+        fastest = self.linear_frequency
+        # A bound below the other frequencies spares the overlaps of all contacts.
+        if not (bounds and bounds.frequency(self._first_overlap_bound) <= fastest):
+            stiffness = self.chain.contacts.stiffness_bound(self.first_overlaps).max()
+            fastest = max(fastest, math.sqrt(2 * stiffness / self.chain.masses.min()))
+        return float(fastest)
+
+    @cached_property
+    def highest_frequency(self) -> float:
+        """The bound on the steps of every method, rad/s: the highest frequency that can be excited.
+
+        Or the rate at which damping stops the fastest motion.
+        """
+        # Without a load, a chain that is not struck has no frequency: any one above 0 serves.
+        return self.chain.damping.fastest_rate(self.fastest_motion) or 1 / self.duration
+
+    @cached_property
+    def total_phase(self) -> float:
+        """Phase of the fastest motion over the whole run, rad."""
+        return self.highest_frequency * self.duration
+
+    @cached_property
+    def sampling_phase(self) -> float:
+        """Phase of the fastest motion in a sampling interval, rad."""
+        return self.total_phase / self.intervals
+
+    @cached_property
+    def sampling_decay(self) -> float:
+        """Exponent of the decay of the fastest motion by damping in a sampling interval."""
+        return self.chain.damping.decay(self.highest_frequency, self.sampling_interval)
+
+    @property
+    def damping_effect(self) -> float:
+        """Estimate of the relative change if damping is left out, at most 1; 0 without damping."""
+        return self.chain.damping.effect(self.fastest_motion, self.duration)
+
+    # Reach of the wave.
+
+    @cached_property
+    def light_cone(self) -> LightCone[Self] | None:
+        """The grains that the wave can have reached at the end; None if that is all of them."""
+        first, last = find_reached(self)
+        if last - first + 1 == self.chain.grains:
+            return None
+        recorded = self.recorded
+        columns = np.flatnonzero((recorded >= first) & (recorded <= last))
+        return LightCone(self.part(first, last), recorded[columns] - first, as_slice(columns))
+
+    @property
+    def reached(self) -> Self:
+        """The scene of the grains that the wave can have reached, recorded if not all."""
+        return self.light_cone.scene if self.light_cone else self
+
+    def part(self, first: int, last: int) -> Self:
+        """Return grains first ... last, all recorded: right until a wave meets their ends."""
+        # A part of a valid scene is valid.
+        return make_unchecked(
+            type(self),
+            chain=self.chain.part(first, last),
+            excitation=self.excitation.part(first, last),
+            duration=self.duration,
+            samples=self.samples,
+        )
+
+
+def find_reached(scene: SceneFacts) -> tuple[int, int]:
+    """Return the first and last grain that can have moved by 1e-22 of the strike at the end.
+
+    Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel
+    function I_2d(W t) over d grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms
+    of the series of the exact solution are positive there. The stiffest contact is bounded by the
+    energy above rest; a driven chain has no such bound, and the light cone is all of it. A drag
+    leaves the bound as it is; with viscous contacts it is that of `_damped_distance`.
+    """
+    chain = scene.chain
+    grains = chain.grains
+    if not math.isfinite(scene.energy) or grains < CUT.shortest:
+        return 1, grains
+    top, bottom = scene.excitation.reach(chain)
+    # the stiffest contact within reach decides how far that is: look further until it suffices
+    reach = 32
+    while True:
+        first = chain.first_of_part(max(1, top - reach))
+        last = min(grains, bottom + reach)
+        if last - first + 1 > CUT.share * grains:
+            return 1, grains
+        omega = _fastest(scene, first, last)
+        viscosity = chain.damping.longest_time
+        if viscosity > 0:
+            needed = _damped_distance(omega * viscosity, omega * scene.duration)
+        else:
+            needed = _distance(2 * omega * scene.duration)
+        if needed <= reach:
+            return chain.first_of_part(max(1, top - needed)), min(grains, bottom + needed)
+        reach = max(needed, 2 * reach)
+
+
+def _fastest(scene: SceneFacts, first: int, last: int) -> float:
+    """Bound sqrt(k_max / m_min), rad/s, of grains first ... last by the energy above rest."""
+    chain = scene.chain
+    if chain.grains <= FEW_GRAINS:
+        stiffness = chain.contacts.stiffness_bound(scene.overlap_bounds)
+        # contacts between these grains, and those with the walls of the chain
+        stiffness = stiffness[first - (first == 1) : last + (last == chain.grains)]
+        masses = chain.masses[first - 1 : last]
+    else:
+        # the arrays of a long chain take long: those of the piece suffice
+        piece = chain.part(first, last)
+        stiffness = piece.contacts.stiffness_bound(piece.contacts.overlap_bound(scene.energy))
+        masses = piece.masses
+    return math.sqrt(float(stiffness.max()) / masses.min())
+
+
+def _distance(x: float) -> int:
+    """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is too small to be seen.
+
+    The logarithm of that is concave where it falls: Newton's method ends beyond its root, never
+    before.
+    """
+    d = max(8.0, x / 2)
+    log = math.log(x / 2 + 1e-300)
+    square = x * x
+    correction = 1.0
+    while abs(correction) > 0.5 and d >= 8:
+        excess = 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) - math.log(CUT.unseen)
+        # the derivative of log (2d)! is nearly 2 log(2d + 1/2)
+        slope = 2 * (math.log(2 * d + 0.5) - log) + 8 * square / (8 * d + 4) ** 2
+        correction = excess / slope
+        d += correction
+    return max(8, math.ceil(d)) + 2
+
+
+def _damped_distance(viscosity: float, time: float) -> int:
+    """Return d from which no displacement behind viscous contacts is large enough to be seen.
+
+    Springs k (1 + A d/dt) between masses m pass on at most what follows from x'' = (k/m) (1 + A
+    d/dt) (x_(n-1) + 2 x_n + x_(n+1)), whose terms are all positive. Its Laplace transform falls by
+    the factor q a grain, with q + 1/q + 2 = s^2 / (k/m) / (1 + A s), so that no more than s exp(s
+    t) q^d arrives over d grains, for any s at which q < 1 exists.
+
+    Parameters
+    ----------
+    viscosity, time : float
+        A and t in units of sqrt(m / k).
+    """
+    rates = np.geomspace(2.0, 1e6, 400)
+    # q + 1/q - 2, which is above 0 where the transform falls
+    excess = rates**2 / (1 + viscosity * rates) - 4
+    falls = excess > 0
+    rates = rates[falls]
+    exponent = rates * time + np.log(rates) - math.log(CUT.unseen)
+    needed = exponent / np.arccosh(1 + excess[falls] / 2)
+    return max(8, math.ceil(float(needed.min(initial=2.0**31)))) + 2
