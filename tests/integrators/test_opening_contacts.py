@@ -174,7 +174,7 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     engine = Native("rkn6")
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
     # nor are samples interpolated
-    monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
+    monkeypatch.setattr(step_choice, "_pass_samples", lambda *_: None)
     candidate = engine.propose(scene, 1e-4)
     truth = reference(scene)
     costs = []
@@ -203,7 +203,7 @@ def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too(
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))
     springs = scene.replace(chain=scene.chain.replace(exponent=1.0))
     engine = Native("rkn6")
-    monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
+    monkeypatch.setattr(step_choice, "_pass_samples", lambda *_: None)
     assert engine.propose(scene, 1e-2).steps.coarse_openings
     assert not Native("rkn6").propose(scene, 1e-12).steps.coarse_openings
     assert not Native("rkn6").propose(springs, 1e-2).steps.coarse_openings

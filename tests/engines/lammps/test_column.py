@@ -355,11 +355,10 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
     scene = paper("weak", 3)
     loose, tight = (Lammps().propose(scene, tolerance) for tolerance in (1e-2, 1e-6))
     assert loose.choices["diameter"] == "physical"
-    assert loose.choices["drawn_m"] == "0.0"
+    assert loose.choices["drawn_m"] == 0.0
     assert tight.choices["diameter"] == "gauge"
-    assert (
-        float(tight.choices["drawn_m"]) == float(tight.choices["gauge_m"]) == gauge_diameter(scene)
-    )
+    assert tight.choices["drawn_m"] == tight.choices["gauge_m"] == gauge_diameter(scene)
+    assert tight.record()["drawn_m"] == repr(gauge_diameter(scene))
     assert "1e-06 is asked for" in tight.choices["why"]
     assert "round-off in heights leaves about" in tight.choices["why"]
     assert tight.solver_error <= 1e-6
