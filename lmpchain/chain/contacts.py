@@ -110,7 +110,7 @@ class Contacts:
         """Return `ContactLaw.bend` of the contacts at rest, (..., N+1); 0 if they carry nothing."""
         return np.where(self.pressed, self.law.bend(self), 0.0)
 
-    def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
+    def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return these contacts of one chain, or the contacts of these of many chains."""
         return Contacts(self.law, *(values[numbers] for values in self._arrays))
 
@@ -204,5 +204,8 @@ class Contacts:
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
     """Return the contacts of R chains of one length as one, (R, N+1), for compiled loops."""
+    if len(contacts) == 1:
+        # views of the arrays of this chain
+        return contacts[0].of(np.newaxis)
     rows = map(np.array, zip(*(chain._arrays for chain in contacts), strict=True))
     return Contacts(contacts[0].law, *rows)

@@ -8,6 +8,7 @@ import numba
 
 from ..errors import InputError, shown
 from ..integrators.batch import FORCES
+from ..integrators.damped_verlet import LAGGED
 from ..scene.scene import Scene
 from ..util.arrays import check_flags
 from ..util.plotting import COLOURS
@@ -44,6 +45,7 @@ class Native(CompiledSteps):
 
     auto = "cheapest"
     style = (COLOURS["blue"], "s")
+    foreign: ClassVar[tuple[str, ...]] = (LAGGED.name,)
     batches: ClassVar[bool] = True
 
     def __init__(

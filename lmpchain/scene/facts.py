@@ -106,6 +106,11 @@ class SceneFacts(Recording):
             return ()
         return tuple(t for t in waveform.corners if 0.0 < t < self.duration)
 
+    @cached_property
+    def corner_spacing(self) -> float:
+        """Least time between kinks of the applied force or motion, s; infinite without kinks."""
+        return self.excitation.corner_spacing
+
     # Strength of the excitation.
 
     @property
@@ -211,7 +216,7 @@ class SceneFacts(Recording):
         speed = self.strike_velocity
         return bounds.struck(speed) if bounds and speed else np.inf
 
-    @property
+    @cached_property
     def _gentle(self) -> bool:
         """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
         # With arrays of all contacts in place of bounds, a run of 100 grains takes a fifth longer.

@@ -47,6 +47,9 @@ from .stepper import LammpsStepper, word
 LOG = "log.lammps"
 DECK = "deck"
 UNKEPT = ("keep", "template")  # options with which a run cannot go on in another process
+# Each drift of a splitting is a run of its own, with commands and kicks from outside: the time of a
+# step of so many grains, some 14 us.
+RUN_OVERHEAD = 200
 DIAMETERS = ("auto", "physical", "gauge")
 
 
@@ -289,6 +292,10 @@ class Lammps(TimeSteppingEngine):
                 f"{floor:.1g} here, above the tolerance of {tolerance:.1g}: {cure}"
             )
         return small
+
+    def overhead(self, method: Method) -> int:
+        """Return what a force evaluation takes besides its grains, in grains."""
+        return super().overhead(method) if method.order <= 2 else RUN_OVERHEAD
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
         """Return a bound on the relative round-off of a run, from the last digit of a height.

@@ -269,8 +269,12 @@ class Monitor:
         """Return the largest displacement and velocity, (R, 2) m and m/s, to which errors refer."""
         scale = self._largest_values()
         if self._chains.arrays.damped:
-            # reduced velocities leave their rounding where nothing moves
-            scale[:, 1] = np.maximum(scale[:, 1], ROUNDED * self._chains.arrays.scale[:, 1])
+            # If nothing moves, the velocities are the rounding errors of reduced velocities.
+            closest = self.native.closest()[0].tolist()
+            largest = scale[:, 0].tolist()
+            lost = [*map(reduced_loss, self._scenes, largest, closest)]
+            floor = np.where(scale[:, 1] <= lost, ROUNDED * self._chains.arrays.scale[:, 1], 0.0)
+            scale[:, 1] = np.maximum(scale[:, 1], floor)
         # where nothing is set in motion, units take its place
         idle = self._chains.arrays.scale[:, 1] == 0.0
         scale[idle] = self._chains.arrays.units[idle]

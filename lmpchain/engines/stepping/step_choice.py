@@ -251,7 +251,7 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     if adaptive:
         # all runs end steps on the corners of what acts: the longest steps of a companion, too, fit
         # between two corners, or those of all would be cut to the same length
-        spacing = scene.excitation.corner_spacing / LONGER[-1]
+        spacing = scene.corner_spacing / LONGER[-1]
         reach = min(reach, scene.highest_frequency * spacing)
     return reach
 
