@@ -26,17 +26,15 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 from lmpchain.engines.base import ErrorBudget, Proposal
-from lmpchain.engines.stepping.amplification import (
+from lmpchain.engines.stepping.auxiliary_runs import TRUST, estimate_truncation
+from lmpchain.engines.stepping.rounding import (
     GROWTH,
+    accumulate,
     amplify_rounding,
     could_grow,
-    perturb,
-)
-from lmpchain.engines.stepping.estimate import TRUST, estimate_truncation
-from lmpchain.engines.stepping.round_off import (
-    accumulate,
     interpolation_loss,
     native_floor,
+    perturb,
     plain_loss,
     rounded_energy,
 )

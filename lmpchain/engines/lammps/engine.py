@@ -382,7 +382,7 @@ class Lammps(TimeSteppingEngine):
             BY_NAME[proposal.integrator],
             twin,
             restrict("native", state),
-            companions=beside,
+            auxiliary=beside,
         )
         answer = self.stepper(scenes, proposal, schedules, restrict("answer", state))
         return {"answer": answer, "native": native}

@@ -16,7 +16,7 @@ from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ..base import Proposal
-from .round_off import native_floor, plain_loss
+from .rounding import native_floor, plain_loss
 from .time_stepping import TimeSteppingEngine
 
 

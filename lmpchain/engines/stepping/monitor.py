@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RunFailed
-from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, AuxiliaryRuns, compare
+from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, compare
 from ...integrators.kernels.table import ROUNDED
 from ...integrators.method import Method
 from ...integrators.stepper import NativeStepper, Stepper, room_for
@@ -25,21 +25,19 @@ from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import EPSILON, SMALLEST, Array, last_digit
 from ...util.compilation import clock
 from ..base import ErrorBudget, Proposal
-from .amplification import (
+from .auxiliary_runs import OPENINGS, AuxiliarySteps
+from .rounding import (
     GROWTH,
     amplify_rounding,
     could_grow,
     count_digits,
-    grow_digit,
-    repeat_rounding,
-)
-from .auxiliary_runs import OPENINGS, AuxiliarySteps
-from .round_off import (
     drift,
+    grow_digit,
     interpolation_loss,
     native_floor,
     plain_loss,
     reduced_loss,
+    repeat_rounding,
     rounded_energy,
 )
 
@@ -213,7 +211,7 @@ class Monitor:
     def compare(self, u: Array, v: Array, first: int, until: int) -> None:
         """Check samples `first` ... `until`, and store their distances from the auxiliary runs."""
         began = clock()
-        runs = AuxiliaryRuns(*self._fields, self._auxiliary.against, self._auxiliary.strides)
+        runs = (*self._fields, self._auxiliary.against, self._auxiliary.strides)
         verdict = compare(
             u, v, runs, first, self._chains.masses, self._allowed, self._differences, self._peaks
         )
@@ -249,7 +247,7 @@ class Monitor:
         return self.native.watched["least_strain"].reshape(-1, len(self._scenes)).min(0)
 
     def errors(self) -> list[ErrorBudget]:
-        """Return the estimate for every realisation; see `estimate` for the formula."""
+        """Return the estimate for every realisation; see `auxiliary_runs` for the formula."""
         scale = self._scale()
         distances = self._differences.max(1) / scale  # (S, R, 2)
         distances[np.isnan(distances)] = np.inf

@@ -20,9 +20,8 @@ from ...integrators.method import Method
 from ...integrators.steps import MANY_STEPS, Steps
 from ...scene.scene import Scene
 from ..base import ErrorBudget
-from .auxiliary_runs import DIES, LONGER, OPENINGS
-from .estimate import TRUST
-from .round_off import interpolation_loss
+from .auxiliary_runs import DIES, LONGER, OPENINGS, TRUST
+from .rounding import interpolation_loss
 
 
 @dataclass(frozen=True)
