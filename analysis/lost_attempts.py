@@ -51,12 +51,12 @@ def springs() -> Scene:
 @contextmanager
 def unseen() -> Iterator[None]:
     """Have every attempt run to its end."""
-    looks = monitor.LOOKS
-    monitor.LOOKS = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
+    looks = monitor.JUDGING
+    monitor.JUDGING = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
     try:
         yield
     finally:
-        monitor.LOOKS = looks  # type: ignore[misc]
+        monitor.JUDGING = looks  # type: ignore[misc]
 
 
 class Watched(Native):
@@ -96,7 +96,7 @@ def spend_last(scene: Scene, step_s: float) -> float:
     engine = Native()
     candidate = engine.propose(scene, TOLERANCE)
     steps = round(candidate.steps.per_landing * candidate.step / step_s)
-    run = engine.start([scene], candidate.with_steps(candidate.steps.shortened(steps)))
+    run = engine.start([scene], candidate.with_steps(candidate.steps.shorten(steps)))
     began = time.process_time()
     for _ in run.blocks():
         pass

@@ -154,7 +154,7 @@ def with_reach(scene: Scene, candidate: Proposal, reach: float) -> Proposal:
 
 def sampled(candidate: Proposal, count: int) -> Proposal:
     """Return a candidate with so many steps from sample to sample."""
-    return candidate.with_steps(candidate.steps.sampled.shortened(count))
+    return candidate.with_steps(candidate.steps.sampled.shorten(count))
 
 
 @contextmanager
@@ -270,7 +270,7 @@ class Job(NamedTuple):
             if self.longer > 1:
                 steps = math.ceil(attempt.proposal.steps.per_landing / self.longer)
                 attempt = attempt._replace(
-                    proposal=attempt.proposal.with_steps(attempt.proposal.steps.shortened(steps))
+                    proposal=attempt.proposal.with_steps(attempt.proposal.steps.shorten(steps))
                 )
             outcome = solve_to_tolerance(self.engine, [self.scene], attempt, collect)
         except (RunFailed, ToleranceNotMet):

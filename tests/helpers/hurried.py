@@ -25,7 +25,7 @@ def main(words: list[str]) -> int:
     def propose(engine, *arguments):
         right = honest(engine, *arguments)
         count = right.steps.per_landing
-        steps = right.steps.shortened(count if engine.step else max(1, count // LONGER))
+        steps = right.steps.shorten(count if engine.step else max(1, count // LONGER))
         return right.with_steps(steps)
 
     time_stepping.TimeSteppingEngine.propose = propose

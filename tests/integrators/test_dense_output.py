@@ -178,7 +178,7 @@ def test_rounding_of_samples_between_short_steps_is_known():
     truth = reference(scene)
     candidate = engine.propose(scene, 1e-6)
     assert candidate.steps.stride > 1
-    shorter = candidate.steps.shortened(50 * candidate.steps.per_landing)
+    shorter = candidate.steps.shorten(50 * candidate.steps.per_landing)
     run = engine.start([scene], candidate.with_steps(shorter))
     blocks = list(run.blocks())
     u, v = (

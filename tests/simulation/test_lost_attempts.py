@@ -43,7 +43,7 @@ def springs(duration: float) -> Scene:
 @pytest.fixture
 def early(monkeypatch):
     """Have short runs judged, too."""
-    monkeypatch.setattr(monitor, "LOOKS", JudgingTimes(begin_s=1e-5))
+    monkeypatch.setattr(monitor, "JUDGING", JudgingTimes(begin_s=1e-5))
 
 
 @pytest.fixture

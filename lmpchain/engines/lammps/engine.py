@@ -340,7 +340,6 @@ class Lammps(TimeSteppingEngine):
         """Make the stepper of the answer."""
         # one instance, one chain: auxiliary runs are native
         (scene,) = scenes
-        schedule = schedules[0]
         column = self.column(scene, proposal)
         if self.run_folder and self.include:
             word(self.run_folder)
@@ -355,15 +354,7 @@ class Lammps(TimeSteppingEngine):
         if self.log:
             communicator.ask("commands", f'log "{word(self.log)}" append')
         splitting = self.splitting(scene)
-        stepper = LammpsStepper(
-            column,
-            splitting,
-            schedule.step,
-            state,
-            communicator,
-            every=schedule.per_landing,
-            keep=self.keep,
-        )
+        stepper = LammpsStepper(column, splitting, schedules[0], state, communicator, self.keep)
         if self.log and splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper

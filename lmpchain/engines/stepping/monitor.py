@@ -64,7 +64,7 @@ class JudgingTimes:
     steepest: float = 12.0
 
 
-LOOKS = JudgingTimes()
+JUDGING = JudgingTimes()
 TINY = 1e-300
 # factor on the error of an energy: a single number may agree by chance where motions differ
 SUMMED = 4.0
@@ -145,6 +145,10 @@ class Monitor:
         self._scene = scenes[0]
         self._proposal = proposal
         self._chains = native.chains
+        # evaluations of the force that are rounded in a step, by the weight that they have
+        self._rounded_in_step = max(method.evaluations, method.spread**2)
+        # amplified rounding, relative, that is far beyond the tolerance, whatever the steps
+        self._hopeless = GROWTH.pessimism * min(proposal.tolerance, LARGEST_ERROR)
         self.initial = self._chains.initial
         self._allowed = self._allow_energy()
         self._closest_allowed = self._bound_approach()
@@ -252,16 +256,11 @@ class Monitor:
         distances = self._differences.max(1) / scale  # (S, R, 2)
         distances[np.isnan(distances)] = np.inf
         evaluations = self.native.steps * self._rounded_in_step
-        table = np.column_stack((scale, self.lowest, evaluations)).tolist()
+        motions = zip(*scale.T.tolist(), self.lowest.tolist(), evaluations.tolist(), strict=True)
         return [
-            self._estimate(real, LargestMotion(*row), distances[:, real])
-            for real, row in enumerate(table)
+            self._estimate(real, LargestMotion(*motion), distances[:, real])
+            for real, motion in enumerate(motions)
         ]
-
-    @property
-    def _rounded_in_step(self) -> float:
-        """Evaluations of the force that are rounded in a step, by the weight that they have."""
-        return max(self._method.evaluations, self._method.spread**2)
 
     def _scale(self) -> Array:
         """Return the largest displacement and velocity, (R, 2) m and m/s, to which errors refer."""
@@ -345,11 +344,6 @@ class Monitor:
             self._growth[real] = grow_digit(self._scenes[real], self._hopeless)
         return count_digits(evaluations) * self._growth[real]
 
-    @property
-    def _hopeless(self) -> float:
-        """Amplified rounding, relative, that is far beyond the tolerance, whatever the steps."""
-        return GROWTH.pessimism * min(self._proposal.tolerance, LARGEST_ERROR)
-
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return what damping has taken and what was put in, with their errors.
 
@@ -396,10 +390,10 @@ class Monitor:
         # of the nearest auxiliary run
         apart = self._differences[0]
         late = apart.max(0) / scale
-        early = apart[: math.ceil(samples / LOOKS.window)].max(0) / scale
+        early = apart[: math.ceil(samples / JUDGING.window)].max(0) / scale
         field = late.argmax(1)[:, None]
         grown = np.take_along_axis(np.fmax(late, TINY) / np.fmax(early, TINY), field, 1)[:, 0]
-        power = np.clip(np.log(grown) / math.log(LOOKS.window), 0.0, LOOKS.steepest)
+        power = np.clip(np.log(grown) / math.log(JUDGING.window), 0.0, JUDGING.steepest)
         remaining = self._scene.intervals / self.sample
         budgets = []
         for real, error in enumerate(self.errors()):
@@ -536,9 +530,9 @@ class TwinMonitor(Monitor):
 
 def place_looks(work_s: float, final: int, together: int) -> frozenset[int]:
     """Return samples where a run that takes so long, s, is judged; `final` is the last one."""
-    fraction = 1 / LOOKS.apart
+    fraction = 1 / JUDGING.apart
     looks = []
-    while fraction * work_s > LOOKS.begin_s:
+    while fraction * work_s > JUDGING.begin_s:
         looks.append(int(fraction * final) // together * together)
-        fraction /= LOOKS.apart
+        fraction /= JUDGING.apart
     return frozenset(look for look in looks if look > 0)

@@ -174,7 +174,7 @@ class TimeSteppingEngine(Engine):
             if steps.coarse_openings:
                 # steps near openings get their full order, and those elsewhere may stay as long
                 ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
-        shorter = steps.shortened(math.ceil(steps.per_landing * ratio))
+        shorter = steps.shorten(math.ceil(steps.per_landing * ratio))
         # with a step a sample or more, to interpolate none is cheaper
         every = shorter.per_landing > shorter.stride
         return proposal.with_steps(shorter.sampled if every else shorter)
@@ -196,7 +196,7 @@ class TimeSteppingEngine(Engine):
             return None
         fewer = math.ceil(max(aimed, interval / longest))
         gains = steps.per_landing >= STEP_CONTROL.least * fewer
-        return proposal.with_steps(steps.shortened(fewer)) if gains and not proposal.fixed else None
+        return proposal.with_steps(steps.shorten(fewer)) if gains and not proposal.fixed else None
 
     def batch_key(self, scene: Scene, proposal: Proposal) -> tuple:
         """Return a key of scenes of one kind that take the same steps."""
