@@ -14,7 +14,7 @@ from ..util.arrays import check_flags
 from ..util.plotting import COLOURS
 from ..util.suggestions import not_among
 from .base import Proposal
-from .stepping.compiled import CompiledSteps
+from .stepping.time_stepping import CompiledSteps
 
 
 class Native(CompiledSteps):

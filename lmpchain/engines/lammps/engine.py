@@ -34,10 +34,9 @@ from ..step_control import (
     first_attempt,
     solve_to_tolerance,
 )
-from ..stepping.compiled import CompiledSteps
 from ..stepping.monitor import Monitor, TwinMonitor
 from ..stepping.run import SteppingRun, restrict
-from ..stepping.time_stepping import TimeSteppingEngine
+from ..stepping.time_stepping import CompiledSteps, TimeSteppingEngine
 from . import deck, watching
 from .column import PAIR_STYLES, LammpsColumn
 from .launch import gather

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,25 +75,6 @@ WRONG = {
 UNFIT = "the state that was kept does not fit"
 
 Fill = Callable[[int, int], int]  # to a sample, by no more than so many steps; returns the steps
-
-
-class LargestMotion(NamedTuple):
-    """How much moves in a realisation, by which errors and round-off are measured.
-
-    Attributes
-    ----------
-    displacement, velocity : float
-        Largest values of any grain, m and m/s; 1 where nothing moves.
-    lowest : float
-        Smallest r / eps of any contact in any of the runs; -1 is an opening.
-    evaluations : float
-        Of the force, in the answer.
-    """
-
-    displacement: float
-    velocity: float
-    lowest: float
-    evaluations: float
 
 
 class Monitor:
@@ -256,10 +236,10 @@ class Monitor:
         distances = self._differences.max(1) / scale  # (S, R, 2)
         distances[np.isnan(distances)] = np.inf
         evaluations = self.native.steps * self._rounded_in_step
-        motions = zip(*scale.T.tolist(), self.lowest.tolist(), evaluations.tolist(), strict=True)
+        rows = zip(scale.tolist(), self.lowest.tolist(), evaluations.tolist(), strict=True)
         return [
-            self._estimate(real, LargestMotion(*motion), distances[:, real])
-            for real, motion in enumerate(motions)
+            self._estimate(real, size, lowest <= OPENINGS.near, evaluations, distances[:, real])
+            for real, (size, lowest, evaluations) in enumerate(rows)
         ]
 
     def _scale(self) -> Array:
@@ -282,39 +262,52 @@ class Monitor:
         """Return the largest displacement and velocity of the motion, (R, 2) m and m/s."""
         return self.peaks
 
-    def _estimate(self, real: int, motion: LargestMotion, distances: Array) -> ErrorBudget:
-        """Return the estimate for one realisation from the distances between its runs, (S, 2)."""
+    def _estimate(
+        self, real: int, size: list[float], opens: bool, evaluations: float, distances: Array
+    ) -> ErrorBudget:
+        """Return the estimate for one realisation from the distances between its runs, (S, 2).
+
+        `size` is its largest displacement and velocity, m and m/s, and `opens` says whether a
+        contact opened or nearly so.
+        """
         scene = self._scenes[real]
-        opens = motion.lowest <= OPENINGS.near
         if scene.recorded[0] > scene.chain.movable:
             # grains that are held do not move, in any precision
             return ErrorBudget(0.0, 0.0, self._method.order)
         order = self._auxiliary.order(opens, scene.excitation.smooth_until(scene.duration))
         truncation = self._auxiliary.truncation(real, distances[self.twins :], order, opens)
         # grains in contact fly nowhere
-        flights = self._free_flights(real, motion) if opens else 0.0
-        roundoff, amplified = self._measure_rounding(real, motion, distances, truncation, flights)
+        flights = self._free_flights(real, size) if opens else 0.0
+        roundoff, amplified = self._measure_rounding(
+            real, size, evaluations, distances, truncation, flights
+        )
         return ErrorBudget(truncation, roundoff, order, amplified=amplified)
 
     def _measure_rounding(
-        self, real: int, motion: LargestMotion, distances: Array, truncation: float, flights: float
+        self,
+        real: int,
+        size: list[float],
+        evaluations: float,
+        distances: Array,
+        truncation: float,
+        flights: float,
     ) -> tuple[float, Array]:
         """Return the round-off of a realisation, and amplified at each sample, (T,) or empty."""
         scene = self._scenes[real]
-        roundoff = self._round(real, motion, flights)
-        if not self._may_amplify(real, motion, truncation + roundoff):
+        roundoff = self._round(real, size, evaluations, flights)
+        if not self._may_amplify(real, evaluations, truncation + roundoff):
             return roundoff, np.zeros(0)
         began = clock()
-        amplified = self._amplify(real, motion.evaluations)
+        amplified = self._amplify(real, evaluations)
         if amplified.max() > self._hopeless:
-            amplified = amplify_rounding(scene, motion.evaluations)
-        touching = self._round(real, motion, 0.0)
+            amplified = amplify_rounding(scene, evaluations)
+        touching = self._round(real, size, evaluations, 0.0)
         bound = max(roundoff, float(amplified.max()))
-        if self._shall_repeat(truncation, touching, bound, motion.evaluations):
+        if self._shall_repeat(truncation, touching, bound, evaluations):
             repeated = repeat_rounding(scene, self._method, self._proposal.steps)
             amplified = np.fmin(amplified, repeated)
             # to one side all of these drift alike; not so the auxiliary runs, at other steps
-            one_sided = EPSILON * drift(motion.evaluations, flights)
+            one_sided = EPSILON * drift(evaluations, flights)
             least = touching + min(one_sided, float(distances[0].max()))
             roundoff = max(least, min(roundoff, float(repeated.max())))
         self.seconds += clock() - began
@@ -426,41 +419,43 @@ class Monitor:
         recurs = self._auxiliary.recurrent[real]
         return recurs and could_grow(self._scenes[real], evaluations) > size
 
-    def _flights(self, real: int, motion: LargestMotion) -> float:
+    def _flights(self, real: int, size: list[float]) -> float:
         """Return how far the fastest grain would come in the whole run, over all that it moves."""
-        return motion.velocity * self._scenes[real].duration / motion.displacement
+        displacement, velocity = size
+        return velocity * self._scenes[real].duration / displacement
 
-    def _free_flights(self, real: int, motion: LargestMotion) -> float:
+    def _free_flights(self, real: int, size: list[float]) -> float:
         """Return the same where contacts open: none turns faster than the fastest motion."""
         radians = self._scenes[real].total_phase
-        return max(min(self._flights(real, motion), radians), 1.0)
+        return max(min(self._flights(real, size), radians), 1.0)
 
-    def _round(self, real: int, motion: LargestMotion, flights: float) -> float:
+    def _round(self, real: int, size: list[float], evaluations: float, flights: float) -> float:
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
+        displacement, velocity = size
         radians = scene.total_phase
         # what moves at all moves by more than the smallest double
-        path = max(motion.velocity * scene.duration, SMALLEST)
-        digit = last_digit(min(motion.displacement, motion.velocity, path))
-        roundoff = digit / EPSILON * native_floor(motion.evaluations, radians, flights)
-        steps = max(motion.evaluations / self._rounded_in_step, 1.0)
+        path = max(velocity * scene.duration, SMALLEST)
+        digit = last_digit(min(displacement, velocity, path))
+        roundoff = digit / EPSILON * native_floor(evaluations, radians, flights)
+        steps = max(evaluations / self._rounded_in_step, 1.0)
         if self._chains.plain[real]:
-            roundoff += self._method.spread * plain_loss(scene, steps) / motion.velocity
+            roundoff += self._method.spread * plain_loss(scene, steps) / velocity
         if self._proposal.steps.stride > 1:
-            roundoff += interpolation_loss(steps, self._flights(real, motion))
+            roundoff += interpolation_loss(steps, self._flights(real, size))
         if scene.chain.damped:
             # Row 0 is the answer, or its twin: auxiliary runs may have broken down.
             closer = float(self.native.closest()[0, real])
-            displacement = float(self.peaks[real, 0])
-            roundoff += reduced_loss(scene, displacement, closer) / motion.velocity
+            farthest = float(self.peaks[real, 0])
+            roundoff += reduced_loss(scene, farthest, closer) / velocity
         return roundoff
 
-    def _may_amplify(self, real: int, motion: LargestMotion, estimate: float) -> bool:
+    def _may_amplify(self, real: int, evaluations: float, estimate: float) -> bool:
         """Say whether amplified rounding can count."""
         # once, at the end: the runs that show it take a fraction of the time of the answer
         complete = self.sample == self._scene.intervals
         counts = min(estimate, self._proposal.tolerance)
-        return complete and self._may_grow(real, motion.evaluations, counts)
+        return complete and self._may_grow(real, evaluations, counts)
 
     def state(self) -> dict[str, Array]:
         """Return what the estimates rest on, besides the state of the native stepper."""
@@ -517,15 +512,20 @@ class TwinMonitor(Monitor):
         return largest
 
     def _measure_rounding(
-        self, real: int, motion: LargestMotion, distances: Array, truncation: float, flights: float
+        self,
+        real: int,
+        size: list[float],
+        evaluations: float,
+        distances: Array,
+        truncation: float,
+        flights: float,
     ) -> tuple[float, Array]:
         """Return the round-off of a realisation, and amplified at each sample, (T,).
 
         The distance from the twin is measured round-off, amplification and all.
         """
-        scale = motion.displacement, motion.velocity
-        amplified = (self._differences[0, :, real] / scale).max(-1)
-        return self._round(real, motion, flights) + float(distances[0].max()), amplified
+        amplified = (self._differences[0, :, real] / size).max(-1)
+        return self._round(real, size, evaluations, flights) + float(distances[0].max()), amplified
 
 
 def place_looks(work_s: float, final: int, together: int) -> frozenset[int]:
