@@ -11,7 +11,7 @@ The estimate of the largest relative error of an answer at steps h is
         + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      round-off, as it is or amplified
         + 8 eps D x / v                                  and of reduced velocities
 
-with b = 2 dn where a companion runs at 1.5 h, else b = d24 / (r2^p - r1^p). One companion alone,
+with b = 2 dn where an auxiliary run is at 1.5 h, else b = d24 / (r2^p - r1^p). One such run alone,
 at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
 nothing opens and steps are equal. Where equal steps press contacts to far beyond their overlap at
 rest, these began as good as open: a part of the error falls with h^2 alone, and with the share s of
@@ -324,7 +324,7 @@ class Trust:
     Attributes
     ----------
     safety : float
-        Factor on the extrapolated error, and on the distance from a companion at 1.5 h.
+        Factor on the extrapolated error, and on the distance from an auxiliary run at 1.5 h.
     least_gain : float
         Of steps of twice the length: differences that shrink by less show no order at all.
     settled : float
@@ -354,26 +354,26 @@ def estimate_truncation(
     Parameters
     ----------
     distances : sequence of one or two float
-        Relative distances d12 and d24, d12 alone where there is one companion.
+        Relative distances d12 and d24, d12 alone where there is one run.
     ratios : sequence of as many float
-        Steps of these companions over that of the answer; below 1 for one at shorter steps.
+        Steps of these runs over that of the answer; below 1 for one at shorter steps.
     order : float
         That is trusted.
     nearby : float
-        dn; 0 where there is no companion at 1.5 h.
+        dn; 0 where there is no auxiliary run at 1.5 h.
     settled : bool
         Whether the force is a smooth function of time, so that the order is sure.
     slow_order : float
         Lowest order that a part of the error may have.
     least_ratio : float
-        Ratio r of steps that the first companion has at least everywhere; 0: ratios[0].
+        Ratio r of steps that the first auxiliary run has at least everywhere; 0: ratios[0].
     """
     fine = distances[0]
     if not math.isfinite(fine):
-        # no rate follows from a companion that broke down
+        # no rate follows from an auxiliary run that broke down
         return math.inf
     if len(distances) == 1:
-        # the distance alone bounds the error at the longer steps, and no rate is seen; a companion
+        # the distance alone bounds the error at the longer steps, and no rate is seen; a run
         # at shorter ones shows no order either
         gain = max(ratios[0] ** order, 2.0) if settled and fine <= TRUST.settled else 2.0
         return TRUST.safety * fine / (gain - 1)
@@ -389,7 +389,7 @@ def estimate_truncation(
         share = min((steep - gain) / (steep - flat), 1.0)
         mean = (1 - share) / (steep - 1) + share / (flat - 1)
         extrapolated = max(extrapolated, TRUST.safety * fine * mean)
-    # one more companion confirms the rate; without it, the coarse difference alone is a bound, too
+    # one more run confirms the rate; without it, the coarse difference alone is a bound, too
     bound = TRUST.safety * nearby if nearby > 0 else coarse / (second**order - first**order)
     return max(extrapolated, bound)
 
