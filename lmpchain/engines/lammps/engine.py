@@ -39,8 +39,8 @@ from ..stepping.run import SteppingRun, restrict
 from ..stepping.time_stepping import CompiledSteps, TimeSteppingEngine
 from . import deck, watching
 from .column import PAIR_STYLES, LammpsColumn
-from .launch import gather
 from .stepper import LammpsStepper, word
+from .subprocess_ranks import gather
 
 # in a run folder
 LOG = "log.lammps"

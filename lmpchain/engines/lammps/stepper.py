@@ -14,7 +14,7 @@ from ...integrators.steps import Steps
 from ...util.arrays import Array
 from . import deck, drive
 from .column import LammpsColumn
-from .launch import Communicator
+from .subprocess_ranks import Communicator
 from .worker import LocalState, StepPlan
 
 # Packages of fix mvv/dpd, of the pair style that it asks for, and of the atom style.

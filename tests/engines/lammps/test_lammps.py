@@ -26,8 +26,8 @@ from lmpchain.engines import Lammps
 from lmpchain.engines.lammps import deck, library
 from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.lammps.launch import gather
 from lmpchain.engines.lammps.stepper import LammpsStepper
+from lmpchain.engines.lammps.subprocess_ranks import gather
 from lmpchain.engines.lammps.worker import Worker
 from lmpchain.integrators.splittings import VERLET
 from lmpchain.integrators.steps import Steps
