@@ -224,7 +224,7 @@ def test_progress_in_lammps_is_that_of_the_time(monkeypatch):
     engine = Lammps("verlet", step=1e-8)
     scene = SCENE.replace(samples=2)
     run = engine.start([scene], engine.propose(scene, 1e-6))
-    answer, twin = run._movers.values()
+    answer, twin = run._movers
     assert run.proposal.steps.total(1) == 4000
     assert run.progress == 0
     fields = np.zeros((2, 1, 1, 10))

@@ -26,12 +26,15 @@ class Mover:
 
     Attributes
     ----------
+    name : str
+        Under which the state of the stepper is stored.
     stepper : Stepper
     seconds : float
         Time spent in it, s.
     """
 
-    def __init__(self, stepper: Stepper, rate: float):
+    def __init__(self, name: str, stepper: Stepper, rate: float):
+        self.name = name
         self.stepper = stepper
         self.seconds = 0.0
         self._rate = rate
@@ -92,10 +95,10 @@ class SteppingRun(Run):
         self.monitor = monitor
         self.realisations = len(scenes)
         work = self.realisations * self.scene.chain.grains * method.evaluations
-        self._movers = {
-            name: Mover(stepper, stepper.guessed_rate / work) for name, stepper in steppers.items()
-        }
-        self._answer = next(iter(steppers.values()))
+        self._movers = [
+            Mover(name, stepper, stepper.guessed_rate / work) for name, stepper in steppers.items()
+        ]
+        self._answer = self._movers[0].stepper
         samples = self.scene.samples
         grains = self.scene.chain.grains
         self._together = math.lcm(monitor.together, self._answer.stride)
@@ -127,7 +130,7 @@ class SteppingRun(Run):
             if first == 0:
                 u[:, 0], v[:, 0] = self.monitor.initial
             fills = self.monitor.fills(self._answer, u, v, first)
-            for mover, fill in zip(self._movers.values(), fills, strict=True):
+            for mover, fill in zip(self._movers, fills, strict=True):
                 while not mover.move(fill, until):
                     # adaptive steps of broken runs would be ever shorter
                     self.monitor.leave_broken(first, until)
@@ -158,15 +161,14 @@ class SteppingRun(Run):
 
     @property
     def _spent_s(self) -> float:
-        return sum(mover.seconds for mover in self._movers.values()) + self.monitor.seconds
+        return sum([mover.seconds for mover in self._movers], self.monitor.seconds)
 
     @property
     def progress(self) -> float:
         """Part done of the time that all takes at its speed."""
-        movers = self._movers.values()
-        done = [mover.stepper.progress for mover in movers]
+        done = [mover.stepper.progress for mover in self._movers]
         # a stepper that has not begun counts for nothing
-        lasts_s = [mover.lasts_s for mover in movers]
+        lasts_s = [mover.lasts_s for mover in self._movers]
         if not any(lasts_s):
             return min(done)
         return float(np.dot(lasts_s, done) / sum(lasts_s))
@@ -189,8 +191,7 @@ class SteppingRun(Run):
         Steps and evaluations are those of the realisation that took most.
         """
         steps = int(max(self._answer.steps.tolist()))
-        mover = next(iter(self._movers.values()))
-        integration_s = self._answer.own_part * mover.seconds
+        integration_s = self._answer.own_part * self._movers[0].seconds
         return Cost(
             integration_s=integration_s,
             estimate_s=self._spent_s - integration_s,
@@ -206,13 +207,14 @@ class SteppingRun(Run):
     def state(self) -> dict[str, Array]:
         """Return the state of all runs and of their comparison at the last sample."""
         state = {"sample": np.array(self._sample)} | self.monitor.state()
-        for name, mover in self._movers.items():
-            state |= {f"{name}.{key}": array for key, array in mover.stepper.state().items()}
+        for mover in self._movers:
+            arrays = mover.stepper.state()
+            state |= {f"{mover.name}.{key}": array for key, array in arrays.items()}
         return state
 
     def close(self) -> None:
         """Release every stepper."""
-        for mover in self._movers.values():
+        for mover in self._movers:
             mover.stepper.close()
 
 
