@@ -121,6 +121,9 @@ class Proposal(NamedTuple):
 class ErrorBudget(NamedTuple):
     """Estimated error of a run and its parts, as defined for `ErrorEstimate`.
 
+    A trajectory and its files hold an `ErrorEstimate`, which is at most 2. Step control also needs
+    the parts, and values however large.
+
     Attributes
     ----------
     truncation, roundoff : float

@@ -13,11 +13,9 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
-from ...integrators.batch import ChainBatch
 from ...integrators.method import Method
-from ...integrators.methods import BY_NAME, methods_of
+from ...integrators.methods import methods_of
 from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
-from ...integrators.stepper import NativeStepper, Stepper
 from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
@@ -34,8 +32,7 @@ from ..step_control import (
     first_attempt,
     solve_to_tolerance,
 )
-from ..stepping.monitor import Monitor, TwinMonitor
-from ..stepping.run import SteppingRun, restrict
+from ..stepping.run import SteppingRun
 from ..stepping.time_stepping import CompiledSteps, TimeSteppingEngine
 from . import deck, watching
 from .column import PAIR_STYLES, LammpsColumn
@@ -124,7 +121,6 @@ class Lammps(TimeSteppingEngine):
     inputs: ClassVar[tuple[str, ...]] = (f"{DECK}/in.column", f"{DECK}/column.data")
     logs: ClassVar[tuple[str, ...]] = (LOG,)
     ranks_of_mpi: ClassVar[bool] = True
-    monitor: ClassVar[type[Monitor]] = TwinMonitor
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8
     # file for the messages of LAMMPS; of splittings the set-up only, as each drift is a run
@@ -357,25 +353,6 @@ class Lammps(TimeSteppingEngine):
         if self.log and splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper
-
-    def steppers(
-        self,
-        scenes: Sequence[Scene],
-        proposal: Proposal,
-        schedules: Sequence[Steps],
-        state: Mapping[str, Array] | None,
-    ) -> dict[str, Stepper]:
-        """Make the steppers of a run: of the answer, then of its native twin and auxiliary runs."""
-        twin, *beside = schedules
-        native = NativeStepper(
-            ChainBatch(scenes),
-            BY_NAME[proposal.integrator],
-            twin,
-            restrict("native", state),
-            auxiliary=beside,
-        )
-        answer = self.stepper(scenes, proposal, schedules, restrict("answer", state))
-        return {"answer": answer, "native": native}
 
     def column(self, scene: Scene, proposal: Proposal, remark: str = "") -> LammpsColumn:
         """Return the column of a proposal, with the choices as remarks for the head of a deck."""

@@ -22,7 +22,7 @@ from ...util.suggestions import not_among
 from ..base import Engine, ErrorBudget, Proposal
 from ..cost_model import seconds
 from .auxiliary_runs import LONGER, AuxiliarySteps, longer_steps
-from .monitor import Monitor
+from .monitor import Monitor, TwinMonitor
 from .rounding import native_floor, plain_loss
 from .run import SteppingRun, restrict
 from .step_choice import FIRST_STEP, STEP_CONTROL, choose_given_step, choose_step, work
@@ -45,7 +45,7 @@ class TimeSteppingEngine(Engine):
     """
 
     adaptive: bool = False
-    monitor: ClassVar[type[Monitor]] = Monitor
+    monitor: ClassVar[type[Monitor]] = TwinMonitor
     # Methods of other programs, which `lmpchain check` asks for.
     foreign: ClassVar[tuple[str, ...]] = ()
     dissipates: ClassVar[bool] = True
@@ -102,9 +102,14 @@ class TimeSteppingEngine(Engine):
     ) -> dict[str, Stepper]:
         """Make the steppers of a run, by the name of their state: that of the answer first.
 
-        "native" is the one that moves the auxiliary runs.
+        "native" is the one that moves the auxiliary runs, and here also a twin of the answer.
         """
-        return {"native": self.stepper(scenes, proposal, schedules, restrict("native", state))}
+        twin, *beside = schedules
+        method = BY_NAME[proposal.integrator]
+        start = restrict("native", state)
+        native = NativeStepper(ChainBatch(scenes), method, twin, start, auxiliary=beside)
+        answer = self.stepper(scenes, proposal, schedules, restrict("answer", state))
+        return {"answer": answer, "native": native}
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
@@ -248,6 +253,7 @@ class CompiledSteps(TimeSteppingEngine):
     start_up_s: ClassVar[float] = 1e-4
     # with the auxiliary runs that show the error
     seconds_per_grain_step: ClassVar[float] = 8e-10
+    monitor: ClassVar[type[Monitor]] = Monitor
     threads: int = 1
     force: str = "auto"
 
@@ -306,6 +312,16 @@ class CompiledSteps(TimeSteppingEngine):
         chains = ChainBatch(scenes, self.force)
         method = BY_NAME[proposal.integrator]
         return NativeStepper(chains, method, answer, state, self.threads, beside)
+
+    def steppers(
+        self,
+        scenes: Sequence[Scene],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
+        state: Mapping[str, Array] | None,
+    ) -> dict[str, Stepper]:
+        """Make the one stepper of a run, by the name of its state."""
+        return {"native": self.stepper(scenes, proposal, schedules, restrict("native", state))}
 
 
 def kind(scene: Scene) -> tuple:
