@@ -31,6 +31,8 @@ from .rounding import (
     could_grow,
     count_digits,
     drift,
+    flown,
+    free_flights,
     grow_digit,
     interpolation_loss,
     native_floor,
@@ -277,7 +279,7 @@ class Monitor:
         order = self._auxiliary.order(opens, scene.excitation.smooth_until(scene.duration))
         truncation = self._auxiliary.truncation(real, distances[self.twins :], order, opens)
         # grains in contact fly nowhere
-        flights = self._free_flights(real, size) if opens else 0.0
+        flights = free_flights(scene, *size) if opens else 0.0
         roundoff, amplified = self._measure_rounding(
             real, size, evaluations, distances, truncation, flights
         )
@@ -295,7 +297,10 @@ class Monitor:
         """Return the round-off of a realisation, and amplified at each sample, (T,) or empty."""
         scene = self._scenes[real]
         roundoff = self._round(real, size, evaluations, flights)
-        if not self._may_amplify(real, evaluations, truncation + roundoff):
+        # Once, at the end: runs that show amplification take a fraction of the time of the answer.
+        complete = self.sample == scene.intervals
+        counts = min(truncation + roundoff, self._proposal.tolerance)
+        if not (complete and self._may_grow(real, evaluations, counts)):
             return roundoff, np.zeros(0)
         began = clock()
         amplified = self._amplify(real, evaluations)
@@ -419,16 +424,6 @@ class Monitor:
         recurs = self._auxiliary.recurrent[real]
         return recurs and could_grow(self._scenes[real], evaluations) > size
 
-    def _flights(self, real: int, size: list[float]) -> float:
-        """Return how far the fastest grain would come in the whole run, over all that it moves."""
-        displacement, velocity = size
-        return velocity * self._scenes[real].duration / displacement
-
-    def _free_flights(self, real: int, size: list[float]) -> float:
-        """Return the same where contacts open: none turns faster than the fastest motion."""
-        radians = self._scenes[real].total_phase
-        return max(min(self._flights(real, size), radians), 1.0)
-
     def _round(self, real: int, size: list[float], evaluations: float, flights: float) -> float:
         """Return the round-off that the scene does not amplify, with `flights` of free grains."""
         scene = self._scenes[real]
@@ -442,20 +437,13 @@ class Monitor:
         if self._chains.plain[real]:
             roundoff += self._method.spread * plain_loss(scene, steps) / velocity
         if self._proposal.steps.stride > 1:
-            roundoff += interpolation_loss(steps, self._flights(real, size))
+            roundoff += interpolation_loss(steps, flown(scene, *size))
         if scene.chain.damped:
             # Row 0 is the answer, or its twin: auxiliary runs may have broken down.
             closer = float(self.native.closest()[0, real])
             farthest = float(self.peaks[real, 0])
             roundoff += reduced_loss(scene, farthest, closer) / velocity
         return roundoff
-
-    def _may_amplify(self, real: int, evaluations: float, estimate: float) -> bool:
-        """Say whether amplified rounding can count."""
-        # once, at the end: the runs that show it take a fraction of the time of the answer
-        complete = self.sample == self._scene.intervals
-        counts = min(estimate, self._proposal.tolerance)
-        return complete and self._may_grow(real, evaluations, counts)
 
     def state(self) -> dict[str, Array]:
         """Return what the estimates rest on, besides the state of the native stepper."""

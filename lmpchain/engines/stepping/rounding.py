@@ -83,6 +83,16 @@ def drift(evaluations: float, flights: float) -> float:
     return ROUNDING.drift * evaluations / flights if flights else 0.0
 
 
+def flown(scene: Scene, displacement: float, velocity: float) -> float:
+    """Return how far a grain of the largest velocity would come, over the largest displacement."""
+    return velocity * scene.duration / displacement
+
+
+def free_flights(scene: Scene, displacement: float, velocity: float) -> float:
+    """Return the same where contacts open: no grain turns faster than the fastest motion."""
+    return max(min(flown(scene, displacement, velocity), scene.total_phase), 1.0)
+
+
 def native_floor(evaluations: float, radians: float, flights: float = 0.0) -> float:
     """Return the round-off of a native run, relative to the largest motion.
 
