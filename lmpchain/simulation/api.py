@@ -111,8 +111,7 @@ def simulate(
             )
         memory = _Memory(*asked)
         return _conclude(memory, *_answer(memory, progress))
-    from .run_folder import RunFolder
-    from .signals import Requests
+    from .run_folder import Requests, RunFolder
 
     with RunFolder(folder, Requests(max_wall), *asked) as output:
         answer = _answer(output, progress)
@@ -157,8 +156,7 @@ def resume(
     LmpchainError
         As for `simulate`.
     """
-    from .run_folder import RunFolder, status
-    from .signals import Requests
+    from .run_folder import Requests, RunFolder, status
 
     state = status(folder)
     if state["state"] == "finished":

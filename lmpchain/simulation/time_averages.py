@@ -481,7 +481,7 @@ def averages(
             # before the first of them alone
             if error == math.inf:
                 work = Native.seconds_per_grain_step * method.evaluations * steps * samples
-                cost_s = seconds("native", 0.0, work * copies * scene.chain.grains)
+                cost_s = seconds(Native.name, 0.0, work * copies * scene.chain.grains)
                 announce(
                     cost_s,
                     f"the average over {copies * steps * samples} steps of {method.name}",

@@ -57,7 +57,7 @@ class LinearEngine(Engine):
             why = "without gravity and load nothing can be linearised; use the engine native"
             reasons.append(("gravity", why))
         elif scene.chain.loose_grains:
-            reasons.append(("load_grain", scene.chain.loose))
+            reasons.append(("load_grain", f"{scene.chain.loose}, or use native"))
         elif (contacts.exists & ~contacts.pressed).any():
             why = "a wall that only touches cannot be linearised; give a top_load or use native"
             reasons.append(("top", why))
@@ -179,7 +179,9 @@ class Modes(LinearEngine):
         if scene.chain.damped:
             from ...theory.modes import unequal_damping
 
-            reasons += [(key, why) for key, equal, why in unequal_damping(scene.chain) if not equal]
+            cure = "or use the engine native"
+            unequal = unequal_damping(scene.chain)
+            reasons += [(key, f"{why}, {cure}") for key, equal, why in unequal if not equal]
         return reasons
 
     def round_off(self, scene: Scene) -> float:
