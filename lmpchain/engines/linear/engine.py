@@ -45,7 +45,6 @@ class LinearEngine(Engine):
 
     summed_values: ClassVar[int] = 2**14
     equation: ClassVar[int] = 3
-    auto = "cheapest"
     # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
 
@@ -130,6 +129,7 @@ class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
+    auto = "cheapest"
     summed_values: ClassVar[int] = 2**17
     style = (COLOURS["pink"], "D")
     start_up_s: ClassVar[float] = 2e-4
@@ -166,6 +166,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
+    auto = "cheapest"
     style = (COLOURS["green"], "^")
     dissipates: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 2.4e-4
