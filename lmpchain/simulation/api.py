@@ -266,11 +266,10 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
     `left` is the share of the samples that remains.
     """
     cost_s = left * attempt.proposal.cost_s
-    cures = ["a shorter duration"]
     if cost_s > PATIENCE_S:
-        cures += _cheaper(scene, attempt, cost_s)
-    cure = f"{', '.join(cures)} takes less; a run folder keeps what is done"
-    announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
+        cures = ", ".join(["a shorter duration", *_cheaper(scene, attempt, cost_s)])
+        cure = f"{cures} takes less; a run folder keeps what is done"
+        announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
 
 
 def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
