@@ -37,7 +37,8 @@ from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.engines.base import Proposal
-from lmpchain.engines.native import Native, companions
+from lmpchain.engines.native import Native
+from lmpchain.engines.stepping import companions
 from lmpchain.engines.stepping.companions import FEWEST_STEPS, OPENINGS
 from lmpchain.engines.stepping.estimate import TRUST
 from lmpchain.integrators.steps import MANY_STEPS
