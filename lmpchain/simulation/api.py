@@ -241,7 +241,8 @@ def _solve(
         nonlocal state
         state = output.begin(attempt) or {}
         _announce(scene, attempt, 1 - output.samples / scene.samples)
-        return of_engine(state) or None
+        # an attempt from the beginning has no state
+        return (of_engine(state) or None) if state else None
 
     def collect(run: Run) -> Any:
         nonlocal gathering, solved
