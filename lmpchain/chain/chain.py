@@ -340,9 +340,9 @@ class Chain(ChainPicture, Checked):
     def loose(self) -> str:
         """Why nothing of grains that only touch is linear, and what to do."""
         if self.loose_grains == 1:
-            return "grain 1 only touches grain 2: let the load act on grain 1, or use native"
+            return "grain 1 only touches grain 2: let the load act on grain 1"
         last = self.loose_grains
-        return f"grains 1 to {last} only touch: let the load act on grain 1, or use native"
+        return f"grains 1 to {last} only touch: let the load act on grain 1"
 
     @property
     def wall_load(self) -> float:

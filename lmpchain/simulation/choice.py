@@ -31,7 +31,7 @@ SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
     """Return an engine by its name; None for "auto", with which each scene gets its own engine.
 
-    Options without a name are those of the native engine.
+    With options "auto" stands for the engine `engines.DEFAULT`, to which they belong.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
         return None
     if isinstance(engine, str) and engine != AUTO and engine not in engines.REGISTRY:
         raise InputError.at("engine", not_among(engine, (AUTO, *engines.names())))
-    return engines.get("native" if engine == AUTO else engine, **options)
+    return engines.get(engines.DEFAULT if engine == AUTO else engine, **options)
 
 
 def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:

@@ -38,8 +38,7 @@ from lmpchain.simulation.folder_files import (
     resume_command,
     save_checkpoint,
 )
-from lmpchain.simulation.run_folder import status
-from lmpchain.simulation.signals import Requests
+from lmpchain.simulation.run_folder import Requests, status
 from lmpchain.util import progress
 from lmpchain.util.files import sealed_json
 
