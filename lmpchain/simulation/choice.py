@@ -79,10 +79,10 @@ def _choose(scene: Scene, tolerance: float) -> Proposal:
     """Return the proposal of the cheapest engine, or raise `ToleranceNotMet`."""
     proposals = propose(scene, tolerance)
     best = cheapest(proposals)
-    return _explained(best, plan=f"{best.engine}: {reason(best, proposals)}")
+    return _explain(best, plan=f"{best.engine}: {reason(best, proposals)}")
 
 
-def _explained(proposal: Proposal, **why: str) -> Proposal:
+def _explain(proposal: Proposal, **why: str) -> Proposal:
     """Return a proposal that keeps on record why it was chosen."""
     return proposal._replace(choices={**proposal.choices, **why})
 
@@ -115,7 +115,7 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
         f"{left_out} along the run of {before.name}, {expected}: "
         f"run again with {best.engine}, Eq. (1)"
     )
-    best = _explained(best, plan=f"{best.engine}: {redone}", redone=redone)
+    best = _explain(best, plan=f"{best.engine}: {redone}", redone=redone)
     return Attempt(best, tolerance, planned_s=clock() - began)
 
 

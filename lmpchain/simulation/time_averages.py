@@ -14,7 +14,7 @@ import numpy as np
 
 from ..engines.cost_model import announce, seconds
 from ..engines.native import Native
-from ..engines.stepping.amplification import perturb
+from ..engines.stepping.rounding import perturb
 from ..engines.stepping.step_choice import FIRST_STEP
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.batch import ChainBatch
