@@ -245,14 +245,14 @@ class Chain(ChainPicture, Checked):
         """Return a property of the material of every grain, (N,)."""
         return np.full(self.grains, self.of_material(prop))
 
-    def of_material(self, prop: str, drawn: Array | None = None) -> float | Array:
-        """Return a property of the material of the grains, (..., N); one number if all share it.
+    def of_material(self, prop: str, drawn: Array | None = None) -> Array:
+        """Return a property of the material of the grains, (..., N), or (1,) if all share it.
 
         Values that were drawn, (..., N), take the place of that of all grains but impurities.
         """
         values: Any = drawn
         if drawn is None and isinstance(self.material, Material):
-            values = getattr(self.material, prop)
+            values = np.array([getattr(self.material, prop)])
         elif drawn is None:
             values = np.array([getattr(material, prop) for material in self.material])
 
