@@ -176,7 +176,7 @@ class _Motion:
         chain = scene.chain
         excitation = scene.excitation
         self.wave = excitation.waveform
-        self.delta = Long(chain.exponent)
+        self.delta = Long(chain.law.power_of("the reference solution"))
         self.driven = bool(excitation.driven)
         self.walled = excitation.wall is not None
         self.pushed = None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from .contacts import free_approach, hertz_constant
+from .contact_law import ContactLaw
 from .impurities import Kinds
 from .materials import Material
 from .plausible import LIMITS
@@ -30,8 +30,7 @@ class Bounds(NamedTuple):
         Speed of sound in a grain, m/s.
     overlap : float
         At rest at most, m.
-    exponent : float
-        delta.
+    law : ContactLaw
     """
 
     softest: float
@@ -41,7 +40,7 @@ class Bounds(NamedTuple):
     narrowest: float
     slowest: float
     overlap: float
-    exponent: float
+    law: ContactLaw
 
     @property
     def compression(self) -> float:
@@ -52,12 +51,12 @@ class Bounds(NamedTuple):
         """Return a bound on overlaps at rest and in the first collision at this speed, m."""
         # of one grain that meets another at rest; what they share is half of it at most
         energy = self.heaviest * speed * speed / 2
-        collision = free_approach(energy, self.softest, self.exponent)
+        collision = self.law.approach(energy, self.softest)
         return max(self.overlap, collision) * ROUNDING
 
     def frequency(self, overlap: float) -> float:
         """Return a bound on the frequency of two grains with this overlap, rad/s."""
-        stiffness = self.exponent * self.hardest * overlap ** (self.exponent - 1)
+        stiffness = self.law.stiffness(overlap, self.hardest)
         return math.sqrt(2 * stiffness / self.lightest) * ROUNDING
 
 
@@ -67,7 +66,7 @@ def bounds(
     walls: Sequence[Material],
     top_load: float,
     gravity: float,
-    exponent: float,
+    law: ContactLaw,
 ) -> Bounds | None:
     """Return the bounds of a chain; None if numbers are too large or too small to say.
 
@@ -78,8 +77,9 @@ def bounds(
     grains : int
     walls : sequence of Material
         Those that differ from the grains.
-    top_load, gravity, exponent : float
-        N, m/s2, and delta.
+    top_load, gravity : float
+        N and m/s2.
+    law : ContactLaw
     """
     moduli = [*kinds.moduli, *(wall.plane_strain_modulus for wall in walls)]
     narrowest = min(kinds.diameters)
@@ -87,13 +87,11 @@ def bounds(
     try:
         # of mean diameters between these two: a power of them has its extremes at the ends
         softest = min(
-            hertz_constant(min(moduli) / 2, narrowest / 4, length, exponent)
-            for length in (narrowest, widest)
+            law.constant(min(moduli) / 2, narrowest / 4, length) for length in (narrowest, widest)
         )
         # at a wall, whose radius is infinite
         hardest = max(
-            hertz_constant(max(moduli) / 2, widest / 2, length, exponent)
-            for length in (narrowest, widest)
+            law.constant(max(moduli) / 2, widest / 2, length) for length in (narrowest, widest)
         )
         weight = gravity * (grains * kinds.masses[0] + sum(kinds.masses[1:]))
         extremes = Bounds(
@@ -103,8 +101,8 @@ def bounds(
             heaviest=max(kinds.masses),
             narrowest=narrowest,
             slowest=min(material.sound_speed for material in kinds.materials),
-            overlap=((top_load + weight) / softest) ** (1 / exponent),
-            exponent=exponent,
+            overlap=law.overlap(top_load + weight, softest),
+            law=law,
         )
         # written so that what is no number has no bounds either
         computable = extremes.frequency(extremes.overlap) ** 2 < LIMITS.stiffness_over_mass

@@ -7,7 +7,7 @@ from operator import index
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, InstanceOf
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
@@ -26,6 +26,7 @@ from ..util.validation import (
 )
 from . import walls
 from .bounds import Bounds, bounds
+from .contact_law import ContactLaw, power_law
 from .contacts import FEW_GRAINS, Contacts
 from .damping import NO_DAMPING, OneDamping
 from .equilibrium import Equilibrium, derive_chain
@@ -39,7 +40,7 @@ class Chain(ChainPicture, Checked):
     """A vertical column of grains that touch, numbered 1 to N from the top.
 
     Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0
-    below 0.
+    below 0; another law takes the place of the powers.
 
     Parameters
     ----------
@@ -52,6 +53,8 @@ class Chain(ChainPicture, Checked):
         m/s2; 0 for a horizontal chain.
     exponent : float
         delta, 1 (linear springs) to 3; 1.5 is Hertz.
+    law : ContactLaw, optional
+        In place of an exponent.
     top_load : float
         Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
     load_grain : int
@@ -101,7 +104,8 @@ class Chain(ChainPicture, Checked):
     material: OneOrManyMaterials = GLASS
     diameter: OneOrMany
     gravity: Annotated[Real, Field(ge=0)] = 9.81
-    exponent: Annotated[Real, Field(ge=1, le=3)] = 1.5
+    given_exponent: Annotated[Real, Field(ge=1, le=3)] = Field(1.5, alias="exponent")
+    given_law: InstanceOf[ContactLaw] = Field(NOT_GIVEN, alias="law")
     top_load: Annotated[Real, Field(ge=0)] = 0.0
     load_grain: Annotated[Whole, Field(ge=1)] = 1
     top: Literal["free", "wall"] = "free"
@@ -149,7 +153,7 @@ class Chain(ChainPicture, Checked):
         if self._kinds:
             # of contacts above the load nothing is known
             load = self.top_load if self.load_grain == 1 else 0.0
-            weights = (load, self.gravity, self.exponent)
+            weights = (load, self.gravity, self.law)
             bound = least_compression(self._kinds, self.grains, *weights)
             if bound > LIMITS.compression:
                 contact = f"a contact is compressed by at least {bound:.2g}"
@@ -170,7 +174,7 @@ class Chain(ChainPicture, Checked):
     def _remarks(self) -> Iterator[str]:
         # bounds are known at once; arrays are derived only where these do not settle it
         compression = 0.0
-        if self.exponent == 1.5 and not (
+        if self.law.power == 1.5 and not (
             self.bounds and self.bounds.compression <= LIMITS.hertz_compression
         ):
             compression = float(self.equilibrium.compression.max())
@@ -189,6 +193,8 @@ class Chain(ChainPicture, Checked):
         for key, (value, length) in lengths.items():
             if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
+        if self.given_law and "given_exponent" in self.model_fields_set:
+            yield "law", "takes the place of an exponent: give one of them"
         yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)
         yield from self.damping.misfits(self.grains)
         ends = (self.top, self.bottom)
@@ -212,8 +218,11 @@ class Chain(ChainPicture, Checked):
         """Bounds on all grains and contacts; None where only arrays can tell."""
         if self._kinds is None or self.given_wall_constants is not None:
             return None
+        # of other laws only arrays tell how their forces grow with the constant
+        if self.law.power is None:
+            return None
         planes: list[Any] = [wall for wall in (self.top_material, self.bottom_material) if wall]
-        weights = (self.top_load, self.gravity, self.exponent)
+        weights = (self.top_load, self.gravity, self.law)
         return bounds(self._kinds, self.grains, planes, *weights)
 
     def by_grain(self, prop: str) -> Array:
@@ -235,6 +244,20 @@ class Chain(ChainPicture, Checked):
             return None if impurity.material is None else getattr(impurity.material, prop)
 
         return with_impurities(values, self.impurity, own, self.grains)
+
+    @cached_property
+    def law(self) -> ContactLaw:
+        """The force of a contact as a function of its overlap."""
+        return self.given_law or power_law(self.given_exponent)
+
+    @property
+    def exponent(self) -> float:
+        """The exponent delta of a power law; `InputError` if the law is another one."""
+        return self.law.power_of("an exponent")
+
+    def _compared(self) -> list[str]:
+        # the law says it
+        return [key for key in self.arguments if key != "exponent"]
 
     @cached_property
     def equilibrium(self) -> Equilibrium:
@@ -290,15 +313,15 @@ class Chain(ChainPicture, Checked):
 
     @property
     def linear_stiffness(self) -> Array:
-        """Stiffness delta K_n eps_n^(delta-1) between grains at rest, (N-1,) N/m."""
+        """Stiffness between grains at rest, delta K_n eps_n^(delta-1) of a power, (N-1,) N/m."""
         return self.contacts.stiffness[1:-1]
 
-    @property
+    @cached_property
     def compressed(self) -> bool:
         """Whether contacts carry a force at rest; if not, the chain is a sonic vacuum."""
         return self.gravity > 0 or self.top_load > 0
 
-    @property
+    @cached_property
     def loose_grains(self) -> int:
         """How many grains at the top only touch, above the load and without weight; 0 if none."""
         return self.load_grain - 1 if self.top_load > 0 and self.gravity == 0 else 0
@@ -331,7 +354,7 @@ class Chain(ChainPicture, Checked):
         """Constant force on the grain that the load acts on, N; 0 if a wall presses instead."""
         return self.top_load - self.wall_load
 
-    @property
+    @cached_property
     def damped(self) -> bool:
         """Whether contacts or a drag take energy."""
         return self.damping.acts
@@ -352,7 +375,7 @@ class Chain(ChainPicture, Checked):
         """Rate gamma at which every grain alone comes to rest, (N,) 1/s; 0 without damping."""
         return self.damping.rates(self.grains)
 
-    @property
+    @cached_property
     def movable(self) -> int:
         """Number of grains that move: N - 1 with a fixed bottom, N otherwise."""
         return self.grains - (self.bottom == "fixed")

@@ -1,39 +1,22 @@
-"""The contact law: Hertz's constants, and force, overlap, stiffness and energy of contacts."""
+"""The contacts of chains: forces, overlaps, stiffnesses and energies by their law."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
 from ..util.caching import cached_property
+from .contact_law import ContactLaw
 
 # grains of a chain: up to here all contacts are known sooner than those of some parts
 FEW_GRAINS = 10**4
 # factor on the largest strain: a contact that opens is softer than at rest
 OPENING_MARGIN = 1.05
-# strain below which 11 terms of the energy's series have all digits
-SERIES_BELOW = 0.02
-Number = TypeVar("Number", float, Array)
-
-
-def hertz_constant(modulus: Number, radius: Number, length: Number, exponent: float) -> Number:
-    """Return Hertz's constant K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) of contacts, N/m^delta.
-
-    Parameters
-    ----------
-    modulus, radius : float or (...) arrays
-        E*, Pa, and R*, m, of the pairs in contact, as `pair_value` gives them.
-    length : float or (...) array
-        Mean diameter, m: it keeps the unit of a force for exponents other than Hertz's.
-    exponent : float
-        delta.
-    """
-    return 4 / 3 * modulus * radius**0.5 * length ** (1.5 - exponent)
 
 
 def pair_value(values: Array) -> Array:
@@ -42,6 +25,9 @@ def pair_value(values: Array) -> Array:
     A plane has an infinite radius.
     """
     return reduced(values[..., :-1], values[..., 1:])
+
+
+Number = TypeVar("Number", float, Array)
 
 
 def reduced(upper: Number, lower: Number) -> Number:
@@ -53,15 +39,6 @@ def pair_slopes(values: Array) -> tuple[Array, Array]:
     """Return d(log of `pair_value`) / d(log a), (..., B-1), of the upper body, and of the lower."""
     pair = pair_value(values)
     return pair / values[..., :-1], pair / values[..., 1:]
-
-
-def free_approach(energy: Any, constant: Number, exponent: float) -> Number:
-    """Return the overlap at which a contact without force at rest holds this energy, m.
-
-    Its energy is ``K r^(delta+1) / (delta+1)``.
-    """
-    power = exponent + 1
-    return (power * energy / constant) ** (1 / power)  # type: ignore[no-any-return]
 
 
 def dynamical_matrix(stiffness: Array, masses: Array) -> tuple[Array, Array]:
@@ -89,8 +66,7 @@ class Contacts:
 
     Attributes
     ----------
-    exponent : float
-        delta.
+    law : ContactLaw
     constant : (..., N+1) array
         K_n, N/m^delta.
     force : (..., N+1) array
@@ -98,22 +74,22 @@ class Contacts:
     overlap : (..., N+1) array
         Overlap eps_n at rest, m.
     stiffness : (..., N+1) array
-        Linear stiffness delta K_n eps_n^(delta-1) at rest, N/m.
+        Linear stiffness at rest, delta K_n eps_n^(delta-1) of a power law, N/m.
     """
 
-    exponent: float
+    law: ContactLaw
     constant: Array
     force: Array
     overlap: Array
     stiffness: Array
 
     @classmethod
-    def at_rest(cls, constant: Array, force: Array, exponent: float) -> Contacts:
+    def at_rest(cls, constant: Array, force: Array, law: ContactLaw) -> Contacts:
         """Return contacts with these constants, N/m^delta, that carry these forces at rest, N."""
         # where there is no wall, 0 / 0 would be no number
-        overlap = (force / np.where(constant > 0, constant, 1.0)) ** (1 / exponent)
-        stiffness = exponent * constant * overlap ** (exponent - 1)
-        return cls(exponent, *map(read_only, (constant, force, overlap, stiffness)))
+        overlap = law.overlap(force, np.where(constant > 0, constant, 1.0))
+        stiffness = law.stiffness(overlap, constant)
+        return cls(law, *map(read_only, (constant, force, overlap, stiffness)))
 
     @property
     def _arrays(self) -> tuple[Array, Array, Array, Array]:
@@ -129,23 +105,32 @@ class Contacts:
         """Whether the contact is compressed at rest, (..., N+1) bool."""
         return read_only(self.force > 0)
 
-    def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
+    @cached_property
+    def bend(self) -> Array:
+        """Return `ContactLaw.bend` of the contacts at rest, (..., N+1); 0 if they carry nothing."""
+        return np.where(self.pressed, self.law.bend(self), 0.0)
+
+    def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return these contacts of one chain, or the contacts of these of many chains."""
-        return Contacts(self.exponent, *(values[numbers] for values in self._arrays))
+        return Contacts(self.law, *(values[numbers] for values in self._arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
         # there is no wall below the grain that is held
         arrays = (read_only(np.append(values[:grain], 0.0)) for values in self._arrays)
-        return Contacts(self.exponent, *arrays)
+        return Contacts(self.law, *arrays)
 
     def force_at(self, overlap: Array) -> Array:
-        """Return the force K o^delta of contacts with the overlap o, 0 if open, (..., N+1) N."""
-        return self.constant * np.maximum(overlap, 0.0) ** self.exponent
+        """Return the force of contacts with this overlap, 0 if open, (..., N+1) N."""
+        return self.law.force(overlap, self.constant)  # type: ignore[no-any-return]
 
     def stiffness_at(self, overlap: Array) -> Array:
-        """Return the stiffness delta K o^(delta-1) at the overlap o >= 0, (..., N+1) N/m."""
-        return self.exponent * self.constant * overlap ** (self.exponent - 1)
+        """Return the stiffness at an overlap o >= 0, (..., N+1) N/m."""
+        return self.law.stiffness(overlap, self.constant)  # type: ignore[no-any-return]
+
+    def stiffness_bound(self, overlap: Array) -> Array:
+        """Return the largest stiffness at any overlap up to this one, (..., N+1) N/m."""
+        return self.law.largest_stiffness(overlap, self.constant)  # type: ignore[no-any-return]
 
     @staticmethod
     def closer(displacement: Array, wall: Array | None = None) -> Array:
@@ -167,34 +152,19 @@ class Contacts:
 
         The relative accuracy does not depend on the amplitude of the wave.
         """
-        # from s = -1 on the contact is open, and the force at rest is all that is lost
-        s = r / np.where(self.pressed, self.overlap, np.inf)
-        relative = np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0)))
-        change = self.force * np.where(s > -1, relative, -1.0)
-        return np.where(self.pressed, change, self.force_at(r))
+        return self.law.force_change(self, r)
 
     def energy(self, r: Array) -> Array:
         """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
 
-        It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for
-        the weakest waves.
+        It is accurate in relative terms for the weakest waves.
         """
         # most of a long chain rests, and powers take most of the time
         if np.ndim(r) == 2 and not (moves := r.any(axis=0)).all():
             energy = np.zeros(r.shape)
             energy[:, moves] = self.of(np.flatnonzero(moves)).energy(r[:, moves])
             return energy
-        power = self.exponent + 1
-        loose = self.constant / power * np.maximum(r, 0.0) ** power
-        s = r / np.where(self.pressed, self.overlap, 1.0)
-        y = np.log1p(np.where(s > -1, s, 0.0))
-        exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
-        # the two terms cancel for small s: sum the binomial series instead
-        series = np.zeros_like(s)
-        for k in range(11, 1, -1):
-            series = (power - k + 1) / k * s * (1 + series)
-        scaled = np.where(np.abs(s) < SERIES_BELOW, s * series, exact)
-        return np.where(self.pressed, self.force * self.overlap * scaled, loose)
+        return self.law.energy_change(self, r)
 
     def collision_overlap(self, speed: Array, inverse_mass: Array) -> Array:
         """Return the largest overlap, m, of two bodies that meet alone at a speed, (N+1,) m/s.
@@ -203,38 +173,21 @@ class Contacts:
         """
         meets = (inverse_mass > 0) & self.exists
         energy = speed**2 / (2 * np.where(meets, inverse_mass, np.inf))
-        return free_approach(energy, np.where(meets, self.constant, 1.0), self.exponent)
+        constant = np.where(meets, self.constant, 1.0)
+        return self.law.approach(energy, constant)  # type: ignore[no-any-return]
 
     def squeezed_by(self, force: float) -> float:
         """Return by how much more one contact overlaps under this additional force, m."""
-        if self.pressed:
-            return float(self.overlap * np.expm1(np.log1p(force / self.force) / self.exponent))
-        return float((force / self.constant) ** (1 / self.exponent))
-
-    @property
-    def elastic_share(self) -> float:
-        """Mean share of the contacts in the energy of an uncompressed chain (virial theorem)."""
-        return 2 / (self.exponent + 3)
-
-    def constant_for_stiffness(self, factor: Array) -> Array:
-        """Return the factor on constants for one on stiffnesses at rest, under the same forces."""
-        return factor**self.exponent
-
-    def stiffness_for_force(self, factor: Array) -> Array:
-        """Return the factor on stiffnesses at rest for one on the forces at rest."""
-        return factor ** (1 - 1 / self.exponent)
+        return float(self.law.squeezed_by(self, force))
 
     def approach_bound(self, energy: float | Array) -> Array:
         """Return an upper bound on how far each overlap exceeds that at rest, (..., N+1) m.
 
         The bound is rigorous: no contact can hold more than the whole conserved energy above rest,
-        (...) J, and the energy of one is at least ``K r^(delta+1) / (delta+1)`` and ``k r^2 / 2``.
+        (...) J.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            of_law = free_approach(energy, self.constant, self.exponent)
-            of_stiffness = np.sqrt(2 * energy / self.stiffness)
-        # without energy and stiffness the second is no number, which fmin passes over
-        return np.where(self.exists, np.fmin(of_law, of_stiffness), 0.0)
+            return np.where(self.exists, self.law.approach_bound(self, energy), 0.0)
 
     def overlap_bound(self, energy: float | Array) -> Array:
         """Return an upper bound of each overlap for this energy above rest, (..., N+1) m."""
@@ -251,5 +204,8 @@ class Contacts:
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
     """Return the contacts of R chains of one length as one, (R, N+1), for compiled loops."""
+    if len(contacts) == 1:
+        # views of the arrays of this chain
+        return contacts[0].of(np.newaxis)
     rows = map(np.array, zip(*(chain._arrays for chain in contacts), strict=True))
-    return Contacts(contacts[0].exponent, *rows)
+    return Contacts(contacts[0].law, *rows)

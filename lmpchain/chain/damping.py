@@ -34,7 +34,8 @@ from ..errors import InputError, shown
 from ..util.arrays import Array, read_only
 from ..util.caching import cached_property
 from ..util.validation import Checked, check_positive, non_negative
-from .contacts import Contacts, hertz_constant, pair_value
+from .contact_law import power_law
+from .contacts import Contacts, pair_value
 from .materials import Material, one_material, sphere_mass
 
 # relative error of a step of the rebound: its sum stays below 1e-12
@@ -200,7 +201,7 @@ class Damping(Checked):
 
 
 def viscous_force(contacts: Contacts, viscosity: Array, overlap: Array, closing: Array) -> Array:
-    """Return the viscous force A dF/dt = A delta K o^(delta-1) o' of contacts, (..., C) N.
+    """Return the viscous force A dF/dt = A k(o) o' of contacts, (..., C) N.
 
     Parameters
     ----------
@@ -243,7 +244,7 @@ def two_spheres(materials: Sequence[Material], diameters: Sequence[float], expon
     densities = np.array([material.density for material in materials])
     mass = pair_value(sphere_mass(densities, np.array(diameters)))
     length = sum(diameters) / 2
-    constant = hertz_constant(float(modulus[0]), float(radius[0]), length, exponent)
+    constant = power_law(exponent).constant(float(modulus[0]), float(radius[0]), length)
     return Pair(constant, float(mass[0]), exponent)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
-from .contacts import Contacts, dynamical_matrix, hertz_constant, reduced
+from .contacts import Contacts, dynamical_matrix, reduced
 from .impurities import with_impurities
 from .materials import sphere_mass
 from .plausible import LIMITS
@@ -121,7 +121,7 @@ def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equi
         force[..., -1] = 0.0
     shape = (*rows, grains + 1)
     return Equilibrium(
-        Contacts.at_rest(_fill(shape, constants), force, chain.exponent),
+        Contacts.at_rest(_fill(shape, constants), force, chain.law),
         read_only(_fill(shape, lengths)),
         read_only(np.full(masses.shape, diameter)),
         read_only(masses),
@@ -164,11 +164,8 @@ def _contact_constants(
     given : (..., N-1) array, optional
         Constants between grains, in place of those of Hertz's law.
     """
-    natural = hertz_constant(
-        reduced(*_neighbours(modulus)),
-        reduced(*_neighbours(diameter / 2)),
-        lengths[1],
-        chain.exponent,
+    natural = chain.law.constant(
+        reduced(*_neighbours(modulus)), reduced(*_neighbours(diameter / 2)), lengths[1]
     )
     between = natural if given is None else given
     # the constant of a wall is in the proportion of Hertz's law to that of the next contact
@@ -187,7 +184,7 @@ def _contact_constants(
             plane = wall.plane_strain_modulus if wall else of_grain
             radius = reduced(_end(diameter, end) / 2, math.inf)
             pair = reduced(of_grain, plane)
-            constant = hertz_constant(pair, radius, lengths[end], chain.exponent)
+            constant = chain.law.constant(pair, radius, lengths[end])
             ends.append(constant * _end(scale, end) if chain.grains > 1 else constant)
     return ends[0], between, ends[1]
 

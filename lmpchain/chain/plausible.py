@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..util.arrays import Array
-from .contacts import Contacts, hertz_constant
+from .contact_law import ContactLaw
+from .contacts import Contacts
 from .impurities import Kinds
 
 
@@ -65,7 +66,7 @@ def remarks(diameter: float | Array, compression: float) -> Iterator[str]:
 
 
 def least_compression(
-    kinds: Kinds, grains: int, top_load: float, gravity: float, exponent: float
+    kinds: Kinds, grains: int, top_load: float, gravity: float, law: ContactLaw
 ) -> float:
     """Return a lower bound on the largest overlap over diameter of a long chain, without arrays.
 
@@ -80,9 +81,9 @@ def least_compression(
     diameter: Any = np.float64(kinds.diameters[0])
     mass: Any = np.float64(kinds.masses[0])
     with np.errstate(all="ignore"):
-        constant = hertz_constant(kinds.moduli[0] / 2, diameter / 4, diameter, exponent)
+        constant = law.constant(kinds.moduli[0] / 2, diameter / 4, diameter)
         force = top_load + gravity * above * mass
-        return float(Contacts.at_rest(constant, force, exponent).overlap / diameter)
+        return float(Contacts.at_rest(constant, force, law).overlap / diameter)
 
 
 def too_compressed(compression: str) -> str:

@@ -23,7 +23,7 @@ from ..integrators.differentiation import (
 from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
-from ..util.compilation import clock, compiled_s
+from ..util.compilation import clock
 from ..util.suggestions import not_among
 from . import parameters as params
 from .objectives import Objective
@@ -208,9 +208,9 @@ def refine(
     -------
     the best judgement
     """
-    began = clock() - compiled_s()
+    began = clock()
     before = solve(2 * first, 1)
-    spent_s = clock() - compiled_s() - began
+    spent_s = clock() - began
 
     def attempt(halvings: int) -> HalvedAnswer[Any]:
         nonlocal before

@@ -185,7 +185,8 @@ class Energy(_AtTime):
         energy = share * contacts.energy(closer)
         change = share * contacts.force_change(closer)
         # derivative by -log(K), at a force at rest that stays as it is
-        softer = np.where(contacts.pressed, (energy - closer * change) / contacts.exponent, -energy)
+        delta = chain.law.power_of("the derivative of an energy")
+        softer = np.where(contacts.pressed, (energy - closer * change) / delta, -energy)
         slopes = view.slopes(float(m @ v**2 / 2 + energy.sum()))
         slopes.displacement[look] = np.diff(change)[at]
         slopes.velocity[look] = m * v

@@ -295,7 +295,8 @@ def _by_diameter(chain: Chain) -> sparse.csr_array:
     # of a grain in the mean diameter
     share = np.full(chain.grains + 1, 0.5)
     share[[0, -1]] = 1.0
-    by_length = (1.5 - chain.exponent) * share / chain.contact_lengths
+    delta = chain.law.power_of("the derivative by a diameter")
+    by_length = (1.5 - delta) * share / chain.contact_lengths
     above = np.zeros(chain.grains + 1)
     below = np.zeros(chain.grains + 1)
     above[1:] = upper[1:] / 2 / diameters + by_length[1:]

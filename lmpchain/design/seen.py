@@ -93,6 +93,7 @@ def contact_force(view: Seen, contact: int) -> ContactForce:
     """Return the force of a contact and its derivatives."""
     chain = view.scene.chain
     law = chain.contacts.of(contact)
+    delta = chain.law.power_of("the derivative of a contact force")
     grains = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]
     viscosity = chain.contact_viscosity[contact]
     closer = np.zeros(view.time.size)
@@ -107,14 +108,14 @@ def contact_force(view: Seen, contact: int) -> ContactForce:
     # of the viscous part: how its stiffness grows with the overlap
     growth = np.zeros(closer.shape)
     if viscosity > 0:
-        np.divide((law.exponent - 1) * viscous, overlap, out=growth, where=overlap > 0)
+        np.divide((delta - 1) * viscous, overlap, out=growth, where=overlap > 0)
     by_closer = stiffness + growth
     by_force = np.zeros(closer.shape)
-    by_constant = overlap**law.exponent + viscous / law.constant
+    by_constant = overlap**delta + viscous / law.constant
     if law.force > 0:
         # the overlap at rest is (F / K)^(1/delta)
-        by_force = by_closer * law.overlap / (law.exponent * law.force)
-        by_constant = by_constant - by_closer * law.overlap / (law.exponent * law.constant)
+        by_force = by_closer * law.overlap / (delta * law.force)
+        by_constant = by_constant - by_closer * law.overlap / (delta * law.constant)
     return ContactForce(
         value=law.force_at(overlap) + viscous,
         by_closer=by_closer,

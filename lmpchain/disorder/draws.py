@@ -186,7 +186,7 @@ def _count(chain: Chain, of: Of) -> int:
 def _change(chain: Chain, zeta: Array, of: Of) -> Array:
     """Return the factors on contact constants for random factors zeta."""
     # at a given force k goes as K^(1/delta)
-    return chain.contacts.constant_for_stiffness(zeta) if of == "stiffness" else zeta
+    return zeta ** chain.law.power_of("disorder of stiffnesses") if of == "stiffness" else zeta
 
 
 def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import numba
 
 from ..errors import InputError, ToleranceNotMet, shown
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
+from ..integrators.damped_verlet import LAGGED
 from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.layout import PAD
 from ..integrators.method import Method
@@ -55,6 +56,7 @@ class Native(TimeSteppingEngine):
     auto = "cheapest"
     style = (COLOURS["blue"], "s")
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
+    foreign: ClassVar[tuple[str, ...]] = (LAGGED.name,)
     batches: ClassVar[bool] = True
     twin: ClassVar[bool] = False
     start_up_s: ClassVar[float] = 1e-4

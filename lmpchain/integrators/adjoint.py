@@ -34,7 +34,7 @@ from .kernels.adjoint_rows import Above, Adjoint, AdjointForce, Bodies, Way
 from .kernels.adjoint_tangent import Directions, ForceResponse, tangent
 from .kernels.contact_forces import ROOTS, Form
 from .kernels.course import Course, Looks, Stretch
-from .kernels.layout import PAD, Links
+from .kernels.layout import PAD, BatchArrays
 from .observed_run import ObservedRun
 from .splittings import Splitting
 
@@ -211,22 +211,23 @@ class DifferentiableRun(ObservedRun):
 
     def _lay_out(self, chain: Chain) -> None:
         """Lay out the contacts for the compiled loops."""
-        links = self._links
+        arrays = self._arrays
         width = self._x.shape[1]
         # on the way back a contact has the place of the body below it
         above = aligned(3, width)
-        above[0, 1:] = links.inverse_length[0, :-1]
-        above[1, 1:] = links.strength[0, :-1]
-        above[2] = chain.exponent * above[1] * above[0]
+        above[0, 1:] = arrays.inverse_length[0, :-1]
+        above[1, 1:] = arrays.strength[0, :-1]
+        exponent = chain.law.power_of("derivatives of a run")
+        above[2] = exponent * above[1] * above[0]
         self._above = Above(*above)
-        way = _way(chain, links)
-        less = chain.exponent - 1.0
+        way = _way(chain, arrays)
+        less = exponent - 1.0
         self._law = AdjointForce(
             way=int(way),
-            pressed=links.precompressed,
-            touching=float(links.uncompressed[0]),
+            pressed=arrays.precompressed,
+            touching=float(arrays.uncompressed[0]),
             less=less,
-            terms=links.coefficients,
+            terms=arrays.coefficients,
         )
         self._undone = way <= Way.UNDONE_SHORT
         self._room = np.zeros((5, 2 * kernels.BURST))
@@ -412,19 +413,19 @@ class DifferentiableRun(ObservedRun):
         return float(max(-state["least_strain"], closer))
 
 
-def _way(chain: Chain, links: Links) -> Way:
+def _way(chain: Chain, arrays: BatchArrays) -> Way:
     """Choose the way back of the one chain of a batch."""
     # undone where no contact can open: round-off would close or open those that only touch
-    form = links.form[0]
-    hertz = chain.exponent == 1.5
-    if chain.linearisable and not links.uncompressed[0]:
+    form = arrays.form[0]
+    hertz = chain.law.power == 1.5
+    if chain.linearisable and not arrays.uncompressed[0]:
         if form == Form.POLYNOMIAL:
             return Way.UNDONE_SERIES
         if hertz:
             return Way.UNDONE_PLAIN if form in ROOTS else Way.UNDONE_EXACT
     if not hertz:
         return Way.OTHER
-    if not links.precompressed:
+    if not arrays.precompressed:
         return Way.VACUUM
     if form in ROOTS:
         return Way.PLAIN

@@ -86,7 +86,7 @@ def follow(
     """Make a run by the march of the native engine, and keep what the way back needs."""
     batch = ChainBatch([scene.replace(samples=looks + 1)])
     run = NativeStepper(batch, method, schedule, {})
-    width = batch.inverse_mass.shape[1]
+    width = batch.arrays.inverse_mass.shape[1]
     expected = looks * schedule.per_landing * (MORE if schedule.adaptive else 1)
     # as far apart as the cache allows; further where memory does not hold all
     every = CHECKPOINTS.kept_bytes // (3 * 8 * method.evaluations * width)
@@ -155,30 +155,31 @@ class DifferentiableDampedRun(ObservedRun):
     def _lay_out(self, method: DormandPrince) -> None:
         """Lay out the chain for the compiled loops."""
         chain = self.scene.chain
-        links = self._links
+        arrays = self._arrays
         width = self._x.shape[1]
         mobility = self._mobility
         damped = kernels.Damped(mobility, *np.zeros((5, width)))
-        damped.inverse_length[1:] = links.inverse_length[0, :-1]
-        damped.strength[1:] = links.strength[0, :-1]
-        damped.stiffness[:] = chain.exponent * damped.strength * damped.inverse_length
+        damped.inverse_length[1:] = arrays.inverse_length[0, :-1]
+        damped.strength[1:] = arrays.strength[0, :-1]
+        exponent = chain.law.power_of("derivatives of a run")
+        damped.stiffness[:] = exponent * damped.strength * damped.inverse_length
         damped.viscosity[self._contacts] = chain.contact_viscosity
         # what is held or driven moves as it is told
         damped.drag[self._bodies] = np.where(mobility[self._bodies] > 0, chain.drag, 0.0)
         # a correction for strains serves no contact that only touches, whose strains have no bound
-        hertz = chain.exponent == 1.5 and not chain.loose_grains
+        hertz = exponent == 1.5 and not chain.loose_grains
         law = AdjointForce(
             way=int(Way.HERTZ if hertz else Way.OTHER),
-            pressed=links.precompressed,
-            touching=float(links.uncompressed[0]),
-            less=chain.exponent - 1.0,
-            terms=links.coefficients,
+            pressed=arrays.precompressed,
+            touching=float(arrays.uncompressed[0]),
+            less=exponent - 1.0,
+            terms=arrays.coefficients,
         )
         if law.touching > 0:
-            damped.stiffness[PAD] = chain.exponent * law.touching
+            damped.stiffness[PAD] = exponent * law.touching
         tableau = kernels.Tableau(*method.tables)
-        # see `layout.Dissipation`
-        alike = self._batch.dissipation.alike
+        # see `layout.BatchArrays`
+        alike = arrays.alike
         lag = float(chain.contact_viscosity[0]) if alike else 0.0
         self._system = kernels.DampedSystem(law, damped, tableau, not alike, lag)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.caching import cached_property
 from .kernels import waveform
 from .kernels.contact_forces import FORMS, ROOTS, Form, addresses
-from .kernels.layout import ALONE, PAD, WAVE, Chains, Dissipation, Imposed, Links, Team
-from .kernels.table import AtRest, lay_out, opening_weights, place_bodies
+from .kernels.layout import PAD, WAVE, BatchArrays
+from .kernels.table import aligned_rows, fill_batch, place_bodies
 
 # strike number from which the fastest form of the force loses nothing;
 # analysis/calibration/roundoff.py
@@ -25,15 +24,13 @@ FORCES = ("auto", "exact", "plain")
 # overlap, m, of contacts that only touch among others that are pressed: far below the rounding of
 # one that a strike makes, and its powers are numbers
 TOUCHING = 1e-30
-# of the largest speed that is imposed: more than the rounding of a velocity
-ROUNDED = 1e-6
 # bodies: shorter chains are computed as a whole, for less than it costs to follow the wave;
 # analysis/calibration/light_cone.py
 WINDOW_MIN = 14 * PAD
 
 
 class ChainBatch:
-    """A batch of like chains: bodies, contacts and drives as arrays that begin at cache lines.
+    """A batch of like chains, laid out in memory for the compiled loops.
 
     Parameters
     ----------
@@ -47,32 +44,18 @@ class ChainBatch:
 
     Attributes
     ----------
+    arrays : BatchArrays
+        What the compiled loops read, in rows that begin at cache lines.
     masses : (R, N) array
         kg.
     contacts : Contacts
         Of all chains, (R, N+1) arrays.
-    links : Links
-        Of all chains, for the compiled loops.
-    inverse_mass : (R, W) array
-        1/kg, of every body; 0 of what is held.
     initial : pair of (R, N) arrays
         Displacement, m, and velocity, m/s, of every grain at t = 0.
     plain : list of R bool
         Whether the form of the force loses the last digit of that at rest.
     opening_power : float
         The force of a contact that opens goes as the overlap to this power.
-    imposed : Imposed
-        How grain 1 or the top wall is moved, or a grain is pushed, after t = 0.
-    omega : (R,) array
-        Highest frequency, rad/s.
-    scale : (R, 2) array
-        Largest displacement and speed of the excitation, m and m/s.
-    units : (R, 2) array
-        Overlap of the contact below grain 1 (that above it if there is none below), and the speed
-        of that in the unit of time, m and m/s; no speed in the sonic vacuum.
-    allowed : (R,) array
-        What twice the kinetic energy cannot exceed, J: contacts never hold less energy than at
-        rest.
     """
 
     def __init__(
@@ -83,47 +66,67 @@ class ChainBatch:
     ):
         self.scenes = scenes
         chain = scenes[0].chain
+        chains = [scene.chain for scene in scenes]
         excitation = scenes[0].excitation
         self.grains = chain.grains
         self.driven = excitation.driven
-        self._loose = chain.loose_grains
         # one start serves all scenes of one excitation, unless it depends on the chain
         differ = excitation.of_chain or any(s.excitation is not excitation for s in scenes)
         self._struck = scenes if differ else scenes[:1]
         self.initial = initial or self._initial()
-        self.masses = np.array([scene.chain.masses for scene in scenes])
-        self.contacts = together([scene.chain.contacts for scene in scenes])
-        overlap, force_at_rest, stiffness = _with_touching(self.contacts, self._loose)
-        at_rest = AtRest(
-            overlap=overlap,
-            force=force_at_rest,
-            constant=self.contacts.constant,
-            stiffness=stiffness,
-            compressed=chain.compressed,
-        )
-        strikes = np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes])
-        layout = lay_out(at_rest, self.masses, strikes, (self.driven, chain.movable))
-        self.inverse_mass = layout.inverse_mass
-        self.omega = layout.omega
-        self.scale = layout.scale
-        self.units = layout.units
-        self.allowed = layout.allowed
-        if any(scene.chain.damped for scene in scenes):
-            # reduced velocities leave their rounding, also where nothing moves
-            self.allowed = self.allowed + self.masses.sum(1) * (ROUNDED * self.scale[:, 1]) ** 2
+        self.masses = np.array([chain.masses for chain in chains])
+        self.contacts = together([chain.contacts for chain in chains])
         forms = [force_form(scene, force) for scene in scenes]
-        self.links = Links(
-            inverse_length=layout.inverse_length,
-            strength=layout.strength,
-            uncompressed=layout.uncompressed,
+        self.plain = [form in ROOTS and chain.compressed for form in forms]
+        self.opening_power = chain.law.onset
+        acts, reach, wave, knots, pieces, laws = self._imposed()
+        damped = any(chain.damped for chain in chains)
+        viscosity = np.array([chain.contact_viscosity for chain in chains if damped])
+        drag = np.array([chain.drag for chain in chains if damped])
+        pushed = acts and bool((wave["body"] < 0).any())
+        alike = damped and not (pushed or drag.any() or np.ptp(viscosity, axis=1).any())
+        size = len(scenes)
+        rows = aligned_rows(8 if damped else 5, size, self.grains)
+        of_damped = rows[5:] if damped else np.zeros((3, size, 0))
+        uncompressed, least_strain, omega, allowed = np.zeros((4, size))
+        scale, units = np.empty((2, size, 2))
+        self.arrays = BatchArrays(
+            inverse_length=rows[0],
+            strength=rows[1],
+            inverse_mass=rows[2],
+            opening_weight=rows[3],
+            opening_reach=rows[4],
+            uncompressed=uncompressed,
+            least_strain=least_strain,
             form=np.array(forms),
             loops=np.array([addresses(form) for form in forms]),
             precompressed=float(chain.compressed),
-            coefficients=series(chain.exponent),
+            coefficients=series(chain.law.power_of("a compiled force")),
+            omega=omega,
+            scale=scale,
+            units=units,
+            allowed=allowed,
+            acts=acts,
+            reach=reach,
+            wave=wave,
+            knots=knots,
+            pieces=pieces,
+            laws=laws,
+            damped=damped,
+            alike=alike,
+            viscosity=of_damped[0],
+            drag=of_damped[1],
+            mass=of_damped[2],
         )
-        self.plain = [form in ROOTS and chain.compressed for form in forms]
-        self.opening_power = chain.exponent
-        self.imposed = self._imposed()
+        fill_batch(
+            self.arrays,
+            _at_rest(self.contacts, chain.loose_grains),
+            self.masses,
+            np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes]),
+            (viscosity.reshape(size, -1), drag.reshape(size, -1)),
+            (self.driven, chain.movable),
+            self.opening_power,
+        )
 
     def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes, from one for all or one for each."""
@@ -139,40 +142,13 @@ class ChainBatch:
         Grains are at u and move with v, (copies, R, N) or (1, R, N) for all. Around what moves
         there is a window; a short chain is computed as a whole.
         """
-        reach = self.imposed.reach
-        x, w, state = place_bodies(u, v, copies, self.driven, reach, self.links, WINDOW_MIN)
-        if self._loose:
-            # contacts that touch may be taken to have opened, as in the vacuum
-            state["least_strain"] = -1.0
-        return x, w, state
+        return place_bodies(u, v, copies, self.driven, self.arrays, WINDOW_MIN)
 
-    def arrays(
-        self, x: Array, v: Array, history: Array, state: NDArray[Any], team: Team = ALONE
-    ) -> Chains:
-        """Return the chains, and where and how fast their bodies are, for the loops of a thread."""
-        return Chains(
-            x=x,
-            v=v,
-            history=history,
-            state=state,
-            inverse_mass=self.inverse_mass,
-            links=self.links,
-            imposed=self.imposed,
-            scale=self.scale,
-            omega=self.omega,
-            team=team,
-        )
-
-    def _imposed(self) -> Imposed:
-        """Return the imposed motions or forces of the chains after t = 0."""
+    def _imposed(self) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
+        """Return the motions or forces that act after t = 0: six fields of `BatchArrays`."""
         size = len(self.scenes)
         if not self.scenes[0].excitation.does_work:
-            # the last body that is acted on lies before the first
-            none = np.array([[PAD - 1 + self.grains, PAD]] * size)
-            knots = np.zeros((size, 0))
-            pieces = np.zeros((size, 4, 0))
-            nowhere = np.zeros(2, np.int64)
-            return Imposed(False, none, np.zeros(size, WAVE), knots, pieces, nowhere)
+            return _nothing_imposed(size, self.grains)
         reach = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck]))
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
@@ -192,51 +168,36 @@ class ChainBatch:
             if spline is not None:
                 knots[real, :count] = spline.x
                 pieces[real, :, : count - 1] = spline.c
-        laws = np.array(waveform.addresses())
-        return Imposed(True, reach + (PAD - 1), table, knots, pieces, laws)
-
-    @cached_property
-    def openings(self) -> tuple[Array, Array]:
-        """Weight and reach of each contact, (R, W), see `layout.Openings`."""
-        return opening_weights(self.links, self.inverse_mass, self.omega, self.scale)
-
-    @cached_property
-    def dissipation(self) -> Dissipation:
-        """Viscosity of all contacts and drag on all grains, for the compiled loops."""
-        chains = [scene.chain for scene in self.scenes]
-        acts = any(chain.damped for chain in chains)
-        viscosity = np.zeros((len(chains), self.inverse_mass.shape[1] if acts else 0))
-        drag = np.zeros_like(viscosity)
-        mass = np.zeros_like(viscosity)
-        if acts:
-            viscosity[:, PAD - 1 : PAD + self.grains] = [c.contact_viscosity for c in chains]
-            drag[:, PAD : PAD + self.grains] = [c.drag for c in chains]
-            # what is held or driven moves as it is told
-            drag[self.inverse_mass == 0.0] = 0.0
-            mass[:, PAD : PAD + self.grains] = self.masses
-            mass[self.inverse_mass == 0.0] = 0.0
-        of_contacts = viscosity[:, PAD - 1 : PAD + self.grains]
-        pushed = self.imposed.acts and bool((self.imposed.wave["body"] < 0).any())
-        one_each = bool((of_contacts == of_contacts[:, :1]).all()) and not drag.any()
-        return Dissipation(acts, viscosity, drag, acts and one_each and not pushed, mass)
+        return True, reach + (PAD - 1), table, knots, pieces, np.array(waveform.addresses())
 
 
-def _with_touching(contacts: Contacts, loose: int) -> tuple[Array, Array, Array]:
-    """Return overlap, m, force, N, and stiffness, N/m, at rest, (R, N+1) arrays each.
+@lru_cache(maxsize=64)
+def _nothing_imposed(
+    size: int, grains: int
+) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
+    """Return what `ChainBatch._imposed` does where nothing acts: no loop writes to these arrays."""
+    # the last body that is acted on lies before the first
+    reach = np.array([[PAD - 1 + grains, PAD]] * size)
+    knots = np.zeros((size, 0))
+    return False, reach, np.zeros(size, WAVE), knots, np.zeros((size, 4, 0)), np.zeros(2, np.int64)
+
+
+def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array]:
+    """Return overlap, m, force, N, constant, and stiffness, N/m, at rest, (R, N+1) arrays each.
 
     Loose contacts have a trace of overlap and force, and no stiffness, springs either. The compiled
     forms of the force need a length: with that of `TOUCHING` they are Hertz's law without load but
     for less than their rounding.
     """
     if not loose:
-        return contacts.overlap, contacts.force, contacts.stiffness
+        return contacts.overlap, contacts.force, contacts.constant, contacts.stiffness
     overlap = contacts.overlap.copy()
     force = contacts.force.copy()
     stiffness = contacts.stiffness.copy()
     stiffness[:, 1 : loose + 1] = 0.0
     overlap[:, 1 : loose + 1] = TOUCHING
-    force[:, 1 : loose + 1] = contacts.constant[:, 1 : loose + 1] * TOUCHING**contacts.exponent
-    return overlap, force, stiffness
+    force[:, 1 : loose + 1] = contacts.law.force(TOUCHING, contacts.constant[:, 1 : loose + 1])
+    return overlap, force, contacts.constant, stiffness
 
 
 @cache
@@ -260,7 +221,7 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     The plain form is wrong by the last digit of the force at rest, which is nothing in strong
     waves.
     """
-    exponent = scene.chain.exponent
+    exponent = scene.chain.law.power_of("a compiled force")
     roots = int(4 * exponent) if 4 * exponent in ROOTS else None
     if exponent == 1:
         return Form.SPRING

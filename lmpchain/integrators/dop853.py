@@ -66,5 +66,5 @@ class DormandPrince:
         from .kernels.dop853 import make_work, march, march_by_step
 
         openings = shorten_steps(self.order, batch, schedules)
-        method = self.tables, openings, schedules[0].adaptive, batch.dissipation
+        method = self.tables, openings, schedules[0].adaptive
         return March(march, make_work, method, by_step=march_by_step)

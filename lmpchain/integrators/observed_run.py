@@ -16,7 +16,7 @@ from .batch import ChainBatch
 from .imposed import ImposedCourse
 from .kernels.adjoint import ImposedPath
 from .kernels.course import Looks
-from .kernels.layout import PAD
+from .kernels.layout import ALONE, PAD, Chains
 
 
 class HeldSteps(NamedTuple):
@@ -83,13 +83,12 @@ class ObservedRun:
         self.imposed = acting(scene)
         self._driven = self.imposed is not None and bool(scene.excitation.driven)
         batch = ChainBatch([scene])
-        self._batch = batch
         u, v = batch.initial
         self._x, self._v, self._state = batch.place(u[None], v[None])
         nothing = np.zeros((1, 0, self._x.shape[1]))
-        self._chains = batch.arrays(self._x, self._v, nothing, self._state)
-        self._links = batch.links
-        self._mobility = batch.inverse_mass[0]
+        self._chains = Chains(batch.arrays, self._x, self._v, nothing, self._state, ALONE)
+        self._arrays = batch.arrays
+        self._mobility = batch.arrays.inverse_mass[0]
         bodies = self.grains + (PAD - 1)
         self._looks = Looks(bodies, np.zeros((2, looks + 1, self.grains.size)))
 
@@ -107,7 +106,7 @@ class ObservedRun:
         """Return the imposed motion or force in rows that `_times` knows, or none."""
         if self.imposed is None:
             return ImposedPath(0, np.empty(0), np.empty(0))
-        body = int(self._chains.imposed.wave["body"][0])
+        body = int(self._arrays.wave["body"][0])
         imposed = self.imposed.waveform.at(self._times(*rows))
         return ImposedPath(body, imposed, np.zeros(imposed.size))
 

@@ -50,7 +50,6 @@ def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> 
     # a step across an opening is wrong by its length to the power delta + 1
     falls = 1 / (batch.opening_power + 1)
     shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened
-    weight, reach = batch.openings
     power = (order + 1) * falls
     crossing = steps.crossing ** (2.5 * falls)
     least = steps.least_crossing * EPSILON**falls
@@ -61,12 +60,10 @@ def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> 
         return (shortened * reach / crosses) ** (14 / 9)
 
     # of numbers of Python, whose powers have the same bits on every processor
-    omegas = batch.omega.tolist()
+    omegas = batch.arrays.omega.tolist()
     nearest = [[nearness(s.step * omega, least * s.ratio) for omega in omegas] for s in schedules]
     return Shortening(
         shortened=shortened,
         close=shortened ** (-14 / 3),
         nearest=np.array(nearest),
-        weight=weight,
-        reach=reach,
     )

@@ -99,7 +99,7 @@ class Splitting:
         # samples between steps are interpolated by the adaptive march alone
         if not (schedule.adaptive or schedule.dense > 0):
             return March(splitting.march, splitting.make_work, self._stages, shared=True)
-        assert not (schedule.dense and batch.imposed.acts), "see kernels.dense_output"
+        assert not (schedule.dense and batch.arrays.acts), "see kernels.dense_output"
         openings = shorten_steps(self.order, batch, schedules)
         history = DENSE_ROWS if schedule.dense else 0
         method = self._stages, openings

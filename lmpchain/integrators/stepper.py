@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from .kernels.layout import (
     WHOLE_ROWS,
     Chains,
     Fields,
-    Goal,
     Noted,
     team,
 )
@@ -29,29 +28,6 @@ from .steps import Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
 UNFIT = "the state that was kept does not fit"
-
-
-class ThreadShare(NamedTuple):
-    """The share of a thread in a batch: chains, their method and clocks.
-
-    Attributes
-    ----------
-    chains : Chains
-    method : tuple
-        Coefficients of the method, as its march takes them.
-    room : tuple
-        What the march works in.
-    clocks : (F,) array of `steps.CLOCK`
-    begin, end : int
-        The first of the chains, and the one behind the last.
-    """
-
-    chains: Chains
-    method: tuple[Any, ...]
-    room: tuple[Any, ...]
-    clocks: NDArray[Any]
-    begin: int
-    end: int
 
 
 def room_for(*shape: int) -> tuple[Array, Array]:
@@ -171,25 +147,20 @@ class NativeStepper:
                 raise ValueError(UNFIT)
             self._history[:] = state["history"]
         borders = [share * self._size // shares for share in range(shares + 1)]
-        self._work: list[ThreadShare] = []
+        # of each thread: what it moves by the method, where it works, and by which clocks; and the
+        # first of its chains, and the one behind the last
+        self._shares: list[tuple[tuple[Any, ...], int, int]] = []
         for thread_state, member in zip(self._states, self._teams, strict=True):
-            arrays = chains.arrays(self._x, self._v, self._history, thread_state, member)
-            self._work += [
-                ThreadShare(
-                    arrays,
-                    march.method,
-                    march.make_work(arrays, march.method),
-                    clocks(self._schedules, interval, final),
-                    begin,
-                    end,
-                )
-                for begin, end in pairwise(borders)
-            ]
+            in_motion = Chains(chains.arrays, self._x, self._v, self._history, thread_state, member)
+            for begin, end in pairwise(borders):
+                work = march.make_work(in_motion, march.method)
+                times = clocks(self._schedules, interval, final)
+                self._shares.append(((in_motion, march.method, work, times), begin, end))
         # to no goal: this only compiles, so that the time of the first fill is that of steps
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
             fields = Fields(none, none, NOTHING, NOTHING, 0, self.balance)
-            self._march(*self._work[0][:4], fields, Goal(0, 0, 0, 0))
+            self._march(*self._shares[0][0], fields, 0, 0, 0, 0)
 
     def _check_state(self, state: NDArray[Any]) -> None:
         """Raise `ValueError` if a state does not fit: compiled loops trust its window."""
@@ -219,16 +190,16 @@ class NativeStepper:
         """
         fields = Fields(u, v, *beside, offset, self.balance)
         if not self._pool:
-            return self._move(self._work[0], fields, until, max_steps)
+            return self._move(self._shares[0], fields, until, max_steps)
         for state in self._states[1:]:
             state[:] = self._state
         try:
             others = [
-                self._pool.submit(self._move, work, fields, until, max_steps)
-                for work in self._work[1:]
+                self._pool.submit(self._move, share, fields, until, max_steps)
+                for share in self._shares[1:]
             ]
             steps = [
-                self._move(self._work[0], fields, until, max_steps),
+                self._move(self._shares[0], fields, until, max_steps),
                 *(other.result() for other in others),
             ]
         except BaseException:
@@ -250,16 +221,15 @@ class NativeStepper:
         The method must be DOP853.
         """
         assert self._by_step
-        *given, begin, end = self._work[0]
+        moved, begin, _ = self._shares[0]
         fields = Fields(u, v, NOTHING, NOTHING, offset, self.balance)
-        goal = Goal(begin, end, until, noted.ends.size)
-        return self._by_step(*given, fields, goal, noted)
+        return self._by_step(*moved, fields, begin, until, noted)
 
-    def _move(self, work: ThreadShare, fields: Fields, until: int, max_steps: int) -> int:
+    def _move(self, share: tuple[Any, int, int], fields: Fields, until: int, max_steps: int) -> int:
         """Move the chains of one thread."""
-        *given, begin, end = work
+        moved, begin, end = share
         try:
-            return self._march(*given, fields, Goal(begin, end, until, max_steps))
+            return self._march(*moved, fields, begin, end, until, max_steps)
         except BaseException:
             self._teams[0].gate[GIVEN_UP] = 1
             raise

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..chain.chain import Chain
+from ..chain.contacts import Contacts
 from ..errors import InputError, shown
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
@@ -338,9 +339,10 @@ def relative_stiffness(chain: Chain) -> Array:
         )
     chain.refuse_loose("relative stiffness")
     stiffness = chain.contacts.stiffness[1:].copy()
-    force = chain.contacts.force
+    contacts = chain.contacts
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]
         # K and its force follow from those above: the last contact would carry one more weight
-        stiffness[-1] = stiffness[-2] * chain.contacts.stiffness_for_force(1 + weight / force[-2])
+        above = contacts.constant[-2], contacts.force[-2] + weight
+        stiffness[-1] = Contacts.at_rest(*above, contacts.law).stiffness
     return stiffness / stiffness[0]

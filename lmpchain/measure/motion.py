@@ -260,9 +260,15 @@ class Motion:
         farthest = u + fastest * (self.step / 2 if self._all_recorded else scene.duration)
         # no contact opens: each holds its share of the energy
         if self._equation == 3 or scene.largest_strain < 1:
+            # of its energy, a change r of an overlap o takes no less than (r / o)^2 times that of
+            # an opening, or k r^2 / 2
+            contacts = chain.contacts
+            opening = np.minimum(
+                contacts.energy(-contacts.overlap), contacts.stiffness * contacts.overlap**2 / 2
+            )
             softness = np.zeros(chain.grains + 1)
-            np.divide(1.0, chain.contacts.stiffness, where=chain.contacts.pressed, out=softness)
-            square = (chain.exponent + 1) * scene.energy * softness[1:].sum()
+            np.divide(contacts.overlap**2, opening, where=contacts.pressed, out=softness)
+            square = scene.energy * softness[1:].sum()
             # only where something holds the bottom: else the chain may fall as a whole
             farthest = min(farthest, math.sqrt(square)) if softness[-2:].any() else farthest
         return max(u, farthest), fastest
@@ -330,7 +336,7 @@ class Motion:
             # a contact has the energy within reach of either of its grains
             above = np.pad(energy, ((0, 0), (1, 0)))
             below = np.pad(energy, ((0, 0), (0, 1)))
-            stiffness = contacts.stiffness_at(contacts.overlap_bound(np.maximum(above, below)))
+            stiffness = contacts.stiffness_bound(contacts.overlap_bound(np.maximum(above, below)))
         square = np.broadcast_to((stiffness[..., 1:] + stiffness[..., :-1]) / masses, energy.shape)
         # a grain turns no faster than the fastest of itself and its neighbours
         edged = np.pad(square, ((0, 0), (1, 1)))

@@ -337,7 +337,8 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
 def _medium(trajectory: Trajectory) -> Medium:
     """Return the chain as a gas, if it is uniform and wholly recorded."""
     chain = trajectory.scene.chain
-    if chain.gravity or chain.loose_grains or chain.exponent == 1:
+    exponent = chain.law.power_of("a shock")
+    if chain.gravity or chain.loose_grains or exponent == 1:
         rule = "no gravity, an exponent above 1 and a load, if any, on grain 1"
         raise InputError.at("chain", f"a shock is measured with {rule}")
     masses = chain.masses[: chain.movable]
@@ -347,7 +348,7 @@ def _medium(trajectory: Trajectory) -> Medium:
     recorded = trajectory.grains.size
     if recorded < chain.grains:
         raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
-    return Medium(chain.exponent, float(constants[0]), float(masses[0]))
+    return Medium(exponent, float(constants[0]), float(masses[0]))
 
 
 def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWave:

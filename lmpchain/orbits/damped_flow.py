@@ -67,7 +67,7 @@ class DampedFlow(Flow):
     def _march(
         self, motion: BodyRow, deviations: Deviations, mesh: Array, period: float, nodes: Array
     ) -> None:
-        links, inverse_mass = self._kernel_arrays
+        arrays, inverse_mass = self._kernel_arrays
         chain = self.chain
         body = Body(inverse_mass, chain.contact_viscosity, chain.drag)
         begin = np.cumsum(mesh) - mesh
@@ -75,7 +75,7 @@ class DampedFlow(Flow):
         pushes = isinstance(self.drive, Force)
         place = PAD - 1 + (self.drive.grain if isinstance(self.drive, Drive | Force) else 0)
         course = ImposedStages(place, pushes, values)
-        march(links, body, motion, deviations, METHOD, mesh * period, course, nodes)
+        march(arrays, body, motion, deviations, METHOD, mesh * period, course, nodes)
 
     def _complete(self, nodes: Array, wall: Array) -> None:
         free = self.free

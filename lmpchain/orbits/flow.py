@@ -10,7 +10,7 @@ import numpy as np
 from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.layout import PAD, Links
+from ..integrators.kernels.layout import PAD, BatchArrays
 from ..integrators.kernels.tangent import BodyRow, Deviations, Held, TangentSteps, march
 from ..integrators.splittings import KAHAN_LI8
 from ..scene.excitation import Drive, Force, Profile
@@ -93,17 +93,17 @@ class Flow:
         return chain.top == "free" or (chain.bottom == "free" and not chain.compressed)
 
     @cached_property
-    def _kernel_arrays(self) -> tuple[Links, Array]:
+    def _kernel_arrays(self) -> tuple[BatchArrays, Array]:
         """Contacts, and inverse masses of all bodies, 1/kg, for the compiled loop."""
         rest = Profile(velocity=np.zeros(self.chain.grains))
         # scales of a chain at rest divide by 0, but are not used
         with np.errstate(all="ignore"):
             scene = Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)
             batch = ChainBatch([scene], "exact")
-        inverse_mass = batch.inverse_mass[0]
+        inverse_mass = batch.arrays.inverse_mass[0]
         # a grain that the drive holds does not give way
         inverse_mass[PAD : PAD + self.held] = 0.0
-        return batch.links, inverse_mass
+        return batch.arrays, inverse_mass
 
     @cached_property
     def weight(self) -> Array:
@@ -201,7 +201,7 @@ class Flow:
         self, motion: BodyRow, deviations: Deviations, mesh: Array, period: float, nodes: Array
     ) -> None:
         """Advance a motion and its deviations, and fill nodes (2, K+1, N) between the steps."""
-        links, inverse_mass = self._kernel_arrays
+        arrays, inverse_mass = self._kernel_arrays
         steps = TangentSteps(np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period)
         path = np.zeros(0)
         if self.drive is not None:
@@ -209,7 +209,7 @@ class Flow:
             stages = begin[:, None] + mesh[:, None] * np.array([0.0, *METHOD.reach[:-1]])
             path = self._imposed(np.append(stages.ravel(), mesh.sum()))
         march(
-            links, inverse_mass, motion, deviations, steps, Held(PAD - 1 + self.held, path), nodes
+            arrays, inverse_mass, motion, deviations, steps, Held(PAD - 1 + self.held, path), nodes
         )
 
     def _complete(self, nodes: Array, wall: Array) -> None:

@@ -196,7 +196,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     cost = trajectory.cost
     chain = scene.chain
     ends = f"top {chain.top}, bottom {chain.bottom}"
-    yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, exponent {chain.exponent:g}"
+    yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, {chain.law}"
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N{_of_load(chain)}"
     values = ", ".join(
         f"{key} {value:g} {unit_of(key, scene.excitation.kind)}".rstrip()

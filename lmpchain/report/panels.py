@@ -177,7 +177,8 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     """Return the power with which the peak velocity falls with depth, and the kind of wave."""
     chain = run.scene.chain
     excitation = run.scene.excitation
-    if chain.grains == 1 or not is_uniform(chain) or not run.scene.strike_velocity:
+    single = chain.grains == 1 or not is_uniform(chain)
+    if single or not run.scene.strike_velocity or chain.law.power is None:
         return None, ""
     # without compression a strike breaks up into waves that keep their heights
     if not chain.compressed:
@@ -187,7 +188,7 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     if chain.gravity == 0:
         return 1 / 3, "weak wave far from the strike"
     if excitation.strikes_top and chain.top == "free" and chain.top_load == 0:
-        return decay(chain.exponent)[0], "weak wave deep in the column"
+        return decay(chain.law.power)[0], "weak wave deep in the column"
     return None, ""
 
 

@@ -83,7 +83,7 @@ class SceneFacts(Recording):
         """Recorded times, (T,) s."""
         return read_only(np.linspace(0.0, self.duration, self.samples))
 
-    @property
+    @cached_property
     def intervals(self) -> int:
         """Number of sampling intervals."""
         return self.samples - 1
@@ -105,6 +105,11 @@ class SceneFacts(Recording):
         if waveform is None:
             return ()
         return tuple(t for t in waveform.corners if 0.0 < t < self.duration)
+
+    @cached_property
+    def corner_spacing(self) -> float:
+        """Least time between kinks of the applied force or motion, s; infinite without kinks."""
+        return self.excitation.corner_spacing
 
     # Strength of the excitation.
 
@@ -211,7 +216,7 @@ class SceneFacts(Recording):
         speed = self.strike_velocity
         return bounds.struck(speed) if bounds and speed else np.inf
 
-    @property
+    @cached_property
     def _gentle(self) -> bool:
         """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
         # With arrays of all contacts in place of bounds, a run of 100 grains takes a fifth longer.
@@ -299,7 +304,7 @@ class SceneFacts(Recording):
         fastest = self.linear_frequency
         # A bound below the other frequencies spares the overlaps of all contacts.
         if not (bounds and bounds.frequency(self._first_overlap_bound) <= fastest):
-            stiffness = self.chain.contacts.stiffness_at(self.first_overlaps).max()
+            stiffness = self.chain.contacts.stiffness_bound(self.first_overlaps).max()
             fastest = max(fastest, math.sqrt(2 * stiffness / self.chain.masses.min()))
         return float(fastest)
 
@@ -397,14 +402,14 @@ def _fastest(scene: SceneFacts, first: int, last: int) -> float:
     """Bound sqrt(k_max / m_min), rad/s, of grains first ... last by the energy above rest."""
     chain = scene.chain
     if chain.grains <= FEW_GRAINS:
-        stiffness = chain.contacts.stiffness_at(scene.overlap_bounds)
+        stiffness = chain.contacts.stiffness_bound(scene.overlap_bounds)
         # contacts between these grains, and those with the walls of the chain
         stiffness = stiffness[first - (first == 1) : last + (last == chain.grains)]
         masses = chain.masses[first - 1 : last]
     else:
         # the arrays of a long chain take long: those of the piece suffice
         piece = chain.part(first, last)
-        stiffness = piece.contacts.stiffness_at(piece.contacts.overlap_bound(scene.energy))
+        stiffness = piece.contacts.stiffness_bound(piece.contacts.overlap_bound(scene.energy))
         masses = piece.masses
     return math.sqrt(float(stiffness.max()) / masses.min())
 

@@ -105,7 +105,7 @@ class Scene(SceneFacts):
         _, compression = self.first_squeeze
         limit = LIMITS.hertz_compression
         # a chain that is squeezed so at rest says it of itself
-        if chain.exponent == 1.5 and compression > limit > chain.equilibrium.compression.max():
+        if chain.law.power == 1.5 and compression > limit > chain.equilibrium.compression.max():
             yield f"{self._strength}: {beyond_hertz(compression)}"
         first, near = self._surroundings
         speed = np.abs(near.excitation.largest(near.chain)[1])
@@ -220,6 +220,8 @@ class Scene(SceneFacts):
 
     def until(self, time: float) -> Self:
         """Return the scene to the last sample before a time, s; itself where that is t = 0."""
+        if time > self.duration:
+            return self
         last = int(np.searchsorted(self.time, time)) - 1
         if last in (0, self.intervals):
             return self

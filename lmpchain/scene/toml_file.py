@@ -169,8 +169,9 @@ def _of_this_length(table: Any) -> Chain | None:
 
 def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a scene file; of `recording`, the options of a recording are taken."""
+    laws = {"exponent": chain.law.power_of("a scene file")} if "law" in chain.given() else {}
     return {
-        "chain": _table(chain),
+        "chain": {key: value for key, value in _table(chain).items() if key != "law"} | laws,
         "excitation": {"kind": excitation.kind} | _table(excitation),
         "recording": {
             key: _toml(recording[key]) for key in Recording.arguments if key in recording

@@ -275,7 +275,7 @@ class RunFolder:
             self.samples = 0
             self._before = self._before | dict.fromkeys(SPENT, 0.0)
             # both checkpoints: none may hold an earlier attempt, whose samples go
-            for _ in files.CHECKPOINTS:
+            for _ in files.CHECKPOINT_FILES:
                 files.save_checkpoint(self.path, self._notes(self._before), {})
             engine = self._answering
             scene = self._known

@@ -111,7 +111,8 @@ def strike_number_where(error: float, scene: Scene) -> float:
         v0*.
     """
     if struck_column(scene):
-        return strike_number_at(error, "package", scene.chain.exponent)
+        delta = scene.chain.law.power_of("the law of struck columns")
+        return strike_number_at(error, "package", delta)
     number = min(WEAK, scene.strike_number)
     for _ in range(20):
         excitation = scene.excitation.scaled(number / (scene.strike_number or 1.0))
@@ -142,7 +143,7 @@ def struck_column(scene: Scene) -> bool:
     strike = scene.excitation
     if chain.grains == 1 or not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
-    if chain.top != "free" or chain.exponent > STEEPEST or any(unlike(chain).values()):
+    if chain.top != "free" or (chain.law.power or np.inf) > STEEPEST or any(unlike(chain).values()):
         return False
     return bool(scene.duration <= 10 * passage(scene).sum())
 

@@ -64,7 +64,7 @@ def reflection_time(scene: Scene) -> float:
     InputError
         If the exponent is not 1.5 or the scene is no impulse.
     """
-    if scene.chain.exponent != 1.5 or not scene.strike_velocity:
+    if scene.chain.law.power != 1.5 or not scene.strike_velocity:
         message = "a reflection time is known for a strike on a chain of exponent 1.5"
         raise InputError.at("excitation", message)
     chain = scene.chain
@@ -105,7 +105,7 @@ def amplifies(scene: Scene) -> bool:
     bool
     """
     grains = scene.chain.grains
-    if not scene.excitation.strikes_top or scene.chain.exponent != 1.5:
+    if not scene.excitation.strikes_top or scene.chain.law.power != 1.5:
         return False
     opens = MEASURED.opening < scene.strike_number < MEASURED.flying * grains
     return opens and MEASURED.fewest <= grains <= MEASURED.most

@@ -51,7 +51,7 @@ def struck_frequency(scene: Scene) -> float:
     if cone.excitation.does_work:
         return cone.highest_frequency
     displaced = chain.excess_energy(cone.initial()[0], np.zeros(chain.grains))
-    elastic = max(contacts.elastic_share * cone.energy, float(displaced))
+    elastic = max(contacts.law.elastic_share * cone.energy, float(displaced))
     inertia = np.zeros(chain.grains + 2)
     inertia[1 : chain.movable + 1] = 1 / chain.masses[: chain.movable]
 
@@ -59,7 +59,7 @@ def struck_frequency(scene: Scene) -> float:
         """Return the highest squared frequency of up to 8 neighbours that share an energy."""
         highest = 0.0
         for n in range(1, 9):
-            stiffness = contacts.stiffness_at(contacts.overlap_bound(energy / n))
+            stiffness = contacts.stiffness_bound(contacts.overlap_bound(energy / n))
             coupling = np.sqrt(stiffness[:-1] * stiffness[1:]) * inertia[1:-1]
             beside = np.append(coupling, 0.0) + np.append(0.0, coupling)
             alone = stiffness * (inertia[:-1] + inertia[1:])

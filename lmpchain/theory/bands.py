@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..chain.chain import Chain
-from ..chain.contacts import Contacts, hertz_constant, pair_value
+from ..chain.contacts import Contacts, pair_value
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
@@ -100,9 +100,9 @@ class Cell:
         d = chain.diameters[ends]
         modulus = chain.by_grain("plane_strain_modulus")[ends]
         length = (d[:-1] + d[1:]) / 2
-        natural = hertz_constant(pair_value(modulus), pair_value(d / 2), length, chain.exponent)
+        natural = chain.law.constant(pair_value(modulus), pair_value(d / 2), length)
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
-        closing = Contacts.at_rest(np.array([constant]), np.array([chain.top_load]), chain.exponent)
+        closing = Contacts.at_rest(np.array([constant]), np.array([chain.top_load]), chain.law)
         stiffness = np.append(chain.linear_stiffness, closing.stiffness)
         # the closing contact is as viscous as that next to it, like one with a wall
         viscosity = chain.contact_viscosity[1:]

@@ -122,7 +122,7 @@ class DimerSoliton(Shown, Tabular):
         ratio = f"must alternate in the ratio {self.mass_ratio:.12g}"
         fits = f"must lie from {low:g} to {high:g} for the wave to fit the chain"
         require(
-            ("chain", chain.exponent == self.delta, exponent),
+            ("chain", chain.law.power == self.delta, exponent),
             ("chain", not chain.compressed, "must be in a sonic vacuum: no gravity, no load"),
             ("masses", masses, ratio),
             ("contact_constants", np.ptp(constant) < 1e-9 * constant[0], "must be equal"),

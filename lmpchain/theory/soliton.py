@@ -198,7 +198,7 @@ class Soliton(Shown):
         gravity = "must be 0: contacts that stiffen with depth change a wave"
         load = "must be above 0 for a wave under a load, else 0"
         require(
-            ("chain", chain.exponent == self.delta, exponent),
+            ("chain", chain.law.power == self.delta, exponent),
             ("gravity", chain.gravity == 0, gravity),
             ("top_load", chain.compressed == self.loaded, load),
         )

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import roots_legendre
 
+from ..chain.contact_law import power_law
 from ..chain.contacts import Contacts
 from ..errors import InputError
 from ..util.arrays import Array
@@ -69,7 +70,7 @@ def law(delta: float, loaded: bool) -> Contacts:
     """Return the contact in the units of the module: stiffness 1 at rest, or constant 1."""
     constant = 1 / delta if loaded else 1.0
     force = 1 / delta if loaded else 0.0
-    return Contacts.at_rest(np.array(constant), np.array(force), delta)
+    return Contacts.at_rest(np.array(constant), np.array(force), power_law(delta))
 
 
 def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Array:

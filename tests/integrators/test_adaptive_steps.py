@@ -94,7 +94,7 @@ def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -
     chain = scene.chain
     batch = ChainBatch([scene])
     omega = scene.highest_frequency
-    speed = batch.scale[0, 1]
+    speed = batch.arrays.scale[0, 1]
     bodies = np.zeros((3, GRAINS + 2))
     bodies[0, 1:-1] = x
     bodies[1, 1:-1] = v

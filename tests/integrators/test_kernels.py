@@ -24,7 +24,7 @@ from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
 from lmpchain.integrators.kernels.contact_forces import ROOTS, Form
-from lmpchain.integrators.kernels.layout import STATE, Links
+from lmpchain.integrators.kernels.layout import ALONE, STATE, Chains, Links
 from lmpchain.integrators.kernels.openings import Near, _find_nearness
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
@@ -266,7 +266,7 @@ def test_other_loops_do_several_at_a_time():
     row = types.Array(float64, 1, "C")
     batch = ChainBatch([smooth()])
     bodies, *_ = batch.place(*(field[None] for field in batch.initial))
-    chains = batch.arrays(bodies, bodies, bodies[:, None], np.zeros(1, STATE))
+    chains = Chains(batch.arrays, bodies, bodies, bodies[:, None], np.zeros(1, STATE), ALONE)
     alike = np.ones(2)
     links = numba.typeof(links_of(alike, alike, Form.CORRECTED, 1.0, 1.5))
     near = numba.typeof(Near(alike, alike, 1.0, 1.0, 1.0))

@@ -60,9 +60,9 @@ ENDS = {
 def test_tables_hold_lengths_strengths_and_masses(ends: str):
     made = chains(**ENDS[ends])
     laid = batch(*made)
-    assert laid.links.precompressed == (0.0 if "vacuum" in ends else 1.0)
-    links = laid.links
-    table = links.inverse_length, links.strength, laid.inverse_mass, links.uncompressed
+    assert laid.arrays.precompressed == (0.0 if "vacuum" in ends else 1.0)
+    links = laid.arrays
+    table = links.inverse_length, links.strength, laid.arrays.inverse_mass, links.uncompressed
     for chain, length, strength, mobility, touching in zip(made, *table, strict=True):
         contacts = chain.contacts
         pressed = contacts.force > 0
@@ -85,7 +85,7 @@ def test_tables_hold_lengths_strengths_and_masses(ends: str):
 def test_a_driven_grain_has_no_inverse_mass_in_the_table():
     chain = chains()[0]
     laid = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
-    assert laid.inverse_mass[0, PAD : PAD + N] == pytest.approx(
+    assert laid.arrays.inverse_mass[0, PAD : PAD + N] == pytest.approx(
         [0, *1 / chain.masses[1:-1], 0], rel=1e-15
     )
 
@@ -95,7 +95,7 @@ def test_units_are_those_of_the_contact_below_grain_1(ends: str):
     made = chains(**ENDS[ends])
     laid = batch(*made)
     for chain, (length, speed), allowed, scene in zip(
-        made, laid.units, laid.allowed, laid.scenes, strict=True
+        made, laid.arrays.units, laid.arrays.allowed, laid.scenes, strict=True
     ):
         contacts = chain.contacts
         overlap = 1.0 if "vacuum" in ends else contacts.overlap[1]
@@ -110,7 +110,7 @@ def test_units_are_those_of_the_contact_below_grain_1(ends: str):
 def test_units_of_a_single_grain_are_those_of_the_contact_above():
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
     laid = batch(chain, excitation=Impulse(velocity=1e-3))
-    assert laid.units[0, 0] in (chain.contacts.overlap[0], chain.contacts.overlap[1])
+    assert laid.arrays.units[0, 0] in (chain.contacts.overlap[0], chain.contacts.overlap[1])
 
 
 @pytest.mark.parametrize(
@@ -128,8 +128,10 @@ def test_scales_are_the_largest_speed_and_displacement_that_it_makes(excitation)
     scene = laid.scenes[0]
     farthest, fastest = scene.imposed
     speed = max(fastest, farthest * scene.highest_frequency)
-    assert laid.omega[0] == scene.highest_frequency
-    assert laid.scale[0] == pytest.approx([speed / scene.highest_frequency, speed], rel=1e-14)
+    assert laid.arrays.omega[0] == scene.highest_frequency
+    assert laid.arrays.scale[0] == pytest.approx(
+        [speed / scene.highest_frequency, speed], rel=1e-14
+    )
 
 
 def test_rows_begin_at_cache_lines_and_have_a_body_more_at_either_end():
@@ -137,7 +139,7 @@ def test_rows_begin_at_cache_lines_and_have_a_body_more_at_either_end():
         laid = batch(Chain(grains=grains, diameter=1e-3))
         x, v, _ = laid.place(*(field[None] for field in laid.initial))
         width = -(-(grains + 2 * PAD) // PAD) * PAD
-        for rows in (x, v, laid.links.strength, laid.inverse_mass):
+        for rows in (x, v, laid.arrays.strength, laid.arrays.inverse_mass):
             assert rows.shape[1] == width
             assert rows.ctypes.data % 64 == 0
 
@@ -210,10 +212,10 @@ def test_contacts_that_are_open_at_rest_are_known(ends: str):
 def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(ends, exponent):
     made = chains(**ENDS[ends], exponent=exponent)
     laid = batch(*made)
-    weight, reach = laid.openings
+    weight, reach = laid.arrays.opening_weight, laid.arrays.opening_reach
     for real, chain in enumerate(made):
         contacts = chain.contacts
-        omega = laid.omega[real]
+        omega = laid.arrays.omega[real]
         lightest = np.append(
             0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable))
         )
@@ -222,9 +224,9 @@ def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(e
         pull[0] = contacts.constant[0] if ends == "touching" else pull[0]
         length = np.ones(N + 1) if "vacuum" in ends else contacts.overlap.copy()
         length[0] = 1.0 if ends == "touching" else length[0]
-        strain = np.divide(laid.scale[real, 0], length, out=np.ones(N + 1), where=length > 0)
+        strain = np.divide(laid.arrays.scale[real, 0], length, out=np.ones(N + 1), where=length > 0)
         pull = pull * strain ** (exponent - 1.5)
-        expected = (pull * mobility / (omega**2.5 * laid.scale[real, 1])) ** 2
+        expected = (pull * mobility / (omega**2.5 * laid.arrays.scale[real, 1])) ** 2
         assert weight[real, PAD - 1 : PAD + N] == pytest.approx(expected, rel=1e-13)
         assert not np.delete(weight[real], np.arange(PAD - 1, PAD + N)).any()
         slow = np.sqrt(2) * (2 * omega) ** 3
@@ -250,7 +252,7 @@ def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
     excitation, body = ACTS[what]
     laid = batch(*chains(**BETWEEN), excitation=excitation)
     wave = excitation.waveform
-    imposed = laid.imposed
+    imposed = laid.arrays
     rows = imposed.wave, imposed.knots, imposed.pieces, imposed.reach
     for course, knots, pieces, reach in zip(*rows, strict=True):
         count = 0 if wave.spline is None else wave.spline.x.size
@@ -267,7 +269,7 @@ def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
 
 def test_where_nothing_acts_the_last_body_comes_before_the_first():
     laid = batch(*chains())
-    imposed = laid.imposed
+    imposed = laid.arrays
     assert not imposed.acts
     assert (imposed.reach[:, 0] > imposed.reach[:, 1]).all()
     assert all(not any(wave) for wave in imposed.wave.tolist())

@@ -21,9 +21,9 @@ def test_what_twice_the_kinetic_energy_cannot_exceed():
     ]
     slow = chain.masses.sum() * (1e-3 * chain.length_scale / chain.time_scale) ** 2
     expected = [1.5 * chain.masses[0] * v**2 + slow for v in (1e-9, 1e-2)]
-    assert ChainBatch(struck).allowed == pytest.approx(expected, rel=1e-13)
+    assert ChainBatch(struck).arrays.allowed == pytest.approx(expected, rel=1e-13)
     driven = Scene(chain=chain, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=1e-4)
-    assert ChainBatch([driven]).allowed.tolist() == [UNBOUNDED]
+    assert ChainBatch([driven]).arrays.allowed.tolist() == [UNBOUNDED]
 
 
 @pytest.mark.parametrize("name", CHAINS)

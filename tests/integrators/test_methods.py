@@ -353,8 +353,8 @@ def test_threads_share_a_long_chain_or_a_batch():
     ):
         run = NativeStepper(ChainBatch(scenes), METHODS["verlet"], own, {}, threads)
         assert len(run._teams) == teams
-        assert len(run._work) == works
-        ranges = [(work.begin, work.end) for work in run._work]
+        assert len(run._shares) == works
+        ranges = [share[1:] for share in run._shares]
         assert (
             ranges == [(0, 1), (1, 2)]
             if works == 2 and teams == 1

@@ -194,7 +194,7 @@ def distance(fields: np.ndarray, others: np.ndarray) -> float:
 @pytest.mark.parametrize("law", LAWS)
 def test_grains_that_fly_about_move_as_in_plain_numpy(law: str, method: str):
     scene, force, name = LAWS[law]
-    assert name_of(ChainBatch([scene], force).links.form[0]) == name
+    assert name_of(ChainBatch([scene], force).arrays.form[0]) == name
     schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
     fields, stepper = answer(scene, method, schedule, force)
     assert stepper.steps == 4 * STEPS_EACH

@@ -66,7 +66,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
     moving = np.flatnonzero(motion.mobile)
     steps = FRACTIONS * scene.duration
     batch = ChainBatch([scene], "exact")
-    inverse_mass = batch.inverse_mass[0]
+    inverse_mass = batch.arrays.inverse_mass[0]
     assert inverse_mass[PAD + moving] == pytest.approx(1 / scene.chain.masses[moving], rel=1e-15)
     columns = 2 * moving.size + 1  # a displacement or a velocity that differs, and longer steps
     dx, dv = np.zeros((2, GRAINS, columns))
@@ -100,7 +100,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
             each = [WIDE(h) for h in steps]
         states.append(plain.by_splitting(other, RKN4, each))
     march(
-        batch.links,
+        batch.arrays,
         inverse_mass,
         tangent.BodyRow(x, v),
         tangent.Deviations(dx, dv, stretch),
@@ -125,9 +125,9 @@ def test_a_flight_of_many_steps_adds_no_rounding():
     """A grain that flies alone through 10^5 steps ends where it ought to the last digit."""
     scene = scene_of("vacuum")
     batch = ChainBatch([scene], "exact")
-    inverse_mass = batch.inverse_mass[0]
-    links = batch.links._replace(
-        strength=0 * batch.links.strength, uncompressed=0 * batch.links.uncompressed
+    inverse_mass = batch.arrays.inverse_mass[0]
+    links = batch.arrays._replace(
+        strength=0 * batch.arrays.strength, uncompressed=0 * batch.arrays.uncompressed
     )
     x, v = np.zeros((2, inverse_mass.size))
     v[PAD + 2] = 0.1

@@ -44,6 +44,9 @@ from .stepper import LammpsStepper, word
 LOG = "log.lammps"
 DECK = "deck"
 UNKEPT = ("keep", "template")  # options with which a run cannot go on in another process
+# Each drift of a splitting is a run of its own, with commands and kicks from outside: the time of a
+# step of so many grains, some 14 us.
+RUN_OVERHEAD = 200
 DIAMETERS = ("auto", "physical", "gauge")
 
 
@@ -174,9 +177,11 @@ class Lammps(TimeSteppingEngine):
             fault = "kicks from outside know no velocities: use verlet, or leave it out"
             return [("integrator", fault)]
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
-        if scene.chain.exponent not in exponents:
+        law = scene.chain.law
+        if law.power not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
-            fault = f"knows {allowed} only (got {scene.chain.exponent:g}); use the engine native"
+            got = law if law.power is None else f"{law.power:g}"
+            fault = f"knows {allowed} only (got {got}); use the engine native"
             return [("exponent", f"{self.pair_style} in LAMMPS {fault}")]
         grains = scene.chain.grains
         if (self.ranks or 1) > grains:
@@ -283,6 +288,10 @@ class Lammps(TimeSteppingEngine):
                 f"{floor:.1g} here, above the tolerance of {tolerance:.1g}: {cure}"
             )
         return small
+
+    def overhead(self, method: Method) -> int:
+        """Return what a force evaluation takes besides its grains, in grains."""
+        return super().overhead(method) if method.order <= 2 else RUN_OVERHEAD
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
         """Return a bound on the relative round-off of a run, from the last digit of a height.

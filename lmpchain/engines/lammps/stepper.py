@@ -16,6 +16,8 @@ from .column import LammpsColumn
 from .launch import Communicator
 from .worker import LocalState, StepPlan
 
+# Packages of fix mvv/dpd, of the pair style that it asks for, and of the atom style.
+PREDICTING = ("DPD-MESO", "DPD-BASIC", "SPH")
 UNSEEN = 32  # most steps after which a run that has broken down is seen
 
 
@@ -79,6 +81,8 @@ class LammpsStepper:
             include = column.include
             column = replace(column, include="# these follow when the state is set")
         try:
+            if column.predicts:
+                communicator.ask("require", PREDICTING)
             with deck.data_file(column, keep) as data:
                 setup = deck.setup(column, word(data), step, splitting, self._done)
                 communicator.ask("commands", setup)

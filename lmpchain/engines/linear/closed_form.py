@@ -117,6 +117,8 @@ class Continuum(ClosedForm):
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
+        if scene.chain.law.power is None:
+            reasons.append(("law", "continuum knows powers of the overlap only; use modes"))
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
             why = "continuum knows chains under gravity alone; use modes or chebyshev"
             reasons.append(("top_load", why))
@@ -129,7 +131,7 @@ class Continuum(ClosedForm):
         unit = scene.chain.time_scale
         strike = scene.strike_velocity
         phi, speed = continuum.impulse_of_grain(
-            scene.recorded, times[:, None] / unit, scene.chain.exponent
+            scene.recorded, times[:, None] / unit, scene.chain.law.power_of("the continuum")
         )
         return strike * unit * phi, strike * speed
 

@@ -281,12 +281,13 @@ def expected_error(scene: Scene) -> float:
 
 
 def excess(scene: Scene) -> float:
-    """Return delta - 1, by which a force bends away from a straight line; viscosity adds to it.
+    """Return by how much a force bends away from a straight line; viscosity adds to it.
 
+    It is delta - 1 for a power, see `ContactLaw.bend`.
     Its force (1 + A d/dt) s^2 is larger by the modulus of 1 + i A omega than that of s^2 alone.
     """
     turn = scene.chain.damping.longest_time * scene.linear_frequency
-    return math.hypot(1.0, turn) * (scene.chain.exponent - 1)
+    return math.hypot(1.0, turn) * float(np.abs(scene.chain.contacts.bend).max())
 
 
 def in_phase(scene: Scene) -> bool:

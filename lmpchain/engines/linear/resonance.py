@@ -1,10 +1,10 @@
 """Waves in resonance: the motion that two waves drive in a third by the curvature of the force law.
 
-Beside its stiffness k times the change s of its overlap D, a contact has the force k (delta - 1)
-s^2 / (2 D), so two waves of frequencies a and b force every mode at a + b and |a - b|. A mode of
-frequency w answers with the amplitude force / (2 w) times min(t, 2 / |w - a - b|). In many grains
-so many answers go at random; in a few, modes fit each other by chance, and then the answer grows
-for as long as they do.
+Beside its stiffness k times the change s of its overlap D, a contact has the force k c s^2 / (2 D),
+c = delta - 1 for a power (`ContactLaw.bend`), so two waves of frequencies a and b force every mode
+at a + b and |a - b|. A mode of frequency w answers with the amplitude force / (2 w) times min(t, 2
+/ |w - a - b|). In many grains so many answers go at random; in a few, modes fit each other by
+chance, and then the answer grows for as long as they do.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ class Resonance:
         """
         chain = self._scene.chain
         driven = self._scene.excitation.driven
-        if not driven < chain.movable <= chain.grains <= FEW or chain.exponent == 1 or time <= 0:
+        free = driven < chain.movable <= chain.grains <= FEW
+        if not free or not chain.contacts.bend.any() or time <= 0:
             return np.zeros(2)
         pairs = self._pairs
         # an answer grows for as long as beat and mode are in step
@@ -96,10 +97,10 @@ class Resonance:
         squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)
         waves, frequencies = self._waves(modes, squeezed)
         overlap = np.where(contacts.pressed, contacts.overlap, np.inf)[free]
-        curvature = contacts.stiffness[free] / overlap
+        curvature = contacts.bend[free] * contacts.stiffness[free] / overlap
         products = (waves[:, :, None] * waves[:, None]).reshape(len(waves), -1).T
         # each pair comes twice, as (a, b) and (b, a): twice the force, hence the root of 2
-        factor = np.sqrt(2) * (chain.exponent - 1) / 4
+        factor = np.sqrt(2) / 4
         forces = factor * np.abs(products @ (curvature[:, None] * squeezed))
         beats = [np.abs(np.add.outer(frequencies, sign * frequencies)).ravel() for sign in (1, -1)]
         detuning = np.abs(np.subtract.outer(beats, modes.frequency))

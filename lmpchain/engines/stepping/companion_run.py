@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RunFailed
-from ...integrators.batch import ROUNDED, ChainBatch
+from ...integrators.batch import ChainBatch
 from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, AuxiliaryRuns, compare
+from ...integrators.kernels.table import ROUNDED
 from ...integrators.method import Method
 from ...integrators.stepper import NativeStepper, Stepper, room_for
 from ...integrators.steps import Steps
@@ -189,7 +190,7 @@ class CompanionRun(Run):
         # the fields of the companions, with sample 0 in the first block
         self._fields = room_for(runs, self.realisations, self._longest_block + 1, grains)
         self._differences = np.zeros((runs, samples, self.realisations, 2))
-        if self._chains.dissipation.acts:
+        if self._chains.arrays.damped:
             schedules = 1 + len(self._companions.schedules)
             self.native.balance = np.zeros((schedules, self.realisations, samples, 2))
         self._peaks = np.zeros((self.realisations, 2))
@@ -225,12 +226,12 @@ class CompanionRun(Run):
             self._answer = make((answer,), restrict("answer", state))
             steppers = [self._answer, self.native]
             evaluations = self.proposal.steps.total(self.scene.intervals) * self.method.evaluations
-            self._allowed = chains.allowed + 3 * rounded_energy(self.scene, evaluations)
+            self._allowed = chains.arrays.allowed + 3 * rounded_energy(self.scene, evaluations)
         else:
             self._answer = make((answer, *beside), restrict("native", state))
             self.native = cast(NativeStepper, self._answer)
             steppers = [self._answer]
-            self._allowed = self.native.chains.allowed
+            self._allowed = self.native.chains.arrays.allowed
         work = self.realisations * self.scene.chain.grains * self.method.evaluations
         self._movers = [Mover(stepper, stepper.guessed_rate / work) for stepper in steppers]
 
@@ -239,7 +240,7 @@ class CompanionRun(Run):
         # the energy of the weakest motions underflows
         energy = np.maximum(self._allowed, np.finfo(float).tiny)
         bound = self._chains.contacts.overlap_bound(energy[:, None]).max(1)
-        if self._chains.imposed.acts:
+        if self._chains.arrays.acts:
             # no energy bounds what is driven; a million times its length no column survives
             lengths = [scene.chain.diameters.sum() for scene in self._scenes]
             bound = np.minimum(bound, 1e6 * min(lengths))
@@ -407,12 +408,16 @@ class CompanionRun(Run):
         if self._twin and not self.native.largest()[0, 1]:
             # only what rounding presses moves: its velocities are below those of its displacements
             scale[0, 1] = max(scale[0, 1], self.scene.highest_frequency * scale[0, 0])
-        if self._chains.dissipation.acts:
-            # reduced velocities leave their rounding where nothing moves
-            scale[:, 1] = np.maximum(scale[:, 1], ROUNDED * self._chains.scale[:, 1])
+        if self._chains.arrays.damped:
+            # If nothing moves, the velocities are the rounding errors of reduced velocities.
+            closest = self.native.closest()[0].tolist()
+            largest = scale[:, 0].tolist()
+            lost = [*map(reduced_loss, self._scenes, largest, closest)]
+            floor = np.where(scale[:, 1] <= lost, ROUNDED * self._chains.arrays.scale[:, 1], 0.0)
+            scale[:, 1] = np.maximum(scale[:, 1], floor)
         # where nothing is set in motion, units take its place
-        idle = self._chains.scale[:, 1] == 0.0
-        scale[idle] = self._chains.units[idle]
+        idle = self._chains.arrays.scale[:, 1] == 0.0
+        scale[idle] = self._chains.arrays.units[idle]
         scale[scale == 0.0] = 1.0
         return scale
 

@@ -48,7 +48,7 @@ class OpeningOrder:
     far : float
         Strain from which a contact that is pressed by equal steps began as good as open.
     kinked_below : float
-        Exponent below which the force has a kink at an opening.
+        Power of the overlap, with which a force sets in, below which it has a kink at an opening.
     returning : float
         Phase of the fastest motion, in radians a grain, after which waves come back to contacts
         that opened: errors scatter from there on.
@@ -68,9 +68,9 @@ class OpeningOrder:
     nearby: float = 1.5
     nearby_kinked: float = 1.75
 
-    def kinks(self, exponent: float) -> bool:
-        """Say whether the force of contacts of this exponent has a kink at an opening."""
-        return exponent < self.kinked_below
+    def kinks(self, onset: float) -> bool:
+        """Say whether a force that sets in with this power has a kink at an opening."""
+        return onset < self.kinked_below
 
     def trusted_order(self, steps: Steps) -> float:
         """Return the highest order that is trusted where contacts open, or nearly so."""
@@ -120,14 +120,13 @@ class Companions:
     def __init__(self, method: Method, scenes: Sequence[Scene], steps: Steps, twin: bool = False):
         self._method = method
         self.answer = steps
-        exponent = scenes[0].chain.exponent
         self._order_at_openings = min(method.order, OPENINGS.trusted_order(steps))
         longer = longer_steps(method, scenes[0], steps)
         self.recurrent = [recurs(scene) for scene in scenes]
         self._far = [scene.largest_strain > OPENINGS.far for scene in scenes]
         self._nearby = len(longer) == 2 and steps.adaptive and any(self.recurrent)
         if self._nearby:
-            kinks = OPENINGS.kinks(exponent)
+            kinks = OPENINGS.kinks(scenes[0].chain.law.onset)
             longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
         arrangement = _arrange(self.answer, tuple(longer), self._nearby, twin, scenes[0].intervals)
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
@@ -276,5 +275,5 @@ def recurs(scene: Scene) -> bool:
     returns = scene.total_phase > OPENINGS.returning * crossed
     chain = scene.chain
     # The bounds on strains take arrays of all contacts: they are asked for last.
-    recurs = returns or OPENINGS.kinks(chain.exponent) or not chain.linearisable
+    recurs = returns or OPENINGS.kinks(chain.law.onset) or not chain.linearisable
     return recurs and min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near

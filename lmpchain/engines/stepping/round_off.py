@@ -117,7 +117,7 @@ def reduced_loss(scene: Scene, displacement: float, closer: float) -> float:
         Largest approach of two grains beyond that at rest, m.
     """
     chain = scene.chain
-    stiffness = chain.contacts.stiffness_at(chain.contacts.overlap + max(closer, 0.0))
+    stiffness = chain.contacts.stiffness_bound(chain.contacts.overlap + max(closer, 0.0))
     viscous = chain.contact_viscosity * stiffness
     rates = (viscous[:-1] + viscous[1:]) / chain.masses + chain.drag
     return ROUNDING.reduced * EPSILON * float(rates[: chain.movable].max()) * displacement

@@ -209,7 +209,7 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and scene.sampling_decay > DIES:
         steps += 1
     coarse = False
-    if shortens and not OPENINGS.kinks(scene.chain.exponent):
+    if shortens and not OPENINGS.kinks(scene.chain.law.onset):
         # where samples hold steps short, shorter ones near openings would only cost
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
@@ -251,7 +251,7 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     if adaptive:
         # all runs end steps on the corners of what acts: the longest steps of a companion, too, fit
         # between two corners, or those of all would be cut to the same length
-        spacing = scene.excitation.corner_spacing / LONGER[-1]
+        spacing = scene.corner_spacing / LONGER[-1]
         reach = min(reach, scene.highest_frequency * spacing)
     return reach
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from ...errors import InputError, shown
 from ...integrators.method import Method
-from ...integrators.methods import BY_NAME, DAMPED, methods_of
+from ...integrators.methods import BY_NAME, methods_of
 from ...integrators.stepper import Stepper
 from ...integrators.steps import Steps
 from ...scene.scene import Scene
@@ -42,10 +42,12 @@ class TimeSteppingEngine(Engine):
 
     adaptive: bool = False
     twin: ClassVar[bool] = True
+    # Methods of other programs, which `lmpchain check` asks for.
+    foreign: ClassVar[tuple[str, ...]] = ()
     dissipates: ClassVar[bool] = True
 
     def __init__(self, integrator: str, step: float | None):
-        if integrator not in self.integrators:
+        if integrator not in (*self.integrators, *self.foreign):
             raise InputError.at("integrator", not_among(integrator, self.integrators))
         if step is not None and not (
             isinstance(step, int | float)
@@ -65,11 +67,13 @@ class TimeSteppingEngine(Engine):
         return [methods_of(damped)[name] for name in names]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why a scene cannot be done: a method that cannot move a chain with damping."""
-        if not scene.chain.damped or self.integrator in ("auto", *DAMPED):
+        """Return why a scene cannot be done: a method of chains with damping, or without it."""
+        names = methods_of(scene.chain.damped)
+        if self.integrator in ("auto", *names):
             return []
-        cure = f"use {' or '.join(DAMPED)}, or leave it out"
-        fault = f"{self.integrator} is a method for chains without damping: {cure}"
+        cure = f"use {' or '.join(name for name in names if name in self.integrators)}"
+        kind = "without" if scene.chain.damped else "with"
+        fault = f"{self.integrator} is a method for chains {kind} damping: {cure}, or leave it out"
         return [("integrator", fault)]
 
     @abstractmethod
@@ -126,12 +130,16 @@ class TimeSteppingEngine(Engine):
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""
-        grain_steps = method.evaluations * steps * (self.computed(scene) + EVALUATION_OVERHEAD)
+        grain_steps = method.evaluations * steps * (self.computed(scene) + self.overhead(method))
         return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
 
     @abstractmethod
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict the relative round-off of so many steps; `speed` is the largest velocity, m/s."""
+
+    def overhead(self, method: Method) -> int:
+        """Return what a force evaluation takes besides its grains, in grains."""
+        return EVALUATION_OVERHEAD
 
     def computed(self, scene: Scene) -> float:
         """Return how many grains it computes in each step, on average."""
@@ -213,6 +221,6 @@ def kind(scene: Scene) -> tuple:
     chain = scene.chain
     excitation = scene.excitation
     ends = chain.top, chain.bottom, chain.loose_grains
-    built = chain.grains, *ends, chain.exponent, chain.compressed, chain.damped
+    built = chain.grains, *ends, chain.law, chain.compressed, chain.damped
     acted = excitation.driven, excitation.does_work
     return *built, *acted, scene.samples, scene.duration, scene.grains

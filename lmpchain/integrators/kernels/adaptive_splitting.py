@@ -124,7 +124,7 @@ def make_work(
     chains: Chains, method: tuple[SplittingStages, Shortening]
 ) -> tuple[Rows, DenseRates]:
     """Return what a thread works in."""
-    rows = make_rows(method[0].drifts.size - 1, chains.imposed.acts)
+    rows = make_rows(method[0].drifts.size - 1, chains.batch.acts)
     return rows, DenseRates(*np.zeros((4, chains.x.shape[1])))
 
 

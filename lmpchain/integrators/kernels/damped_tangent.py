@@ -147,7 +147,7 @@ def march(batch, body, motion, deviations, method, lengths, course, states):
 
     Parameters
     ----------
-    batch : Links
+    batch : BatchArrays
         Of a batch of this chain alone.
     body : Body
     motion : Motion

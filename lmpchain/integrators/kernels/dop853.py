@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from .contact_forces import apart, compiled, compiled_march, inlined, pasted, summed
-from .layout import PAD, RESOLUTION, Chains, Goal
+from .layout import PAD, RESOLUTION, Chains
 from .openings import shorten
 from .right_hand_side import accelerate, ahead, course, forced, impose, impose_velocity
 from .sample_loop import end_of_step, sample_loop
@@ -100,12 +100,11 @@ def _fill_creep(creep, inverse_mass, force, viscosity, drag, x):
 
 
 @inlined
-def fill_creep(chain, dissipation, y, force, creep):
+def fill_creep(chain, y, force, creep):
     """Fill creep (W,) with the rates d at which contacts and drag move the bodies of the window.
 
     Parameters
     ----------
-    dissipation : `layout.Dissipation`
     y, force : (W,) arrays
         Displacements, m, and the forces that `accelerate` has found there, N.
     """
@@ -116,18 +115,18 @@ def fill_creep(chain, dissipation, y, force, creep):
         creep[bodies],
         chain.inverse_mass[bodies],
         force[: last - first + 1],
-        dissipation.viscosity[chain.number, first - 1 : last],
-        dissipation.drag[chain.number, bodies],
+        chain.viscosity[first - 1 : last],
+        chain.drag[bodies],
         y[bodies],
     )
 
 
 @inlined
-def _complete(chain, dissipation, clock, now, force, creep, reduced):
+def _complete(chain, clock, now, force, creep, reduced):
     """Fill the creep and the reduced velocities (W,) of the window, and complete the velocities."""
     state = chain.state
     v = chain.v
-    fill_creep(chain, dissipation, chain.x, force, creep)
+    fill_creep(chain, chain.x, force, creep)
     for n in range(state.first, state.last):
         # between two steps the chain has reduced ones
         if state.pending == REDUCED:
@@ -201,10 +200,10 @@ def _sum_surplus(mass, creep, reduced):
 
 
 @inlined
-def _surplus(chain, dissipation, creep, reduced):
+def _surplus(chain, creep, reduced):
     """Return `_sum_surplus` of the window."""
     window = slice(chain.state.first, chain.state.last)
-    return _sum_surplus(dissipation.mass[chain.number, window], creep[window], reduced[window])
+    return _sum_surplus(chain.mass[window], creep[window], reduced[window])
 
 
 @inlined
@@ -214,8 +213,9 @@ def _drives(chain):
 
 
 @inlined
-def _press(chain, viscosity, force):
+def _press(chain, force):
     """Return the elastic force on what is driven by its contacts, N, and the sum of A F, N s."""
+    viscosity = chain.viscosity
     # contact 0 lies above grain 1, and below the wall
     if chain.imposed.wave.body == PAD:
         elastic = force[1] - force[0]
@@ -224,7 +224,7 @@ def _press(chain, viscosity, force):
 
 
 @inlined
-def _note_stage(chain, acted, dissipation, work, rates, weight, stage, t, inside, h):
+def _note_stage(chain, acted, work, rates, weight, stage, t, inside, h):
     """Add the work at a stage of a step h, whose weight in it is `weight`, if any is `acted`.
 
     Integrated by parts, the power of viscous forces on what is driven, v d(A F)/dt, needs no rate
@@ -234,7 +234,7 @@ def _note_stage(chain, acted, dissipation, work, rates, weight, stage, t, inside
     state = chain.state
     stages = rates.shape[0]
     if acted and _drives(chain):
-        elastic, viscous = _press(chain, dissipation.viscosity[chain.number], force)
+        elastic, viscous = _press(chain, force)
         taken = -weight * h * viscous * course(chain, t, 2, inside)
         state.lost += taken
         state.work += taken + weight * h * elastic * course(chain, t, 1, inside)
@@ -247,14 +247,14 @@ def _note_stage(chain, acted, dissipation, work, rates, weight, stage, t, inside
 
 
 @inlined
-def _note_begin(chain, dissipation, clock, creep, reduced, force, now, inside):
+def _note_begin(chain, clock, creep, reduced, force, now, inside):
     """Add what the integrals by parts have at the begin of a step."""
     state = chain.state
     begins = state.pending != REDUCED
     if begins:
-        state.lost += _surplus(chain, dissipation, creep, reduced)
+        state.lost += _surplus(chain, creep, reduced)
     if _drives(chain):
-        _, viscous = _press(chain, dissipation.viscosity[chain.number], force)
+        _, viscous = _press(chain, force)
         taken = -viscous * course(chain, now, 1, inside)
         if not begins:
             # the speed of what is driven may jump where a step ends
@@ -264,19 +264,19 @@ def _note_begin(chain, dissipation, clock, creep, reduced, force, now, inside):
 
 
 @inlined
-def _land(chain, dissipation, work, clock, stages, balanced):
+def _land(chain, work, clock, stages, balanced):
     """Make the velocities of a chain, if it is damped, of the reduced ones."""
     force, _, reduced, slopes, _ = work
     state = chain.state
-    if dissipation.acts:
+    if chain.damped:
         # a sample needs the forces where the step has ended
         accelerate(chain, chain.x, state.first, state.last, force, slopes[0])
-        _complete(chain, dissipation, clock, clock.end, force, slopes[stages], reduced)
+        _complete(chain, clock, clock.end, force, slopes[stages], reduced)
         state.pending = 0.0
         if balanced:
-            state.lost -= _surplus(chain, dissipation, slopes[stages], reduced)
+            state.lost -= _surplus(chain, slopes[stages], reduced)
             if _drives(chain):
-                _, viscous = _press(chain, dissipation.viscosity[chain.number], force)
+                _, viscous = _press(chain, force)
                 before = clock.end - 0.25 * RESOLUTION * clock.step
                 taken = viscous * course(chain, clock.end, 1, before)
                 state.lost += taken
@@ -291,20 +291,20 @@ def _advance(chain, method, work, clock, out, landed):
     by parts, what they take is the integral of sum m w' d, less the change of sum m (v^2 - w^2)/2:
     it needs no velocities at the stages, and is as smooth as the forces.
     """
-    (nodes, inner, weights, rates), openings, adaptive, dissipation = method
+    (nodes, inner, weights, rates), openings, adaptive = method
     force, z, reduced, slopes, weigh = work
-    damped = dissipation.acts
-    lag = dissipation.viscosity[chain.number, PAD] if damped and dissipation.alike else 0.0
+    damped = chain.damped
+    lag = chain.viscosity[PAD] if damped and chain.alike else 0.0
     y = chain.x
     w = chain.v
     state = chain.state
     stages = nodes.size
     # creep that is nothing but a time by the slopes needs no rows of its own
-    creeps = stages if damped and not dissipation.alike else 0
+    creeps = stages if damped and not chain.alike else 0
     balanced = damped & (out.balance.shape[0] > 0)
     acted = balanced & chain.imposed.acts
     if landed:
-        _land(chain, dissipation, work, clock, stages, balanced)
+        _land(chain, work, clock, stages, balanced)
         return 0
     widen(chain, stages + 2)
     first = state.first
@@ -324,16 +324,16 @@ def _advance(chain, method, work, clock, out, landed):
     impose_velocity(chain, w, PAD, now)
     accelerate(chain, z, first, last, force, slopes[0])
     if damped:
-        _complete(chain, dissipation, clock, now, force, slopes[stages], reduced)
+        _complete(chain, clock, now, force, slopes[stages], reduced)
         if balanced:
-            _note_begin(chain, dissipation, clock, slopes[stages], reduced, force, now, inside)
+            _note_begin(chain, clock, slopes[stages], reduced, force, now, inside)
     h = clock.equal_step
     if adaptive:
         h = clock.step * shorten(chain, z, w, slopes[0], openings)
     done = end_of_step(chain, clock, remaining, h)
     h = done - state.done
     inside = now + 0.5 * h
-    _note_stage(chain, acted, dissipation, work, rates, weights[1, 0], 0, now, inside, h)
+    _note_stage(chain, acted, work, rates, weights[1, 0], 0, now, inside, h)
     grains = y[window]
     speeds = reduced[window] if damped else w[window]
     stage_grains = z[window]
@@ -344,9 +344,9 @@ def _advance(chain, method, work, clock, out, landed):
         impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
         if creeps > 0:
-            fill_creep(chain, dissipation, z, force, slopes[stages + stage])
+            fill_creep(chain, z, force, slopes[stages + stage])
         t = now + nodes[stage] * h
-        _note_stage(chain, acted, dissipation, work, rates, weights[1, stage], stage, t, inside, h)
+        _note_stage(chain, acted, work, rates, weights[1, stage], stage, t, inside, h)
     _add_one(grains, h, speeds)
     count = _weigh(weigh, weights[0], weights[1], h, lag, creeps)
     add_rows(grains, weigh, count, slopes, window)
@@ -355,7 +355,7 @@ def _advance(chain, method, work, clock, out, landed):
         count = note(weigh, count, weights[1, stage] * h, stage)
     add_rows(speeds, weigh, count, slopes, window)
     if balanced:
-        mass = dissipation.mass[chain.number, window]
+        mass = chain.mass[window]
         state.lost += _sum_losses(mass, weigh, count, slopes, creeps, lag, window)
     state.done = done
     impose(chain, y, clock.begin + state.done, clock.begin + state.done)
@@ -394,33 +394,32 @@ def make_work(chains: Chains, method: tuple[Any, ...]) -> Work:
     stages = method[0][0].size
     weigh = Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64))
     force, z, reduced = np.zeros((3, width))
-    slopes = np.zeros((2 * stages if method[3].acts else stages, width))
+    slopes = np.zeros((2 * stages if chains.batch.damped else stages, width))
     return Work(force, z, reduced, slopes, weigh)
 
 
 # `method` is nodes c (12,), inner weights A^2 (12, 12), weights (2, 12) of a step in displacement
-# and velocity, and inner weights A (12, 12); `layout.Shortening`; whether steps are shorter near
-# openings; and `layout.Dissipation`
+# and velocity, and inner weights A (12, 12); `layout.Shortening`; and whether steps are shorter
+# near openings
 march = compiled_march()(sample_loop(_advance, False))
 
 
 @compiled_march()
-def march_by_step(chains, method, work, clocks, fields, goal, noted):
-    """Advance the first chain of the goal as `march` does, and fill `layout.Noted` by its steps.
+def march_by_step(chains, method, work, clocks, fields, real, until, noted):
+    """Advance one chain as `march` does, and fill `layout.Noted` by its steps.
 
     Returns the steps made: as many as can be noted at most.
     """
-    state = chains.state[goal.begin]
-    one = Goal(goal.begin, goal.begin + 1, goal.until, 1)
+    state = chains.state[real]
     made = 0
-    while made < noted.ends.size and state.sample < goal.until:
+    while made < noted.ends.size and state.sample < until:
         if made % noted.every == 0:
             checkpoint = made // noted.every
-            put(noted.states[checkpoint, 0], chains.x[goal.begin])
-            put(noted.states[checkpoint, 1], chains.v[goal.begin])
+            put(noted.states[checkpoint, 0], chains.x[real])
+            put(noted.states[checkpoint, 1], chains.v[real])
             noted.windows[checkpoint, 0] = state.first
             noted.windows[checkpoint, 1] = state.last
-        march(chains, method, work, clocks, fields, one)
+        march(chains, method, work, clocks, fields, real, real + 1, until, 1)
         noted.ends[made] = state.done
         made += 1
     return made

@@ -98,40 +98,43 @@ def team(parts: int) -> list[Team]:
 ALONE = team(1)[0]
 
 
-class Links(NamedTuple):
-    """The contacts of R chains, or of one: then without the first axis of the arrays.
+class BatchArrays(NamedTuple):
+    """What the compiled loops read of a batch of R chains, in rows of W bodies.
+
+    They take tuples of arrays and numbers alone, so that these stand apart from `ChainBatch`.
 
     Attributes
     ----------
     inverse_length, strength : (R, W) arrays
         1 / length and strength of the contact below each body, see `contact_forces`.
+    inverse_mass : (R, W) array
+        1/kg, of each body; 0 of what is held.
+    opening_weight, opening_reach : (R, W) arrays
+        Of the contact below each body: the square of the acceleration that it gives as it opens,
+        over what changes the motion, and how near to that time no step is shorter.
     uncompressed : (R,) array
         N/m^delta: the constant of a first contact that touches without pressing in a compressed
         chain, else 0.
+    least_strain : (R,) array
+        The smallest r / length of any contact at rest: -1 if a contact is open or only touches.
     form : (R,) array
         Form of the force.
     loops : (R, 2) array
         Where the loops of the form lie in memory, see `contact_forces.addresses`.
     precompressed, coefficients : number and (8,) array
         See `contact_forces`.
-    """
-
-    inverse_length: Array
-    strength: Array
-    uncompressed: Any
-    form: Any
-    loops: NDArray[np.int64]
-    precompressed: float
-    coefficients: Array
-
-
-class Imposed(NamedTuple):
-    """Motions and forces imposed on R chains after t = 0; for one without the first axis.
-
-    Attributes
-    ----------
+    omega : (R,) array
+        Highest frequency, rad/s.
+    scale : (R, 2) array
+        Largest displacement and speed of the excitation, m and m/s.
+    units : (R, 2) array
+        Overlap of the contact below grain 1 (that above it if there is none below), and the speed
+        of that in the unit of time, m and m/s; no speed in the sonic vacuum.
+    allowed : (R,) array
+        What twice the kinetic energy cannot exceed, J: contacts never hold less energy than at
+        rest.
     acts : bool
-        Whether anything is.
+        Whether a motion or a force is imposed after t = 0.
     reach : (R, 2) array
         First and last body that it acts on; if none, the last before the first.
     wave : (R,) array of WAVE
@@ -139,7 +142,81 @@ class Imposed(NamedTuple):
         Times, s, and coefficients of a spline.
     laws : (2,) array
         Where the functions that know them lie in memory, see `waveform.addresses`.
+    damped : bool
+        Whether anything takes energy; `chain.damping` has the law and its symbols.
+    alike : bool
+        Whether it is contacts of one A a chain alone, and nothing pushes grains: then their creep
+        is A times their acceleration.
+    viscosity, drag, mass : (R, W) arrays
+        A of the contact below each body, s; gamma, 1/s, and mass, kg, of each body that moves
+        freely, 0 of others. (R, 0) arrays if nothing takes energy.
     """
+
+    inverse_length: Array
+    strength: Array
+    inverse_mass: Array
+    opening_weight: Array
+    opening_reach: Array
+    uncompressed: Array
+    least_strain: Array
+    form: NDArray[np.int64]
+    loops: NDArray[np.int64]
+    precompressed: float
+    coefficients: Array
+    omega: Array
+    scale: Array
+    units: Array
+    allowed: Array
+    acts: bool
+    reach: NDArray[np.int64]
+    wave: NDArray[Any]
+    knots: Array
+    pieces: Array
+    laws: NDArray[np.int64]
+    damped: bool
+    alike: bool
+    viscosity: Array
+    drag: Array
+    mass: Array
+
+
+class Chains(NamedTuple):
+    """A batch of R chains in motion, once for each of F schedules, one batch after the other.
+
+    Attributes
+    ----------
+    batch : BatchArrays
+    x, v : (F R, W) arrays
+        Displacements from equilibrium and velocities, m and m/s.
+    history : (F R, H, W) array
+        What the method keeps of earlier steps.
+    state : (F R,) array of STATE
+    team : Team
+        Which threads share each chain.
+    """
+
+    batch: BatchArrays
+    x: Array
+    v: Array
+    history: Array
+    state: NDArray[Any]
+    team: Team
+
+
+class Links(NamedTuple):
+    """The contacts of one chain, or some of them: fields as in `BatchArrays`."""
+
+    inverse_length: Array
+    strength: Array
+    uncompressed: float
+    form: int
+    loops: NDArray[np.int64]
+    precompressed: float
+    coefficients: Array
+
+
+class Imposed(NamedTuple):
+    """A motion or force imposed on one chain after t = 0: fields as in `BatchArrays`."""
 
     acts: bool
     reach: NDArray[np.int64]
@@ -149,42 +226,8 @@ class Imposed(NamedTuple):
     laws: NDArray[np.int64]
 
 
-class Chains(NamedTuple):
-    """R chains in rows of W bodies, once for each of F schedules, one batch after the other.
-
-    Attributes
-    ----------
-    x, v : (F R, W) arrays
-        Displacements from equilibrium and velocities, m and m/s.
-    history : (F R, H, W) array
-        What the method keeps of earlier steps.
-    state : (F R,) array of STATE
-    inverse_mass : (R, W) array
-        1/kg; 0 of what is held.
-    links : Links
-    imposed : Imposed
-    scale : (R, 2) array
-        Largest displacement and speed of the excitation, m and m/s.
-    omega : (R,) array
-        Highest frequency, rad/s.
-    team : Team
-        Which threads share each chain.
-    """
-
-    x: Array
-    v: Array
-    history: Array
-    state: Any
-    inverse_mass: Array
-    links: Links
-    imposed: Imposed
-    scale: Array
-    omega: Array
-    team: Team
-
-
 class BatchMember(NamedTuple):
-    """One chain of a batch, its number in it, and that of its schedule."""
+    """One chain of `Chains`, with its number in the batch, and that of its schedule."""
 
     x: Array
     v: Array
@@ -192,9 +235,16 @@ class BatchMember(NamedTuple):
     state: Any
     inverse_mass: Array
     links: Links
+    opening_weight: Array
+    opening_reach: Array
     imposed: Imposed
     scale: Array
     omega: float
+    damped: bool
+    alike: bool
+    viscosity: Array
+    drag: Array
+    mass: Array
     team: Team
     number: int
     schedule: int
@@ -245,40 +295,11 @@ class Shortening(NamedTuple):
     nearest : (F, R) array
         The largest nearness of an opening that shortens a step: that of the step that crosses it,
         for shorter ones gain nothing.
-    weight, reach : (R, W) arrays
-        Of each contact the square of the acceleration that it gives over what changes the motion;
-        and how near to its opening no step is shorter.
     """
 
     shortened: float
     close: float
     nearest: Array
-    weight: Array
-    reach: Array
-
-
-class Dissipation(NamedTuple):
-    """What takes energy in R chains of W bodies; `chain.damping` has the law and its symbols.
-
-    Attributes
-    ----------
-    acts : bool
-        Whether anything does.
-    viscosity, drag : (R, W) arrays
-        A of the contact below each body, s, and gamma of each that moves freely, 1/s; (R, 0) if
-        nothing takes energy.
-    alike : bool
-        Whether it is contacts of one A a chain alone, and nothing pushes grains: then their creep
-        is A times their acceleration.
-    mass : (R, W) or (R, 0) array
-        kg, of bodies that move freely, 0 of others.
-    """
-
-    acts: bool
-    viscosity: Array
-    drag: Array
-    alike: bool
-    mass: Array
 
 
 class Noted(NamedTuple):
@@ -300,15 +321,6 @@ class Noted(NamedTuple):
     every: int
     states: Array
     windows: NDArray[np.int64]
-
-
-class Goal(NamedTuple):
-    """Chains begin ... end - 1 are moved to the sample `until`, or by some `steps` steps in all."""
-
-    begin: int
-    end: int
-    until: int
-    steps: int
 
 
 class Fields(NamedTuple):

@@ -26,7 +26,7 @@ class Near(NamedTuple):
     Attributes
     ----------
     weight, reach : (W,) arrays
-        See `layout.Shortening`.
+        See `layout.BatchArrays`.
     close : float
         See `_may_matter`.
     omega : float
@@ -147,8 +147,8 @@ def shorten(chain, y, w, pull, openings):
     touches = chain.links.uncompressed if first == PAD else 0.0
     links = slice_links(chain.links, near, touches)
     contacts = Near(
-        weight=openings.weight[chain.number, near],
-        reach=openings.reach[chain.number, near],
+        weight=chain.opening_weight[near],
+        reach=chain.opening_reach[near],
         close=openings.close,
         omega=chain.omega,
         nearest=openings.nearest[chain.schedule, chain.number],

@@ -15,41 +15,48 @@ SHORTEST = 2.0**-50
 
 
 @pasted
-def links_of(links, real):
+def links_of(batch, real):
     """Return the contacts of one chain of a batch."""
     return Links(
-        inverse_length=links.inverse_length[real],
-        strength=links.strength[real],
-        uncompressed=links.uncompressed[real],
-        form=links.form[real],
-        loops=links.loops[real],
-        precompressed=links.precompressed,
-        coefficients=links.coefficients,
+        inverse_length=batch.inverse_length[real],
+        strength=batch.strength[real],
+        uncompressed=batch.uncompressed[real],
+        form=batch.form[real],
+        loops=batch.loops[real],
+        precompressed=batch.precompressed,
+        coefficients=batch.coefficients,
     )
 
 
 @pasted
 def chain_of(chains, real, schedule):
     """Return one chain of a batch, as a schedule moves it."""
-    imposed = chains.imposed
-    row = schedule * chains.omega.size + real
+    batch = chains.batch
+    row = schedule * batch.omega.size + real
     return BatchMember(
         x=chains.x[row],
         v=chains.v[row],
         history=chains.history[row],
         state=chains.state[row],
-        inverse_mass=chains.inverse_mass[real],
-        links=links_of(chains.links, real),
+        inverse_mass=batch.inverse_mass[real],
+        links=links_of(batch, real),
+        opening_weight=batch.opening_weight[real],
+        opening_reach=batch.opening_reach[real],
         imposed=Imposed(
-            acts=imposed.acts,
-            reach=imposed.reach[real],
-            wave=imposed.wave[real],
-            knots=imposed.knots[real],
-            pieces=imposed.pieces[real],
-            laws=imposed.laws,
+            acts=batch.acts,
+            reach=batch.reach[real],
+            wave=batch.wave[real],
+            knots=batch.knots[real],
+            pieces=batch.pieces[real],
+            laws=batch.laws,
         ),
-        scale=chains.scale[real],
-        omega=chains.omega[real],
+        scale=batch.scale[real],
+        omega=batch.omega[real],
+        damped=batch.damped,
+        alike=batch.alike,
+        viscosity=batch.viscosity[real],
+        drag=batch.drag[real],
+        mass=batch.mass[real],
         team=chains.team,
         number=real,
         schedule=schedule,
@@ -101,23 +108,24 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
 
     Returns
     -------
-    function of (chains, method, work, clocks, fields, goal)
-        Of `Chains`, what the method needs beside them, arrays to work in, clocks, `Fields` and
-        `Goal`; moves chains and returns the steps made. It is to be compiled, and is called from
-        Python: one compiled function in another is compiled twice.
+    function of (chains, method, work, clocks, fields, begin, end, until, max_steps)
+        Of `Chains`, what the method needs beside them, arrays to work in, clocks and `Fields`.
+        Moves the chains begin ... end - 1 to the sample `until`, or by some `max_steps` steps in
+        all, and returns the steps made. It is to be compiled, and is called from Python: one
+        compiled function in another is compiled twice.
     """
 
-    def march(chains, method, work, clocks, fields, goal):
+    def march(chains, method, work, clocks, fields, begin, end, until, max_steps):
         done = 0
-        size = goal.end - goal.begin
+        size = end - begin
         for row in range(size * clocks.size):
             schedule = row // size
-            real = goal.begin + row % size
+            real = begin + row % size
             chain = chain_of(chains, real, schedule)
             clock = clocks[schedule]
             out = _row(fields, real, schedule)
             state = chain.state
-            while state.sample < goal.until and done < goal.steps:
+            while state.sample < until and done < max_steps:
                 sample = state.sample
                 landing = min(sample + clock.stride, clock.final)
                 count = landing - sample
@@ -126,11 +134,11 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
                 clock.length = count * clock.interval
                 clock.steps = (clock.per_landing * count + clock.stride - 1) // clock.stride
                 clock.equal_step = clock.length / clock.steps
-                end = float(clock.steps) if counted else clock.length
+                landing_at = float(clock.steps) if counted else clock.length
                 landed = False
                 # in one place, for LLVM puts it in every place where it is called
-                while not landed and (state.done == end or done < goal.steps):
-                    landed = state.done == end
+                while not landed and (state.done == landing_at or done < max_steps):
+                    landed = state.done == landing_at
                     steps_made = advance(chain, method, work, clock, out, landed)
                     state.steps += steps_made
                     done += steps_made

@@ -102,7 +102,7 @@ def _advance(chain, method, work, clock, out, landed):
 
 def make_work(chains: Chains, method: SplittingStages) -> Rows:
     """Return what a thread works in."""
-    return make_rows(ROWS + 2 * method.drifts.size, chains.imposed.acts)
+    return make_rows(ROWS + 2 * method.drifts.size, chains.batch.acts)
 
 
 # `method` is `layout.Stages`

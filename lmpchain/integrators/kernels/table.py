@@ -3,130 +3,140 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from .contact_forces import compiled_filler
-from .layout import PAD, STATE, Links
+from .contact_forces import compiled_filler, inlined
+from .layout import PAD, STATE, BatchArrays
 
 UNBOUNDED = 1e300  # J, where nothing bounds the energy
+# of the largest speed that is imposed: more than the rounding of a velocity
+ROUNDED = 1e-6
 
 
-def _rows(kinds: int, count: int, grains: int) -> Array:
+def aligned_rows(kinds: int, count: int, grains: int) -> Array:
     """Return (kinds, count, W) zeros of which every row begins at a cache line."""
     width = (2 * PAD + grains + PAD - 1) // PAD * PAD
     size = kinds * count * width
     memory = np.zeros(size + PAD)
-    skip = -(memory.ctypes.data // memory.itemsize) % PAD
+    address, _ = memory.__array_interface__["data"]
+    skip = -(address // memory.itemsize) % PAD
     return memory[skip : skip + size].reshape((kinds, count, width))
 
 
-class AtRest(NamedTuple):
-    """Contacts of R chains at rest, (R, N+1) arrays, and whether the chains carry a force there.
-
-    Overlap, m, force, N, constant, N/m^delta, and stiffness, N/m.
-    """
-
-    overlap: Array
-    force: Array
-    constant: Array
-    stiffness: Array
-    compressed: bool
-
-
-class BatchLayout(NamedTuple):
-    """R chains laid out for the compiled loops.
-
-    Attributes
-    ----------
-    inverse_length, strength, inverse_mass : (R, W) arrays
-        1 / length and strength of the contact below each body, see `layout.Links`, and 1/kg.
-    uncompressed, omega, scale : (R,), (R,) and (R, 2) arrays
-        See `layout.Links` and `layout.Chains`.
-    units, allowed : (R, 2) and (R,) arrays
-        See `ChainBatch`.
-    """
-
-    inverse_length: Array
-    strength: Array
-    inverse_mass: Array
-    uncompressed: Array
-    omega: Array
-    scale: Array
-    units: Array
-    allowed: Array
-
-
-def lay_out(at_rest: AtRest, masses: Array, strikes: Array, free: tuple[int, int]) -> BatchLayout:
-    """Lay R chains out.
+@compiled_filler()
+def fill_batch(
+    batch: BatchArrays,
+    at_rest: tuple[Array, Array, Array, Array],
+    masses: Array,
+    strikes: Array,
+    damping: tuple[Array, Array],
+    free: tuple[int, int],
+    opening_power: float,
+) -> None:
+    """Fill the arrays of a batch of R chains but those that forms and excitations give.
 
     Parameters
     ----------
-    at_rest : AtRest
+    batch : BatchArrays
+        Rows are zeros.
+    at_rest : tuple of four (R, N+1) arrays
+        Overlap, m, force, N, constant, N/m^delta, and stiffness, N/m, of all contacts.
     masses : (R, N) array
         kg.
     strikes : (R, 4) array
         Highest frequency, rad/s, energy, J, and largest displacement and speed that the excitation
         imposes, m and m/s.
+    damping : tuple of (R, N+1) and (R, N) arrays
+        Viscosities of contacts, s, and drag on grains, 1/s; read if the batch is damped.
     free : pair of int
         First of the grains, from 0, whose motion is not prescribed, and the one behind the last.
-
-    Returns
-    -------
-    Layout
+    opening_power : float
+        The force of a contact that opens goes as the overlap to this power.
     """
-    batch, grains = masses.shape
-    uncompressed, omega, allowed = np.zeros((3, batch))
-    scale, units = np.empty((2, batch, 2))
-    inverse_length, strength, inverse_mass = _rows(3, batch, grains)
-    layout = BatchLayout(
-        inverse_length, strength, inverse_mass, uncompressed, omega, scale, units, allowed
-    )
-    _fill_layout(layout, at_rest, masses, strikes, free)
-    return layout
-
-
-@compiled_filler()
-def _fill_layout(layout, at_rest, masses, strikes, free):
-    """Fill a layout, see `lay_out`."""
-    inverse_length, strength, inverse_mass, uncompressed, omega, scale, units, allowed = layout
-    overlap, force, constant, stiffness, compressed = at_rest
+    overlap, force, constant, stiffness = at_rest
     first, stop = free
-    batch, grains = masses.shape
-    # the force of a contact in units of that at rest; where nothing is pressed, of K and 1 m
-    carried = force if compressed else constant
-    for real in range(batch):
+    size, grains = masses.shape
+    pressed = batch.precompressed > 0.0
+    for real in range(size):
+        inverse_length = batch.inverse_length[real]
+        strength = batch.strength[real]
+        inverse_mass = batch.inverse_mass[real]
         for n in range(grains + 1):
-            length = overlap[real, n] if compressed else 1.0
+            # the force of a contact in units of that at rest; if nothing is pressed, of K and 1 m
+            length = overlap[real, n] if pressed else 1.0
             if length > 0.0:
-                inverse_length[real, PAD - 1 + n] = 1.0 / length
-                strength[real, PAD - 1 + n] = carried[real, n]
-        weight = 0.0
+                inverse_length[PAD - 1 + n] = 1.0 / length
+                strength[PAD - 1 + n] = force[real, n] if pressed else constant[real, n]
+        total = 0.0
         for n in range(grains):
-            weight += masses[real, n]
+            total += masses[real, n]
             if first <= n < stop:
-                inverse_mass[real, PAD + n] = 1.0 / masses[real, n]
-        if compressed and force[real, 0] == 0.0:
-            uncompressed[real] = constant[real, 0]
+                inverse_mass[PAD + n] = 1.0 / masses[real, n]
+        touching = constant[real, 0] if pressed and force[real, 0] == 0.0 else 0.0
+        batch.uncompressed[real] = touching
+        # stiffnesses are 0 where contacts only touch
+        closed = pressed and touching == 0.0
+        for n in range(1, grains):
+            closed = closed and stiffness[real, n] > 0.0
+        batch.least_strain[real] = 0.0 if closed else -1.0
         fastest, energy, farthest, speed = strikes[real]
         speed = max(speed, farthest * fastest)
-        omega[real] = fastest
-        scale[real, 0] = speed / fastest
-        scale[real, 1] = speed
+        batch.omega[real] = fastest
+        batch.scale[real, 0] = speed / fastest
+        batch.scale[real, 1] = speed
         # a single grain has a contact with the wall above it, or one with that below
         below = 1 if constant[0, 1] > 0.0 else 0
         # a contact that only touches has no unit
-        while compressed and stiffness[real, below] == 0.0 and below < grains:
+        while pressed and stiffness[real, below] == 0.0 and below < grains:
             below += 1
         length = overlap[real, below]
         unit = length * math.sqrt(stiffness[real, below] / masses[real, 0])
-        units[real, 0] = length
-        units[real, 1] = unit
+        batch.units[real, 0] = length
+        batch.units[real, 1] = unit
         # half as much again may be rounded, and slow motion that nothing puts in
-        allowed[real] = min(3.0 * energy + weight * (1e-3 * unit) ** 2, UNBOUNDED)
+        batch.allowed[real] = min(3.0 * energy + total * (1e-3 * unit) ** 2, UNBOUNDED)
+        if batch.damped:
+            # reduced velocities leave their rounding, also where nothing moves
+            batch.allowed[real] += total * (ROUNDED * speed) ** 2
+            for n in range(grains + 1):
+                batch.viscosity[real, PAD - 1 + n] = damping[0][real, n]
+            # what is held or driven moves as it is told
+            for n in range(first, stop):
+                batch.drag[real, PAD + n] = damping[1][real, n]
+                batch.mass[real, PAD + n] = masses[real, n]
+        _fill_weights(batch, real, opening_power)
+
+
+@inlined
+def _fill_weights(batch, real, opening_power):
+    """Fill the effect of each contact of a chain on the motion as it opens or closes.
+
+    That is the square of the effect, and how near to it no step is shorter; see
+    `openings._may_matter`.
+    """
+    omega = batch.omega[real]
+    inverse_mass = batch.inverse_mass[real]
+    # steps are those for a force that goes as t^(3/2): of one that goes as t^delta, the size of
+    # the force at a typical overlap counts
+    power = opening_power - 1.5
+    changes = omega**2.5 * batch.scale[real, 1] + 1e-300
+    typical = batch.scale[real, 0] + 1e-300
+    slow = math.sqrt(2.0) * (2.0 * omega) ** 3
+    width = inverse_mass.size
+    for n in range(width):
+        below = inverse_mass[n + 1] if n + 1 < width else 0.0
+        mobility = max(inverse_mass[n], below)
+        touching = batch.uncompressed[real] if n == PAD - 1 else 0.0
+        inverse_length = batch.inverse_length[real, n]
+        strain = typical * (inverse_length if inverse_length > 0.0 else 1.0)
+        pull = (batch.strength[real, n] + touching) * strain**power
+        weight = min(pull * mobility / changes, 1e150) ** 2
+        batch.opening_weight[real, n] = weight
+        batch.opening_reach[real, n] = np.cbrt(weight) / slow
 
 
 def place_bodies(
@@ -134,8 +144,7 @@ def place_bodies(
     v: Array,
     copies: int,
     driven: int,
-    reach: NDArray[np.int64],
-    links: Links,
+    batch: BatchArrays,
     longest: int,
 ) -> tuple[Array, Array, NDArray[Any]]:
     """Put grains in their rows, and begin to watch them.
@@ -149,9 +158,7 @@ def place_bodies(
         How many there are to be.
     driven : int
         Number of grains, from the top, that are put where their motion says: their velocity is 0.
-    reach : (R, 2) array
-        First and last body that is acted on, the other way round if none is.
-    links : layout.Links
+    batch : layout.BatchArrays
     longest : int
         Longest row, in bodies, that is computed as a whole from the beginning; else the window
         begins around what moves.
@@ -163,15 +170,15 @@ def place_bodies(
     state : (copies R,) array of `layout.STATE`
         At sample 0.
     """
-    batch, grains = u.shape[1:]
-    x, w = _rows(2, copies * batch, grains)
-    state = np.zeros(copies * batch, STATE)
-    _fill_places(x, w, state, u, v, driven, reach, links, longest)
+    size, grains = u.shape[1:]
+    x, w = aligned_rows(2, copies * size, grains)
+    state = np.zeros(copies * size, STATE)
+    _fill_places(x, w, state, u, v, driven, batch.reach, batch.least_strain, longest)
     return x, w, state
 
 
 @compiled_filler()
-def _fill_places(x, w, state, u, v, driven, reach, links, longest):
+def _fill_places(x, w, state, u, v, driven, reach, least_strain, longest):
     """Fill rows and state of bodies, see `place_bodies`."""
     sources, batch, grains = u.shape
     width = x.shape[1]
@@ -199,49 +206,4 @@ def _fill_places(x, w, state, u, v, driven, reach, links, longest):
             last = width - PAD - 1
         state[row].first = first // PAD * PAD
         state[row].last = min((last // PAD + 1) * PAD, width - PAD)
-        # the smallest r / eps at rest: -1 where a contact is open
-        closed = links.precompressed > 0.0 and links.uncompressed[real] == 0.0
-        state[row].least_strain = 0.0 if closed else -1.0
-
-
-def opening_weights(
-    links: Links, inverse_mass: Array, omega: Array, scale: Array
-) -> tuple[Array, Array]:
-    """Return the effect of each contact on the motion as it opens or closes.
-
-    Parameters
-    ----------
-    links, inverse_mass, omega, scale : Links and arrays
-        See `layout.Chains`.
-
-    Returns
-    -------
-    weight, reach : (R, W) arrays
-        The square of that effect, and how near to it no step is shorter; see
-        `adaptive_splitting._may_matter`.
-    """
-    weight, reach = np.zeros((2, *inverse_mass.shape))
-    _fill_weights(weight, reach, links, inverse_mass, omega, scale)
-    return weight, reach
-
-
-@compiled_filler()
-def _fill_weights(weight, reach, links, inverse_mass, omega, scale):
-    """Fill the weights of contacts, see `opening_weights`."""
-    batch, width = inverse_mass.shape
-    # steps are those for a force that goes as t^(3/2): of one that goes as t^delta, the size of
-    # the force at a typical overlap counts
-    power = links.coefficients[-1] - 1.5
-    for real in range(batch):
-        changes = omega[real] ** 2.5 * scale[real, 1] + 1e-300
-        typical = scale[real, 0] + 1e-300
-        slow = math.sqrt(2.0) * (2.0 * omega[real]) ** 3
-        for n in range(width):
-            below = inverse_mass[real, n + 1] if n + 1 < width else 0.0
-            mobility = max(inverse_mass[real, n], below)
-            touching = links.uncompressed[real] if n == PAD - 1 else 0.0
-            inverse_length = links.inverse_length[real, n]
-            strain = typical * (inverse_length if inverse_length > 0.0 else 1.0)
-            pull = (links.strength[real, n] + touching) * strain**power
-            weight[real, n] = min(pull * mobility / changes, 1e150) ** 2
-            reach[real, n] = np.cbrt(weight[real, n]) / slow
+        state[row].least_strain = least_strain[real]

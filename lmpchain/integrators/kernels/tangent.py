@@ -154,7 +154,7 @@ def march(batch, inverse_mass, motion, deviations, steps, held, states):
 
     Parameters
     ----------
-    batch : Links
+    batch : BatchArrays
         Of a batch of this chain alone.
     inverse_mass : (W,) array
         1/kg.

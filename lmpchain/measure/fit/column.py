@@ -229,7 +229,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
     strike = strike_at_top(trajectory)
     if not 0 < inside < 1:
         raise InputError.at("inside", f"must be between 0 and 1 (got {shown(inside)})")
-    delta = chain.exponent
+    delta = chain.law.power_of("the continuum")
     xi, eta, _ = exponents(delta)
     tau = trajectory.time / chain.time_scale
     travel = chi(trajectory.grains - 0.5, delta)
@@ -282,18 +282,19 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         front = front_before_echo(trajectory, "velocity", first)
     except InputError:
         return None
+    delta = chain.law.power_of("the front of a column")
     n = front.grain
     if n.size < FEWEST:
         return None
     h = n - 0.5
     time = front.time / chain.time_scale
     # the peak of a chain of grains lags behind the front of the continuum
-    shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
+    shift = theory.peak_time(n, delta) - chi(h, delta)
     if not (time > shift).all():
         # noise
         return None
-    order = 1 / 3 + 1 / chain.exponent
-    step = 1 / chain.exponent - 1 / 3
+    order = 1 / 3 + 1 / delta
+    step = 1 / delta - 1 / 3
     try:
         fit = fit_power(h, time - shift, order, order + step)
     except InputError:
@@ -301,7 +302,7 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         return None
     power, scale, correction = fit.values.tolist()
     factor = float(np.exp(scale))
-    _, eta, _ = exponents(chain.exponent)
+    _, eta, _ = exponents(delta)
     return FrontLaw(
         depth=h,
         time=time,
@@ -477,7 +478,7 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         front.
     """
     strike_at_top(trajectory)
-    delta = trajectory.scene.chain.exponent
+    delta = trajectory.scene.chain.law.power_of("the front of a column")
     xi, eta, _ = exponents(delta)
     p, q = theory.decay(delta)
     velocity = front_before_echo(trajectory, "velocity", first, last)

@@ -55,7 +55,7 @@ def strike_at_top(trajectory: Trajectory) -> float:
         faults.append(("gravity", "takes a column under gravity alone, without a top load"))
     if chain.top != "free":
         faults.append(("top", "takes a free top, not a wall"))
-    if chain.exponent >= 3:
+    if chain.law.power_of("the front of a column") >= 3:
         faults.append(
             ("exponent", "takes one below 3: from there on waves are dispersed at the top")
         )

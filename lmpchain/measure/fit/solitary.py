@@ -169,9 +169,9 @@ def fit_soliton(
             f"has {ratios[0]:.3g} times the speed and {ratios[1]:.3g} the width of a solitary wave",
         )
     if wave.loaded:
-        formula = coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)
+        formula = coste_speed((1 + wave.overlap(0.0)) ** wave.delta, wave.delta)
     else:
-        formula = nesterenko_speed(amplitude, chain.exponent)
+        formula = nesterenko_speed(amplitude, wave.delta)
     quantile = stats.t.ppf(0.975, complete.sum() - 2)
     # a line through times that are each off by e, over the length L, has a slope off by 3 e / L
     sampling = np.array(
@@ -210,7 +210,7 @@ def check_chain(chain: Chain) -> None:
     """Raise `InputError` unless solitary waves travel unchanged in this chain."""
     if chain.gravity > 0:
         raise InputError.at("gravity", "must be 0: contacts that stiffen with depth change a wave")
-    if chain.exponent == 1:
+    if chain.law.power_of("a solitary wave") == 1:
         raise InputError.at("exponent", "must be above 1: springs have no solitary wave")
     if chain.grains == 1:
         raise InputError.at("grains", "must be several: a single one has no wave")
@@ -227,9 +227,10 @@ def _uniform_piece(chain: Chain, grains: np.ndarray) -> Chain:
 
 def exact_wave(chain: Chain, velocity: float) -> tuple[Soliton, float]:
     """Return the solitary wave whose grains reach this velocity, m/s, and its unit of time, s."""
+    delta = chain.law.power_of("a solitary wave")
     if chain.compressed:
         speed = velocity * chain.time_scale / chain.length_scale
-        return struck(speed, chain.exponent), chain.time_scale
+        return struck(speed, delta), chain.time_scale
     # in a sonic vacuum there is no time of linear waves: (m / K)^(1 / (1 + delta)) takes its place
-    unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent))
-    return solve(chain.exponent, velocity=velocity), float(unit)
+    unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + delta))
+    return solve(delta, velocity=velocity), float(unit)

@@ -130,16 +130,17 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
     -------
     Law
     """
+    exponent = chain.law.power_of("the motion between samples")
     contacts = chain.contacts
     inverse_mass = 1 / chain.masses
     # a held grain is never accelerated
     inverse_mass[chain.movable :] = 0.0
     # a linear law with an exponent above 1 has no stiffness where nothing is pressed at rest
-    loose = np.where(linear & (chain.exponent > 1.0), 0.0, contacts.constant)
+    loose = np.where(linear & (exponent > 1.0), 0.0, contacts.constant)
     pressed = contacts.pressed
     inverse_length = 1 / np.where(pressed, contacts.overlap, 1.0)
     rows = np.array([inverse_length, np.where(pressed, contacts.force, loose), pressed])
-    return ChainForces(rows, inverse_mass, float(chain.exponent), bool(linear))
+    return ChainForces(rows, inverse_mass, float(exponent), bool(linear))
 
 
 def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamples:

@@ -355,7 +355,7 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
     scene = paper("weak", 3)
     loose, tight = (Lammps().propose(scene, tolerance) for tolerance in (1e-2, 1e-6))
     assert loose.choices["diameter"] == "physical"
-    assert loose.choices["drawn_m"] == "0.0"
+    assert loose.choices["drawn_m"] == 0.0
     assert tight.choices["diameter"] == "gauge"
     assert (
         float(tight.choices["drawn_m"]) == float(tight.choices["gauge_m"]) == gauge_diameter(scene)

@@ -1,7 +1,6 @@
 """Velocity Verlet of a chain that loses energy, as LAMMPS has it, compiled.
 
-A force that depends on velocities is found in the middle of a step, where LAMMPS has those of half
-a step before: the order is 1.
+Forces that depend on velocities see the velocity that the last acceleration predicts.
 """
 
 from __future__ import annotations
@@ -20,34 +19,33 @@ from .window import look, watch, widen
 
 
 @inlined
-def _accelerate(chain, dissipation, work, t):
+def _accelerate(chain, work, t):
     """Fill `chain.history` with the accelerations of bodies and velocities as they are now."""
     force, pull, rate = work
     first = chain.state.first
     last = chain.state.last
-    number = chain.number
     v = chain.v
     a = chain.history[0]
     impose(chain, chain.x, t, t)
     impose_velocity(chain, v, PAD, t)
     accelerate(chain, chain.x, first, last, force, pull)
     fill_rates(chain, first, last, force, rate, first - 1)
-    viscosity = dissipation.viscosity[number]
+    viscosity = chain.viscosity
     for n in range(first, last):
         pressed = viscosity[n - 1] * rate[n - 1] - viscosity[n] * rate[n]
-        a[n] = pull[n] + chain.inverse_mass[n] * pressed - dissipation.drag[number, n] * v[n]
+        a[n] = pull[n] + chain.inverse_mass[n] * pressed - chain.drag[n] * v[n]
 
 
 @inlined
-def _note(chain, dissipation, work, h):
+def _note(chain, work, h):
     """Add what a step of h takes and gives, by the powers at its begin and at its end."""
     force, _, rate = work
     state = chain.state
     first = state.first
     v = chain.v
-    viscosity = dissipation.viscosity[chain.number]
-    drag = dissipation.drag[chain.number]
-    mass = dissipation.mass[chain.number]
+    viscosity = chain.viscosity
+    drag = chain.drag
+    mass = chain.mass
     lost = 0.0
     for n in range(first - 1, state.last):
         lost += viscosity[n] * rate[n] * (v[n] - v[n + 1]) + mass[n] * drag[n] * v[n] * v[n]
@@ -69,10 +67,10 @@ def _note(chain, dissipation, work, h):
 
 @pasted
 def _advance(chain, method, work, clock, out, landed):
-    """Take one step: half a kick, a drift, the forces at the velocities of then, half a kick."""
+    """Take one step: half a kick, a drift, the forces at predicted velocities, half a kick."""
     if landed:
         return 0
-    (dissipation,) = method
+    lead = method[0]
     balanced = out.balance.shape[0] > 0
     state = chain.state
     x = chain.x
@@ -82,21 +80,23 @@ def _advance(chain, method, work, clock, out, landed):
     then = clock.begin + (state.done + 1) * h
     widen(chain, 2)
     a = chain.history[0]
+    middle = chain.history[1]
     # later ones are known from the end of the step before
     if state.steps == 0:
-        _accelerate(chain, dissipation, work, now)
+        _accelerate(chain, work, now)
         if balanced:
-            _note(chain, dissipation, work, 0.0)
+            _note(chain, work, 0.0)
     hold(chain, v)
     for n in range(state.first, state.last):
-        v[n] += 0.5 * h * a[n]
-        x[n] += h * v[n]
-    _accelerate(chain, dissipation, work, then)
+        middle[n] = v[n] + 0.5 * h * a[n]
+        x[n] += h * middle[n]
+        v[n] += lead * h * a[n]
+    _accelerate(chain, work, then)
     for n in range(state.first, state.last):
-        v[n] += 0.5 * h * a[n]
+        v[n] = middle[n] + 0.5 * h * a[n]
     impose_velocity(chain, v, PAD, then)
     if balanced:
-        _note(chain, dissipation, work, h)
+        _note(chain, work, h)
     watch(chain)
     look(chain, clock, state.steps + 1, then, 1.0)
     state.done += 1.0
@@ -109,5 +109,6 @@ def make_work(chains: Chains, method: tuple[Any, ...]) -> tuple[Array, Array, Ar
     return force, pull, third
 
 
-# `method` is `layout.Dissipation`, alone. `chains.history` holds the accelerations
+# `method` holds the lead of the velocities that forces see, in steps. `chains.history` holds the
+# accelerations, and the velocities in the middle of a step
 march = compiled_march()(sample_loop(_advance, True))

@@ -1,0 +1,368 @@
+"""The contact law: the force of a contact as a function of its overlap, and what follows from it.
+
+========  ============  ==================================================
+symbol    variable      meaning
+========  ============  ==================================================
+o         overlap       of two bodies, m; below 0 there is a gap
+K         constant      of a contact; its unit is N/m^delta for a power
+F, k      force, ...    force, N, and its derivative by o, N/m
+r         r             change of the overlap since rest, m
+delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
+========  ============  ==================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from ..errors import InputError
+from ..util.arrays import Array
+
+if TYPE_CHECKING:
+    from .contacts import Contacts
+
+# of (overlap, constant, parameters): numbers or arrays, and a sequence of numbers
+Formula = Callable[[Any, Any, Any], Any]
+# strain below which 11 terms of the energy's series have all digits
+SERIES_BELOW = 0.02
+# Change of an overlap, over that at rest, above which the difference of two forces has all digits.
+WEAK = 0.1
+# Lengths of pieces of an integral over the distance of their begin to a kink, and their number.
+GROWTH = 16.0
+MOST_PIECES = 20
+# Iterations of a solution: bisection alone ends in fewer.
+ITERATIONS = 2000
+# Overlaps, over the largest one, at which the largest stiffness is looked for.
+PARTS = np.linspace(0.0, 1.0, 33)[1:]
+
+
+def _smooth_rule(size: int = 24) -> Array:
+    """Return nodes from 0 to 1 and weights of an integration, (2, size).
+
+    Gauss's nodes crowd at both ends by a step of order 4, so that roots there are integrated too.
+    """
+    nodes, weights = leggauss(size)
+    t = (nodes + 1) / 2
+    step = t**4 * (35 - 84 * t + 70 * t**2 - 20 * t**3)
+    return np.array([step, weights / 2 * 140 * t**3 * (1 - t) ** 3])
+
+
+NODES, WEIGHTS = _smooth_rule()
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """The force of a contact as a function of its overlap, by formulas of (o, K, p).
+
+    numba compiles the formulas of force and stiffness for single numbers, and numpy evaluates them
+    for arrays: write them with operators and functions of numpy, for every overlap from a gap
+    (o < 0) on. p are the `parameters`.
+
+    Parameters
+    ----------
+    force_formula, stiffness_formula, curvature_formula : functions
+        Force, N, and its first two derivatives by the overlap, N/m and N/m2. A force grows with the
+        overlap, and is 0 where there is none.
+    onset : float
+        The power of the overlap with which the force sets in as a contact closes.
+    parameters : tuple of float, optional
+    kinks : tuple of float, optional
+        Overlaps at which a formula is not smooth, m.
+    name : str, optional
+        For messages.
+    """
+
+    force_formula: Formula
+    stiffness_formula: Formula
+    curvature_formula: Formula
+    onset: float
+    parameters: tuple[float, ...] = ()
+    kinks: tuple[float, ...] = (0.0,)
+    name: str = "a law given by formulas"
+
+    @property
+    def power(self) -> float | None:
+        """The exponent of a power of the overlap; None for any other law."""
+        return None
+
+    def power_of(self, what: str) -> float:
+        """Return the exponent of a power law; raise `InputError` for others, which `what` needs."""
+        if self.power is None:
+            fault = f"{what} holds for powers of the overlap only, not for {self.name}"
+            raise InputError.at("chain.law", f"{fault}: give an exponent instead")
+        return self.power
+
+    def with_parameters(self, parameters: Iterable[Any]) -> ContactLaw:
+        """Return the law with other parameters, which may be of higher precision."""
+        return replace(self, parameters=tuple(parameters))
+
+    def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
+        """Return the constant K of contacts of spheres, Hertz's (4/3) E* sqrt(R*), N/m^1.5.
+
+        Parameters
+        ----------
+        modulus, radius : float or (...) arrays
+            E*, Pa, and R*, m, of the pairs in contact, as `pair_value` gives them.
+        length : float or (...) array
+            Mean diameter, m, by which powers other than Hertz's keep the unit of a force.
+        """
+        return 4 / 3 * modulus * radius**0.5
+
+    def force(self, overlap: Any, constant: Any) -> Any:
+        """Return the force at an overlap, 0 if the contact is open, N."""
+        return self.force_formula(overlap, constant, self.parameters)
+
+    def stiffness(self, overlap: Any, constant: Any) -> Any:
+        """Return the stiffness at an overlap o >= 0, N/m."""
+        return self.stiffness_formula(overlap, constant, self.parameters)
+
+    def curvature(self, overlap: Any, constant: Any) -> Any:
+        """Return the derivative of the stiffness at an overlap o > 0, N/m2."""
+        return self.curvature_formula(overlap, constant, self.parameters)
+
+    def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
+        """Return the largest stiffness at any overlap from 0 to this one, N/m."""
+        return np.max([self.stiffness(part * overlap, constant) for part in PARTS], axis=0)
+
+    def overlap(self, force: Any, constant: Any) -> Any:
+        """Return the overlap at which a contact has this force from 0, m."""
+        force, constant = np.broadcast_arrays(force, constant)
+        start = (force / constant) ** (1 / self.onset)
+        return _solve(
+            lambda o: self.force(o, constant), lambda o: self.stiffness(o, constant), force, start
+        )
+
+    def approach(self, energy: Any, constant: Any) -> Any:
+        """Return the overlap at which a contact without force at rest holds this energy, m."""
+        energy, constant = np.broadcast_arrays(energy, constant)
+        return self._approach(energy, constant, np.zeros(energy.shape))
+
+    def approach_bound(self, contacts: Contacts, energy: Any) -> Any:
+        """Return how far overlaps exceed those at rest if each contact holds this energy, m."""
+        shape = np.broadcast_shapes(np.shape(energy), contacts.constant.shape)
+        constant = np.where(contacts.exists, contacts.constant, 1.0)
+        arrays = (np.broadcast_to(x, shape) for x in (energy, constant, contacts.overlap))
+        return self._approach(*arrays)
+
+    def bend(self, contacts: Contacts) -> Any:
+        """Return o k'(o) / k(o) at the overlaps at rest: delta - 1 for a power of the overlap."""
+        overlap = np.where(contacts.pressed, contacts.overlap, 1.0)
+        stiffness = np.where(contacts.pressed, contacts.stiffness, 1.0)
+        return overlap * self.curvature(overlap, contacts.constant) / stiffness
+
+    def force_change(self, contacts: Contacts, r: Array) -> Array:
+        """Return the change of force for a change r of the overlap, (..., N+1) N.
+
+        The relative accuracy does not depend on the amplitude of the wave.
+        """
+        return self._change(contacts.overlap, r, contacts.constant)
+
+    def energy_change(self, contacts: Contacts, r: Array) -> Array:
+        """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
+
+        It is the integral of F(eps + r) - F(eps) over r, accurate in relative terms for the weakest
+        waves.
+        """
+        return self._integral(contacts.overlap, r, contacts.constant, 1)
+
+    def squeezed_by(self, contacts: Contacts, force: Any) -> Any:
+        """Return by how much more contacts overlap under this additional force, m."""
+        return _solve(
+            lambda r: self.force_change(contacts, r),
+            lambda r: self.stiffness(contacts.overlap + r, contacts.constant),
+            np.asarray(force),
+            (force / contacts.constant) ** (1 / self.onset),
+        )
+
+    @property
+    def elastic_share(self) -> float:
+        """Mean share of the contacts in the energy of an uncompressed chain (virial theorem).
+
+        For other laws than powers it is that of weak motions.
+        """
+        return 2 / (self.onset + 3)
+
+    def _approach(self, energy: Array, constant: Array, rest: Array) -> Array:
+        """Return the r > 0 at which the energy above that at rest is this one, m."""
+        return _solve(
+            lambda r: self._integral(rest, r, constant, 1),
+            lambda r: self._change(rest, r, constant),
+            energy,
+            (energy / constant) ** (1 / (self.onset + 1)),
+        )
+
+    def _change(self, rest: Array, r: Array, constant: Array) -> Array:
+        """Return F(rest + r) - F(rest), which loses the digits of weak waves, or the integral."""
+        weak = np.abs(r) < WEAK * rest
+        change = self.force(rest + r, constant) - self.force(rest, constant)
+        return np.where(weak, self._integral(rest, np.where(weak, r, 0), constant, 0), change)
+
+    def _integral(self, rest: Array, r: Array, constant: Array, moment: int) -> Array:
+        """Return the integral of k(rest + s) (r - s)^moment over s from 0 to r.
+
+        All of its terms have one sign, so that nothing cancels. Pieces end at kinks, and grow with
+        the distance to them.
+        """
+        rest, r, constant = np.broadcast_arrays(rest, r, constant)
+        ends: list[Any] = [0 * r, r]
+        for kink in self.kinks:
+            far = np.abs(rest - kink)
+            ratio = np.max(np.abs(r) / np.where(far > 0, far, np.inf), initial=1.0)
+            growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
+            ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
+        places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
+        total = np.zeros(r.shape)
+        for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
+            for node, weight in zip(NODES, WEIGHTS, strict=True):
+                s = begin + node * width
+                k = self.stiffness(rest + s, constant)
+                total = total + weight * width * k * (r - s) ** moment
+        return np.sign(r) * total
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+def _solve(
+    function: Callable[[Array], Array], slope: Callable[[Array], Array], target: Any, start: Any
+) -> Array:
+    """Return the x >= 0 at which a function that grows from 0 has this value.
+
+    Newton's method, and bisection where that leaves the bracket. 0 and infinity stay what they are.
+    """
+    target = np.asarray(target)
+    with np.errstate(all="ignore"):
+        known = np.isfinite(target) & (target > 0)
+        high = np.where(known, np.maximum(start, 1e-300), 0)
+        while (short := known & np.isfinite(high) & (function(high) < target)).any():
+            high = np.where(short, 2 * high, high)
+        low = np.zeros_like(high)
+        x = high
+        for _ in range(ITERATIONS):
+            off = function(x) - target
+            low = np.where(off < 0, x, low)
+            high = np.where(off < 0, high, x)
+            step = x - off / slope(x)
+            new = np.where((low <= step) & (step <= high), step, (low + high) / 2)
+            if not (known & (np.abs(new - x) > 2 * np.finfo(x.dtype).eps * x)).any():
+                break
+            x = new
+    return np.where(known, new, target)
+
+
+class Power(ContactLaw):
+    """The force K o^delta of a closed contact.
+
+    Parameters
+    ----------
+    exponent : float
+        delta, 1 (linear springs) or more; 1.5 is Hertz.
+    """
+
+    def __init__(self, exponent: float):
+        super().__init__(
+            _power,
+            _power_stiffness,
+            _power_curvature,
+            onset=exponent,
+            parameters=(exponent,),
+            name=f"exponent {exponent:g}",
+        )
+
+    @property
+    def power(self) -> float:
+        """The exponent delta."""
+        return self.onset
+
+    def with_parameters(self, parameters: Iterable[Any]) -> Power:
+        """Return the law of another exponent."""
+        return Power(*parameters)
+
+    def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
+        """Return Hertz's constant K = (4/3) E* sqrt(R*) dbar^(1.5 - delta), N/m^delta."""
+        return 4 / 3 * modulus * radius**0.5 * length ** (1.5 - self.onset)
+
+    def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
+        """Return the stiffness at this overlap, which is the largest up to it, N/m."""
+        return self.stiffness(overlap, constant)
+
+    def overlap(self, force: Any, constant: Any) -> Any:
+        """Return the overlap at which a contact has this force, m."""
+        return (force / constant) ** (1 / self.onset)
+
+    def approach(self, energy: Any, constant: Any) -> Any:
+        """Return the overlap at which a contact without force at rest holds this energy, m.
+
+        Its energy is ``K r^(delta+1) / (delta+1)``.
+        """
+        power = self.onset + 1
+        return (power * energy / constant) ** (1 / power)
+
+    def approach_bound(self, contacts: Contacts, energy: Any) -> Any:
+        """Return an upper bound on how far overlaps exceed those at rest, m.
+
+        A contact holds at least ``K r^(delta+1) / (delta+1)`` and ``k r^2 / 2``.
+        """
+        of_law = self.approach(energy, contacts.constant)
+        # Without energy and stiffness the second is no number, which fmin passes over.
+        return np.fmin(of_law, np.sqrt(2 * energy / contacts.stiffness))
+
+    def bend(self, contacts: Contacts) -> float:
+        """Return delta - 1."""
+        return self.onset - 1
+
+    def force_change(self, contacts: Contacts, r: Array) -> Array:
+        """Return the change of force for a change r of the overlap, (..., N+1) N."""
+        # from s = -1 on the contact is open, and the force at rest is all that is lost
+        s = r / np.where(contacts.pressed, contacts.overlap, np.inf)
+        relative = np.expm1(self.onset * np.log1p(np.where(s > -1, s, 0.0)))
+        change = contacts.force * np.where(s > -1, relative, -1.0)
+        return np.where(contacts.pressed, change, self.force(r, contacts.constant))
+
+    def energy_change(self, contacts: Contacts, r: Array) -> Array:
+        """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
+
+        It is the integral of K [eps + r]^delta - K eps^delta over r.
+        """
+        power = self.onset + 1
+        loose = contacts.constant / power * np.maximum(r, 0.0) ** power
+        s = r / np.where(contacts.pressed, contacts.overlap, 1.0)
+        y = np.log1p(np.where(s > -1, s, 0.0))
+        exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
+        # the two terms cancel for small s: sum the binomial series instead
+        series = np.zeros_like(s)
+        for k in range(11, 1, -1):
+            series = (power - k + 1) / k * s * (1 + series)
+        scaled = np.where(np.abs(s) < SERIES_BELOW, s * series, exact)
+        return np.where(contacts.pressed, contacts.force * contacts.overlap * scaled, loose)
+
+    def squeezed_by(self, contacts: Contacts, force: Any) -> Any:
+        """Return by how much more one contact overlaps under this additional force, m."""
+        if contacts.pressed:
+            return contacts.overlap * np.expm1(np.log1p(force / contacts.force) / self.onset)
+        return self.overlap(force, contacts.constant)
+
+
+def _power(overlap: Any, constant: Any, exponent: Any) -> Any:
+    return constant * np.maximum(overlap, 0.0) ** exponent[0]
+
+
+def _power_stiffness(overlap: Any, constant: Any, exponent: Any) -> Any:
+    return exponent[0] * constant * overlap ** (exponent[0] - 1)
+
+
+def _power_curvature(overlap: Any, constant: Any, exponent: Any) -> Any:
+    return (exponent[0] - 1) * exponent[0] * constant * overlap ** (exponent[0] - 2)
+
+
+@cache
+def power_law(exponent: float) -> Power:
+    """Return the power law of an exponent; every chain asks for one, and most for the same."""
+    return Power(exponent)
