@@ -45,7 +45,7 @@ from .hermite import (
     value,
 )
 
-# Kinds of events; a level is no event of the motion: only what exceeds it counts.
+# Kinds of events. Before the first one there may be a level: maxima are looked for above it.
 MAXIMUM, SHOULDER, HIDDEN, LEVEL = range(4)
 NO_FALL = 1e-12  # of a largest value: a fall by less is rounding
 ROOM = 32  # events by which a log grows, at least, and more than an interval has
@@ -100,7 +100,7 @@ def events_of(values: Array) -> np.ndarray:
 
 
 def levels_of(values: Array) -> np.ndarray:
-    """Return the events of G grains of which only those above a level each are asked for."""
+    """Return the levels above which the maxima of G grains are looked for."""
     events = events_of(values)
     events["kind"] = LEVEL
     events["since"] = 0.0
@@ -207,7 +207,6 @@ def _exceed(last, begin, error, h, t, s, height, bend):
             last.tilt = larger(last.tilt, SHAPE.slope * error / h)
             return
         s = 0.0 if begin >= (1.0 - NO_FALL) * top else s
-    last.kind = MAXIMUM
     last.when = t + s * h
     last.height = height
     last.off = error
@@ -305,13 +304,22 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
         if not latest.size:
             continue
         last = latest[n]
+        t = (window.first + i) * h
+        if last.kind == LEVEL:
+            if seen and not rises:
+                continue
+            # maxima are looked for from here on
+            last.kind = MAXIMUM
+            last.when = t
+            last.until = t
+            last.height = before
+            last.since = abs(before)
         if used + ROOM > events.size:
             # twice as many, so that the copies cost no more than the events
             grown = np.empty(2 * events.size + ROOM, EVENT)
             for k in range(used):
                 grown[k] = events[k]
             events = grown
-        t = (window.first + i) * h
         if not seen:
             used = _log_hidden(events, used, last, limit, t, t + h)
         begin = 0.0
