@@ -103,20 +103,20 @@ class Motion:
     def _lawful(self) -> NDArray[np.bool_]:
         """Whether the forces of the chain give the acceleration of each body, (N+2,)."""
         chain = self.scene.chain
-        lawful = np.ones(self._column.size, dtype=bool)
         # the rates of viscous forces ask for more derivatives than samples have
-        if self._equation in (1, 3) and not chain.damped:
+        known = self._equation in (1, 3) and not chain.damped
+        lawful = np.full(self._column.size, known)
+        if known and not self._all_recorded:
             recorded = self._column != UNKNOWN
             exists = chain.contacts.exists
             # a contact that does not exist needs no neighbour
             lawful[1:-1] = (recorded[:-2] | ~exists[:-1]) & (recorded[2:] | ~exists[1:])
-        else:
-            lawful[1:-1] = False
+        lawful[0] = True
         # bodies that stand still
         lawful[chain.movable + 1 :] = True
         return lawful
 
-    @property
+    @cached_property
     def _all_recorded(self) -> bool:
         """Whether all grains that can move were recorded."""
         return not (self._column[1 : self.scene.chain.movable + 1] == UNKNOWN).any()
@@ -141,8 +141,8 @@ class Motion:
         # only columns of these grains, of their neighbours and of the contacts are read
         bodies += grains.tolist()
         near = self._column[max(min(bodies, default=1) - 1, 0) : max(bodies, default=1) + 2]
-        near = near[near >= 0]
-        part = slice(int(near.min()), int(near.max()) + 1) if near.size else slice(0, 1)
+        read = [column for column in near.tolist() if column >= 0] or [0]
+        part = slice(min(read), max(read) + 1)
         column = self._column - part.start
         column[column >= part.stop - part.start] = UNKNOWN
         motion = (self.scene, self._equation == 3, column, self._lawful, grains)

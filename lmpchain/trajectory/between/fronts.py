@@ -11,7 +11,7 @@ import numpy as np
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .derivatives import NEWS, SampledBlock, compiled
-from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch
+from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch, value
 from .maxima import ALONE, EVENT, HIDDEN, HIGH, LOW, MAXIMUM, SHOULDER, VALUE, fill_path
 
 SMALLEST = sys.float_info.min  # maximum that has all of its digits
@@ -261,6 +261,25 @@ def _last_as_large(p, kind, front, rules, work):
 
 
 @compiled
+def _still_as_large(p, kind, front, late, rules, work):
+    """Return whether a size is the same within its error so long before or after a maximum.
+
+    False also where that time is in another interval.
+    """
+    when, height, off = front
+    h = rules.step
+    i = min(int(when / h), p.shape[1] - 2)
+    count = fill_polynomial(p, kind, h, i, work)
+    level = abs(height) - 2.0 * (off + rules.error)
+    sign = math.copysign(1.0, height)
+    for side in range(-1, 2, 2):
+        s = (when + side * late) / h - i
+        if 0.0 <= s <= 1.0 and sign * value(work[C], count, s) > level:
+            return True
+    return False
+
+
+@compiled
 def _width(p, kind, front, apart, rules, work):
     """Return the full width at half maximum of a front, and its error, s; NaN if unknown."""
     _, height, off = front
@@ -300,7 +319,9 @@ def _fill_fronts(
         bound(p, kind, block.h)
         event = of_grain[at]
         front = (event.when, event.height, event.off)
-        late = min(_last_as_large(p, kind, front, rules, work), _spread(event, rules))
+        late = _spread(event, rules)
+        if not _still_as_large(p, kind, front, late, rules, work):
+            late = min(late, _last_as_large(p, kind, front, rules, work))
         late, apart = _doubt_choice(of_grain, at, late, largest[g], rules)
         out[g, 0] = event.when
         out[g, 1] = event.height
