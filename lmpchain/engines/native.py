@@ -10,7 +10,7 @@ import numba
 from ..errors import InputError, ToleranceNotMet, shown
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ..integrators.damped_verlet import LAGGED
-from ..integrators.kernels.contact_forces import ROOTS
+from ..integrators.kernels.contact_forces import PLAIN
 from ..integrators.kernels.layout import PAD
 from ..integrators.method import Method
 from ..integrators.methods import BY_NAME, METHODS
@@ -108,7 +108,7 @@ class Native(TimeSteppingEngine):
         The phase shifts by a quarter of what `native_floor` allows for.
         """
         walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
-        if force_form(scene, self.force) in ROOTS:
+        if force_form(scene, self.force) in PLAIN:
             walk += plain_loss(scene, steps) / speed
         return walk
 

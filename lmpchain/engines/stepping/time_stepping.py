@@ -71,7 +71,8 @@ class TimeSteppingEngine(Engine):
         names = methods_of(scene.chain.damped)
         if self.integrator in ("auto", *names):
             return []
-        cure = f"use {' or '.join(name for name in names if name in self.integrators)}"
+        best_first = sorted(names, key=lambda name: -names[name].order)
+        cure = f"use {' or '.join(name for name in best_first if name in self.integrators)}"
         kind = "without" if scene.chain.damped else "with"
         fault = f"{self.integrator} is a method for chains {kind} damping: {cure}, or leave it out"
         return [("integrator", fault)]
