@@ -147,34 +147,52 @@ def compile_all(progress: bool = False) -> None:
     """
     from . import design
     from .chain.chain import Chain
+    from .engines.cost_model import PATIENCE_S, announce
     from .integrators.kernels.contact_forces import FORMS, addresses
     from .measure import front
     from .scene.excitation import Impulse
     from .scene.scene import Scene
     from .simulation.api import simulate
+    from .util.compilation import compiled_s
     from .util.progress import ProgressBar
 
     chain = Chain(grains=20, material="glass", diameter=1e-3)
     weak = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=20e-6, samples=33)
     strong = weak.replace(excitation=Impulse(velocity=1e-2))
     watched = strong.replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"])
-    of_methods = [
-        partial(simulate, weak, "native", 1e-2, integrator=name)
-        for name in ("rkn4", "dop853", "gear4")
+    methods = {"rkn4": 8.0, "dop853": 10.0, "gear4": 3.0}
+    # About the time that each takes to compile on a machine that does nothing else, s.
+    jobs: list[tuple[float, Callable[[], object]]] = [
+        *((0.7, partial(addresses, form)) for form in FORMS),
+        *(
+            (seconds, partial(simulate, weak, "native", 1e-2, integrator=name))
+            for name, seconds in methods.items()
+        ),
+        (5.0, partial(simulate, strong, "native", 1e-2)),
+        (50.0, partial(simulate, watched, "native", 1e-2)),
+        (9.0, partial(simulate, weak, "chebyshev", 1e-2)),
+        (18.0, lambda: front.track(simulate(weak, "modes", 1e-2))),
+        (30.0, partial(design.gradient, strong, design.Momentum([1]), ["masses"], tolerance=1e-2)),
     ]
-    jobs: list[Callable[[], object]] = [
-        *(partial(addresses, form) for form in FORMS),
-        *of_methods,
-        partial(simulate, strong, "native", 1e-2),
-        partial(simulate, watched, "native", 1e-2),
-        partial(simulate, weak, "chebyshev", 1e-2),
-        lambda: front.track(simulate(weak, "modes", 1e-2)),
-        partial(design.gradient, strong, design.Momentum([1]), ["masses"], tolerance=1e-2),
-    ]
+    before = compiled_s()
+    left = sum(seconds for seconds, _ in jobs)
+    done = 0.0
+    told = False
     with ProgressBar(len(jobs), "compiling", shown=progress) as bar:
-        for job in jobs:
+        for seconds, job in jobs:
             job()
             bar.advance()
+            done += seconds
+            left -= seconds
+            # What was compiled before takes next to no time, and promises the same of the rest.
+            left_s = (compiled_s() - before) / done * left
+            if left_s > PATIENCE_S and not told:
+                told = True
+                announce(
+                    left_s,
+                    "compiling all that runs and gradients need, once for this machine,",
+                    "without --compile, each command compiles what it needs alone",
+                )
 
 
 def _findings(name: str, cure: str, run: Check) -> list[Finding]:

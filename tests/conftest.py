@@ -34,16 +34,16 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have all loops compiled that a machine compiles once, so that no test waits for it or reads
-    of it.
+    """Let tests obey Ctrl-C; with `-n`, compile what most tests need before the workers start.
 
-    It is done before `-n` starts its workers, which then find them compiled, and half of it in a
-    process beside.
-    Commands that tests start obey Ctrl-C, also where a shell has started these in the background.
+    A shell that starts tests in the background ignores Ctrl-C, which processes would inherit.
+    Without `-n`, each test compiles what it needs, so that a single file starts at once.
     """
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # which processes would inherit
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config, "workerinput") or config.option.collectonly:
+        return
+    if not getattr(config.option, "numprocesses", None):
         return
     beside = multiprocessing.get_context("fork").Process(
         target=_compile_steps_of_one_length_and_measures

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from ..engines.lammps.engine import HEIGHTS, Lammps, gauge_diameter
 from ..engines.native import Native
 from ..errors import InputError, RunFailed
+from ..integrators.damped_verlet import LAGGED
 from ..integrators.methods import methods_of
 from ..scene.scene import Scene
 from ..simulation.api import simulate
@@ -105,9 +106,11 @@ def height_round_off(
 
     The `gauge` is the diameter with which grains are drawn, m, 0 for the physical one.
     """
-    if integrator not in Lammps.integrators:
+    # Both damped methods make the steps of velocity Verlet.
+    name = "verlet" if integrator == LAGGED.name else integrator
+    if name not in Lammps.integrators:
         return math.nan
-    bound = Lammps(integrator).round_off(scene, gauge, steps, solution.scale)
+    bound = Lammps(name).round_off(scene, gauge, steps, solution.scale)
     return HEIGHTS.typical * bound
 
 

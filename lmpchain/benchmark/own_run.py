@@ -15,6 +15,7 @@ from ..engines.lammps.deck_reader import read_deck
 from ..engines.lammps.engine import HEIGHTS
 from ..engines.native import Native
 from ..errors import InputError
+from ..integrators.damped_verlet import LAGGED
 from ..integrators.methods import BY_NAME
 from ..integrators.splittings import SPLITTINGS
 from ..measure import energy, front
@@ -160,6 +161,12 @@ class RunCheck(Shown):
             lines += wrap(f"{cause.name}: {cause.why}")
         if self.cures:
             lines += ["", *align(self._remedies())]
+            if self.integrator == LAGGED.name:
+                lines += wrap(
+                    f"{LAGGED.name} is `fix nve`, whose forces see the velocity of half a step, so "
+                    "that its order is 1 with damping; verlet is `fix mvv/dpd 1.0` here, of order "
+                    "2, as `lmpchain deck` writes it."
+                )
             lines += wrap(
                 "digits in LAMMPS: round-off of heights that it adds, with the physical diameter, "
                 "or with --diameter gauge where that one is too large. `lmpchain deck` writes "
@@ -205,7 +212,8 @@ def check(
     The error is that against a Taylor series in extended precision. A native run with the
     integrator and the step of the run, in displacements, has its error of the step and not its
     digits: heights of LAMMPS, single precision, or what a dump leaves out. Dumps are taken as
-    velocity Verlet, or as "kahan-li6" of `lmpchain deck` where that fits and the other does not.
+    velocity Verlet, or as "kahan-li6" of `lmpchain deck` where that fits and the other does not; of
+    a damped chain, as `fix mvv/dpd 1.0`, or as `fix nve` ("lagged-verlet") where that fits better.
 
     Parameters
     ----------
@@ -317,8 +325,8 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
     if cost.integrator not in (*BY_NAME, UNKNOWN_METHOD):
         why = f"it solves Eq. ({answer.equation}), and takes no steps"
         return "", 0.0, (Cause("equation", wrong, why),)
-    if answer.engine == "native":
-        engine = Native(cost.integrator.removeprefix("lagged-"))
+    if answer.engine == Native.name:
+        engine = Native(cost.integrator)
         rounding = engine.typical_round_off(scene, cost.steps, float(solution.scale[1]))
         step = Cause("step", wrong, _compare_with_limit(scene, engine.integrator, cost.step_s))
         why = "expected round-off of double precision; displacements are held, not heights"
@@ -338,14 +346,17 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
 
 def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
     """Return the integrators and steps, s, that a run may have had, the likeliest first."""
-    name = answer.cost.integrator.removeprefix("lagged-")
+    name = answer.cost.integrator
     if name != UNKNOWN_METHOD:
         return [(name, answer.cost.step_s)]
     pairs = [("verlet", answer.cost.step_s)]
     composed = SPLITTINGS["kahan-li6"]
     runs = deck_steps(composed)
     # of our decks, whose steps are several of LAMMPS
-    if not answer.scene.chain.damped and answer.cost.steps % (runs * (answer.time.size - 1)) == 0:
+    if answer.scene.chain.damped:
+        # With fix nve, which most users take.
+        pairs.append((LAGGED.name, answer.cost.step_s))
+    elif answer.cost.steps % (runs * (answer.time.size - 1)) == 0:
         pairs.append((composed.name, runs * answer.cost.step_s))
     return pairs
 

@@ -111,7 +111,7 @@ class Contacts:
         """Return `ContactLaw.bend` of the contacts at rest, (..., N+1); 0 if they carry nothing."""
         return np.where(self.pressed, self.law.bend(self), 0.0)
 
-    def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
+    def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return these contacts of one chain, or the contacts of these of many chains."""
         return Contacts(self.law, *(values[numbers] for values in self.arrays))
 
@@ -194,10 +194,10 @@ class Contacts:
         """Return an upper bound of each overlap for this energy above rest, (..., N+1) m."""
         return self.overlap + self.approach_bound(energy)
 
-    def largest_strain(self, energy: float | Array) -> Array:
-        """Return `Scene.largest_strain`, (...), for this energy above rest, (...) or (..., 1) J."""
-        # a loose contact has no strain; where there is none, neither moves
-        strain = self.approach_bound(energy) / np.where(self.pressed, self.overlap, 1.0)
+    def strain_bound(self, approach: Array) -> Array:
+        """Return a bound on the strains by one on each approach, (..., N+1) m; see `Scene`."""
+        # A loose contact has no strain; where there is none, neither moves.
+        strain = approach / np.where(self.pressed, self.overlap, 1.0)
         bounded = (self.pressed == self.exists).all(-1)
         # of one chain a number, and no array of none
         return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]
@@ -205,5 +205,8 @@ class Contacts:
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
     """Return the contacts of R chains of one length as one, (R, N+1), for compiled loops."""
+    if len(contacts) == 1:
+        # views of the arrays of this chain
+        return contacts[0].of(np.newaxis)
     rows = map(np.array, zip(*(chain.arrays for chain in contacts), strict=True))
     return Contacts(contacts[0].law, *rows)

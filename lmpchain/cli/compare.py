@@ -138,9 +138,10 @@ def _solve(
     """Run every engine; return the trajectories, and failures and remarks in words.
 
     An engine that would exceed the budget, in s, gets ten times its tolerance in `tolerances`,
-    again and again, and is left out if none below 1 is within the budget.
+    again and again, and is left out if none below 1 is within the budget, which holds for all
+    these attempts together.
     """
-    from ..engines.cost_model import TooLong
+    from ..engines.cost_model import TooLong, budget
 
     trajectories = []
     failures = []
@@ -148,15 +149,14 @@ def _solve(
     for name, asked in tolerances.items():
         reason = ""
         try:
-            while True:
-                try:
-                    trajectories.append(_run(scene, name, tolerances[name], budget_s))
-                except TooLong as excess:
-                    reason = reason or str(excess)
-                    tolerances[name] *= 10
-                    if tolerances[name] < 1:
-                        continue
-                break
+            with budget(budget_s):
+                while tolerances[name] < 1 or not reason:
+                    try:
+                        trajectories.append(_run(scene, name, tolerances[name], budget_s))
+                        break
+                    except TooLong as excess:
+                        reason = reason or str(excess)
+                        tolerances[name] *= 10
         except ToleranceNotMet as error:
             failures.append(f"{name}: {error.reason}")
             if error.trajectory is not None:
@@ -184,8 +184,9 @@ def _run(scene: Scene, name: str, tolerance: float, budget_s: float) -> Trajecto
     from ..simulation.api import simulate
 
     # the table shows the errors
-    with warnings_aside(), budget(budget_s):
-        answer = simulate(scene, name, tolerance, progress=on_terminal())
+    with warnings_aside():
+        with budget(budget_s):
+            answer = simulate(scene, name, tolerance, progress=on_terminal())
         if answer.cost.total_s >= SHORT_S:
             return answer
         quickest = _quickest(scene, name, tolerance)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..engines.cost_model import announce
-from ..engines.stepping.round_off import native_floor
+from ..engines.stepping.rounding import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..integrators.adjoint import Inputs
 from ..integrators.differentiation import (
@@ -23,7 +23,7 @@ from ..integrators.differentiation import (
 from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
-from ..util.compilation import clock, compiled_s
+from ..util.compilation import clock
 from ..util.suggestions import not_among
 from . import parameters as params
 from .objectives import Objective
@@ -208,9 +208,9 @@ def refine(
     -------
     the best judgement
     """
-    began = clock() - compiled_s()
+    began = clock()
     before = solve(2 * first, 1)
-    spent_s = clock() - compiled_s() - began
+    spent_s = clock() - began
 
     def attempt(halvings: int) -> HalvedAnswer[Any]:
         nonlocal before

@@ -29,6 +29,11 @@ class Patience:
     ----------
     attempts : int
         Most attempts that run through.
+    hopeless : float
+        Rounding error over the tolerance beyond which no attempt can meet the tolerance,
+    hopeless_attempts : int
+        and the largest number of attempts then: shorter steps would only improve an answer that
+        misses its tolerance anyway.
     breakdowns : int
         Most attempts that break down.
     stalls : int
@@ -49,6 +54,8 @@ class Patience:
     """
 
     attempts: int = 12
+    hopeless: float = 1e3
+    hopeless_attempts: int = 3
     breakdowns: int = 2
     stalls: int = 3
     stalled: float = 0.7
@@ -388,13 +395,16 @@ def _shorten(
 
     Where rounding alone is too much, a patient user gets what is right as long as round-off allows,
     and others an error that is no more than three times that of rounding: distances of runs, which
-    count twice, are themselves as large as rounding there.
+    count twice, are themselves as large as rounding there. If rounding exceeds the tolerance by
+    far, others get the best of few attempts.
     """
     proposal = attempt.proposal
     tolerance = attempt.tolerance
     better = engine.refine(proposal, error, tolerance)
     floor = tolerance if patient else max(tolerance, 2 * error.roundoff)
-    if better is None and error.truncation > floor:
+    hopeless = error.roundoff > PATIENCE.hopeless * tolerance
+    last = hopeless and len(attempt.truncations) >= PATIENCE.hopeless_attempts
+    if better is None and error.truncation > floor and (patient or not last):
         better = engine.refine(proposal, error._replace(roundoff=0.0), floor)
     return better
 

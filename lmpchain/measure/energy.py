@@ -65,7 +65,7 @@ class EnergyLedger(Shown, Tabular):
     dissipated : (T,) array
         Energy that viscous contacts and drag have taken since t = 0; see `losses` for each. With
         the native engine and LAMMPS, `dissipated` and the work in a chain with damping are summed
-        up at every step of the run.
+        up at every step of the run. The linear engines integrate both along their solutions.
     momentum : (T,) array
         Of all grains, positive downward.
     impulse : (T,) array

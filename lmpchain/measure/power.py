@@ -150,7 +150,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
     if not 6 <= count <= most:
         raise InputError.at("periods", f"must be 6 to {most}, those of the run (got {count})")
-    if period < SAMPLES * (time[1] - time[0]) * (1 - 1e-9):
+    if period < SAMPLES * scene.sampling_interval * (1 - 1e-9):
         least = 1 + int(np.ceil(SAMPLES * time[-1] / period))
         raise InputError.at("samples", f"must be {least} or more: {SAMPLES} a period of the drive")
     known = motion_of(trajectory)

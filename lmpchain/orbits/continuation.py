@@ -17,9 +17,11 @@ from scipy.linalg import svd
 
 from ..chain.chain import Chain
 from ..chain.damping import Damping
+from ..engines.cost_model import PATIENCE_S, announce
 from ..errors import InputError, RunFailed, shown
 from ..scene.excitation import Drive, Force
 from ..util.arrays import Array, check_flags
+from ..util.compilation import clock
 from ..util.linear_algebra import in_one_thread
 from ..util.progress import ProgressBar
 from . import floquet
@@ -456,13 +458,34 @@ def follow(
     # the bar shows the share of the parameter, of which there may be nothing to go
     distance = max(abs(march.miss), 1e-300)
     layout = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
+    times = [(clock(), march.miss)]
+    told = False
     with ProgressBar(1.0, "orbits", layout=layout, shown=progress) as bar:
         while not march.done:
             march.advance()
             bar.reach(max(0.0, 1 - abs(march.miss) / distance))
+            times = [*times[-2:], (clock(), march.miss)]
+            if not march.done and not told and (left_s := _left_s(times)) > PATIENCE_S:
+                told = True
+                position = curve.position(march.members[-1])
+                announce(
+                    left_s,
+                    f"the family of orbits from {position} to {until:g}",
+                    "an end that is nearer, a shorter chain, or events=False in Python takes less",
+                )
     family = march.family(parameter if isinstance(parameter, str) else "parameter", until)
     found = tuple(replace(event, parameter=parameter, hold=hold) for event in family.events)
     return replace(family, events=found)
+
+
+def _left_s(times: list[tuple[float, float]]) -> float:
+    """Return about the time to the end of a family, s, at the pace of its last two steps.
+
+    0 is returned before there are two, and in a fold, where the end is not coming nearer.
+    """
+    (began, before), *_, (now, miss) = times
+    gained = abs(before) - abs(miss)
+    return (now - began) * abs(miss) / gained if len(times) == 3 and gained > 0 else 0.0
 
 
 def family_curve(

@@ -106,6 +106,11 @@ class SceneFacts(Recording):
             return ()
         return tuple(t for t in waveform.corners if 0.0 < t < self.duration)
 
+    @cached_property
+    def corner_spacing(self) -> float:
+        """Least time between kinks of the applied force or motion, s; infinite without kinks."""
+        return self.excitation.corner_spacing
+
     # Strength of the excitation.
 
     @property
@@ -113,14 +118,18 @@ class SceneFacts(Recording):
         """Velocity given to one grain at t = 0, m/s; 0 for any other excitation."""
         return self.excitation.strike_velocity
 
-    @cached_property
+    @property
     def _surroundings(self) -> tuple[int, Self]:
         """The grains that the excitation moves, with their neighbours: first number, and scene.
 
         The whole scene if its chain is short, because its contacts are then known as soon.
         """
-        if self.chain.grains <= FEW_GRAINS:
-            return 1, self
+        # A scene that stored itself would stay in memory until the next search for cycles.
+        return (1, self) if self.chain.grains <= FEW_GRAINS else self._struck_part
+
+    @cached_property
+    def _struck_part(self) -> tuple[int, Self]:
+        """The part of a long chain that `_surroundings` returns."""
         top, bottom = self.excitation.reach(self.chain)
         first = self.chain.first_of_part(max(1, top - 1))
         return first, self.part(first, min(self.chain.grains, bottom + 2))
@@ -211,7 +220,7 @@ class SceneFacts(Recording):
         speed = self.strike_velocity
         return bounds.struck(speed) if bounds and speed else np.inf
 
-    @property
+    @cached_property
     def _gentle(self) -> bool:
         """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
         # With arrays of all contacts in place of bounds, a run of 100 grains takes a fifth longer.
@@ -246,14 +255,19 @@ class SceneFacts(Recording):
         return "kind" if self.excitation.does_work else self.excitation.strength[0]
 
     @cached_property
+    def approach_bounds(self) -> Array:
+        """Bounds on how far every overlap can exceed that at rest, (N+1,) m, by the energy."""
+        return read_only(self.chain.contacts.approach_bound(self.energy))
+
+    @property
     def overlap_bounds(self) -> Array:
-        """Bounds on the overlap of every contact at any time, (N+1,) m, by the energy."""
-        return read_only(self.chain.contacts.overlap_bound(self.energy))
+        """Bounds on the overlap of every contact at any time, (N+1,) m."""
+        return self.chain.contacts.overlap + self.approach_bounds
 
     @cached_property
     def largest_strain(self) -> float:
         """A bound on ``|r / eps|`` of all contacts, rigorous while it is small; else infinite."""
-        return float(self.chain.contacts.largest_strain(self.energy))
+        return float(self.chain.contacts.strain_bound(self.approach_bounds))
 
     @cached_property
     def linear_strain(self) -> float:

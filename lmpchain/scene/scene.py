@@ -220,6 +220,8 @@ class Scene(SceneFacts):
 
     def until(self, time: float) -> Self:
         """Return the scene to the last sample before a time, s; itself where that is t = 0."""
+        if time > self.duration:
+            return self
         last = int(np.searchsorted(self.time, time)) - 1
         if last in (0, self.intervals):
             return self

@@ -12,7 +12,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -47,13 +47,13 @@ SCENE = "scene.toml"
 RUN = "run.json"
 STATUS = "status.json"
 SUMS = "SHA256SUMS"
-CHECKPOINTS = ("checkpoint", "checkpoint-before")
+CHECKPOINT_FILES = ("checkpoint", "checkpoint-before")
 # A proposal in the notes of older versions, in this order where it is a list.
 OLD_PROPOSAL = ("step", "active_grains", "model_error", "solver_error", "cost_s", "tolerance",
                 "steps_per_landing", "stride", "fixed", "adaptive", "coarse_openings", "integrator",
                 "choices")  # fmt: skip
 UNSEALED = ("sha256", "sessions", SEALED)  # in run.json: what is no part of the order
-STATE = "state."  # before the names of the arrays of a state, so that they never meet another
+IN_STATE = "state."  # before the names of the arrays of a state, so that they never meet another
 HASH = hashlib.sha256
 LENGTH = HASH().digest_size
 SUM = re.compile(r"([0-9a-f]{64})  (.+)")  # a line of it
@@ -228,10 +228,10 @@ def save_checkpoint(folder: Path, notes: Mapping[str, Any], state: Mapping[str, 
     """
     # packed in memory first, so that the hash is of what is written
     packed = io.BytesIO()
-    arrays = {STATE + name: values for name, values in state.items()}
+    arrays = {IN_STATE + name: values for name, values in state.items()}
     np.savez(packed, notes=np.array(json.dumps(notes)), **arrays)  # type: ignore[arg-type]
     content = packed.getbuffer()
-    newest, before = (folder / name for name in CHECKPOINTS)
+    newest, before = (folder / name for name in CHECKPOINT_FILES)
     with replacing(newest) as aside:
         with open(aside, "wb") as opened:
             opened.write(HASH(content).digest())
@@ -246,7 +246,7 @@ def load_checkpoints(folder: Path) -> Iterator[tuple[dict[str, Any], dict[str, A
 
     The state is empty before the first sample. A damaged checkpoint is removed and gives None.
     """
-    for path in (folder / name for name in CHECKPOINTS):
+    for path in (folder / name for name in CHECKPOINT_FILES):
         if path.exists():
             checkpoint = None
             if is_intact(path):
@@ -267,9 +267,9 @@ def _unpack(content: memoryview) -> tuple[dict[str, Any], dict[str, Array]] | No
         arrays = unpack(content)
         notes = json.loads(str(arrays["notes"]))
         state = {
-            name.removeprefix(STATE): values
+            name.removeprefix(IN_STATE): values
             for name, values in arrays.items()
-            if name.startswith(STATE)
+            if name.startswith(IN_STATE)
         }
         return dict(notes), state
     except Exception:
@@ -371,16 +371,15 @@ def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
     # zarr has hashes of its own in them
     if IN_STORE.fullmatch(text) or _is_aside(name):
         return True
-    if text in (RUN, STATUS):
-        return read_sealed_json(path) is not None
-    if text == SCENE:
-        return is_sealed(folder)
-    if text == SUMS:
-        return bool(sums)
-    if text in CHECKPOINTS:
-        return is_intact(path)
-    if text == LOCK:
-        return is_lock(path)
+    checks: dict[str, Callable[[], bool]] = {
+        SCENE: lambda: is_sealed(folder),
+        SUMS: lambda: bool(sums),
+        LOCK: lambda: is_lock(path),
+        **dict.fromkeys((RUN, STATUS), lambda: read_sealed_json(path) is not None),
+        **dict.fromkeys(CHECKPOINT_FILES, lambda: is_intact(path)),
+    }
+    if check := checks.get(text):
+        return check()
     if text in sums:
         return text in _names() and checksum(path) == sums[text]
     # a log grows until the run is finished
@@ -402,7 +401,7 @@ def _logs() -> set[str]:
 
 def _names() -> set[str]:
     """Return the names that files of a run folder may have, but for those of the store."""
-    return {SCENE, RUN, STATUS, SUMS, *CHECKPOINTS, *_inputs(), *_logs()}
+    return {SCENE, RUN, STATUS, SUMS, *CHECKPOINT_FILES, *_inputs(), *_logs()}
 
 
 def _read_sums(folder: Path) -> dict[str, str]:
@@ -419,7 +418,7 @@ def write_sums(folder: Path, finished: bool) -> None:
     """Write the hashes of what is final: the engine's input, and in the end all but the status."""
     names = _inputs()
     if finished:
-        names |= _names() - {STATUS, SUMS, *CHECKPOINTS}
+        names |= _names() - {STATUS, SUMS, *CHECKPOINT_FILES}
     by_name = {
         path.relative_to(folder).as_posix(): path
         for path in sorted(folder.rglob("*"))

@@ -32,7 +32,7 @@ QUANTITIES = {
 }
 
 
-# energies of a chain with damping, which a run that moves by steps sums up at each
+# Energies that a run accumulates if the chain has damping or a forcing.
 ENERGIES = {
     "dissipated": Quantity(("time",), "J", "energy taken by viscous contacts and drag since t = 0"),
     "drive": Quantity(("time",), "J", "work of a force or a drive since t = 0"),
@@ -82,11 +82,12 @@ def arrays(scene: Scene) -> dict[str, ArrayLayout]:
 
 
 def energies(scene: Scene) -> dict[str, ArrayLayout]:
-    """Return the arrays that a run with damping sums up at every step, by name."""
-    if not scene.chain.damped:
-        return {}
+    """Return the arrays of the energies that a run may accumulate, by name."""
     layouts = {}
-    for name in ENERGIES if scene.excitation.does_work else ("dissipated",):
+    present = {"dissipated": scene.chain.damped, "drive": scene.excitation.does_work}
+    for name in ENERGIES:
+        if not present[name]:
+            continue
         dimensions, units, title = ENERGIES[name]
         labels = {"units": units, "long_name": title}
         layouts[name] = ArrayLayout(dimensions, (scene.samples,), labels)

@@ -25,6 +25,8 @@ from lmpchain import (
 )
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
+from lmpchain.engines.lammps.column import LammpsColumn
+from lmpchain.engines.lammps.deck import write_data
 from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.measure import front
@@ -174,13 +176,33 @@ def test_what_neither_step_nor_digits_explain_is_said(tmp_path: Path):
         check_deck(tmp_path)
 
 
-def test_damped_dumps_have_the_error_of_their_first_order(tmp_path: Path):
-    scene = small(damping=Damping(viscoelastic=2e-7))
-    dump = run(scene, tmp_path, step=1e-7)
+@pytest.mark.parametrize("pair_style", ["granular", "gran/hertz/history"])
+@pytest.mark.parametrize("integrator", ["verlet", "lagged-verlet"])
+def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path, monkeypatch):
+    scene = small(damping=Damping(viscoelastic=2e-7, drag=1e3))
+    if integrator == "lagged-verlet":
+        # decks of earlier versions, and the fixes and atoms that most users have
+        monkeypatch.setattr(LammpsColumn, "predicts", False)
+    dump = run(scene, tmp_path, step=1e-7, pair_style=pair_style)
+    monkeypatch.undo()
     found = check(dump, scene)
     assert found.error == pytest.approx(true_error(scene, read_dump(dump)), rel=1e-6)
-    assert found.cause == "step"
-    assert {cure.integrator for cure in found.cures} == {"verlet", "dop853"}
+    assert (found.cause, found.integrator) == ("step", integrator)
+    assert {cure.integrator for cure in found.cures} == {integrator, "verlet", "dop853"}
+    assert ("`fix mvv/dpd 1.0`" in found.table()) == (integrator == "lagged-verlet")
+    before = check_deck(tmp_path)
+    assert before.integrator == integrator
+    assert before.error == pytest.approx(found.error, rel=1e-3)
+
+
+def test_atoms_of_another_style_than_that_of_the_deck_are_refused(tmp_path: Path, monkeypatch):
+    scene = small(damping=Damping(viscoelastic=2e-7))
+    write_deck(scene, tmp_path, step=1e-7)
+    monkeypatch.setattr(LammpsColumn, "predicts", False)
+    write_data(LammpsColumn(scene, 0.0), tmp_path / "column.data")
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="has another header"):
+        read_deck(tmp_path)
 
 
 DRIVEN = {"gravity": 0.0, "top_load": 2.0}

@@ -8,6 +8,7 @@ import re
 import shlex
 import signal
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,7 +35,7 @@ from lmpchain.benchmark.truth import truth
 from lmpchain.cli import command_line, common, compare, orbit, pages
 from lmpchain.cli.command_line import main
 from lmpchain.cli.verbs import VERBS
-from lmpchain.simulation.signals import Stopped
+from lmpchain.simulation.run_folder import Stopped
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util import mpi
 
@@ -627,6 +628,27 @@ def test_the_doctor_compiles_if_it_is_asked_to(arguments: list[str], monkeypatch
     monkeypatch.setattr(doctor, "compile_all", lambda progress: compiled.append(progress))
     assert main(["doctor", *arguments]) == 0
     assert len(compiled) == len(arguments)
+
+
+@pytest.mark.parametrize(("pace_s", "said"), [(0.7, True), (0.01, False)])
+def test_long_compilation_is_announced(pace_s: float, said: bool, monkeypatch: Any):
+    """What one job takes tells what the others will: next to nothing if they are kept."""
+    total_s = [0.0]
+
+    def take(*_: Any, **__: Any) -> None:
+        total_s[0] += pace_s
+
+    monkeypatch.setattr("lmpchain.util.compilation.compiled_s", lambda: total_s[0])
+    for name in ("simulation.api.simulate", "measure.front.track", "design.gradient"):
+        monkeypatch.setattr(f"lmpchain.{name}", take)
+    monkeypatch.setattr("lmpchain.integrators.kernels.contact_forces.addresses", take)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        doctor.compile_all()
+    texts = [str(each.message) for each in told]
+    assert len(texts) == said
+    # 139 s for the jobs after the first one, which takes 0.7 s
+    assert not said or "takes about 2.3 minutes: without --compile" in texts[0]
 
 
 # --- files and words

@@ -11,7 +11,7 @@ from lmpchain.benchmark.bench import work_precision
 from lmpchain.benchmark.truth import truth
 from lmpchain.disorder.averages import at_the_end
 from lmpchain.engines import Lammps, Native
-from lmpchain.engines.cost_model import TooLong, announce, announced, budget
+from lmpchain.engines.cost_model import TooLong, announce, announced, budget, check_time
 from lmpchain.report.exploration import explore
 from lmpchain.simulation.time_averages import averages
 from lmpchain.stability.find import stability
@@ -75,12 +75,32 @@ def test_a_budget_ends_what_exceeds_it(monkeypatch: pytest.MonkeyPatch):
         simulate(SCENE, "native")
 
 
+def test_work_within_a_budget_leaves_half_of_its_time(monkeypatch: pytest.MonkeyPatch):
+    used = [0.0]
+    monkeypatch.setattr("lmpchain.engines.cost_model._used", lambda: used[0])
+    ends = []
+
+    def work() -> None:
+        while used[0] < 100.0:
+            used[0] += 0.5
+            check_time()
+
+    with budget(8.0):
+        for _ in range(3):
+            with budget(8.0), pytest.raises(TooLong, match="far longer"):
+                work()
+            ends.append(used[0])
+        with budget(8.0), pytest.raises(TooLong, match=r"a run would take about 0\.8 s"):
+            announce(0.8, "a run", "")
+    assert ends == [8.5, 12.5, 14.5]
+
+
 def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.MonkeyPatch):
     """The first attempt expects far fewer steps than viscous contacts need in LAMMPS."""
     scene = SCENE.replace(chain=CHAIN.replace(damping={"viscoelastic": 2e-8}))
     monkeypatch.setattr("lmpchain.engines.cost_model.PATIENCE_S", 0.0)
     with pytest.warns(UserWarning, match="the native trial that finds the step") as told:
-        steps = Lammps().propose(scene, 1e-5).steps(scene.samples)
+        steps = Lammps().propose(scene, 1e-5).steps.total(scene.intervals)
     announcements = [str(each.message) for each in told]
     assert len(announcements) > 1
     assert any(f"with {steps} steps of" in text for text in announcements)
@@ -88,5 +108,5 @@ def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.Mon
 
 def test_the_expected_time_grows_with_the_steps():
     candidate = Native("verlet").propose(SCENE, 1e-6)
-    shorter = candidate.with_steps(candidate.steps.shortened(3 * candidate.steps.per_landing))
+    shorter = candidate.with_steps(candidate.steps.shorten(3 * candidate.steps.per_landing))
     assert shorter.cost_s == pytest.approx(3 * candidate.cost_s)

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from helpers.taylor_series import reference
 
 from lmpchain import Chain, Force, Impulse, Scene, Trajectory, simulate
+from lmpchain.engines import Native
 
 
 def spring(viscous: float, drag: float) -> Chain:
@@ -129,3 +131,18 @@ def test_rounding_of_damped_modes_is_within_its_estimate(viscous, radians, force
     run = simulate(scene, "modes", 1e-10)
     assert true_error(run) < 3 * run.error_estimate.total
     assert run.error_estimate.total < 300 * true_error(run)
+
+
+@pytest.mark.parametrize(("viscoelastic", "drag"), [(1e-6, 1e6), (5e-6, 1e6), (5e-6, 3e6)])
+def test_estimates_refer_to_the_motion_itself_while_a_force_is_still_weak(viscoelastic, drag):
+    """A burst that has hardly begun moves grains by far less than its amplitude would."""
+    damping = {"viscoelastic": viscoelastic, "drag": drag}
+    chain = Chain(grains=3, diameter=1e-3, top_load=0.1, damping=damping)
+    burst = Force(amplitude=1e-3, frequency=10.0, cycles=10)
+    scene = Scene(chain=chain, excitation=burst, duration=3e-5, samples=6)
+    step = 1.5e-6 if viscoelastic == 1e-6 else 5e-7
+    t = simulate(scene, Native(step=step, integrator="dop853"))
+    true, doubt = reference(scene, 1e-17)
+    error = true.error(t.displacement, t.velocity)
+    assert doubt < error / 10
+    assert error / 3 < t.error_estimate.solver < 30 * error

@@ -61,7 +61,7 @@ class Scripted(Engine):
     def refine(self, candidate, error, tolerance):
         """Halve the step, unless that was the last one."""
         steps = candidate.steps
-        return None if self.last else candidate.with_steps(steps.shortened(2 * steps.per_landing))
+        return None if self.last else candidate.with_steps(steps.shorten(2 * steps.per_landing))
 
     def start(self, scenes, candidate, state=None):
         """Start the next run of the script."""
@@ -260,6 +260,20 @@ def test_who_wants_the_best_answer_there_is_gets_it(now):
             attempt = following
     assert following is None
     assert "for round-off alone may make 3e-06" in missed
+
+
+def test_a_hopeless_tolerance_ends_with_the_third_attempt():
+    """Rounding alone exceeds the tolerance by far: ever shorter steps took minutes for a miss."""
+    engine = Native("rkn6")
+    attempt = Attempt(engine.propose(SCENE, 1e-11), 1e-11)
+    for further in (True, True, False):
+        error = budget(1e-2, 1e-6)
+        following, missed = next_attempt(engine, SCENE, attempt, error)
+        assert (following is not None) == further
+        patient, _ = next_attempt(engine, SCENE, attempt, error, patient=True)
+        assert patient is not None
+        attempt = following
+    assert "for round-off alone may make 1e-06" in missed
 
 
 def test_a_tolerance_is_loosened_fourfold_until_it_can_be_met():

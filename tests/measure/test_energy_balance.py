@@ -30,8 +30,8 @@ from lmpchain import (
     simulate,
     simulate_many,
 )
-from lmpchain.engines import Native
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines import Modes, Native
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.measure import energy
 from lmpchain.trajectory.record import ErrorEstimate
 
@@ -141,6 +141,31 @@ def integrate(scene: Scene) -> tuple[Array, Array]:
     return lost, work
 
 
+LINEAR = STEEL | {"grains": 6, "top": "wall", "bottom": "wall", "top_load": 50.0, "gravity": 0.0}
+FREQUENCY = 4e4
+LINEAR_DAMPING = {
+    "lossless": {},
+    "damped": {"viscoelastic": 4e-7, "drag": 2e3},
+    "overdamped": {"viscoelastic": 3e-6, "drag": 1e3},
+}
+LINEAR_ACTS = {
+    "strike": Impulse(velocity=1e-3),
+    "force": Force(grain=2, amplitude=0.1, frequency=FREQUENCY),
+    "burst": Force(grain=3, amplitude=0.1, frequency=FREQUENCY, cycles=2),
+    "hammer": Force(grain=1, shape="half-sine", amplitude=0.1, duration=7e-5),
+    "drive": Drive(amplitude=1e-8, frequency=FREQUENCY),
+    "tone": Drive(amplitude=1e-8, frequency=FREQUENCY, cycles=3),
+    "wall": Drive(grain=0, amplitude=1e-8, frequency=FREQUENCY),
+}
+
+
+@cache
+def exact_linear(damping: str, act: str) -> tuple[Scene, Array, Array]:
+    chain = Chain(**LINEAR, damping=LINEAR_DAMPING[damping])
+    scene = Scene(chain=chain, excitation=LINEAR_ACTS[act], duration=1e-4, samples=41)
+    return scene, *integrate(scene)
+
+
 @cache
 def exact(name: str) -> tuple[Array, Array]:
     return integrate(scene_of(name, 41))
@@ -174,6 +199,46 @@ def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, s
         assert error < 1e-8 * put_in
 
 
+@pytest.mark.parametrize("samples", [3, 41, 401])
+@pytest.mark.parametrize(
+    ("engine", "damping", "act"),
+    [
+        *(("modes", damping, act) for damping in LINEAR_DAMPING for act in LINEAR_ACTS),
+        ("chebyshev", "lossless", "drive"),
+        ("chebyshev", "lossless", "wall"),
+    ],
+)
+def test_linear_engines_close_the_balance_by_any_number_of_samples(engine, damping, act, samples):
+    """Springs that stay closed are linear: linear engines solve Eq. (1) itself."""
+    scene, *true = exact_linear(damping, act)
+    t = simulate(scene.replace(samples=samples), engine, 1e-6)
+    balance = energy.ledger(t)
+    assert not set(balance.balanced) & {"drive", "dissipated"}
+    # The energy may be near 0 at three samples.
+    put_in = max(map(largest, (balance.total, *true)))
+    assert largest(balance.drift) < 1e-9 * put_in
+    every = max((samples - 1) // 40, 1)
+    shown = slice(None, None, 40 // min(samples - 1, 40))
+    for name, exact_energy in zip(("dissipated", "drive"), true, strict=True):
+        error = getattr(balance, f"{name}_error")
+        off = largest(getattr(balance, name)[::every] - exact_energy[shown])
+        assert off <= error + 1e-11 * put_in, name
+        assert error < 1e-7 * put_in, name
+
+
+@pytest.mark.parametrize("samples", [3, 41])
+@pytest.mark.parametrize("act", [Impulse(velocity=1e-4), Drive(amplitude=1e-10, frequency=1e5)])
+def test_errors_of_linear_energies_include_the_model_error(act, samples: int):
+    chain = Chain(**WALLS, damping=DAMPING)
+    scene = Scene(chain=chain, excitation=act, duration=6e-5, samples=samples)
+    found = energy.ledger(simulate(scene, "modes", 0.5))
+    true = energy.ledger(simulate(scene, "native", 1e-11))
+    for name in ("dissipated", "drive"):
+        off = largest(getattr(found, name) - getattr(true, name))
+        assert off <= getattr(found, f"{name}_error")
+    assert 1e-8 * largest(true.total) < found.dissipated_error < 0.2 * largest(true.total)
+
+
 @pytest.mark.parametrize(
     ("engine", "act"),
     [
@@ -185,10 +250,8 @@ def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, s
     ],
 )
 @pytest.mark.parametrize("samples", [3, 41])
-def test_engines_that_sum_up_nothing_close_the_balance(engine: str, act, samples: int):
-    """Weak waves of linear theory, and LAMMPS: within their errors they agree with the native
-    engine, which is far more accurate.
-    """
+def test_other_engines_agree_with_the_native_one(engine: str, act, samples: int):
+    """Weak waves of linear theory, and LAMMPS: their energies are within their errors."""
     damping = DAMPING if engine != "chebyshev" else {}
     chain = Chain(**WALLS, damping=damping)
     scene = Scene(chain=chain, excitation=act, duration=6e-5, samples=samples)
@@ -199,9 +262,7 @@ def test_engines_that_sum_up_nothing_close_the_balance(engine: str, act, samples
     for name in ("dissipated", "drive"):
         error = getattr(found, f"{name}_error")
         assert largest(getattr(found, name) - getattr(true, name)) <= error + 1e-10 * put_in
-        # both are unknown where damping and a drive act in linear theory
-        if engine == "lammps" or not act.does_work or not damping:
-            assert error < 0.02 * put_in, name
+        assert error < 0.02 * put_in, name
 
 
 def test_a_foreign_trajectory_has_its_samples_alone():
@@ -229,7 +290,7 @@ def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
         simulate(scene, Native(threads=2), 1e-8),
         simulate(scene.replace(grains=[2, 5]), "native", 1e-8),
     ]
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     folder = tmp_path / "run"
     with pytest.raises(Stopped):
         simulate(scene, "native", 1e-8, folder=folder, max_wall=1e-9)
@@ -244,12 +305,13 @@ def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
     assert largest(found["drive"] - t.gathered["drive"]) <= found["drive_error"]
 
 
-def test_files_without_energies_are_read(tmp_path: Path):
-    """Files of engines that sum up none."""
+def test_files_without_energies_are_read(tmp_path: Path, monkeypatch):
+    """A quadrature that takes too long is left out: the balance yields the losses of a strike."""
+    monkeypatch.setattr(Modes, "summed_values", 0)
     scene = Scene(
         chain=Chain(**WALLS, damping=DAMPING),
         excitation=Impulse(velocity=1e-9),
-        duration=6e-5,
+        duration=6e-3,
         samples=5,
     )
     t = simulate(scene, "modes", folder=tmp_path / "run")
@@ -297,23 +359,12 @@ def test_stated_errors_hold_in_random_scenes(seed: int, acts: bool):
     assert off <= found.dissipated_error + found.drive_error + 1e-15 * scale
 
 
-@pytest.mark.parametrize(
-    "excitation",
-    [
-        Drive(amplitude=1e-8, frequency=5e3),
-        Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1e-4),
-    ],
-    ids=["drive", "force"],
-)
 @pytest.mark.parametrize("samples", [3, 5, 9, 41, 401])
-def test_energies_of_a_linear_engine_are_within_their_errors(excitation, samples):
-    """Springs that stay closed are linear, so the engine native solves the same equation.
-
-    The engine modes sums up no energies: samples that do not resolve the motion show none.
-    """
-    damping = {"viscoelastic": 4e-7, "drag": 50.0}
-    chain = Chain(**STEEL | {"diameter": 5e-3, "top_load": 10.0}, gravity=0.0, damping=damping)
-    scene = Scene(chain=chain, excitation=excitation, duration=6e-4, samples=samples)
+def test_samples_alone_state_an_infinite_error_where_they_do_not_resolve_the_motion(
+    samples: int, monkeypatch
+):
+    monkeypatch.setattr(Modes, "most_summed", lambda self, scene: 0)
+    scene = exact_linear("damped", "hammer")[0].replace(duration=6e-4, samples=samples)
     summed = energy.ledger(simulate(scene, "native", 1e-10))
     linear = energy.ledger(simulate(scene, "modes", 1e-10))
     for name in ("dissipated", "drive"):

@@ -1,5 +1,6 @@
 """Families of orbits: folds, bifurcations, ways there and back."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -11,6 +12,7 @@ from scipy.optimize import brentq
 from lmpchain import Chain, Drive, orbits
 from lmpchain.orbits import Family, continuation
 from lmpchain.orbits.closing import Aspect, aspects
+from lmpchain.orbits.modes import mode_family
 from lmpchain.orbits.shooting import Equations
 from lmpchain.theory import modes
 
@@ -310,3 +312,20 @@ def test_a_long_column_in_a_resonance_is_given_up_soon(monkeypatch: pytest.Monke
     assert family.ended.startswith("it hardly moves on from energy")
     assert len(taken) < 200
     assert max(orbit.residual for orbit in family.orbits) < 1e-12
+
+
+def test_a_long_family_is_announced_once(monkeypatch: pytest.MonkeyPatch):
+    """As soon as two steps show the pace, with where it is and how long it takes from there."""
+    for module in ("lmpchain.engines.cost_model", "lmpchain.orbits.continuation"):
+        monkeypatch.setattr(f"{module}.PATIENCE_S", 50.0)
+    seconds = iter(range(0, 10**5, 10))
+    monkeypatch.setattr(continuation, "clock", lambda: next(seconds))
+    chain = CHAIN.replace(grains=6)
+    with pytest.warns(UserWarning, match="the family of orbits from energy") as told:
+        family = mode_family(chain, 5, 1e-8)
+    assert len(told) == 1
+    # Each step takes 10 s of this clock, and the energy grows by equal factors.
+    steps = len(family) - 3
+    said = re.search(r"takes about ([\d.]+) (s|minutes): an end", str(told[0].message))
+    left_s = float(said[1]) * {"s": 1, "minutes": 60}[said[2]]
+    assert left_s == pytest.approx(10 * steps, rel=0.5)

@@ -66,6 +66,8 @@ class LammpsColumn:
         Lines for the head of the deck.
     template, include : str
         The user's own text in place of the deck, and in a place of it.
+    lagged : bool
+        Whether damping takes `fix nve`, too, as decks of earlier versions have it.
 
     Raises
     ------
@@ -79,6 +81,17 @@ class LammpsColumn:
     remarks: tuple[str, ...] = ()
     template: str = ""
     include: str = ""
+    lagged: bool = False
+
+    @property
+    def predicts(self) -> bool:
+        """Whether forces see velocities that are predicted for the end of a step."""
+        return self.chain.damped and not self.lagged
+
+    @property
+    def atoms(self) -> str:
+        """Atom style of the data file."""
+        return "hybrid" if self.predicts else "sphere"
 
     @property
     def chain(self) -> Chain:
@@ -236,25 +249,30 @@ class LammpsColumn:
     @cached_property
     def coefficients(self) -> list[str]:
         """Arguments of the pair_coeff commands."""
-        if self.pair_style != "granular":
-            return ["* *"]
+        # Among several pair styles, a coefficient names its own.
+        style = f" {self.pair_style}" if self.predicts else ""
         pairs = self._types_and_contacts[1]
-        first = next(iter(pairs.values()), Contact(1.0, 0.0))
-        lines = [f"* * {self.model} {self._arguments(first)}"]
+        contacts = {"* *": next(iter(pairs.values()), Contact(1.0, 0.0))}
         if len(pairs) > 1:
-            lines += [
-                f"{i} {j} {self.model} {self._arguments(contact)}"
-                for (i, j), contact in pairs.items()
+            contacts |= {f"{i} {j}": contact for (i, j), contact in pairs.items()}
+        if self.pair_style == "granular":
+            lines = [
+                f"{types}{style} {self.model} {self._arguments(contact)}"
+                for types, contact in contacts.items()
             ]
-        return lines
+        else:
+            lines = [f"* *{style}"]
+        unused = self.type_count + 1
+        return [*lines, f"{unused} {unused} dpd 0.0 0.0"] if self.predicts else lines
 
     @property
     def style(self) -> str:
-        """Argument of the pair_style command."""
-        if self.pair_style == "granular":
-            return "granular"
-        contact = self._types_and_contacts[1].get((1, 1), Contact(1.0, 0.0))
-        return f"{self.pair_style} {contact.stiffness!r} 0.0 {contact.damping!r} 0.0 0.0 0"
+        """Arguments of the pair_style command."""
+        style = self.pair_style
+        if style != "granular":
+            contact = self._types_and_contacts[1].get((1, 1), Contact(1.0, 0.0))
+            style += f" {contact.stiffness!r} 0.0 {contact.damping!r} 0.0 0.0 0"
+        return f"hybrid/overlay {style} dpd 0.0 {self.skin!r} 1" if self.predicts else style
 
     @cached_property
     def _types_and_contacts(self) -> tuple[list[int], dict[tuple[int, int], Contact]]:

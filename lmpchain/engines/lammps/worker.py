@@ -14,7 +14,7 @@ from ...integrators.kernels.layout import RESOLUTION
 from ...integrators.splittings import Splitting
 from ...scene.waveform import Waveform
 from ...util.arrays import Array
-from .library import close_lammps, open_lammps
+from .library import check_packages, close_lammps, open_lammps
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,10 @@ class Worker:
 
     def __init__(self, world: Any, log: str):
         self._lammps = open_lammps(log, world)
+
+    def require(self, packages: tuple[str, ...]) -> None:
+        """Raise `EngineUnavailable` if LAMMPS lacks one of these packages."""
+        check_packages(self._lammps, *packages)
 
     def commands(self, text: str) -> None:
         """Execute commands."""

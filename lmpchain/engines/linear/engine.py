@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from ...util.compilation import clock
 from ...util.plotting import COLOURS
 from ..base import Engine, ErrorBudget, Proposal, Run
 from ..cost_model import seconds
+from .energies import sum_energies
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
 from .solutions import ChebyshevSolution, LinearSolution, ModalSolution
 
@@ -33,10 +35,16 @@ CANCELS = 40.0
 
 
 class LinearEngine(Engine):
-    """An engine for the linearised chain, Eq. (3), exact to round-off."""
+    """An engine for the linearised chain, Eq. (3), exact to round-off.
 
+    Attributes
+    ----------
+    summed_values : int
+        Number of evaluations times grains that takes some 10 ms.
+    """
+
+    summed_values: ClassVar[int] = 2**14
     equation: ClassVar[int] = 3
-    auto = "cheapest"
     # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
 
@@ -48,7 +56,7 @@ class LinearEngine(Engine):
             why = "without gravity and load nothing can be linearised; use the engine native"
             reasons.append(("gravity", why))
         elif scene.chain.loose_grains:
-            reasons.append(("load_grain", scene.chain.loose))
+            reasons.append(("load_grain", f"{scene.chain.loose}, or use native"))
         elif (contacts.exists & ~contacts.pressed).any():
             why = "a wall that only touches cannot be linearised; give a top_load or use native"
             reasons.append(("top", why))
@@ -83,8 +91,17 @@ class LinearEngine(Engine):
 
     def round_off(self, scene: Scene) -> float:
         """Return the relative error by rounding: that of the frequencies, times the periods."""
-        fastest = max(scene.chain.band_edge, scene.excitation.fastest)
-        return EPSILON * (10 + fastest * scene.duration)
+        return EPSILON * (10 + scene.linear_frequency * scene.duration)
+
+    def most_summed(self, scene: Scene) -> int:
+        """Return the largest number of evaluations for the energies of a run.
+
+        The quadrature must not make a short run much longer. A run with damping and a forcing is
+        allowed more, because the balance of energy then yields neither term.
+        """
+        both = scene.chain.damped and scene.excitation.does_work
+        values = self.summed_values * (4 if both else 1)
+        return max(values // scene.chain.grains, _evaluations(scene))
 
     @abstractmethod
     def work(self, scene: Scene) -> float:
@@ -112,6 +129,8 @@ class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
+    auto = "cheapest"
+    summed_values: ClassVar[int] = 2**17
     style = (COLOURS["pink"], "D")
     start_up_s: ClassVar[float] = 2e-4
 
@@ -147,6 +166,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
+    auto = "cheapest"
     style = (COLOURS["green"], "^")
     dissipates: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 2.4e-4
@@ -160,7 +180,9 @@ class Modes(LinearEngine):
         if scene.chain.damped:
             from ...theory.modes import unequal_damping
 
-            reasons += [(key, why) for key, equal, why in unequal_damping(scene.chain) if not equal]
+            cure = "or use the engine native"
+            unequal = unequal_damping(scene.chain)
+            reasons += [(key, f"{why}, {cure}") for key, equal, why in unequal if not equal]
         return reasons
 
     def round_off(self, scene: Scene) -> float:
@@ -309,6 +331,20 @@ class LinearRun(Run):
                 phase.at_most,
             )
             for scene, phase in zip(self._scenes, self._phase_errors, strict=True)
+        ]
+
+    def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
+        """Return the dissipated energy and the work, with their errors, of every realisation."""
+        engine = self._engine
+        return [
+            sum_energies(
+                scene,
+                partial(engine.solve, scene, {}),
+                budget,
+                phase.scale,
+                engine.most_summed(scene),
+            )
+            for scene, budget, phase in zip(self._scenes, errors, self._phase_errors, strict=True)
         ]
 
     def cost(self) -> Cost:

@@ -161,6 +161,8 @@ class ModalSolution:
         # Both terms cancel near critical damping. The steady motion and a free one, which brings it
         # to rest at t = 0, do not, because such a mode has no resonance.
         near = np.abs(apart) < self._modes.frequency
+        if not near.any():
+            return self._pull * q, self._pull * p
         size = np.where(near, push / ((slow - turn) * (fast - turn)), 0.0)
         steady = size * np.exp(turn * t)
         free = self._modes.free(t, -size.imag, -(turn * size).imag)

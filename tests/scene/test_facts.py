@@ -1,0 +1,101 @@
+"""Facts of a scene: each against its definition, computed once, and derived nowhere else."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import Chain, Damping, Drive, Force, Impulse, Scene
+from lmpchain.scene.facts import SceneFacts
+from lmpchain.util.caching import cached_property
+
+PACKAGE = Path(lmpchain.__file__).parent
+COLUMN = Chain(grains=40, diameter=1e-3)
+FORCE = Force(grain=2, times=[1e-6, 3e-6, 7e-6, 2e-5, 9e-5], force=[0, 1e-4, 0, 2e-4, 0])
+SCENES = {
+    "struck": Scene(chain=COLUMN, excitation=Impulse(velocity=1e-4), duration=5e-5, samples=8),
+    "pushed": Scene(
+        chain=COLUMN.replace(damping=Damping(viscoelastic=1e-8, drag=100.0)),
+        excitation=FORCE,
+        duration=5e-5,
+        samples=8,
+        grains=[7, 3],
+    ),
+}
+# The formulas of facts, which may stand in no other file.
+DERIVATIONS = (
+    r"duration / \(\S*samples - 1\)",
+    r"highest_frequency \* \S*duration",
+    r"duration \* \S*highest_frequency",
+    r"max\(\S*band_edge, \S*fastest\)",
+    r"\.decay\(\S*highest_frequency",
+    r"linspace\(0(\.0)?, \S*duration, \S*samples\)",
+    r"overlap_bound\(\S*scene\.energy\)",
+)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_times_and_phases_follow_from_duration_samples_and_frequency(name: str) -> None:
+    scene = SCENES[name]
+    assert scene.intervals == 7
+    assert scene.sampling_interval == 5e-5 / 7
+    assert scene.time == pytest.approx([k * 5e-5 / 7 for k in range(8)], rel=1e-15)
+    assert scene.total_phase == pytest.approx(scene.highest_frequency * 5e-5, rel=1e-15)
+    assert scene.sampling_phase == pytest.approx(scene.highest_frequency * 5e-5 / 7, rel=1e-15)
+    damping = scene.chain.damping
+    rate = damping.longest_time * scene.highest_frequency**2 + damping.largest_drag
+    assert scene.sampling_decay == pytest.approx(rate * 5e-5 / 14, rel=1e-14, abs=0)
+
+
+def test_kinks_are_those_of_the_force_within_the_run() -> None:
+    assert SCENES["struck"].corners == ()
+    assert SCENES["struck"].corner_spacing == np.inf
+    pushed = SCENES["pushed"]
+    assert pushed.corners == pytest.approx((1e-6, 3e-6, 7e-6, 2e-5))
+    assert pushed.corner_spacing == pytest.approx(1e-6)  # from t = 0 to the first
+    assert pushed.recorded.tolist() == [7, 3]
+
+
+def test_no_overlap_exceeds_its_bound() -> None:
+    """A contact that holds all of the energy E has K o^2.5 / 2.5 - F (o - eps) - rest = E."""
+    scene = SCENES["struck"]
+    chain = scene.chain
+    energy = chain.masses[0] * 1e-8 / 2
+    rest = chain.contacts.overlap[1:-1]
+    constant = chain.contact_constants
+    bound = scene.overlap_bounds[1:-1]
+    held = constant * (0.4 * (bound**2.5 - rest**2.5) - rest**1.5 * (bound - rest))
+    assert (held >= energy).all()
+    run = lmpchain.simulate(scene, "native")
+    assert (rest - np.diff(run.displacement) <= bound).all()
+
+
+def test_the_linear_strain_of_a_driven_chain_grows_with_its_viscosity() -> None:
+    """A motion of frequency omega is met by k (1 + A omega) at most in place of k."""
+    drive = Drive(amplitude=1e-12, frequency=2e4)
+    plain = Scene(chain=COLUMN, excitation=drive, duration=5e-5)
+    viscous = plain.replace(chain=COLUMN.replace(damping=Damping(viscoelastic=2e-6)))
+    turn = 2e-6 * max(COLUMN.band_edge, 2 * np.pi * 2e4)
+    assert viscous.linear_strain == pytest.approx(plain.linear_strain * (1 + turn), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_facts_are_computed_once_and_cannot_be_changed(name: str) -> None:
+    scene = SCENES[name].replace(samples=9)
+    facts = [key for key, value in vars(SceneFacts).items() if isinstance(value, cached_property)]
+    assert len(facts) > 20
+    for fact in facts:
+        value = getattr(scene, fact)
+        assert getattr(scene, fact) is value
+        if isinstance(value, np.ndarray):
+            with pytest.raises(ValueError, match="read-only"):
+                value[0] = 1
+
+
+def test_no_other_file_derives_facts() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        source = path.read_text(encoding="utf-8")
+        found = [formula for formula in DERIVATIONS if re.search(formula, source)]
+        assert not found or path.name == "facts.py", f"{path}: {found}"
