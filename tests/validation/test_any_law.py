@@ -98,7 +98,9 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     state = np.concatenate(scene.initial())
     # of the largest speed, and of how far it goes in the time of the fastest motion
     speed = max(np.abs(state[chain.grains :]).max(), omega * (drive.amplitude if drive else 0.0))
-    atol = np.repeat(speed * np.array([1e-19, 1e-13]), chain.grains)
+    # a loaded chain loses the digits of weak waves to the force at rest
+    least = 1e-13 if chain.compressed else 1e-16
+    atol = np.repeat(speed * np.array([1e-6 * least, least]), chain.grains)
     options: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": atol}
     rows = [state]
     now = 0.0
@@ -148,7 +150,7 @@ def test_measures_and_linear_engines_ask_the_law(truths: dict[str, Any]) -> None
     ledger = energy.ledger(run)
     assert ledger.total == pytest.approx(scene.energy, rel=1e-7)
     weak = scene_of("weak")
-    run = lmpchain.simulate(weak, "modes", tolerance=1.0)
+    run = lmpchain.simulate(weak, "modes", tolerance=0.9)
     assert true_error(run, truths["weak"]) < run.error_estimate.total
 
 
