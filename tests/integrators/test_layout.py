@@ -352,7 +352,7 @@ def test_the_fastest_form_that_loses_nothing_is_chosen():
     assert form_of(exponent=1.0) == form_of(exponent=1.0, gravity=0.0) == Form.SPRING
     assert [name_of(form) for form in (*Form, 6)] == [
         "corrected square root", "polynomial", "spring", "vectorised power", "vectorised power",
-        "plain square roots",
+        "formulas", "plain square roots",
     ]  # fmt: skip
 
 
