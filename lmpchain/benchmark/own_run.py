@@ -326,7 +326,7 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
         why = f"it solves Eq. ({answer.equation}), and takes no steps"
         return "", 0.0, (Cause("equation", wrong, why),)
     if answer.engine == Native.name:
-        engine = Native(_asked(cost.integrator))
+        engine = Native(cost.integrator)
         rounding = engine.typical_round_off(scene, cost.steps, float(solution.scale[1]))
         step = Cause("step", wrong, _compare_with_limit(scene, engine.integrator, cost.step_s))
         why = "expected round-off of double precision; displacements are held, not heights"
@@ -346,7 +346,7 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
 
 def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
     """Return the integrators and steps, s, that a run may have had, the likeliest first."""
-    name = _asked(answer.cost.integrator)
+    name = answer.cost.integrator
     if name != UNKNOWN_METHOD:
         return [(name, answer.cost.step_s)]
     pairs = [("verlet", answer.cost.step_s)]
@@ -359,11 +359,6 @@ def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
     elif answer.cost.steps % (runs * (answer.time.size - 1)) == 0:
         pairs.append((composed.name, runs * answer.cost.step_s))
     return pairs
-
-
-def _asked(integrator: str) -> str:
-    """Return the name by which an engine is asked for the integrator that an answer states."""
-    return integrator.removeprefix("modified-")
 
 
 def _compare_with_limit(scene: Scene, integrator: str, step: float) -> str:

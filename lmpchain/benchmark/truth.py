@@ -79,7 +79,7 @@ def as_trajectory(scene: Scene, solution: Reference) -> Trajectory:
         engine="reference",
         equation=1,
         time=solution.time,
-        grains=scene.recorded,
+        grains=scene.recorded.copy(),
         displacement=solution.displacement[:, columns],
         velocity=solution.velocity[:, columns],
         error_estimate=ErrorEstimate(0.0, solution.error),

@@ -92,7 +92,8 @@ class Contacts:
         return cls(law, *map(read_only, (constant, force, overlap, stiffness)))
 
     @property
-    def _arrays(self) -> tuple[Array, Array, Array, Array]:
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Constant, force, N, overlap, m, and stiffness, N/m, at rest, (..., N+1) each."""
         return self.constant, self.force, self.overlap, self.stiffness
 
     @cached_property
@@ -112,12 +113,12 @@ class Contacts:
 
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return these contacts of one chain, or the contacts of these of many chains."""
-        return Contacts(self.law, *(values[numbers] for values in self._arrays))
+        return Contacts(self.law, *(values[numbers] for values in self.arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
         # there is no wall below the grain that is held
-        arrays = (read_only(np.append(values[:grain], 0.0)) for values in self._arrays)
+        arrays = (read_only(np.append(values[:grain], 0.0)) for values in self.arrays)
         return Contacts(self.law, *arrays)
 
     def force_at(self, overlap: Array) -> Array:
@@ -193,10 +194,10 @@ class Contacts:
         """Return an upper bound of each overlap for this energy above rest, (..., N+1) m."""
         return self.overlap + self.approach_bound(energy)
 
-    def largest_strain(self, energy: float | Array) -> Array:
-        """Return `Scene.largest_strain`, (...), for this energy above rest, (...) or (..., 1) J."""
-        # a loose contact has no strain; where there is none, neither moves
-        strain = self.approach_bound(energy) / np.where(self.pressed, self.overlap, 1.0)
+    def strain_bound(self, approach: Array) -> Array:
+        """Return a bound on the strains by one on each approach, (..., N+1) m; see `Scene`."""
+        # A loose contact has no strain; where there is none, neither moves.
+        strain = approach / np.where(self.pressed, self.overlap, 1.0)
         bounded = (self.pressed == self.exists).all(-1)
         # of one chain a number, and no array of none
         return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]
@@ -207,5 +208,5 @@ def together(contacts: Sequence[Contacts]) -> Contacts:
     if len(contacts) == 1:
         # views of the arrays of this chain
         return contacts[0].of(np.newaxis)
-    rows = map(np.array, zip(*(chain._arrays for chain in contacts), strict=True))
+    rows = map(np.array, zip(*(chain.arrays for chain in contacts), strict=True))
     return Contacts(contacts[0].law, *rows)

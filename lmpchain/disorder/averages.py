@@ -158,7 +158,7 @@ def ensemble(
     errors = average.errors
     return Ensemble(
         **options,
-        grains=scene.recorded,
+        grains=scene.recorded.copy(),
         displacement=average.mean[0],
         velocity=average.mean[1],
         displacement_error=errors[0],

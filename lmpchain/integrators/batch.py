@@ -13,7 +13,7 @@ from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels import waveform
-from .kernels.contact_forces import FORMS, ROOTS, Form, addresses
+from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, addresses
 from .kernels.layout import PAD, WAVE, BatchArrays
 from .kernels.table import aligned_rows, fill_batch, place_bodies
 
@@ -77,8 +77,10 @@ class ChainBatch:
         self.masses = np.array([chain.masses for chain in chains])
         self.contacts = together([chain.contacts for chain in chains])
         forms = [force_form(scene, force) for scene in scenes]
-        self.plain = [form in ROOTS and chain.compressed for form in forms]
+        self.plain = [form in PLAIN and chain.compressed for form in forms]
         self.opening_power = chain.law.onset
+        formulas = chain.law if chain.law.power is None else None
+        at_rest = _at_rest(self.contacts, chain.loose_grains)
         acts, reach, wave, knots, pieces, laws = self._imposed()
         damped = any(chain.damped for chain in chains)
         viscosity = np.array([chain.contact_viscosity for chain in chains if damped])
@@ -99,9 +101,10 @@ class ChainBatch:
             uncompressed=uncompressed,
             least_strain=least_strain,
             form=np.array(forms),
-            loops=np.array([addresses(form) for form in forms]),
+            loops=np.array([addresses(form, formulas) for form in forms]),
             precompressed=float(chain.compressed),
-            coefficients=series(chain.law.power_of("a compiled force")),
+            coefficients=series(chain.law.onset),
+            parameters=_in_rows(self.contacts, at_rest[0], rows.shape[2]),
             omega=omega,
             scale=scale,
             units=units,
@@ -120,13 +123,27 @@ class ChainBatch:
         )
         fill_batch(
             self.arrays,
-            _at_rest(self.contacts, chain.loose_grains),
+            at_rest,
             self.masses,
             np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes]),
             (viscosity.reshape(size, -1), drag.reshape(size, -1)),
             (self.driven, chain.movable),
             self.opening_power,
         )
+        if formulas:
+            self._weigh_openings(at_rest[0])
+
+    def _weigh_openings(self, overlap: Array) -> None:
+        """Give each contact the weight of its force at a typical overlap, which is no power."""
+        arrays = self.arrays
+        contacts = slice(PAD - 1, PAD + self.grains)
+        typical = arrays.scale[:, :1] + 1e-300
+        strain = typical * np.where(self.contacts.exists, arrays.inverse_length[:, contacts], 1.0)
+        force = self.contacts.force_at(np.broadcast_to(typical, overlap.shape))
+        strength = arrays.strength[:, contacts] * strain**self.opening_power
+        ratio = np.divide(force, strength, out=np.zeros_like(force), where=strength > 0)
+        arrays.opening_weight[:, contacts] *= ratio**2
+        arrays.opening_reach[:, contacts] *= ratio ** (2 / 3)
 
     def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes, from one for all or one for each."""
@@ -185,19 +202,47 @@ def _nothing_imposed(
 def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array]:
     """Return overlap, m, force, N, constant, and stiffness, N/m, at rest, (R, N+1) arrays each.
 
-    Loose contacts have a trace of overlap and force, and no stiffness, springs either. The compiled
-    forms of the force need a length: with that of `TOUCHING` they are Hertz's law without load but
-    for less than their rounding.
+    Contacts that only touch among others that are pressed have a trace of overlap and force, and no
+    stiffness, springs either. The compiled forms of the force need a length: with that of
+    `TOUCHING` they are the law without load but for less than their rounding. A wall at the top of
+    a chain of powers has a form of its own.
     """
-    if not loose:
-        return contacts.overlap, contacts.force, contacts.constant, contacts.stiffness
-    overlap = contacts.overlap.copy()
-    force = contacts.force.copy()
-    stiffness = contacts.stiffness.copy()
-    stiffness[:, 1 : loose + 1] = 0.0
-    overlap[:, 1 : loose + 1] = TOUCHING
-    force[:, 1 : loose + 1] = contacts.law.force(TOUCHING, contacts.constant[:, 1 : loose + 1])
-    return overlap, force, contacts.constant, stiffness
+    constant, force, overlap, stiffness = contacts.arrays
+    powers = contacts.law.power is not None
+    if powers and not loose:
+        return overlap, force, constant, stiffness
+    touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
+    touch[:, 0] &= not powers
+    trace = np.maximum(contacts.law.force(TOUCHING, constant), np.finfo(float).tiny)
+    return (
+        np.where(touch, TOUCHING, overlap),
+        np.where(touch, trace, force),
+        constant,
+        np.where(touch, 0.0, stiffness),
+    )
+
+
+def parameter_rows(contacts: Contacts, overlap: Array) -> Array:
+    """Return `BatchArrays.parameters` of contacts with these overlaps at rest."""
+    parameters = contacts.law.parameters
+    rows = np.empty((*overlap.shape, 2 + len(parameters)))
+    rows[..., 0] = overlap
+    rows[..., 1] = contacts.constant
+    rows[..., 2:] = parameters
+    return rows
+
+
+def _in_rows(contacts: Contacts, overlap: Array, width: int) -> Array:
+    """Return `BatchArrays.parameters` of R chains, (R, W, 2 + P), or (R, W, 0) of powers."""
+    size, count = overlap.shape
+    if contacts.law.power is not None:
+        return np.zeros((size, width, 0))
+    rows = parameter_rows(contacts, overlap)
+    # a formula may divide by parameters, also where there is no contact
+    ends = np.zeros((size, width, rows.shape[2])) + rows[:, -1:]
+    ends[..., :2] = 0.0
+    ends[:, PAD - 1 : PAD - 1 + count] = rows
+    return ends
 
 
 @cache
@@ -221,7 +266,9 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     The plain form is wrong by the last digit of the force at rest, which is nothing in strong
     waves.
     """
-    exponent = scene.chain.law.power_of("a compiled force")
+    exponent = scene.chain.law.power
+    if exponent is None:
+        return Form.FORMULAS
     roots = int(4 * exponent) if 4 * exponent in ROOTS else None
     if exponent == 1:
         return Form.SPRING
@@ -250,4 +297,4 @@ def _strong(scene: Scene) -> bool:
 
 def name_of(form: int) -> str:
     """Return the name of a form of the force."""
-    return FORMS[form][0]
+    return FORMS[form][0] if form in FORMS else "formulas"

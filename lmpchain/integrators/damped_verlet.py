@@ -1,4 +1,4 @@
-"""Velocity Verlet with forces that depend on velocities, as LAMMPS has it."""
+"""Velocity Verlet with forces of damping that see velocities half a step late."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class DampedVerlet:
-    """Velocity Verlet whose forces see the velocity v + lead h a, predicted from the last step.
+class LaggedVerlet:
+    """Velocity Verlet of damped chains as `fix nve` of LAMMPS has it.
 
-    The lead is 1/2 in `fix nve` of LAMMPS: the forces at the end of a step see the velocity of its
-    middle, and the order is 1. With a lead of 1, as in `fix mvv/dpd 1.0`, the order is 2.
+    Forces see the velocity v + lead h a, predicted from the last step. With a lead of 1/2 the
+    forces at the end of a step see the velocity of its middle, and the order is 1. "verlet" has a
+    lead of 1 in damped chains, and the order 2.
     """
 
-    name: str
-    order: int
-    lead: float
-    error_constant: float
-    reference: str
+    name: str = "lagged-verlet"
+    order: int = 1
+    # Forces that are h / 2 late slow a motion down: its phase shifts by omega h / 4 while it lasts.
+    error_constant: float = 0.25
+    reference: str = "LAMMPS, fix nve with velocity-dependent pair forces"
     evaluations: int = 1
     spread: float = 1.0
+    damping: tuple[bool, ...] = (True,)
     adaptive: bool = False
     interpolates: bool = False
 
@@ -36,7 +38,7 @@ class DampedVerlet:
     def stability_limit(self) -> float:
         """Largest omega h of a lossless oscillator.
 
-        Damping lowers it: at the largest h, (omega h)^2 + 4 lead (A omega^2 + gamma) h = 4.
+        Damping lowers it: at the largest h, (omega h)^2 + 2 (A omega^2 + gamma) h = 4.
         """
         return VERLET.stability_limit
 
@@ -48,21 +50,7 @@ class DampedVerlet:
         """Return the compiled march of a batch of chains by steps of these schedules."""
         from .kernels.damped_verlet import make_work, march
 
-        return March(march, make_work, (self.lead,), history=2)
+        return March(march, make_work, (0.5,), history=2)
 
 
-MODIFIED = DampedVerlet(
-    "modified-verlet",
-    2,
-    1.0,
-    VERLET.error_constant,
-    "Groot and Warren, J. Chem. Phys. 107, 4423 (1997), lambda = 1; LAMMPS, fix mvv/dpd 1.0",
-)
-LAGGED = DampedVerlet(
-    "lagged-verlet",
-    1,
-    0.5,
-    # Forces that are h / 2 late slow a motion down: its phase shifts by omega h / 4 while it lasts.
-    0.25,
-    "LAMMPS, fix nve with velocity-dependent pair forces",
-)
+LAGGED = LaggedVerlet()

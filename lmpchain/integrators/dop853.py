@@ -29,6 +29,7 @@ class DormandPrince:
     reference: str = (
         "Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.5"
     )
+    damping: tuple[bool, ...] = (False, True)
     adaptive: bool = True
     interpolates: bool = False
 

@@ -29,6 +29,7 @@ class Gear:
         "Gear, Numerical Initial Value Problems in Ordinary Differential Equations (1971), "
         "chapter 9"
     )
+    damping: tuple[bool, ...] = (False,)
     adaptive: bool = False
     interpolates: bool = False
     corrections: tuple[float, ...] = (19 / 120, 3 / 4, 1.0, 1 / 2, 1 / 12)

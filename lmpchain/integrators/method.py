@@ -45,7 +45,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """How it is asked for."""
+        """The name by which it is requested, and which answers state."""
 
     @property
     def order(self) -> int:
@@ -61,6 +61,10 @@ class Method(Protocol):
 
         analysis/calibration/roundoff.py.
         """
+
+    @property
+    def damping(self) -> tuple[bool, ...]:
+        """Which chains it moves: False stands for those without damping, True for damped ones."""
 
     @property
     def error_constant(self) -> float:

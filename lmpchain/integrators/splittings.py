@@ -41,6 +41,10 @@ class Splitting:
         b_1 ... b_(S+1) and a_1 ... a_S as fractions of the step.
     substeps : tuple of float
         For a composition of velocity Verlet steps, their lengths; empty otherwise.
+    damping : tuple of bool
+        See `Method.damping`. Velocity Verlet moves damped chains with a lead of 1, see
+        `damped_verlet.LaggedVerlet`: Groot and Warren, J. Chem. Phys. 107, 4423 (1997), lambda = 1,
+        which is `fix mvv/dpd 1.0` of LAMMPS.
     error_constant : float
         Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60:
         analysis/calibration/error_constants.py.
@@ -53,6 +57,7 @@ class Splitting:
     error_constant: float
     reference: str
     substeps: tuple[float, ...] = ()
+    damping: tuple[bool, ...] = (False,)
     spread: ClassVar[float] = 1.0
 
     @cached_property
@@ -93,8 +98,10 @@ class Splitting:
 
     def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
         """Return the compiled march of a batch of chains by steps of these schedules."""
-        from .kernels import adaptive_splitting, splitting
+        from .kernels import adaptive_splitting, damped_verlet, splitting
 
+        if batch.scenes[0].chain.damped:
+            return March(damped_verlet.march, damped_verlet.make_work, (1.0,), history=2)
         schedule = schedules[0]
         # samples between steps are interpolated by the adaptive march alone
         if not (schedule.adaptive or schedule.dense > 0):
@@ -142,6 +149,7 @@ VERLET = Splitting(
     (1.0,),
     0.3,
     "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)",
+    damping=(False, True),
 )
 
 _KL6 = _symmetric(

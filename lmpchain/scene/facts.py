@@ -251,14 +251,19 @@ class SceneFacts(Recording):
         return "kind" if self.excitation.does_work else self.excitation.strength[0]
 
     @cached_property
+    def approach_bounds(self) -> Array:
+        """Bounds on how far every overlap can exceed that at rest, (N+1,) m, by the energy."""
+        return read_only(self.chain.contacts.approach_bound(self.energy))
+
+    @property
     def overlap_bounds(self) -> Array:
-        """Bounds on the overlap of every contact at any time, (N+1,) m, by the energy."""
-        return read_only(self.chain.contacts.overlap_bound(self.energy))
+        """Bounds on the overlap of every contact at any time, (N+1,) m."""
+        return self.chain.contacts.overlap + self.approach_bounds
 
     @cached_property
     def largest_strain(self) -> float:
         """A bound on ``|r / eps|`` of all contacts, rigorous while it is small; else infinite."""
-        return float(self.chain.contacts.largest_strain(self.energy))
+        return float(self.chain.contacts.strain_bound(self.approach_bounds))
 
     @cached_property
     def linear_strain(self) -> float:

@@ -224,7 +224,7 @@ class Gatherer:
             else:
                 motion, doubt = self._trace(contact, doubts)
                 results[name], results[f"{name}_error"] = self._forces(number, motion, doubt)
-                results["fine_time"] = part.time
+                results["fine_time"] = part.time.copy()
         return results
 
     def _peak(self, contact: int, number: int, doubts: tuple[float, float]) -> tuple[Array, Array]:

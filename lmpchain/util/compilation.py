@@ -143,6 +143,18 @@ def _sources(module: Path) -> str:
     return sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()
 
 
+def content_of(function: Any) -> str:
+    """Return a hash of what a function computes: its code, and the values and functions it uses."""
+    code = getattr(function, "__code__", None)
+    if code is None:
+        return repr(function)
+    cells = [cell.cell_contents for cell in function.__closure__ or ()]
+    named = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
+    used = [content_of(value) for value in (*cells, *named) if value is not function]
+    content = code.co_code.hex(), code.co_consts, code.co_names, code.co_varnames, used
+    return sha256(repr(content).encode()).hexdigest()
+
+
 class _Unplaced:
     """In the place of memory for compiled code, where there is to be none."""
 

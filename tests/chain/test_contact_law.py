@@ -137,12 +137,16 @@ def test_energy_bounds_overlaps_and_strains() -> None:
             contacts.overlap + further, rel=1e-13
         )
         strain = (further / contacts.overlap).max()
-        assert contacts.largest_strain(energy) == pytest.approx(1.05 * strain, rel=1e-13)
+        assert contacts.strain_bound(contacts.approach_bound(energy)) == pytest.approx(
+            1.05 * strain, rel=1e-13
+        )
     alike = Contacts.at_rest(np.full(3, 1e9), np.array([1e-4, 2e-4, 3e-4]), Power(1.5))
     strain = min((2.5 * 1e-12 / 1e9) ** 0.4, np.sqrt(2e-12 / alike.stiffness[0])) / alike.overlap[0]
-    assert alike.largest_strain(1e-12) == pytest.approx(1.05 * strain, rel=1e-13)
+    assert alike.strain_bound(alike.approach_bound(1e-12)) == pytest.approx(
+        1.05 * strain, rel=1e-13
+    )
     mixed = Contacts.at_rest(np.array([1e9, 0.0, 1e9]), np.array([0.0, 0.0, 1e-4]), Power(1.5))
-    assert mixed.largest_strain(1e-12) == np.inf
+    assert mixed.strain_bound(mixed.approach_bound(1e-12)) == np.inf
     bound = mixed.overlap_bound(1e-12)
     assert bound[:2] == pytest.approx([(2.5e-12 / 1e9) ** 0.4, 0.0], rel=1e-13)
     assert mixed.overlap_bound(np.inf).tolist() == [np.inf, 0.0, np.inf]
@@ -151,8 +155,11 @@ def test_energy_bounds_overlaps_and_strains() -> None:
     both = rows.overlap_bound(energies)
     assert both[0] == pytest.approx(contacts.overlap_bound(1e-12), rel=1e-15)
     assert both[1].tolist() == [np.inf] * 3
-    strains = rows.largest_strain(np.array([[1e-12], [1e-13]]))
-    expected = [contacts.largest_strain(1e-12), alike.largest_strain(1e-13)]
+    strains = rows.strain_bound(rows.approach_bound(np.array([[1e-12], [1e-13]])))
+    expected = [
+        contacts.strain_bound(contacts.approach_bound(1e-12)),
+        alike.strain_bound(alike.approach_bound(1e-13)),
+    ]
     assert strains == pytest.approx(expected, rel=1e-14)
 
 

@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 from helpers.taylor_series import reference
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    Profile,
+    Scene,
+    Trajectory,
+    simulate,
+)
 from lmpchain.engines import Native
 from lmpchain.simulation.many import simulate_many
 from lmpchain.theory import modes
@@ -92,7 +102,7 @@ def test_every_way_to_run_gives_the_same_bits():
 
 def test_a_run_goes_on_with_the_same_bits(tmp_path):
     from lmpchain.integrators.batch import ChainBatch
-    from lmpchain.integrators.methods import DAMPED
+    from lmpchain.integrators.methods import methods_of
     from lmpchain.integrators.stepper import NativeStepper
     from lmpchain.integrators.steps import Steps
 
@@ -100,7 +110,7 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path):
         chain=damped_chain(), excitation=Impulse(velocity=3e-2), duration=6e-5, samples=10
     )
     schedule = Steps(7, 1, scene.duration / 9 / 7, adaptive=True)
-    for method in DAMPED.values():
+    for method in methods_of(True).values():
         fields = np.empty((2, 2, 1, scene.samples, 12))
         whole = NativeStepper(ChainBatch([scene]), method, schedule, {})
         whole.fill(*fields[0], 0, 9, 10**6)
@@ -173,3 +183,11 @@ def test_a_reference_has_numbers_where_overlaps_are_smaller_than_round_off():
     assert doubt < 1e-9
     t = simulate(scene, engine="native", tolerance=1e-6)
     assert true.error(t.displacement, t.velocity) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["verlet", "dop853", "lagged-verlet"])
+def test_an_answer_states_the_name_that_was_requested(name: str, tmp_path):
+    scene = struck(damped_chain(), 4)
+    engine = Native(name, step=0.05 / scene.highest_frequency)
+    assert simulate(scene, engine, folder=tmp_path).cost.integrator == name
+    assert Trajectory.load(tmp_path).cost.integrator == name

@@ -30,7 +30,7 @@ def test_what_twice_the_kinetic_energy_cannot_exceed():
 def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
     contacts = CHAINS[name].contacts
     for energy in (0.0, 1e-15, 1e-6, np.inf):
-        strain = contacts.largest_strain(energy)
+        strain = contacts.strain_bound(contacts.approach_bound(energy))
         if not (contacts.pressed == contacts.exists).all():
             assert strain == np.inf
             continue

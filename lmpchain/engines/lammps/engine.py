@@ -44,8 +44,8 @@ LOG = "log.lammps"
 DECK = "deck"
 UNKEPT = ("keep", "template")  # options with which a run cannot go on in another process
 # Each drift of a splitting is a run of its own, with commands and kicks from outside: the time of a
-# step of so many grains, some 14 us.
-RUN_OVERHEAD = 200
+# step of so many grains, some 17 us.
+RUN_OVERHEAD = 250
 DIAMETERS = ("auto", "physical", "gauge")
 
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from ...errors import InputError, ToleranceNotMet, shown
 from ...integrators.batch import ChainBatch, force_form, name_of
-from ...integrators.kernels.contact_forces import ROOTS
+from ...integrators.kernels.contact_forces import PLAIN
 from ...integrators.kernels.layout import PAD
 from ...integrators.method import Method
 from ...integrators.methods import BY_NAME, METHODS, methods_of
@@ -75,7 +75,8 @@ class TimeSteppingEngine(Engine):
         names = methods_of(scene.chain.damped)
         if self.integrator in ("auto", *names):
             return []
-        cure = f"use {' or '.join(name for name in names if name in self.integrators)}"
+        best_first = sorted(names, key=lambda name: -names[name].order)
+        cure = f"use {' or '.join(name for name in best_first if name in self.integrators)}"
         kind = "without" if scene.chain.damped else "with"
         fault = f"{self.integrator} is a method for chains {kind} damping: {cure}, or leave it out"
         return [("integrator", fault)]
@@ -289,7 +290,7 @@ class CompiledSteps(TimeSteppingEngine):
         The phase shifts by a quarter of what `native_floor` allows for.
         """
         walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
-        if force_form(scene, self.force) in ROOTS:
+        if force_form(scene, self.force) in PLAIN:
             walk += plain_loss(scene, steps) / speed
         return walk
 

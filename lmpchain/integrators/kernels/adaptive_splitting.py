@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact_forces import compiled_march, fma, inlined, pasted
+from .compiling import compiled_march, fma, inlined, pasted
 from .dense_output import DenseRates, fill_jerk, fill_samples, keep, passes
 from .layout import PAD, RESOLUTION, Chains, Rows, Shortening, SplittingStages, make_rows
 from .openings import shorten

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...util.arrays import Array
 from .adjoint import ImposedPath
 from .adjoint_rows import Way, hertz_power, power, touch
-from .contact_forces import apart
+from .compiling import apart
 from .course import compiled_gradient, loop
 from .dop853 import Weighted, add_rows, note
 from .layout import PAD

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from numba import types
 
 from ...util.arrays import Array
-from .contact_forces import apart, by_form, exponential, llvm, logarithm
+from .compiling import apart, by_form, exponential, llvm, logarithm
 from .course import loop
 
 

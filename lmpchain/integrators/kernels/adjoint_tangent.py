@@ -7,7 +7,7 @@ from typing import NamedTuple
 from ...util.arrays import Array
 from .adjoint import BURST
 from .adjoint_rows import Bodies, hertz_power, power, touch
-from .contact_forces import apart
+from .compiling import apart
 from .course import compiled_gradient, count_rows, fill_rows, loop
 from .layout import PAD
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .contact_forces import STRICT, compiled
+from .compiling import STRICT, compiled
 
 SPAN = 10.0  # w t for which one series serves all times in between
 

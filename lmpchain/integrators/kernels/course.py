@@ -18,7 +18,7 @@ from ...util.compilation import Ingredient, compiled_once
 
 # multiplications and additions may be fused: unlike those of a run, bits of derivatives need not
 # agree between loops that share a chain out in other ways. Without numba's runtime, see
-# `contact_forces`.
+# `compiling`.
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"nnan", "ninf", "nsz", "contract"},

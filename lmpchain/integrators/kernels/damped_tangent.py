@@ -12,7 +12,7 @@ import numpy as np
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .contact_forces import STRICT, fma, inlined, pasted
+from .compiling import STRICT, fma, inlined, pasted
 from .layout import PAD
 from .sample_loop import links_of
 from .tangent import BodyRow, ContactResponse, add_exactly, evaluate

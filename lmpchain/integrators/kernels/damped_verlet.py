@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...util.arrays import Array
-from .contact_forces import compiled_march, inlined, pasted
+from .compiling import compiled_march, inlined, pasted
 from .dense_output import fill_rates
 from .layout import PAD, Chains
 from .right_hand_side import accelerate, forced, hold, impose, impose_velocity

@@ -11,8 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ...util.arrays import Array
-from .contact_forces import fma, inlined
+from .compiling import fma, inlined
+from .contact_forces import contact_stiffnesses, touching_stiffness
 from .layout import PAD, WHOLE_ROWS
+from .right_hand_side import slice_links
 
 
 class DenseRates(NamedTuple):
@@ -48,21 +50,15 @@ def fill_rates(chain, first, last, force, rate, beyond):
     """
     x = chain.x
     v = chain.v
-    pressed = chain.links.precompressed
-    delta = chain.links.coefficients[7]
-    for n in range(first - 1, last):
-        y = (x[n] - x[n + 1]) * chain.links.inverse_length[n] + pressed
-        # the force is K y^delta
-        total = force[n - beyond] + chain.links.strength[n] * pressed
-        secant = total / (y if y > 0.0 else 1.0)
-        rate[n] = (
-            delta * secant * chain.links.inverse_length[n] * (v[n] - v[n + 1]) if y > 0.0 else 0.0
-        )
-    if first == PAD and chain.links.uncompressed > 0.0:
+    links = chain.links
+    near = slice(first - 1, last)
+    found = force[first - 1 - beyond : last - beyond]
+    contact_stiffnesses(slice_links(links, near, 0.0), rate[near], found, x[first - 1 : last + 1])
+    if first == PAD and links.uncompressed > 0.0:
         r = x[PAD - 1] - x[PAD]
-        rate[PAD - 1] = (
-            delta * force[PAD - 1 - beyond] / r * (v[PAD - 1] - v[PAD]) if r > 0.0 else 0.0
-        )
+        rate[PAD - 1] = touching_stiffness(r, force[PAD - 1 - beyond], links.coefficients)
+    for n in range(first - 1, last):
+        rate[n] *= v[n] - v[n + 1]
 
 
 @inlined

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from .contact_forces import apart, compiled, compiled_march, inlined, pasted, summed
+from .compiling import apart, compiled, compiled_march, inlined, pasted, summed
 from .layout import PAD, RESOLUTION, Chains
 from .openings import shorten
 from .right_hand_side import accelerate, ahead, course, forced, impose, impose_velocity

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...util.arrays import Array
-from .contact_forces import compiled, compiled_march, inlined, pasted
+from .compiling import compiled, compiled_march, inlined, pasted
 from .layout import PAD, RESOLUTION, Chains
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop

@@ -119,10 +119,13 @@ class BatchArrays(NamedTuple):
         The smallest r / length of any contact at rest: -1 if a contact is open or only touches.
     form : (R,) array
         Form of the force.
-    loops : (R, 2) array
+    loops : (R, 3 or 4) array
         Where the loops of the form lie in memory, see `contact_forces.addresses`.
     precompressed, coefficients : number and (8,) array
         See `contact_forces`.
+    parameters : (R, W, 2 + P) array
+        Overlap at rest, m, constant and P parameters of the contact below each body, for a law
+        given by formulas; (R, W, 0) for powers.
     omega : (R,) array
         Highest frequency, rad/s.
     scale : (R, 2) array
@@ -163,6 +166,7 @@ class BatchArrays(NamedTuple):
     loops: NDArray[np.int64]
     precompressed: float
     coefficients: Array
+    parameters: Array
     omega: Array
     scale: Array
     units: Array
@@ -213,6 +217,7 @@ class Links(NamedTuple):
     loops: NDArray[np.int64]
     precompressed: float
     coefficients: Array
+    parameters: Array
 
 
 class Imposed(NamedTuple):

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from ...util.arrays import Array
-from .contact_forces import bits, inlined, number
+from .compiling import bits, inlined, number
 from .layout import PAD
 from .right_hand_side import slice_links
 from .team import largest, share

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...util.arrays import MAGNITUDE, Array
 from ...util.compilation import Ingredient
-from .contact_forces import bits, compiled_filler, number
+from .compiling import bits, compiled_filler, number
 
 SOUND, TOO_FAST, NOT_A_NUMBER = range(3)
 _in_order = numba.njit(error_model="numpy", pipeline_class=Ingredient)

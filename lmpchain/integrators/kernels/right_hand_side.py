@@ -7,15 +7,8 @@ and `imposed` for every row of a `sweep`.
 
 from __future__ import annotations
 
-from .contact_forces import (
-    apart,
-    compiled,
-    contact_forces,
-    inlined,
-    kick_and_drift,
-    pasted,
-    touching,
-)
+from .compiling import apart, compiled, inlined, pasted
+from .contact_forces import contact_forces, kick_and_drift, touching
 from .layout import PAD, RESOLUTION, Links, Rows
 from .team import meet, share
 from .waveform import call_corner, call_course
@@ -117,6 +110,7 @@ def slice_links(links, contacts, uncompressed):
         loops=links.loops,
         precompressed=links.precompressed,
         coefficients=links.coefficients,
+        parameters=links.parameters[contacts],
     )
 
 

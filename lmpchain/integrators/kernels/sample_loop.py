@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from .contact_forces import inlined, pasted
+from .compiling import inlined, pasted
 from .layout import BatchMember, Imposed, Links, SampleRow
 from .window import record
 
@@ -25,6 +25,7 @@ def links_of(batch, real):
         loops=batch.loops[real],
         precompressed=batch.precompressed,
         coefficients=batch.coefficients,
+        parameters=batch.parameters[real],
     )
 
 

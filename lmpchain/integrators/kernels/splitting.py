@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .contact_forces import compiled_march, inlined, pasted
+from .compiling import compiled_march, inlined, pasted
 from .layout import PAD, Chains, Rows, SplittingStages, make_rows
 from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
 from .sample_loop import sample_loop

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
-from .contact_forces import compiled_filler, inlined
+from .compiling import compiled_filler, inlined
 from .layout import PAD, STATE, BatchArrays
 
 UNBOUNDED = 1e300  # J, where nothing bounds the energy
@@ -80,8 +80,8 @@ def fill_batch(
         batch.uncompressed[real] = touching
         # stiffnesses are 0 where contacts only touch
         closed = pressed and touching == 0.0
-        for n in range(1, grains):
-            closed = closed and stiffness[real, n] > 0.0
+        for n in range(grains + 1):
+            closed = closed and (stiffness[real, n] > 0.0 or constant[real, n] == 0.0)
         batch.least_strain[real] = 0.0 if closed else -1.0
         fastest, energy, farthest, speed = strikes[real]
         speed = max(speed, farthest * fastest)

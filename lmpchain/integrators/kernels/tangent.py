@@ -5,14 +5,14 @@ The map is that of the native engine, so its tangent is exact for the steps take
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .contact_forces import STRICT, compiled, contact_forces, fma, inlined, touching
+from .compiling import STRICT, fma, inlined
+from .contact_forces import contact_forces, contact_stiffnesses, touching, touching_stiffness
 from .layout import PAD
 from .right_hand_side import slice_links
 from .sample_loop import links_of
@@ -67,31 +67,19 @@ class ContactResponse(NamedTuple):
     stiffness: Array
 
 
-@compiled
-def _stiffness(overlap, strength, delta):
-    """Return the derivative of the force by the overlap in units of the length."""
-    if overlap <= 0.0:
-        return 0.0
-    return strength * delta * (math.sqrt(overlap) if delta == 1.5 else overlap ** (delta - 1.0))
-
-
 @inlined
 def evaluate(links, x, lost, response):
     """Fill force and stiffness of all contacts; `lost` is what rounding has taken off x."""
     force, stiffness = response
     first = PAD - 1
     last = PAD - 1 + force.size
-    il = links.inverse_length[first:last]
-    st = links.strength[first:last]
-    contact_forces(slice_links(links, slice(first, last), 0.0), force, x[first : last + 1])
-    delta = links.coefficients[7]
-    for n in range(force.size):
-        overlap = (x[first + n] - x[PAD + n]) * il[n] + links.precompressed
-        stiffness[n] = _stiffness(overlap, st[n], delta) * il[n]
+    contacts = slice_links(links, slice(first, last), 0.0)
+    contact_forces(contacts, force, x[first : last + 1])
+    contact_stiffnesses(contacts, stiffness, force, x[first : last + 1])
     if links.uncompressed > 0.0:
         r = x[first] - x[PAD]
         force[0] += touching(r, links.uncompressed, links.coefficients)
-        stiffness[0] += _stiffness(r, links.uncompressed, delta)
+        stiffness[0] += touching_stiffness(r, force[0], links.coefficients)
     # to first order, the force at the displacement that was not rounded
     for n in range(force.size):
         force[n] += stiffness[n] * (lost[first + n] - lost[PAD + n])

@@ -15,7 +15,7 @@ from numba import types
 from numba.core import cgutils
 from numba.np import arrayobj
 
-from .contact_forces import compiled, inlined, llvm
+from .compiling import compiled, inlined, llvm
 from .layout import GIVEN_UP, LEAST_SHARE, PAD
 
 # looks for the others, some microseconds, before the core is offered to whoever wants it

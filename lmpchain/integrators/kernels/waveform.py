@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numba import types
 
-from .contact_forces import STRICT, address_of, caller, compiled_filler
+from .compiling import STRICT, address_of, caller, compiled_filler
 from .layout import WAVE
 
 _WAVE = numba.from_dtype(WAVE)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ...util.arrays import MAGNITUDE
-from .contact_forces import bits, inlined, number
+from .compiling import bits, inlined, number
 from .layout import PAD, WHOLE_ROWS
 from .right_hand_side import impose_velocity, imposed_speed
 from .team import share

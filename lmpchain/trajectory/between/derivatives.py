@@ -9,6 +9,8 @@ import numba
 import numpy as np
 
 from ...chain.chain import Chain
+from ...integrators.batch import parameter_rows
+from ...integrators.kernels.contact_forces import Form, addresses, change_in_time
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
@@ -59,12 +61,18 @@ class ChainForces(NamedTuple):
     exponent : float
     linear : bool
         Whether the forces are linearised.
+    parameters : (N+1, 2 + P) array
+        See `BatchArrays.parameters`, for a law given by formulas.
+    formulas : int
+        Where the loop of that law lies in memory, see `change_in_time`; 0 for powers.
     """
 
     contacts: Array
     inverse_mass: Array
     exponent: float
     linear: bool
+    parameters: Array = np.zeros((0, 2))
+    formulas: int = 0
 
 
 class ImposedSamples(NamedTuple):
@@ -140,17 +148,26 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
     -------
     Law
     """
-    exponent = chain.law.power_of("the motion between samples")
+    law = chain.law
     contacts = chain.contacts
     inverse_mass = 1 / chain.masses
     # a held grain is never accelerated
     inverse_mass[chain.movable :] = 0.0
-    # a linear law with an exponent above 1 has no stiffness where nothing is pressed at rest
-    loose = np.where(linear & (exponent > 1.0), 0.0, contacts.constant)
     pressed = contacts.pressed
-    inverse_length = 1 / np.where(pressed, contacts.overlap, 1.0)
-    rows = np.array([inverse_length, np.where(pressed, contacts.force, loose), pressed])
-    return ChainForces(rows, inverse_mass, float(exponent), bool(linear))
+    length = np.where(pressed, contacts.overlap, 1.0)
+    strength = np.where(pressed, contacts.force, contacts.constant)
+    if linear:
+        # the force of a spring of this length
+        strength = contacts.stiffness * length
+    rows = np.array([1 / length, strength, pressed])
+    exponent = 1.0 if linear else law.onset
+    forces = ChainForces(rows, inverse_mass, float(exponent), bool(linear))
+    if linear or law.power is not None:
+        return forces
+    return forces._replace(
+        parameters=parameter_rows(contacts, contacts.overlap),
+        formulas=addresses(Form.FORMULAS, law)[-1],
+    )
 
 
 def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamples:
@@ -231,11 +248,11 @@ def _push_hertz(r, closing, inverse_length, strength, pressed, force, rate):
 
 
 @compiled
-def _push(r, closing, contact, law, force, rate):
+def _push(r, closing, contact, law, row, force, rate):
     """Fill in changes of the force of a contact and their rates, for changes r of the overlap.
 
     F - F_0 = S (max(p + s, 0)^delta - p) with s = r / l, and its rate S delta (p + s)^(delta - 1)
-    r' / l; linear: S delta s.
+    r' / l; linear: S delta s. A law given by formulas has a loop of its own.
 
     ======  =====================================================  ========
     symbol  meaning                                                name
@@ -249,6 +266,9 @@ def _push(r, closing, contact, law, force, rate):
     """
     inverse_length, strength, pressed = contact
     exponent = law.exponent
+    if law.formulas != 0:
+        change_in_time(law.formulas, r, closing, row, force, rate)
+        return
     if exponent == 1.5 and not law.linear:
         _push_hertz(r, closing, inverse_length, strength, pressed, force, rate)
         return
@@ -340,7 +360,8 @@ def _push_contact(block, n, work):
         r[i] = above[i] - below[i]
     for i in range(r.size):
         closing[i] = above_rate[i] - below_rate[i]
-    _push(r, closing, contact, law, force, rate)
+    row = law.parameters[min(n, law.parameters.shape[0] - 1)]
+    _push(r, closing, contact, law, row, force, rate)
     return not law.linear and _nearly_opens(r, closing, contact, block.h) > 0
 
 

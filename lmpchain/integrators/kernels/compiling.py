@@ -1,0 +1,232 @@
+"""What the kernels are compiled with: options, instructions that numba lacks, calls by address."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from ...util.compilation import Ingredient, compiled_once
+
+# no reordering and no contraction but the explicit fma: every blocking of the loops gives the same
+# bits
+STRICT = {"nnan", "ninf", "nsz"}
+# functions that are called from Python, and kept for later processes
+compiled_engine = partial(compiled_once, "the native engine", 10, error_model="numpy")
+# these make no arrays, either: Python does
+compiled_filler = partial(compiled_engine, _nrt=False)
+compiled_march = partial(compiled_filler, nogil=True, fastmath=STRICT)
+llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
+
+# without numba's runtime: such functions make no arrays and count no references, which would take
+# half of the time; nor can Python call them
+_OPTIONS: dict[str, Any] = {
+    "error_model": "numpy",
+    "fastmath": STRICT,
+    "_nrt": False,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": Ingredient,
+}
+compiled = numba.njit(**_OPTIONS)
+# formulas of users: they may divide by 0 or overflow where a branch is not taken
+compiled_formula = numba.njit(**_OPTIONS | {"fastmath": False})
+# inlined functions take records of arrays for nothing, of which a call would copy every field; LLVM
+# puts them in place, in a tenth of the time that numba takes for it
+inlined = numba.njit(**_OPTIONS, forceinline=True)
+# sums of many numbers in any order, that is several at a time: their bits depend on the count alone
+summed = numba.njit(**_OPTIONS | {"fastmath": {*STRICT, "reassoc"}})
+# numba does so for what returns arrays, which a call would have to count, or a record, which none
+# can, and for steps, which are long and called in one place, so that they are compiled once
+pasted = numba.njit(**_OPTIONS, inline="always")
+
+
+@llvm
+def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c, rounded once, whatever the loop around is compiled to."""
+    return types.float64(
+        types.float64, types.float64, types.float64
+    ), lambda _c, builder, _s, args: builder.fma(*args)
+
+
+@llvm
+def bits(typing: Any, x: Any) -> Any:
+    """Return the bits of a number as a whole number."""
+    return types.int64(types.float64), lambda _c, builder, _s, args: builder.bitcast(
+        args[0], ir.IntType(64)
+    )
+
+
+@llvm
+def number(typing: Any, n: Any) -> Any:
+    """Return the number with these bits."""
+    return types.float64(types.int64), lambda _c, builder, _s, args: builder.bitcast(
+        args[0], ir.DoubleType()
+    )
+
+
+@llvm
+def apart(typing: Any) -> Any:
+    """Tell the compiler that no two arrays that a function takes overlap."""
+
+    def mark(context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
+        for arg in builder.function.args[2:]:
+            if arg.type.is_pointer:
+                arg.add_attribute("noalias")
+        return context.get_dummy_value()
+
+    return types.void(), mark
+
+
+@llvm
+def select(typing: Any, condition: Any, a: Any, b: Any) -> Any:
+    """Return a where the condition holds, else b, without a branch in any version of Python.
+
+    What 3.13 makes of ``a if condition else b`` keeps loops from vector instructions: powers take
+    six times as long.
+    """
+    return types.float64(
+        types.boolean, types.float64, types.float64
+    ), lambda _c, builder, _s, args: builder.select(*args)
+
+
+class Bits(NamedTuple):
+    """Parts of a double: 1 bit of sign, 11 of its exponent plus 1023, and 52 of its mantissa.
+
+    Attributes
+    ----------
+    mantissa, one : int
+        A mantissa of ones; the bits of 1.
+    shift : float
+        Adding it to a number rounds that to a whole one, which the last bits then hold.
+    shift_bits, power_bits : int
+        The bits of `shift`, and of 2^52: an exponent in the last bits of these adds that to 2^52.
+    power_zero : float
+        2^52 with the exponent of 1.
+    high, low : float
+        Their sum is ln 2 to 33 more digits.
+    """
+
+    mantissa: int = (1 << 52) - 1
+    one: int = 1023 << 52
+    shift: float = float(3 << 51)
+    shift_bits: int = int(np.float64(3 << 51).view(np.int64))
+    power_bits: int = int(np.float64(1 << 52).view(np.int64))
+    power_zero: float = float((1 << 52) + 1023)
+    high: float = 0.6931471803691238
+    low: float = 1.9082149292705877e-10
+
+
+BITS = Bits()
+
+
+@compiled
+def logarithm(y, rest):
+    """Return log(y + rest) of y > 0 and a tiny rest, by the series of artanh, without a branch."""
+    pattern = bits(y)
+    power = number(BITS.power_bits | (pattern >> 52)) - BITS.power_zero
+    m = number((pattern & BITS.mantissa) | BITS.one)
+    # the mantissa around 1, from sqrt(1/2) to sqrt(2), where the series is shortest
+    high = m > 1.4142135623730951
+    m = 0.5 * m if high else m
+    power = power + 1.0 if high else power
+    f = (m - 1.0) / (m + 1.0)
+    q = f * f
+    p = fma(q, fma(q, fma(q, fma(q, 2 / 21, 2 / 19), 2 / 17), 2 / 15), 2 / 13)
+    p = q * fma(q, fma(q, fma(q, fma(q, fma(q, p, 2 / 11), 2 / 9), 2 / 7), 2 / 5), 2 / 3)
+    return fma(power, BITS.high, fma(power, BITS.low, fma(f, p, rest / y)) + 2.0 * f)
+
+
+@compiled
+def exponential(t, less):
+    """Return exp(t) - less, less = 0 or 1, |t| < 700, by powers of two and a Taylor series."""
+    # t = power ln 2 + r, |r| < ln 2 / 2, by 1 / ln 2
+    power = fma(t, 1.4426950408889634, BITS.shift)
+    scale = number((bits(power) - BITS.shift_bits + 1023) << 52)
+    power -= BITS.shift
+    r = fma(-power, BITS.low, fma(-power, BITS.high, t))
+    p = fma(
+        r,
+        fma(
+            r,
+            fma(r, fma(r, fma(r, 1 / 6227020800, 1 / 479001600), 1 / 39916800), 1 / 3628800),
+            1 / 362880,
+        ),
+        1 / 40320,
+    )
+    p = fma(r, fma(r, fma(r, fma(r, fma(r, p, 1 / 5040), 1 / 720), 1 / 120), 1 / 24), 1 / 6)
+    p = fma(r * r, fma(r, p, 0.5), r)
+    return fma(scale, p, scale - less)
+
+
+def address_of(function: Any, signature: Any) -> int:
+    """Return where a function lies in memory, once it is compiled for this signature."""
+    function.compile(signature)
+    code = function.overloads[signature.args]
+    return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
+
+
+def caller(signature: Any) -> Any:
+    """Make the function that calls a compiled one of this signature at an address."""
+
+    @llvm
+    def call(typing: Any, address: Any, arguments: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+            convention = context.call_conv
+            values = [
+                context.cast(builder, value, given, taken)
+                for value, given, taken in zip(
+                    cgutils.unpack_tuple(builder, args[1]), arguments, signature.args, strict=True
+                )
+            ]
+            returned = signature.return_type
+            function = convention.get_function_type(returned, signature.args)
+            place = builder.inttoptr(args[0], function.as_pointer())
+            _, result = convention.call_function(builder, place, returned, signature.args, values)
+            return result
+
+        return signature.return_type(types.int64, arguments), generate
+
+    return call
+
+
+def by_form(loops: dict[int, Callable[..., Any]]) -> Callable[..., Any]:
+    """Make the function of a form, and of what its loop takes, that runs the loop of that form.
+
+    A dictionary of functions cannot be compiled: the choice is made of comparisons, one in another.
+    """
+    *first_forms, (_, last) = loops.items()
+
+    @pasted
+    def choose(form, arguments):
+        return last(*arguments)
+
+    for form, loop in first_forms:
+        choose = _choose_form(int(form), loop, choose)
+
+    @compiled
+    def run(form, *arguments):
+        return choose(form, arguments)
+
+    return run
+
+
+def _choose_form(
+    number: int, loop: Callable[..., Any], choose: Callable[..., Any]
+) -> Callable[..., Any]:
+    """Make the function that runs a loop if the form is its own, and else looks further."""
+
+    @pasted
+    def choose_form(form, arguments):
+        if form == number:
+            return loop(*arguments)
+        return choose(form, arguments)
+
+    return choose_form
