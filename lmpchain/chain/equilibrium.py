@@ -179,7 +179,7 @@ def _contact_constants(
             ends.append(chain.given_wall_constants[end])
         else:
             of_grain = _end(modulus, end)
-            plane = wall.plane_strain_modulus if wall else of_grain
+            plane: float | Array = wall.plane_strain_modulus if wall else of_grain
             radius = reduced(_end(diameter, end) / 2, math.inf)
             pair = reduced(of_grain, plane)
             constant = chain.law.constant(pair, radius, lengths[end])
