@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, read_only
 from .kernels import waveform
 from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, addresses
 from .kernels.layout import PAD, WAVE, BatchArrays
@@ -218,11 +218,12 @@ def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array
     touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
     touch[:, 0] &= not powers
     trace = np.maximum(contacts.law.force(TOUCHING, constant), np.finfo(float).tiny)
+    # read-only as the others, so that the loops are compiled once
     return (
-        np.where(touch, TOUCHING, overlap),
-        np.where(touch, trace, force),
+        read_only(np.where(touch, TOUCHING, overlap)),
+        read_only(np.where(touch, trace, force)),
         constant,
-        np.where(touch, 0.0, stiffness),
+        read_only(np.where(touch, 0.0, stiffness)),
     )
 
 
