@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene.scene import Scene
-from ..trajectory.between.derivatives import STILL, UNKNOWN
+from ..trajectory.accumulator import STILL, UNKNOWN
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,30 +11,12 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene.scene import Scene
-from ..trajectory.between.derivatives import (
-    UNKNOWN,
-    SampledBlock,
-    by_body,
-    derive,
-    imposed_on,
-    law_of,
-)
-from ..trajectory.between.fronts import Rules, fronts
-from ..trajectory.between.hermite import DISPLACEMENT, VELOCITY
-from ..trajectory.between.maxima import (
-    Largest,
-    Log,
-    Window,
-    approach,
-    events_of,
-    lowest,
-    reduce,
-)
+from ..trajectory.accumulator import FRACTION, KINDS, Accumulator, Field
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.caching import cached_property
 from ..util.lazy import listed
-from .recorded import Field, check_field, columns
+from .recorded import UNKNOWN, check_field, columns
 
 __dir__ = listed(__name__)
 
@@ -108,6 +91,8 @@ class Motion:
         self._sizes = np.array([np.maximum(x.max(0), -x.min(0)) for x in (displacement, velocity)])
         self.sampled: tuple[float, float] = tuple(self._sizes.max(1).tolist())
         self._column = columns(scene.chain.grains, scene.chain.movable, np.asarray(grains, int))
+        # the largest sizes and maxima of a field, and the fraction that its fronts have at least
+        self._accumulators: dict[str, tuple[float, Accumulator]] = {}
 
     @property
     def time(self) -> Array:
@@ -118,38 +103,23 @@ class Motion:
     def _lawful(self) -> NDArray[np.bool_]:
         """Whether the forces of the chain give the acceleration of each body, (N+2,)."""
         chain = self.scene.chain
-        lawful = np.ones(self._column.size, dtype=bool)
         # the rates of viscous forces ask for more derivatives than samples have
-        if self._equation in (1, 3) and not chain.damped:
+        known = self._equation in (1, 3) and not chain.damped
+        lawful = np.full(self._column.size, known)
+        if known and not self._all_recorded:
             recorded = self._column != UNKNOWN
             exists = chain.contacts.exists
             # a contact that does not exist needs no neighbour
             lawful[1:-1] = (recorded[:-2] | ~exists[:-1]) & (recorded[2:] | ~exists[1:])
-        else:
-            lawful[1:-1] = False
+        lawful[0] = True
         # bodies that stand still
         lawful[chain.movable + 1 :] = True
         return lawful
 
-    @property
+    @cached_property
     def _all_recorded(self) -> bool:
         """Whether all grains that can move were recorded."""
         return not (self._column[1 : self.scene.chain.movable + 1] == UNKNOWN).any()
-
-    @cached_property
-    def _block(self) -> SampledBlock:
-        """Block of all samples."""
-        law = law_of(self.scene.chain, self._equation == 3)
-        imposed = imposed_on(self.scene, self.step, 0, self.scene.samples)
-        return SampledBlock(
-            u=by_body(self.displacement),
-            v=by_body(self.velocity),
-            column=self._column,
-            lawful=self._lawful,
-            h=self.step,
-            law=law,
-            imposed=imposed,
-        )
 
     @cached_property
     def _moves(self) -> NDArray[np.intp]:
@@ -157,43 +127,49 @@ class Motion:
         errors = np.array(self._errors)[:, None]
         return np.flatnonzero((self._sizes > errors).any(0))
 
-    @property
+    @cached_property
     def _moving(self) -> NDArray[np.intp]:
         """Numbers of the grains that move by more than the error of the trajectory."""
         return np.asarray(self.grains, int)[self._moves]
 
-    @property
-    def _window(self) -> Window:
-        """Window of all intervals."""
-        return Window(0, 0, self.displacement.shape[0] - 1)
+    def _accumulate(
+        self, field: Field | None, fraction: float, contacts: Sequence[int], ceiling: Array
+    ) -> Accumulator:
+        """Return largest sizes and maxima of a field of the moving grains, or of contacts alone."""
+        bodies = [*contacts, *(n + 1 for n in contacts)]
+        grains = self._moving if field else self._moving[np.isin(self._moving, bodies)]
+        # only columns of these grains, of their neighbours and of the contacts are read
+        bodies += grains.tolist()
+        near = self._column[max(min(bodies, default=1) - 1, 0) : max(bodies, default=1) + 2]
+        read = [column for column in near.tolist() if column >= 0] or [0]
+        part = slice(min(read), max(read) + 1)
+        column = self._column - part.start
+        column[column >= part.stop - part.start] = UNKNOWN
+        motion = (self.scene, self._equation == 3, column, self._lawful, grains)
+        fields = (field,) if field else ()
+        accumulator = Accumulator(*motion, fields, field, contacts, ceiling)
+        # what is less than half of a front is none, whatever the errors
+        sizes = self._sizes[KINDS[field], self._moves] - self.known_error(field) if field else ()
+        levels = np.maximum(fraction / 2 * np.array(sizes), 0.0)
+        accumulator.take_all(self.displacement[:, part], self.velocity[:, part], levels)
+        return accumulator
 
-    @cached_property
-    def _derived(self) -> Array:
-        """Accelerations, jerks and errors of the accelerations of the grains that move."""
-        derived: Array = derive(self._block, self._moving)
-        return derived
-
-    @cached_property
-    def _largest_sizes(self) -> dict[Field, Largest]:
-        """Largest sizes of the grains that move."""
-        far = lowest(self._moving.size)
-        fast = lowest(self._moving.size)
-        # without events: only the largest values are asked for
-        nothing = events_of(np.zeros(0))
-        log = Log(nothing, 0)
-        sizes = (far, fast)
-        motion = (self._block, self._moving, self._derived, self.ceiling)
-        reduce(*motion, self._window, sizes, nothing, log)
-        return {"displacement": far, "velocity": fast}
+    def _followed(self, field: Field, fraction: float) -> Accumulator:
+        """Return largest sizes and maxima of the moving grains, accumulated once for each field."""
+        known = self._accumulators.get(field)
+        if known is None or known[0] != fraction:
+            known = fraction, self._accumulate(field, fraction, (), self.ceiling)
+            self._accumulators[field] = known
+        return known[1]
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
         trajectory_error = self.known_error(field)
-        value = self._sizes[int(field == "velocity")].copy()
+        value = self._sizes[KINDS[field]].copy()
         # of a grain that moves by less than the error, nothing more is said
         error = value + trajectory_error
-        largest = self._largest_sizes[field]
-        value[self._moves], error[self._moves] = largest.estimate(trajectory_error)
+        largest = self._followed(field, FRACTION).largest(field, trajectory_error)
+        value[self._moves], error[self._moves] = largest
         return Peaks(self.grains, value, error)
 
     def largest_wall_force(self) -> tuple[float, float]:
@@ -232,12 +208,8 @@ class Motion:
             either = self.ceiling[np.isin(self._moving, bodies)]
             # the two may move against each other
             limits = np.where((either < 0).all(0), -1.0, np.maximum(either, 0.0).sum(0))
-        row = np.full(self._column.size, -1)
-        row[self._moving] = np.arange(self._moving.size)
-        above, below = row[bodies].tolist()
-        closest = lowest(1, -np.inf)
-        approach(self._block, contact, self._derived, (above, below), limits, self._window, closest)
-        value, error = closest.estimate(2 * self.known_error("displacement"))
+        accumulator = self._accumulate(None, 0.0, [contact], limits[None])
+        value, error = accumulator.closest(0, 2 * self.known_error("displacement"))
         return float(value[0]), float(error[0])
 
     def fronts(
@@ -249,18 +221,9 @@ class Motion:
         error.
         """
         error = self.known_error(field)
-        rules = Rules(
-            fraction=float(fraction),
-            error=error,
-            fall=float(error if fall is None else fall),
-            frequency=self.scene.highest_frequency,
-            step=self.step,
-            duration=self.step * self._window.end,
-        )
         rows = np.full((self.grains.size, 6), np.nan)
-        motion = (self._block, self._moving, self._derived, self.ceiling)
-        kind = VELOCITY if field == "velocity" else DISPLACEMENT
-        rows[self._moves] = fronts(*motion, kind, width, rules)
+        least = error if fall is None else fall
+        rows[self._moves] = self._followed(field, fraction).fronts(fraction, error, least, width)
         return rows
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, shown
-from ..trajectory.between.derivatives import STILL, UNKNOWN
+from ..trajectory.accumulator import STILL, UNKNOWN, Field
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 
-Field = Literal["velocity", "displacement"]
 FEWEST_SAMPLES = 16  # for a front or a spectrum
 
 

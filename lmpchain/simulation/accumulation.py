@@ -16,21 +16,10 @@ import numpy as np
 from ..engines.base import Engine, ErrorBudget, Run
 from ..scene.recording import OF_CONTACTS
 from ..scene.scene import Scene
-from ..trajectory.between.derivatives import (
-    STILL,
-    SampledBlock,
-    by_body,
-    derive,
-    imposed_on,
-    law_of,
-)
-from ..trajectory.between.fronts import Rules, arrivals
-from ..trajectory.between.maxima import Largest, Log, Window, approach, events_of, reduce
-from ..trajectory.between.viscous_forces import ViscousContact, largest_force
+from ..trajectory.accumulator import KINDS, STILL, Accumulator, viscous_contact
 from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array, as_slice
 
-FRACTION = 0.5  # of the largest speed of a grain, that its front has at least
 ROUNDED = 4  # last digits of a force that its power may cost
 PEAK, TRACE = OF_CONTACTS
 STATE = "gathered."  # before the names of what is kept, so that they never meet those of a run
@@ -59,43 +48,32 @@ class Gatherer:
         self._scene = scene
         self._part = part
         self._first = first
-        self._final = part.intervals
-        self._step = part.sampling_interval
         size = part.chain.grains
         # contacts by their numbers in the part
         self._peaks = self._contacts(PEAK)
         self._traces = self._contacts(TRACE)
         self._viscous = scene.chain.damping.longest_time > 0
-        fronts = "arrival_time" in scene.quantities
-        fast = fronts or "peak_velocity" in scene.quantities
-        far = "peak_displacement" in scene.quantities
+        column = np.arange(-1, size + 1)
+        column[-1] = STILL
+        lawful = np.full(column.size, not part.chain.damped)
+        lawful[part.chain.movable + 1 :] = True
+        tracked = "velocity" if "arrival_time" in scene.quantities else None
+        asked = {*scene.quantities, f"peak_{tracked}"}
+        fields = [field for field in KINDS if f"peak_{field}" in asked]
+        grains = np.arange(1, size + 1)
+        motion = (part, linear, column, lawful, grains)
+        self._accumulator = Accumulator(*motion, fields, tracked, self._peaks, state=state)
         start = {
-            "fast": np.zeros((3, size if fast else 0)),
-            "far": np.zeros((3, size if far else 0)),
-            "latest": events_of(np.zeros(size if fronts else 0)),
-            "log": events_of(np.zeros(0)),
-            "closest": np.full((len(self._peaks), 3), -np.inf),
             "trace": np.zeros((len(self._traces), part.samples if self._traces else 0)),
-            # of viscous contacts: rates of the traces, and largest force, error, approach and rate
+            # of viscous contacts: rates of the traces
             "rate": np.zeros((len(self._traces) * self._viscous, part.samples)),
-            "strongest": np.full((len(self._peaks) * self._viscous, 4), -np.inf),
             "largest": np.zeros(2),
-            "before": np.zeros((2, 0, size)),
-            "interval": np.zeros((), dtype=np.int64),
-            "start": np.zeros(size if fronts else 0),
         }
         self._state: dict[str, Any] = {
             name: np.array(state.get(name, values)) for name, values in start.items()
         }
-        # these two grow; a state of another scene shows in the others
-        fixed = start.keys() - {"log", "before"}
-        if any(self._state[name].shape != start[name].shape for name in fixed):
+        if any(self._state[name].shape != values.shape for name, values in start.items()):
             raise ValueError("the state that was kept does not fit")
-        self._law = law_of(part.chain, linear)
-        self._column = np.arange(-1, size + 1)
-        self._column[-1] = STILL
-        self._lawful = np.full(self._column.size, not part.chain.damped)
-        self._lawful[part.chain.movable + 1 :] = True
 
     def _contacts(self, kind: str) -> list[int]:
         """Return the contacts of the part of which this is gathered, in the order asked for."""
@@ -112,104 +90,34 @@ class Gatherer:
         count = len(u)
         if not count:
             return
-        if first == 0 and state["start"].size:
-            state["start"][:] = np.abs(v[0])
-            state["latest"] = events_of(v[0])
-        before = state["before"]
-        base = first - before.shape[1]
-        last = first + count - 1
-        rows_u = np.concatenate((before[0], u))
-        rows_v = np.concatenate((before[1], v))
-        imposed = imposed_on(self._part, self._step, base, len(rows_u))
-        begin = int(state["interval"])
-        # the misfit of an interval is known when the sample behind the next one is
-        end = self._final if last == self._final else max(last - 1, 0)
-        # where no law gives accelerations, four samples do
-        enough = not self._part.chain.damped or last == self._final or len(rows_u) > 3
-        if begin < end and enough:
-            block = SampledBlock(
-                by_body(rows_u),
-                by_body(rows_v),
-                self._column,
-                self._lawful,
-                self._step,
-                self._law,
-                imposed,
-            )
-            window = Window(base, begin - base, end - base)
-            self._take_intervals(block, window)
-            for number, strongest in zip(self._peaks, state["strongest"], strict=False):
-                relative = self._relative(number, rows_u, rows_v, imposed.wall)
-                force = largest_force(self._contact(number), relative, self._step, window)
-                strongest[:] = force if force[0] > strongest[0] else strongest
-            state["interval"] = np.array(end)
-        # the next interval is judged by its neighbours, too
-        state["before"] = np.array([rows_u[-3:], rows_v[-3:]])
+        self._accumulator.take(first, u, v)
         state["largest"] = np.maximum(state["largest"], [np.abs(u).max(), np.abs(v).max()])
         for row, number in enumerate(self._traces):
-            relative = self._relative(number, u, v, imposed.wall[:, -count:])
-            state["trace"][row, first : last + 1] = relative[0]
+            closer, closing = self._accumulator.relative(number, first, u, v)
+            state["trace"][row, first : first + count] = closer
             if self._viscous:
-                state["rate"][row, first : last + 1] = relative[1]
-
-    def _relative(self, number: int, u: Array, v: Array, wall: Array) -> Array:
-        """Return how much closer the bodies of a contact of the part are, and its rate, (2, B)."""
-        size = self._part.chain.grains
-        pairs = zip((u, v), wall, strict=False)
-        return np.array(
-            [
-                (x[:, number - 1] if number else of_wall) - (x[:, number] if number < size else 0.0)
-                for x, of_wall in pairs
-            ]
-        )
-
-    def _contact(self, number: int) -> ViscousContact:
-        """Return a contact of the part."""
-        chain = self._part.chain
-        law = chain.contacts.of(np.array([number]))
-        return ViscousContact(law, float(chain.contact_viscosity[number]))
-
-    def _take_intervals(self, block: SampledBlock, window: Window) -> None:
-        """Take in largest values, events and approaches of contacts in some intervals."""
-        state = self._state
-        size = self._part.chain.grains
-        grains = np.arange(1, size + 1)
-        derived = derive(block, grains)
-        log = reduce(
-            block,
-            grains,
-            derived,
-            np.zeros((1, 0)),
-            window,
-            (Largest(*state["far"]), Largest(*state["fast"])),
-            state["latest"],
-            Log(state["log"], len(state["log"])),
-        )
-        for number, closest in zip(self._peaks, state["closest"], strict=True):
-            # row -1 is that of a body at rest
-            rows = (number - 1, number if number < size else -1)
-            approach(block, number, derived, rows, np.zeros(0), window, Largest(*closest[:, None]))
-        state["log"] = log.events[: log.used].copy()
+                state["rate"][row, first : first + count] = closing
 
     def state(self) -> dict[str, Array]:
         """Return the arrays from which another gatherer goes on with the same bits."""
-        return {name: values.copy() for name, values in self._state.items()}
+        state = self._state | self._accumulator.state
+        return {name: values.copy() for name, values in state.items()}
 
     def results(self, error: float) -> dict[str, Array]:
         """Return the quantities and their errors by name, for a relative error of the answer."""
         part = self._part
-        state = self._state
+        largest = self._accumulator.largest
         # between two samples a motion may be this much larger than at them
         beyond = 1 / math.cos(part.sampling_phase / 2)
-        u_error, v_error = error * np.maximum(beyond * state["largest"], part.imposed)
+        u_error, v_error = error * np.maximum(beyond * self._state["largest"], part.imposed)
         results: dict[str, Array] = {}
         for name in self._scene.quantities:
             if name == "peak_displacement":
-                estimate = self._of_recorded(Largest(*state["far"]).estimate(u_error), 0.0)
+                estimate = self._of_recorded(largest("displacement", u_error), 0.0)
             elif name == "peak_velocity":
-                estimate = self._of_recorded(Largest(*state["fast"]).estimate(v_error), 0.0)
+                estimate = self._of_recorded(largest("velocity", v_error), 0.0)
             elif name == "arrival_time":
-                estimate = self._of_recorded(self._arrivals(v_error), np.nan)
+                estimate = self._of_recorded(self._accumulator.arrivals(v_error), np.nan)
             else:
                 # of contacts, which follow
                 continue
@@ -237,9 +145,9 @@ class Gatherer:
             return self._forces(number, np.zeros((2, 1)), (0.0, 0.0))
         row = self._peaks.index(contact)
         if not self._viscous:
-            closest, doubt = Largest(*self._state["closest"][row][:, None]).estimate(doubts[0])
+            closest, doubt = self._accumulator.closest(row, doubts[0])
             return self._forces(number, np.array([closest, np.zeros(1)]), (doubt, 0.0))
-        force, error, *motion = self._state["strongest"][row]
+        force, error, *motion = self._accumulator.state["strongest"][row]
         off = self._forces(number, np.array(motion)[:, None], doubts)[1]
         return np.array([force]), error + off
 
@@ -262,9 +170,7 @@ class Gatherer:
 
     def _forces(self, number: int, motion: Array, doubts: Any) -> tuple[Array, Array]:
         """Return forces of a contact and their errors, N, from approaches and rates, (2, ...)."""
-        chain = self._scene.chain
-        law = chain.contacts.of(np.array([number]))
-        contact = ViscousContact(law, float(chain.contact_viscosity[number]))
+        contact = viscous_contact(self._scene.chain, number)
         closer, closing = motion
         force = contact.force(closer, closing)
         off = np.zeros(force.shape)
@@ -272,17 +178,6 @@ class Gatherer:
             other = contact.force(closer + nearer * doubts[0], closing + faster * doubts[1])
             off = np.maximum(off, np.abs(other - force))
         return force, off + ROUNDED * EPSILON * np.abs(force)
-
-    def _arrivals(self, error: float) -> Array:
-        """Return when the front passes each grain of the part, and the error of that, (2, N) s."""
-        state = self._state
-        part = self._part
-        events = np.concatenate([state["log"], state["latest"]])
-        events = events[np.argsort(events["grain"], kind="stable")]
-        bounds = np.searchsorted(events["grain"], np.arange(part.chain.grains + 1))
-        rules = Rules(FRACTION, error, error, part.highest_frequency, self._step, part.duration)
-        times: Array = arrivals(events, bounds, Largest(*state["fast"]), state["start"], rules)
-        return times
 
 
 class GatheringRun(Run):

@@ -12,9 +12,9 @@ from ..measure.motion import RESOLVED, RESOLVED_BY_DIFFERENCES, Motion
 from ..measure.recorded import columns
 from ..scene.recording import contact_of
 from ..scene.scene import Scene
-from ..simulation.accumulation import FRACTION, PEAK
+from ..simulation.accumulation import PEAK
 from ..trajectory import gathered
-from ..trajectory.between.derivatives import UNKNOWN
+from ..trajectory.accumulator import FRACTION, UNKNOWN
 from ..util.arrays import Array
 
 

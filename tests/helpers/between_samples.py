@@ -3,20 +3,53 @@ acceleration and jerk are given.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from lmpchain.trajectory.between import hermite
+from lmpchain.trajectory.between import hermite, maxima
 from lmpchain.trajectory.between.derivatives import (
-    BodySeries,
+    STILL,
     ChainForces,
     ImposedSamples,
     SampledBlock,
 )
-from lmpchain.trajectory.between.fronts import Rules, front_of
-from lmpchain.trajectory.between.maxima import Log, Window, events_of, follow, lowest
+from lmpchain.trajectory.between.fronts import Rules, fronts
+from lmpchain.trajectory.between.maxima import Window, estimate, events_of, levels_of, reduce
+
+
+def direct(function: Callable) -> Callable:
+    """Return a function that calls one which only compiled functions can call."""
+
+    @numba.njit
+    def call(*arguments: Any) -> Any:
+        return function(*arguments)
+
+    called: Callable = call
+    return called
+
+
+bound = direct(hermite.bound)
+fill_polynomial = direct(hermite.fill_polynomial)
+value = direct(hermite.value)
+slope = direct(maxima._slope)
+find_roots = direct(hermite.roots)
+
+
+def polynomial(path: np.ndarray, kind: int, h: float, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients of the polynomial behind sample i and of its derivative."""
+    work = hermite.scratch()
+    count = fill_polynomial(path, kind, h, i, work)
+    return work[hermite.C, :count], work[hermite.D, : count - 1]
+
+
+def roots(c: np.ndarray) -> np.ndarray:
+    """Return where a polynomial changes sign, from its Bernstein coefficients."""
+    places = np.zeros(8)
+    return places[: find_roots(c, c.size, places, hermite.scratch())]
 
 
 def power(c: np.ndarray) -> Polynomial:
@@ -40,16 +73,40 @@ def bernstein(curve: Polynomial, degree: int) -> np.ndarray:
     )
 
 
-def path_of(
-    values: np.ndarray, kind: int, h: float, ceiling: np.ndarray | None = None
-) -> hermite.BodyPath:
-    """Return a body between its samples, from u, v, a, j and the error of a at each (5, T)."""
-    u, v, a, j, off = np.ascontiguousarray(values, float)
-    doubt = np.append(np.maximum(off[:-1], off[1:]), 0.0)
-    limits = np.zeros(0) if ceiling is None else np.ascontiguousarray(ceiling, float)
-    bounds = np.empty((2, u.size - 1))
-    path: hermite.BodyPath = hermite.path(BodySeries(u, v, a, j, doubt), kind, h, limits, bounds)
+def path_of(values: np.ndarray, kind: int, h: float) -> np.ndarray:
+    """Return the path of a body, from u, v, a, j and the error of a at each sample (5, T)."""
+    path = np.zeros((8, values.shape[1]))
+    path[:4] = values[:4]
+    path[hermite.DOUBT, :-1] = np.maximum(values[4, :-1], values[4, 1:])
+    bound(path, kind, h)
     return path
+
+
+def body_of(values: np.ndarray, h: float) -> tuple[SampledBlock, np.ndarray, np.ndarray]:
+    """Return samples, number and derivatives of one grain, from u, v, a, j and the error of a."""
+    path = path_of(values, hermite.VELOCITY, h)
+    u, v = values[:2, :, None]
+    contacts = np.array([np.zeros(2), np.zeros(2), np.ones(2)])
+    block = block_of(u, v, [STILL, 0, STILL], contacts, np.ones(1), 1.5, False, h)
+    return block, np.array([1]), np.ascontiguousarray(path[None, 2:5])
+
+
+def followed(
+    values: np.ndarray, kind: int, h: float, ceiling: np.ndarray | None, level: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the largest sizes, the latest maximum and the events of one body."""
+    block, _, derived = body_of(values, h)
+    limits = np.zeros((1, 0)) if ceiling is None else np.array(ceiling, float)[None]
+    raised = kind == hermite.RAISED
+    largest = np.full((3, 1), -np.inf) if raised else np.zeros((3, 1))
+    sizes = [np.zeros((3, 0))] * 3
+    sizes[kind] = largest
+    latest = events_of(np.zeros(0)) if raised else levels_of(np.array([level]))
+    table = np.array([[1, 0, -2, kind, 0]])
+    window = Window(0, 0, values.shape[1] - 1)
+    log = events_of(np.zeros(0))
+    events = reduce(block, table, derived, limits, window, sizes, kind, latest, log)
+    return largest, latest, events
 
 
 def peak_of(
@@ -60,11 +117,7 @@ def peak_of(
     ceiling: np.ndarray | None = None,
 ) -> tuple[float, float]:
     """Return the largest value and its error."""
-    path = path_of(values, kind, h, ceiling)
-    largest = lowest(1, -np.inf)
-    none = events_of(np.zeros(0))
-    follow(path, Window(0, 0, path.error.size), largest, none, 0, Log(none, 0))
-    value, error = largest.estimate(known)
+    value, error = estimate(followed(values, kind, h, ceiling, 0.0)[0], known)
     return float(value[0]), float(error[0])
 
 
@@ -80,9 +133,13 @@ def front_among(
     width: bool = True,
 ) -> np.ndarray:
     """Return time, height and width of the front and their errors, (6,)."""
-    path = path_of(values, kind, h, ceiling)
-    rules = Rules(fraction, known, certain, frequency, h, h * path.error.size)
-    front: np.ndarray = front_of(path, width, rules)
+    sampled = np.abs(values[1 if kind == hermite.VELOCITY else 0])
+    level = fraction / 2 * max(sampled.max() - known, 0.0)
+    largest, latest, events = followed(values, kind, h, ceiling, level)
+    rules = Rules(fraction, known, certain, frequency, h, h * (values.shape[1] - 1))
+    motion = body_of(values, h)
+    maxima = (events, latest, largest, sampled[:1], rules)
+    front: np.ndarray = fronts(*motion, kind, width, *maxima)[0]
     return front
 
 

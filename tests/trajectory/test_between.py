@@ -4,11 +4,11 @@ prescribed force.
 
 import numpy as np
 import pytest
-from helpers.between_samples import block_of, front_among, power
+from helpers.between_samples import block_of, bound, front_among, polynomial, power
 from scipy.optimize import brentq
 
 from lmpchain.trajectory.between import hermite
-from lmpchain.trajectory.between.derivatives import STILL, derive, series_of
+from lmpchain.trajectory.between.derivatives import STILL, derive
 
 SAMPLES, FINE = 8, 2000  # and times of the quadrature in an interval between two of them
 KNOTS, WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -53,15 +53,15 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     fields = [np.stack(pair, axis=1) for pair in zip(above, (u[at], v[at]), strict=True)]
     contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
     block = block_of(*fields, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, 1.0)
-    found = series_of(block, derive(block, np.array([2])), 0, 2)
-    bounds = np.empty((2, SAMPLES - 1))
-    path = hermite.path(found, hermite.VELOCITY, 1.0, np.zeros(0), bounds)
-    error = path.error
-    np.testing.assert_allclose(found.a, a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
+    found = derive(block, np.array([2]))[0]
+    path = np.zeros((8, SAMPLES))
+    path[:5] = [u[at], v[at], *found]
+    bound(path, hermite.VELOCITY, 1.0)
+    error = path[hermite.ERROR]
+    np.testing.assert_allclose(found[0], a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
     ratios = np.zeros(3)
     for i in range(1, SAMPLES - 2):
-        hermite.polynomial(path, i)
-        part = power(path.c)
+        part = power(polynomial(path, hermite.VELOCITY, 1.0, i)[0])
         here = slice(i * FINE, (i + 1) * FINE + 1)
         s = t[here] - i
         rate = np.gradient(a[here], 1 / FINE)

@@ -7,12 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from helpers.between_samples import front_among, path_of, peak_of
+from helpers.between_samples import direct, followed, front_among, peak_of
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
 from lmpchain.trajectory.between import fronts, hermite, maxima
 
+earlier = direct(fronts._earlier)
 RNG = np.random.default_rng(12)
 KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
 H = 0.125
@@ -174,7 +175,7 @@ def span(curve: Polynomial, level: float, top: float) -> float:
 
 
 SINGLE = Polynomial([0, 0, 1]) * Polynomial([1, -1]) ** 3  # it is largest at 0.4
-MOTIONS = [(hermite.VELOCITY, 1.0), (hermite.DISPLACEMENT, -1.0), (hermite.RAISED, 1.0)]
+MOTIONS = [(hermite.VELOCITY, 1.0), (hermite.DISPLACEMENT, -1.0)]
 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
@@ -508,16 +509,12 @@ def test_shoulders_of_a_rise_are_where_its_slope_is_least():
             1 + 0.2 * RNG.normal() * Polynomial([-0.5, 1])
         )
         curve = RNG.choice([-1, 1]) * (turning.integ() + 0.2)
-        p = path_of(motion_of(curve.integ()), hermite.VELOCITY, H)
-        latest = maxima.events_of(np.array([curve(0.0)]))
-        log = maxima.Log(maxima.events_of(np.zeros(0)), 0)
-        log = maxima.follow(p, maxima.Window(0, 0, SAMPLES - 1), maxima.lowest(1), latest, 0, log)
+        _, _, log = followed(motion_of(curve.integ()), hermite.VELOCITY, H, None, abs(curve(0.0)))
         slope = np.sign(curve(0.5)) * curve.deriv()
         flat = slope.deriv().roots()
         flat = flat[np.abs(flat.imag) < 1e-9].real
         flat = flat[(flat > 0) & (flat < 1) & (slope.deriv(2)(flat) > 0)]
-        events = log.events[: log.used]
-        events = events[events["kind"] == maxima.SHOULDER]
+        events = log[log["kind"] == maxima.SHOULDER]
         assert events["when"] == pytest.approx(flat, rel=1e-7)
         seen += flat.size
         for event, place in zip(events, flat, strict=True):
@@ -526,10 +523,10 @@ def test_shoulders_of_a_rise_are_where_its_slope_is_least():
             assert event["bend"] == pytest.approx(slope.deriv(2)(place), rel=1e-6)
             allowed = 4 * slope(place)  # of the slope: with it the rise may turn before
             rules = fronts.Rules(0.3, allowed, 0.0, 1.0, H, 1.0)
-            begin, height = fronts._earlier(log.events[: log.used], 1.0, 0.0, 0.0, rules)
+            begin, height = earlier(log, 1.0, 0.0, 0.0, rules)
             parabola = place - np.sqrt(6 * slope(place) / slope.deriv(2)(place))
             assert begin == pytest.approx(max(parabola, 0.0), abs=1e-6)
             assert height == pytest.approx(abs(curve(place)), rel=1e-9)
             rules = fronts.Rules(0.3, 0.99 * slope(place), 0.0, 1.0, H, 1.0)
-            assert fronts._earlier(log.events[: log.used], 1.0, 0.0, 0.0, rules) == (1.0, 0.0)
+            assert earlier(log, 1.0, 0.0, 0.0, rules) == (1.0, 0.0)
     assert seen > 20

@@ -7,7 +7,7 @@ import pytest
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
-from lmpchain.trajectory.between import maxima
+from lmpchain.trajectory.between import hermite, maxima
 from lmpchain.trajectory.between.derivatives import (
     ChainForces,
     ImposedSamples,
@@ -39,10 +39,10 @@ class Gathered:
         self.position = position
         self.wall = wall
         self.off = off
-        self.far, self.fast = (maxima.lowest(1, low) for _ in range(2))
-        self.closest = maxima.lowest(1, -np.inf)
+        self.far, self.fast = np.full((2, 3, 1), low)
+        self.closest = np.full((3, 1), -np.inf)
         self.latest = maxima.events_of(position[1, :1])
-        self.log = maxima.Log(maxima.events_of(np.zeros(0)), 0)
+        self.log = maxima.events_of(np.zeros(0))
 
     def take(self, begin: int, end: int) -> None:
         """Take in some intervals, with no more samples than these need."""
@@ -59,16 +59,23 @@ class Gathered:
         grains = np.array([1])
         window = maxima.Window(base, begin - base, end - base)
         derived = derive(block, grains)
+        kinds = (hermite.DISPLACEMENT, hermite.VELOCITY)
         self.log = maxima.reduce(
-            block, grains, derived, np.zeros((1, 0)), window, (self.far, self.fast), self.latest,
+            block,
+            maxima.table_of(grains, kinds, [0]),
+            derived,
+            np.zeros((1, 0)),
+            window,
+            (self.far, self.fast, self.closest),
+            hermite.VELOCITY,
+            self.latest,
             self.log,
-        )  # fmt: skip
-        maxima.approach(block, 0, derived, (-1, 0), np.zeros(0), window, self.closest)
+        )
 
     def maxima(self) -> np.ndarray:
         """Return those that larger ones followed, and the last."""
-        events = self.log.events[: self.log.used]
-        return np.concatenate([events[events["kind"] == maxima.MAXIMUM], self.latest])
+        logged = self.log[self.log["kind"] == maxima.MAXIMUM]
+        return np.concatenate([logged, self.latest])
 
 
 def samples_of(curve: Polynomial) -> np.ndarray:
@@ -134,8 +141,8 @@ def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int)
     for low, seen in ((1 - 1e-9, True), (1 + 1e-9, False)):
         kept = Gathered(samples_of(curve.integ()), np.zeros((4, SAMPLES)), low=low)
         kept.take(0, FINAL)
-        assert (max(kept.fast.value[0], kept.fast.high[0]) > low) == seen
-        assert kept.fast.value[0] <= 1 + 1e-12 or not seen
+        assert (max(kept.fast[maxima.VALUE, 0], kept.fast[maxima.HIGH, 0]) > low) == seen
+        assert kept.fast[maxima.VALUE, 0] <= 1 + 1e-12 or not seen
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -165,7 +172,7 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
         6 - 6 * 30,
     ]
     top = Polynomial(powers)(np.linspace(0, 1, 10_001)).max()
-    assert kept.fast.value[0] == pytest.approx(top, rel=1e-6)
+    assert kept.fast[maxima.VALUE, 0] == pytest.approx(top, rel=1e-6)
 
 
 def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:

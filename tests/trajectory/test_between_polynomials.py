@@ -4,20 +4,32 @@ import math
 
 import numpy as np
 import pytest
-from helpers.between_samples import bernstein, block_of, path_of, power
+from helpers.between_samples import (
+    bernstein,
+    block_of,
+    direct,
+    path_of,
+    polynomial,
+    power,
+    roots,
+    slope,
+    value,
+)
 from numpy.polynomial import Polynomial
 from scipy.interpolate import KroghInterpolator
 
-from lmpchain.trajectory.between import hermite
+from lmpchain.trajectory.between import hermite, maxima
 from lmpchain.trajectory.between.derivatives import (
     OPENINGS,
     STILL,
     ImposedSamples,
     by_body,
     derive,
-    series_of,
 )
 
+highest = direct(hermite.highest)
+sure_bend = direct(maxima.sure_bend)
+fill_path = direct(maxima.fill_path)
 RNG = np.random.default_rng(8)
 KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
 H = 0.7
@@ -87,14 +99,16 @@ def test_a_velocity_of_degree_six_is_exact_between_samples(kind: int):
     p = path_of(values, kind, H)
     looked_at = position.deriv() if kind == hermite.VELOCITY else position
     for i in range(3):
-        hermite.polynomial(p, i)
+        c, d = polynomial(p, kind, H, i)
         exact = looked_at(Polynomial([t[i], H]))
         scale = 1e-12 * np.abs(exact.coef).max()
-        np.testing.assert_allclose((power(p.c) - exact).coef, 0, rtol=0, atol=scale)
-        np.testing.assert_allclose((power(p.d) - exact.deriv()).coef, 0, rtol=0, atol=10 * scale)
+        np.testing.assert_allclose((power(c) - exact).coef, 0, rtol=0, atol=scale)
+        np.testing.assert_allclose((power(d) - exact.deriv()).coef, 0, rtol=0, atol=10 * scale)
         for s in (0.0, 0.3, 1.0):
-            assert hermite.value(p.c, s) == pytest.approx(exact(s), rel=1e-11)
-            assert hermite.slope(p.c, s) == pytest.approx(exact.deriv()(s), rel=1e-10)
+            assert value(c, c.size, s) == pytest.approx(exact(s), rel=1e-11)
+            assert slope(c, c.size, s, hermite.scratch()) == pytest.approx(
+                exact.deriv()(s), rel=1e-10
+            )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -103,14 +117,15 @@ def test_errors_follow_from_the_misfit_of_the_way_and_of_the_acceleration(kind: 
         values = RNG.normal(size=(5, 6)) * [[1], [1], [1], [1], [0.1]]
         values[4] = np.abs(values[4])
         p = path_of(values, kind, H)
-        np.testing.assert_allclose(p.error, errors(values, kind), rtol=1e-11, atol=0)
+        np.testing.assert_allclose(p[hermite.ERROR, :-1], errors(values, kind), rtol=1e-11, atol=0)
         for i in range(5):
-            hermite.polynomial(p, i)
+            c, _ = polynomial(p, kind, H, i)
             exact = between(values, i, kind)
             scale = 1e-11 * np.abs(exact.coef).max()
-            np.testing.assert_allclose((power(p.c) - exact).coef, 0, rtol=0, atol=scale)
-            size = exact(DENSE) if kind == hermite.RAISED else np.abs(exact(DENSE))
-            assert size.max() <= p.reach[i] + 1e-12 * abs(p.reach[i])
+            np.testing.assert_allclose((power(c) - exact).coef, 0, rtol=0, atol=scale)
+            assert np.abs(exact(DENSE)).max() <= p[hermite.REACH, i] + 1e-12 * abs(
+                p[hermite.REACH, i]
+            )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -125,9 +140,9 @@ def test_the_quick_bound_is_close_where_samples_are(kind: int):
     p = path_of(np.array([*swing, 0 * t]), kind, H)
     for i in range(5):
         exact = between(np.array([*swing, 0 * t]), i, kind)(DENSE)
-        top = exact.max() if kind == hermite.RAISED else np.abs(exact).max()
-        assert top <= p.reach[i] + 1e-12 * abs(p.reach[i])
-        assert p.reach[i] <= top + 0.01 * omega ** (kind == hermite.VELOCITY)
+        top = np.abs(exact).max()
+        assert top <= p[hermite.REACH, i] + 1e-12 * abs(p[hermite.REACH, i])
+        assert p[hermite.REACH, i] <= top + 0.01 * omega ** (kind == hermite.VELOCITY)
 
 
 def test_factors_of_errors_are_those_of_the_shape_of_a_misfit():
@@ -143,17 +158,17 @@ def test_factors_of_errors_are_those_of_the_shape_of_a_misfit():
 
 
 def test_a_curvature_is_sure_beyond_the_errors_and_rounding():
-    p = path_of(np.zeros((5, 4)), hermite.VELOCITY, H)
     curve = Polynomial([1.0, 0.3, -2.0, 0.7, 0.1, -0.4, 0.2])
-    p.d[:] = bernstein(curve.deriv(), 5)
+    slopes = bernstein(curve.deriv(), 5)
     # of the largest curvature of a misfit, twice, and the largest misfit
     ratio = 2 * 52.5 / SHAPE(0.5)
     for s in (0.0, 0.4, 1.0):
         bend = abs(curve.deriv(2)(s))
-        assert hermite.sure_bend(p, s, 0.0, 0.01) == pytest.approx(bend - ratio * 0.01, rel=1e-12)
+        found = sure_bend(slopes, 6, s, 0.0, 0.01, hermite.scratch())
+        assert found == pytest.approx(bend - ratio * 0.01, rel=1e-12)
     for size, sure in ((0.95e-9, False), (1.05e-9, True)):  # of a value of 1: less is rounding
-        p.d[:] = bernstein(Polynomial([0, size]), 5)
-        assert (hermite.sure_bend(p, 0.5, 1.0, 0.0) > 0) == sure
+        slopes = bernstein(Polynomial([0, size]), 5)
+        assert (sure_bend(slopes, 6, 0.5, 1.0, 0.0, hermite.scratch()) > 0) == sure
 
 
 def test_the_largest_of_values_counts_both_ends_and_signs():
@@ -165,8 +180,8 @@ def test_the_largest_of_values_counts_both_ends_and_signs():
         (-values, hermite.RAISED, 5.0),
         (np.array([1.0, 4.0, 2.0]), hermite.VELOCITY, 4.0),
     ):
-        assert hermite.highest(order, 0, 3, kind) == top
-    assert hermite.highest(values, 1, 2, hermite.RAISED) == 1.0
+        assert highest(order, 0, 3, kind) == top
+    assert highest(values, 1, 2, hermite.RAISED) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -179,9 +194,9 @@ def test_every_turn_of_a_polynomial_is_found_in_order(places: list[float], sign:
         math.prod((Polynomial([-place, 1]) for place in places), start=Polynomial([1.3, -0.4]))
         * sign
     )
-    found = np.zeros(8)
-    assert hermite.roots(bernstein(turning, 6), found) == len(places)
-    assert found[: len(places)] == pytest.approx(places, rel=0, abs=2e-11)
+    found = roots(bernstein(turning, 6))
+    assert found.size == len(places)
+    assert found == pytest.approx(places, rel=0, abs=2e-11)
 
 
 def test_close_turns_beside_a_steep_jerk_are_found():
@@ -197,11 +212,10 @@ def test_close_turns_beside_a_steep_jerk_are_found():
         true = np.sort(zeros[(zeros > 0) & (zeros < 1)])
         if np.diff(np.sort(zeros)).min() < 3e-2 * width:
             continue  # too close for the coefficients of a polynomial in double precision
-        places = np.zeros(8)
-        count = hermite.roots(bernstein(shape, 5), places)
-        assert count == true.size
-        assert places[:count] == pytest.approx(true, abs=1e-6)
-        several += count > 2
+        places = roots(bernstein(shape, 5))
+        assert places.size == true.size
+        assert places == pytest.approx(true, abs=1e-6)
+        several += places.size > 2
     assert several > 200
 
 
@@ -218,8 +232,8 @@ def test_close_turns_beside_a_steep_jerk_are_found():
 )
 def test_a_level_is_found_to_all_digits(curve: Polynomial, level: float, place: float, sign: int):
     multiple = 1e-4 if level == 0.0 else 1e-12  # of a root of third order
-    places = np.zeros(8)
-    assert hermite.roots(bernstein(sign * (curve - level), 6), places) == 1
+    places = roots(bernstein(sign * (curve - level), 6))
+    assert places.size == 1
     assert places[0] == pytest.approx(place, rel=0, abs=multiple)
 
 
@@ -291,7 +305,7 @@ def test_accelerations_and_jerks_are_those_of_the_forces(
     columns = np.array([3, 0, 5, 1, 4])
     inverse_mass = RNG.uniform(0.5, 2, 5)
     block = block_of(u, v, [STILL, *columns, STILL], contacts, inverse_mass, exponent, linear, H)
-    a, j, doubt = derive(block, np.arange(1, 6))[:5].transpose(1, 0, 2)
+    a, j, doubt = derive(block, np.arange(1, 6)).transpose(1, 0, 2)
     x = u[:, columns]
     w = v[:, columns]
     r, closing = (-np.diff(y, axis=1, prepend=0, append=0) for y in (x, w))
@@ -319,7 +333,7 @@ def test_a_weak_wave_keeps_its_digits(exponent: float):
     contacts = chain_contacts(exponent, [True] * 3, [True] * 3)
     u, v = 1e-8 * RNG.normal(size=(2, 5, 2))
     block = block_of(u, v, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, H)
-    a = derive(block, np.array([1, 2]))[:2, 0]
+    a = derive(block, np.array([1, 2]))[:, 0]
     _, force, overlap = contacts
     s = -np.diff(u, axis=1, prepend=0, append=0) / overlap
     change = force * exponent * s * (1 + (exponent - 1) / 2 * s)
@@ -402,13 +416,15 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(
     rate = rate.astype(float)
     weights = np.append(0, np.append(inverse_mass, 0))
     for n in range(6):
-        found = series_of(block, derived, n - 1 if 0 < n < 5 else -1, n)
+        path = np.zeros((8, 6))
+        fill_path(path, block, derived, n, n - 1 if 0 < n < 5 else maxima.AT_REST, maxima.ALONE)
+        found = path[:4]
         if n == 5:
-            assert not any(field.any() for field in found)
+            assert not path.any()
             continue
         if n == 0:
-            np.testing.assert_array_equal(found[:4], wall)
-            np.testing.assert_array_equal(found.doubt, unsure)
+            np.testing.assert_array_equal(found, wall)
+            np.testing.assert_array_equal(path[hermite.DOUBT], unsure)
             continue
         mass = inverse_mass[n - 1]
         a, j = ((q[:, n - 1] - q[:, n]) * mass for q in (change, rate))
@@ -427,5 +443,5 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(
             j = j + given[1]
             off = np.maximum(off, unsure)
         expected = np.array([u[:, n - 1], v[:, n - 1], a, j])
-        np.testing.assert_allclose(found[:4], expected, rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(found.doubt[:-1], off[:-1], rtol=1e-11, atol=0)
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(path[hermite.DOUBT, :-1], off[:-1], rtol=1e-11, atol=0)

@@ -13,7 +13,7 @@ from ...integrators.batch import parameter_rows
 from ...integrators.kernels.contact_forces import Form, addresses, change_in_time
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
+from ...util.compilation import Ingredient, compiled_once
 from ...util.lazy import listed
 
 __dir__ = listed(__name__)
@@ -23,9 +23,9 @@ NEWS = "the measures", 20  # topic and seconds of the compilation
 STILL = -1
 UNKNOWN = -2
 # a division by 0 gives infinity, as in numpy, and no branch that would keep loops from vectors
-compiled = numba.njit(error_model="numpy")
+compiled = numba.njit(error_model="numpy", pipeline_class=Ingredient)
 # for functions that take records of arrays, whose copies would cost more than the work
-joined = numba.njit(error_model="numpy", forceinline=True)
+joined = numba.njit(error_model="numpy", forceinline=True, pipeline_class=Ingredient)
 
 
 class OpeningErrors(NamedTuple):
@@ -123,16 +123,6 @@ class SampledBlock(NamedTuple):
     h: float
     law: ChainForces
     imposed: ImposedSamples
-
-
-class BodySeries(NamedTuple):
-    """Motion of a body at R samples; `doubt` is the error of its acceleration behind each."""
-
-    u: Array
-    v: Array
-    a: Array
-    j: Array
-    doubt: Array
 
 
 def law_of(chain: Chain, linear: bool) -> ChainForces:
@@ -420,7 +410,8 @@ def _differentiate(u, v, h, rows):
     last = u.size - 1
     # fewer than four samples have no second quintic to compare with
     if last < 3:
-        doubt[:] = math.inf
+        for i in range(last + 1):
+            doubt[i] = math.inf
         return
     for i in range(last + 1):
         k = min(max(i, 1), last - 1)
@@ -435,38 +426,27 @@ def _differentiate(u, v, h, rows):
         doubt[i] = max(doubt[i], doubt[i + 1])
 
 
-@compiled
-def series_of(block, derived, place, n):
-    """Return the motion of body n; its derivatives are in a row of `derived`, or 0."""
-    imposed = block.imposed
-    # body 0 is the top wall, whose motion is imposed
-    if n == 0:
-        return BodySeries(
-            imposed.wall[0], imposed.wall[1], imposed.wall[2], imposed.wall[3], imposed.doubt
-        )
-    rows = derived[place] if place >= 0 else derived[derived.shape[0] - 1]
-    u, v = _motion(block, n, rows[0])
-    return BodySeries(u, v, rows[0], rows[1], rows[2])
-
-
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def derive(block, grains):
-    """Return accelerations, jerks and errors of the accelerations of G grains, (G+1, 3, R).
-
-    The last row is 0, for bodies at rest.
+def derive(block: SampledBlock, grains: np.ndarray) -> Array:
+    """Return accelerations, jerks and errors of the accelerations of G grains, (G, 3, R).
 
     Parameters
     ----------
-    block : Block
+    block : SampledBlock
     grains : (G,) array
         Their numbers.
     """
+    derived = np.zeros((grains.size, 3, block.u.shape[1]))
+    _fill_derived(
+        block, grains, np.full(block.column.size, -1), derived, np.zeros((5, *derived.shape[2:]))
+    )
+    return derived
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def _fill_derived(block, grains, row, derived, work):
+    """Fill in what `derive` returns; `row` is -1 for each body, and becomes its row in that."""
     law = block.law
     imposed = block.imposed
-    derived = np.zeros((grains.size + 1, 3, block.u.shape[1]))
-    work = np.zeros((5, block.u.shape[1]))
-    # rows of the bodies that contacts accelerate
-    row = np.full(block.column.size, -1)
     for g in range(grains.size):
         n = grains[g]
         if not block.lawful[n]:
@@ -475,8 +455,10 @@ def derive(block, grains):
         if law.inverse_mass[n - 1] > 0.0 and not (n == imposed.grain and imposed.driven):
             row[n] = g
         if n == imposed.grain:
-            derived[g, :2] = imposed.acceleration
-            derived[g, 2] = imposed.doubt
+            for i in range(derived.shape[2]):
+                derived[g, 0, i] = imposed.acceleration[0, i]
+                derived[g, 1, i] = imposed.acceleration[1, i]
+                derived[g, 2, i] = imposed.doubt[i]
     # contact by contact, so that each force is computed once for its two bodies
     for contact in range(row.size - 1):
         above = row[contact]
@@ -490,4 +472,3 @@ def derive(block, grains):
         if below >= 0:
             share = law.inverse_mass[contact]
             _accelerate(block, contact, near, share, derived[below], work)
-    return derived

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .derivatives import NEWS, compiled, series_of
-from .hermite import FLAT, highest, path, polynomial, roots, sampled
-from .maxima import EVENT, HIDDEN, MAXIMUM, SHOULDER, Largest, Log, Window, follow, hidden
+from .derivatives import NEWS, SampledBlock, compiled
+from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch, value
+from .maxima import ALONE, EVENT, HIDDEN, HIGH, LOW, MAXIMUM, SHOULDER, VALUE, fill_path
 
 SMALLEST = sys.float_info.min  # maximum that has all of its digits
 
@@ -41,14 +42,6 @@ class Rules(NamedTuple):
     duration: float
 
 
-class Peak(NamedTuple):
-    """Largest size of a grain, and the bounds between which it lies."""
-
-    value: float
-    low: float
-    high: float
-
-
 @compiled
 def _first(events, lowest, fall, share):
     """Return the first maximum of a size that falls by so much and a share of its error, or -1."""
@@ -64,7 +57,7 @@ def _first(events, lowest, fall, share):
 
 
 @compiled
-def choose(events, largest, start, rules):
+def _choose(events, largest, start, rules):
     """Return which event of a grain is its front, or -1; `start` is the size at t = 0."""
     enough = rules.fraction * largest
     if largest <= rules.error or largest < SMALLEST or start >= enough:
@@ -74,7 +67,7 @@ def choose(events, largest, start, rules):
 
 
 @compiled
-def spread(event, rules):
+def _spread(event, rules):
     """Return the error of the time of a maximum by the errors of its slope, or of its height."""
     top = abs(event.height)
     # errors of slope and curvature that an error of the highest frequency has
@@ -115,7 +108,7 @@ def _earlier(events, when, lowest, late, rules):
 
 
 @compiled
-def doubt_choice(events, at, late, peak, rules):
+def _doubt_choice(events, at, late, largest, rules):
     """Return the errors of time and height of a front, for other maxima may be the front.
 
     Parameters
@@ -126,7 +119,8 @@ def doubt_choice(events, at, late, peak, rules):
         Which of them is the front.
     late : float
         Least error of its time, s.
-    peak : Peak
+    largest : (3,) array
+        The largest size, and the bounds between which it lies.
     rules : Rules
 
     Returns
@@ -138,10 +132,10 @@ def doubt_choice(events, at, late, peak, rules):
     when = front.when
     top = abs(front.height)
     off = front.off + rules.error
-    enough = rules.fraction * peak.value
+    enough = rules.fraction * largest[VALUE]
     # what a front has at least, if all errors lie on one side or on the other
-    lower = rules.fraction * (peak.low - rules.error) - off
-    upper = rules.fraction * (peak.high + rules.error) + off
+    lower = rules.fraction * (largest[LOW] - rules.error) - off
+    upper = rules.fraction * (largest[HIGH] + rules.error) + off
     apart = 0.0
     # the rise may have turned before
     begin, height = _earlier(events, when, lower, late, rules)
@@ -159,109 +153,148 @@ def doubt_choice(events, at, late, peak, rules):
     if top < upper or top - front.since <= fall + 2.0 * front.off:
         other = _first(events, upper, fall, 2.0)
         late = max(late, abs(events[other].when - when) if other >= 0 else end)
-        apart = max(apart, abs(abs(events[other].height) - top) if other >= 0 else peak.high)
+        apart = max(apart, abs(abs(events[other].height) - top) if other >= 0 else largest[HIGH])
     for k in range(events.size):
         event = events[k]
         if event.kind == HIDDEN and event.when <= when and event.height >= enough:
-            apart = peak.high
+            apart = largest[HIGH]
             late = max(late, when - event.when, event.until - when if top >= upper else end)
     return late, apart
 
 
+@compiled
+def _events_of_grain(events, begin, latest, few):
+    """Fill in the events of a grain, from one of all on, and its latest; return their number."""
+    count = 0
+    while begin + count < events.size and events[begin + count].grain == latest.grain:
+        few[count] = events[begin + count]
+        count += 1
+    few[count] = latest
+    return count + 1
+
+
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def arrivals(events, bounds, peaks, start, rules):
+def _fill_arrivals(events, latest, largest, start, rules, few, out):
+    """Fill in what `arrivals` returns."""
+    begin = 0
+    for g in range(latest.size):
+        count = _events_of_grain(events, begin, latest[g], few)
+        begin += count - 1
+        of_grain = few[:count]
+        at = _choose(of_grain, largest[g, VALUE], start[g], rules)
+        if at >= 0:
+            late = _spread(of_grain[at], rules)
+            late, _ = _doubt_choice(of_grain, at, late, largest[g], rules)
+            out[0, g] = of_grain[at].when
+            out[1, g] = late
+
+
+def arrivals(
+    events: np.ndarray, latest: np.ndarray, largest: Array, start: Array, rules: Rules
+) -> Array:
     """Return when the front passes each of G grains, and the error of that, (2, G) s.
 
     Both are NaN where none passes.
 
     Parameters
     ----------
-    events : (E,) array of EVENT
-        Sorted by grain.
-    bounds : (G+1,) array
-        Where those of each grain begin.
-    peaks : Largest
-        Sizes.
+    events, latest : (E,) and (G,) arrays of EVENT
+        See `maxima.reduce`; the first are sorted by grain.
+    largest : (3, G) array
+        Largest sizes.
     start : (G,) array
         Sizes at t = 0.
     rules : Rules
     """
-    out = np.full((2, start.size), np.nan)
-    for g in range(start.size):
-        of_grain = events[bounds[g] : bounds[g + 1]]
-        at = choose(of_grain, peaks.value[g], start[g], rules)
-        if at >= 0:
-            peak = Peak(peaks.value[g], peaks.low[g], peaks.high[g])
-            late, _ = doubt_choice(of_grain, at, spread(of_grain[at], rules), peak, rules)
-            out[0, g] = of_grain[at].when
-            out[1, g] = late
+    out = np.full((2, latest.size), np.nan)
+    few = np.zeros(events.size + 1, EVENT)
+    _fill_arrivals(events, latest, largest.T.copy(), start, rules, few, out)
     return out
 
 
 @compiled
-def _crossing(p, sign, level, when, step):
-    """Return when sign times the value falls to a level, after a time (step 1) or before it (-1).
+def _crossings(p, kind, front, level, rules, work):
+    """Return when a size has risen to a level before a front, and has fallen to it after the front.
 
-    The largest error of the polynomials on the way comes with it; both are NaN if it does not fall.
+    They are NaN if it does not; the largest error of the polynomials on the way comes with them.
     """
-    last = p.error.size - 1
-    i = min(int(when / p.h), last)
-    here = when / p.h - i
+    when, height, _ = front
+    h = rules.step
+    sign = math.copysign(1.0, height)
+    last = p.shape[1] - 2
+    begin = np.nan
+    end = np.nan
     error = 0.0
-    while 0 <= i <= last:
-        error = max(error, p.error[i])
-        polynomial(p, i)
-        for k in range(p.c.size):
-            p.c[k] = sign * p.c[k] - level
-        count = roots(p.c, p.places)
-        for k in range(count):
-            place = p.places[k if step > 0 else count - 1 - k]
-            if step * (place - here) > 0.0:
-                return (i + place) * p.h, error
-        i += step
-        # in the intervals that follow, any place lies on the way
-        here = -1.0 if step > 0 else 2.0
-    return np.nan, np.nan
-
-
-class FrontPassage(NamedTuple):
-    """Time of a maximum, s, its height with its sign, and the error of that, by the polynomials."""
-
-    when: float
-    height: float
-    off: float
+    for step in range(-1, 2, 2):
+        i = min(int(when / h), last)
+        here = when / h - i
+        crossed = np.nan
+        while 0 <= i <= last and math.isnan(crossed):
+            error = max(error, p[ERROR, i])
+            count = fill_polynomial(p, kind, h, i, work)
+            for k in range(count):
+                work[C, k] = sign * work[C, k] - level
+            found = roots(work[C], count, work[PLACES], work)
+            for k in range(found):
+                place = work[PLACES, k if step > 0 else found - 1 - k]
+                if step * (place - here) > 0.0 and math.isnan(crossed):
+                    crossed = (i + place) * h
+            i += step
+            # in the intervals that follow, any place lies on the way
+            here = -1.0 if step > 0 else 2.0
+        if step < 0:
+            begin = crossed
+        else:
+            end = crossed
+    return begin, end, error
 
 
 @compiled
-def _last_as_large(p, front, rules):
+def _last_as_large(p, kind, front, rules, work):
     """Return how long before or after a maximum the size is the same within its error."""
-    sign = math.copysign(1.0, front.height)
-    level = abs(front.height) - 2.0 * (front.off + rules.error)
-    begin, _ = _crossing(p, sign, level, front.when, -1)
-    end, _ = _crossing(p, sign, level, front.when, 1)
-    before = front.when - begin if math.isfinite(begin) else front.when
-    after = (end if math.isfinite(end) else rules.duration) - front.when
+    when, height, off = front
+    level = abs(height) - 2.0 * (off + rules.error)
+    begin, end, _ = _crossings(p, kind, front, level, rules, work)
+    before = when - begin if math.isfinite(begin) else when
+    after = (end if math.isfinite(end) else rules.duration) - when
     return max(before, after)
 
 
 @compiled
-def _width(p, front, apart, rules):
+def _still_as_large(p, kind, front, late, rules, work):
+    """Return whether a size is the same within its error so long before or after a maximum.
+
+    False also where that time is in another interval.
+    """
+    when, height, off = front
+    h = rules.step
+    i = min(int(when / h), p.shape[1] - 2)
+    count = fill_polynomial(p, kind, h, i, work)
+    level = abs(height) - 2.0 * (off + rules.error)
+    sign = math.copysign(1.0, height)
+    for side in range(-1, 2, 2):
+        s = (when + side * late) / h - i
+        if 0.0 <= s <= 1.0 and sign * value(work[C], count, s) > level:
+            return True
+    return False
+
+
+@compiled
+def _width(p, kind, front, apart, rules, work):
     """Return the full width at half maximum of a front, and its error, s; NaN if unknown."""
-    sign = math.copysign(1.0, front.height)
-    top = abs(front.height)
-    before, one = _crossing(p, sign, top / 2, front.when, -1)
-    after, other = _crossing(p, sign, top / 2, front.when, 1)
+    _, height, off = front
+    half = abs(height) / 2
+    before, after, error = _crossings(p, kind, front, half, rules, work)
     width = after - before
     if not math.isfinite(width):
         return np.nan, np.nan
     # another maximum may be the front, of any width
     if apart > 0.0:
         return width, rules.duration
+    unsure = (3.0 * rules.error + off) / 2 + error
     error = 0.0
-    off = (3.0 * rules.error + front.off) / 2 + max(one, other)
-    for level in (top / 2 - off, top / 2 + off):
-        left, _ = _crossing(p, sign, level, front.when, -1)
-        right, _ = _crossing(p, sign, level, front.when, 1)
+    for side in range(-1, 2, 2):
+        left, right, _ = _crossings(p, kind, front, half + side * unsure, rules, work)
         changed = right - left
         if not math.isfinite(changed):
             return width, rules.duration
@@ -269,81 +302,68 @@ def _width(p, front, apart, rules):
     return width, error
 
 
-@compiled
-def front_of(p, width, rules):
-    """Return time, height and width of the front of a body and their errors, NaN if there is none.
-
-    Parameters
-    ----------
-    p : Path
-    width : bool
-        Whether the width is asked for.
-    rules : Rules
-
-    Returns
-    -------
-    (6,) array
-    """
-    out = np.full(6, np.nan)
-    y = sampled(p)
-    last = p.error.size
-    top = highest(y, 0, last + 1, p.kind)
-    # half of what a front has at least: smaller maxima are none, whatever the errors
-    enough = rules.fraction * max(top - rules.error, 0.0) / 2
-    begin = 0
-    while begin < last and p.reach[begin] + p.error[begin] < enough and hidden(p, begin) < 0.0:
-        begin += 1
-    peaks = Largest(np.full(1, top), np.full(1, top), np.full(1, top))
-    latest = np.zeros(1, EVENT)
-    latest[0].when = begin * p.h
-    latest[0].until = begin * p.h
-    latest[0].height = y[begin]
-    latest[0].since = abs(y[begin])
-    log = follow(p, Window(0, begin, last), peaks, latest, 0, Log(np.empty(0, EVENT), 0))
-    events = np.empty(log.used + 1, EVENT)
-    events[: log.used] = log.events[: log.used]
-    events[log.used] = latest[0]
-    at = choose(events, peaks.value[0], abs(y[0]), rules)
-    if at < 0:
-        return out
-    # copied, for a record does not keep the array of which it is
-    front = FrontPassage(events[at].when, events[at].height, events[at].off)
-    late = min(_last_as_large(p, front, rules), spread(events[at], rules))
-    peak = Peak(peaks.value[0], peaks.low[0], peaks.high[0])
-    late, apart = doubt_choice(events, at, late, peak, rules)
-    out[0] = front.when
-    out[1] = front.height
-    out[3] = late
-    out[4] = max(front.off + rules.error, apart)
-    if width:
-        out[2], out[5] = _width(p, front, apart, rules)
-    return out
-
-
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def fronts(block, grains, derived, ceiling, kind, width, rules):
+def _fill_fronts(
+    block, grains, derived, kind, width, events, latest, largest, start, rules, few, p, work, out
+):
+    """Fill in what `fronts` returns."""
+    begin = 0
+    for g in range(grains.size):
+        count = _events_of_grain(events, begin, latest[g], few)
+        begin += count - 1
+        of_grain = few[:count]
+        at = _choose(of_grain, largest[g, VALUE], start[g], rules)
+        if at < 0:
+            continue
+        fill_path(p, block, derived, grains[g], g, ALONE)
+        bound(p, kind, block.h)
+        event = of_grain[at]
+        front = (event.when, event.height, event.off)
+        late = _spread(event, rules)
+        if not _still_as_large(p, kind, front, late, rules, work):
+            late = min(late, _last_as_large(p, kind, front, rules, work))
+        late, apart = _doubt_choice(of_grain, at, late, largest[g], rules)
+        out[g, 0] = event.when
+        out[g, 1] = event.height
+        out[g, 3] = late
+        out[g, 4] = max(event.off + rules.error, apart)
+        if width:
+            out[g, 2], out[g, 5] = _width(p, kind, front, apart, rules, work)
+
+
+def fronts(
+    block: SampledBlock,
+    grains: np.ndarray,
+    derived: Array,
+    kind: int,
+    width: bool,
+    events: np.ndarray,
+    latest: np.ndarray,
+    largest: Array,
+    start: Array,
+    rules: Rules,
+) -> Array:
     """Return time, height and width of the fronts of G grains and their errors, (G, 6).
 
     Parameters
     ----------
-    block : Block
+    block : SampledBlock
         All samples.
     grains : (G,) array
         Their numbers.
-    derived : (G+1, 3, R) array
+    derived : (G, 3, R) array
         See `derivatives.derive`.
-    ceiling : (G, R-1) or (1, 0) array
-        See `hermite.Path`.
     kind : int
         VELOCITY or DISPLACEMENT.
     width : bool
         Whether the width is asked for.
-    rules : Rules
+    events, latest, largest, start, rules
+        See `arrivals`.
     """
-    bounds = np.empty((2, block.u.shape[1] - 1))
-    out = np.empty((grains.size, 6))
-    for g in range(grains.size):
-        series = series_of(block, derived, g, grains[g])
-        p = path(series, kind, block.h, ceiling[g if ceiling.size else 0], bounds)
-        out[g] = front_of(p, width, rules)
+    out = np.full((grains.size, 6), np.nan)
+    few = np.zeros(events.size + 1, EVENT)
+    path = np.zeros((8, block.u.shape[1]))
+    motion = (block, grains, derived, kind, width)
+    maxima = (events, latest, largest.T.copy(), start, rules)
+    _fill_fronts(*motion, *maxima, few, path, scratch(), out)
     return out

@@ -20,10 +20,19 @@ import numba
 import numpy as np
 
 from ...util.arrays import Array
-from .derivatives import BodySeries, compiled, joined
+from ...util.compilation import Ingredient
+from .derivatives import compiled, joined
 
-# values of interest: |v|, |u|, or u with its sign
-VELOCITY, DISPLACEMENT, RAISED = range(3)
+# Values of interest: |u|, |v|, or u with its sign.
+DISPLACEMENT, VELOCITY, RAISED = range(3)
+# Rows of the path of a body, (8, R): displacement, velocity, acceleration and jerk at R samples; of
+# the interval behind each sample the error of the acceleration, the middle coefficient of the
+# velocity, the error of the polynomial, and a bound on its size.
+U, V, A, J, DOUBT, MIDDLE, ERROR, REACH = range(8)
+# Rows of the scratch array of `follow`: coefficients of a polynomial, of its derivatives, places of
+# roots, and pieces of a polynomial, each with its begin and its width in columns of their own.
+C, D, BEND, STEEP, TURNS, PLACES, PIECES = range(7)
+BEGIN, WIDTH, COLUMNS = 8, 9, 10
 HALVINGS = 40  # of an interval: roots so close are one or none
 # least curvature, over the value, that is no rounding, as it is in free flight
 FLAT = 1e-9
@@ -58,35 +67,10 @@ class Shape(NamedTuple):
 SHAPE = Shape()
 
 
-class BodyPath(NamedTuple):
-    """One body between its samples.
-
-    Attributes
-    ----------
-    series : Series
-    h : float
-        Time between two samples, s.
-    kind : int
-        VELOCITY, DISPLACEMENT or RAISED.
-    ceiling : (R-1,) or (0,) array
-        Bounds on the speed between samples; below 0, or empty, where it follows from the samples.
-    reach, error : (R-1,) arrays
-        Upper bounds on the sizes of the polynomials, and errors of these.
-    c, d : arrays
-        To work in: Bernstein coefficients of a polynomial and of its derivative.
-    places : (8,) array
-        To work in: roots.
-    """
-
-    series: BodySeries
-    h: float
-    kind: int
-    ceiling: Array
-    reach: Array
-    error: Array
-    c: Array
-    d: Array
-    places: Array
+@joined
+def larger(one, other):
+    """Return the larger of two numbers, in one instruction."""
+    return one if one > other else other
 
 
 @joined
@@ -95,14 +79,8 @@ def size(y, kind):
     return y if kind == RAISED else abs(y)
 
 
-@joined
-def larger(one, other):
-    """Return the larger of two numbers, in one instruction."""
-    return one if one > other else other
-
-
 # without NaN and signed zeros the compiler takes the maximum of several numbers at a time
-@numba.njit(error_model="numpy", fastmath={"nnan", "nsz"})
+@numba.njit(error_model="numpy", fastmath={"nnan", "nsz"}, pipeline_class=Ingredient)
 def highest(y, begin, end, kind):
     """Return the largest size of values from one place to before another."""
     top = size(y[begin], kind)
@@ -112,14 +90,8 @@ def highest(y, begin, end, kind):
 
 
 @joined
-def sampled(p):
-    """Return the values at the samples, (R,)."""
-    return p.series.v if p.kind == VELOCITY else p.series.u
-
-
-@joined
-def _velocity(s, i, h):
-    """Return the seven coefficients of the velocity from sample i to the next.
+def _velocity(p, i, h):
+    """Return the coefficients of the velocity from sample i to the next but for the middle one.
 
     c_0 = v_i, c_1 = v_i + h a_i / 6, c_2 = v_i + h a_i / 3 + h^2 j_i / 30, likewise from the other
     end; c_3 follows from (c_0 + ... + c_6) / 7 = (u_{i+1} - u_i) / h.
@@ -127,139 +99,103 @@ def _velocity(s, i, h):
     ======  ===========================================  ====
     symbol  meaning                                      name
     ======  ===========================================  ====
-    u, v    displacement and velocity at the samples     s.u, s.v
-    a, j    acceleration and jerk there                  s.a, s.j
+    u, v    displacement and velocity at the samples     p[U], p[V]
+    a, j    acceleration and jerk there                  p[A], p[J]
     h       time between two samples                     h
     c_k     coefficients in Bernstein form               c1 ... c5
     ======  ===========================================  ====
     """
-    c1 = s.v[i] + h * (1 / 6) * s.a[i]
-    c2 = s.v[i] + h * (1 / 3) * s.a[i] + h * h * (1 / 30) * s.j[i]
-    c4 = s.v[i + 1] - h * (1 / 3) * s.a[i + 1] + h * h * (1 / 30) * s.j[i + 1]
-    c5 = s.v[i + 1] - h * (1 / 6) * s.a[i + 1]
-    # the mean of all seven is the way over h
-    others = s.v[i] + c1 + c2 + c4 + c5 + s.v[i + 1]
-    c3 = (s.u[i + 1] - s.u[i]) * (7 / h) - others
-    return s.v[i], c1, c2, c3, c4, c5, s.v[i + 1]
-
-
-@joined
-def _largest(one, two, three, four):
-    """Return the largest of four numbers."""
-    return larger(larger(one, two), larger(three, four))
+    c1 = p[V, i] + h * (1 / 6) * p[A, i]
+    c2 = p[V, i] + h * (1 / 3) * p[A, i] + h * h * (1 / 30) * p[J, i]
+    c4 = p[V, i + 1] - h * (1 / 3) * p[A, i + 1] + h * h * (1 / 30) * p[J, i + 1]
+    c5 = p[V, i + 1] - h * (1 / 6) * p[A, i + 1]
+    return c1, c2, c4, c5
 
 
 @compiled
-def _fill_errors(series, h, error):
-    """Fill in errors of the velocity behind each sample; loops so short become vectors."""
-    v = series.v
-    a = series.a
-    j = series.j
-    for i in range(error.size):
-        c3 = _velocity(series, i, h)[3]
+def bound(p, kind, h):
+    """Fill in middle coefficients, errors and bounds on sizes, as loops that become vectors."""
+    last = p.shape[1] - 1
+    for i in range(last):
+        c1, c2, c4, c5 = _velocity(p, i, h)
+        # the mean of all seven is the way over h
+        others = p[V, i] + c1 + c2 + c4 + c5 + p[V, i + 1]
+        p[MIDDLE, i] = (p[U, i + 1] - p[U, i]) * (7 / h) - others
+    # the integral of the shape is 1: a displacement is off by h / height times as much
+    factor = 1.0 if kind == VELOCITY else h / SHAPE.height
+    for i in range(last):
         # the middle coefficient of the quintic through v, a and j alone, raised by one degree
-        quintic = (v[i] + v[i + 1]) / 2 + h * (1 / 5) * (a[i] - a[i + 1])
-        quintic += h * h * (1 / 40) * (j[i] + j[i + 1])
-        error[i] = SHAPE.safety * SHAPE.height / 7 * abs(c3 - quintic)
-    for i in range(error.size):
-        error[i] += SHAPE.push * h * series.doubt[i]
-    last = error.size - 1
-    before = error[0]
+        quintic = (p[V, i] + p[V, i + 1]) / 2 + h * (1 / 5) * (p[A, i] - p[A, i + 1])
+        quintic += h * h * (1 / 40) * (p[J, i] + p[J, i + 1])
+        missed = SHAPE.safety * SHAPE.height / 7 * abs(p[MIDDLE, i] - quintic)
+        p[ERROR, i] = factor * (missed + SHAPE.push * h * p[DOUBT, i])
+    before = p[ERROR, 0]
     # a misfit may vanish by chance: its neighbours count, too
-    for i in range(error.size):
-        here = error[i]
-        error[i] = larger(larger(before, here), error[min(i + 1, last)])
+    for i in range(last):
+        here = p[ERROR, i]
+        p[ERROR, i] = larger(larger(before, here), p[ERROR, min(i + 1, last - 1)])
         before = here
-
-
-@compiled
-def _bound_speeds(series, h, reach):
-    """Fill in upper bounds on speeds behind each sample."""
-    for i in range(reach.size):
-        c0, c1, c2, c3, c4, c5, c6 = _velocity(series, i, h)
-        inner = _largest(abs(c1), abs(c2), abs(c3), larger(abs(c4), abs(c5)))
-        reach[i] = larger(inner, larger(abs(c0), abs(c6)))
-
-
-@compiled
-def _bound_displacements(series, h, kind, reach):
-    """Fill in upper bounds on sizes of displacements behind each sample."""
-    u = series.u
+    if kind == VELOCITY:
+        for i in range(last):
+            c1, c2, c4, c5 = _velocity(p, i, h)
+            inner = larger(larger(abs(c1), abs(c2)), larger(abs(c4), abs(c5)))
+            ends = larger(abs(p[V, i]), abs(p[V, i + 1]))
+            p[REACH, i] = larger(larger(inner, abs(p[MIDDLE, i])), ends)
+        return
     w = h * (1 / 7)
-    for i in range(reach.size):
-        c0, c1, c2, c3, c4, c5, _ = _velocity(series, i, h)
-        # each coefficient of the displacement adds one of the velocity; the last is u[i + 1]
-        d1 = u[i] + w * c0
+    for i in range(last):
+        c1, c2, c4, c5 = _velocity(p, i, h)
+        # each coefficient of the displacement adds one of the velocity; the last is that of the end
+        d1 = p[U, i] + w * p[V, i]
         d2 = d1 + w * c1
         d3 = d2 + w * c2
-        d4 = d3 + w * c3
+        d4 = d3 + w * p[MIDDLE, i]
         d5 = d4 + w * c4
         d6 = d5 + w * c5
-        top = larger(_largest(u[i], d1, d2, d3), _largest(d4, d5, d6, u[i + 1]))
-        low = larger(_largest(-u[i], -d1, -d2, -d3), _largest(-d4, -d5, -d6, -u[i + 1]))
-        reach[i] = larger(top, low if kind == DISPLACEMENT else top)
-
-
-@joined
-def path(series, kind, h, ceiling, bounds):
-    """Return a body between its samples, a `BodyPath`; `bounds` is (2, R-1)."""
-    reach, error = bounds
-    _fill_errors(series, h, error)
-    if kind == VELOCITY:
-        _bound_speeds(series, h, reach)
-    else:
-        _bound_displacements(series, h, kind, reach)
-        # the integral of the shape is 1: the displacement is off by h / height times as much
-        for i in range(error.size):
-            error[i] *= h / SHAPE.height
-    degree = 6 if kind == VELOCITY else 7
-    c = np.empty(degree + 1)
-    return BodyPath(series, h, kind, ceiling, reach, error, c, np.empty(degree), np.empty(8))
-
-
-@joined
-def turns_or_slows(p, i):
-    """Return whether a polynomial may turn behind sample i, or rise slower and then faster."""
-    s = p.series
-    c0, c1, c2, c3, c4, c5, c6 = _velocity(s, i, p.h)
-    bends = s.a
-    if p.kind == VELOCITY:
-        # the six differences are the coefficients of its derivative; c0 repeats one of them
-        c6 -= c5
-        c5 -= c4
-        c4 -= c3
-        c3 -= c2
-        c2 -= c1
-        c1 -= c0
-        c0 = c1
-        bends = s.j
-    top = larger(_largest(c0, c1, c2, c3), _largest(c4, c5, c6, c6))
-    low = larger(_largest(-c0, -c1, -c2, -c3), _largest(-c4, -c5, -c6, -c6))
-    # a derivative of one sign turns nowhere; it slows and then speeds up if its own slope says so
-    if top >= low:
-        return low > 0.0 or bends[i] < 0.0 < bends[i + 1]
-    return top > 0.0 or bends[i] > 0.0 > bends[i + 1]
-
-
-@joined
-def polynomial(p, i):
-    """Fill p.c and p.d with the polynomial from sample i to the next and its derivative."""
-    v = p.c if p.kind == VELOCITY else p.d
-    v[0], v[1], v[2], v[3], v[4], v[5], v[6] = _velocity(p.series, i, p.h)
-    if p.kind == VELOCITY:
-        for k in range(6):
-            p.d[k] = 6 * (v[k + 1] - v[k])
-    else:
-        p.c[0] = p.series.u[i]
-        for k in range(7):
-            v[k] *= p.h
-            p.c[k + 1] = p.c[k] + v[k] * (1 / 7)
+        inner = larger(larger(abs(d1), abs(d2)), larger(abs(d3), abs(d4)))
+        ends = larger(abs(p[U, i]), abs(p[U, i + 1]))
+        p[REACH, i] = larger(larger(inner, ends), larger(abs(d5), abs(d6)))
 
 
 @compiled
-def value(c, s):
-    """Return a polynomial at a place."""
-    degree = c.size - 1
+def differentiate(c, count, out):
+    """Fill in the coefficients of the derivative of a polynomial with so many coefficients."""
+    for k in range(count - 1):
+        out[k] = (count - 1) * (c[k + 1] - c[k])
+
+
+@compiled
+def fill_polynomial(p, kind, h, i, work):
+    """Fill in a polynomial from sample i to the next and its derivative; return its coefficients.
+
+    Returned is how many coefficients the polynomial has.
+    """
+    c = work[C]
+    c1, c2, c4, c5 = _velocity(p, i, h)
+    c[0] = p[V, i]
+    c[1] = c1
+    c[2] = c2
+    c[3] = p[MIDDLE, i]
+    c[4] = c4
+    c[5] = c5
+    c[6] = p[V, i + 1]
+    if kind == VELOCITY:
+        differentiate(c, 7, work[D])
+        return 7
+    y = p[U, i]
+    for k in range(7):
+        speed = h * c[k]
+        work[D, k] = speed
+        c[k] = y
+        y += speed * (1 / 7)
+    c[7] = y
+    return 8
+
+
+@compiled
+def value(c, count, s):
+    """Return a polynomial with so many coefficients at a place."""
+    degree = count - 1
     power = s
     y = c[0] * (1 - s)
     for k in range(1, degree):
@@ -269,50 +205,37 @@ def value(c, s):
 
 
 @compiled
-def slope(c, s):
-    """Return the derivative of a polynomial at a place."""
-    return (c.size - 1) * value(c[1:] - c[:-1], s)
-
-
-@joined
-def sure_bend(p, s, top, error):
-    """Return h^2 times the least curvature at a place, for value and error there; 0 if unsure."""
-    return larger(abs(slope(p.d, s)) - SHAPE.curvature * error - FLAT * top, 0.0)
-
-
-@compiled
-def _changes(c):
+def _changes(c, count):
     """Return how often coefficients change sign; 0 counts as positive."""
-    count = 0
-    for k in range(1, c.size):
-        count += (c[k] < 0.0) != (c[k - 1] < 0.0)
-    return count
+    changes = 0
+    for k in range(1, count):
+        changes += (c[k] < 0.0) != (c[k - 1] < 0.0)
+    return changes
 
 
 @compiled
-def _root(c):
-    """Return the only root of a polynomial whose coefficients change sign once."""
-    degree = c.size - 1
+def _root(c, count):
+    """Return the only root of a polynomial whose coefficients change sign once; `c` is lost."""
+    degree = count - 1
     first = c[0]
     last = c[degree]
     if first == last:
         return 0.0
     # in powers of s, which are evaluated faster
-    powers = c.copy()
-    for order in range(1, degree + 1):
+    for order in range(1, count):
         for k in range(degree, order - 1, -1):
-            powers[k] -= powers[k - 1]
+            c[k] -= c[k - 1]
     for k in range(1, degree):
-        powers[k] *= BINOMIALS[degree, k]
+        c[k] *= BINOMIALS[degree, k]
     low = 0.0
     high = 1.0
     s = first / (first - last)
     for _ in range(60):
-        y = powers[degree]
+        y = c[degree]
         steep = 0.0
         for k in range(degree - 1, -1, -1):
             steep = steep * s + y
-            y = y * s + powers[k]
+            y = y * s + c[k]
         if (y > 0.0) == (last > first):
             high = s
         else:
@@ -329,42 +252,40 @@ def _root(c):
 
 
 @compiled
-def roots(c, places):
+def roots(c, count, places, work):
     """Fill in where a polynomial changes sign, in order; return how many places these are."""
-    changes = _changes(c)
-    if changes == 0:
-        return 0
-    if changes == 1:
-        places[0] = _root(c)
-        return 1
+    for k in range(count):
+        work[PIECES, k] = c[k]
+    work[PIECES, BEGIN] = 0.0
+    work[PIECES, WIDTH] = 1.0
+    waiting = PIECES
+    found = 0
     # halve it until each piece has one root or none
-    pieces = np.empty((HALVINGS + 2, c.size))
-    begin = np.empty(HALVINGS + 2)
-    width = np.empty(HALVINGS + 2)
-    pieces[0] = c
-    begin[0] = 0.0
-    width[0] = 1.0
-    waiting = 1
-    count = 0
-    while waiting > 0:
-        waiting -= 1
-        right = pieces[waiting]
-        changes = _changes(right)
-        small = width[waiting] < 2.0**-HALVINGS
-        if changes == 1 or (small and changes % 2 == 1):
-            places[count] = begin[waiting] + width[waiting] * _root(right)
-            count += 1
-        elif changes > 1 and not small:
-            width[waiting] /= 2
-            left = pieces[waiting + 1]
+    while waiting >= PIECES:
+        right = work[waiting]
+        changes = _changes(right, count)
+        small = right[WIDTH] < 2.0**-HALVINGS
+        if changes > 1 and not small:
+            right[WIDTH] /= 2
+            left = work[waiting + 1]
             # de Casteljau's algorithm
-            for step in range(c.size):
+            for step in range(count):
                 left[step] = right[0]
-                for k in range(c.size - 1 - step):
+                for k in range(count - 1 - step):
                     right[k] = (right[k] + right[k + 1]) / 2
             # the left half goes on top: it is taken first, so that roots come in order
-            begin[waiting + 1] = begin[waiting]
-            width[waiting + 1] = width[waiting]
-            begin[waiting] += width[waiting]
-            waiting += 2
-    return count
+            left[BEGIN] = right[BEGIN]
+            left[WIDTH] = right[WIDTH]
+            right[BEGIN] += right[WIDTH]
+            waiting += 1
+            continue
+        if changes % 2 == 1:
+            places[found] = right[BEGIN] + right[WIDTH] * _root(right, count)
+            found += 1
+        waiting -= 1
+    return found
+
+
+def scratch() -> Array:
+    """Return the array that `follow` works in."""
+    return np.zeros((PIECES + HALVINGS + 2, COLUMNS))

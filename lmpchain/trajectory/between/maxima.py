@@ -7,35 +7,48 @@ next one is known, for the misfits of its neighbours tell of its error, too.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .derivatives import NEWS, BodySeries, compiled, joined, series_of
+from .derivatives import NEWS, SampledBlock, compiled, joined
 from .hermite import (
+    BEND,
     DISPLACEMENT,
+    DOUBT,
+    ERROR,
+    FLAT,
+    PLACES,
     RAISED,
+    REACH,
     SHAPE,
+    STEEP,
+    TURNS,
     VELOCITY,
+    A,
+    C,
+    D,
+    J,
+    U,
+    V,
+    bound,
+    differentiate,
+    fill_polynomial,
     highest,
     larger,
-    path,
-    polynomial,
     roots,
-    sampled,
+    scratch,
     size,
-    slope,
-    sure_bend,
-    turns_or_slows,
     value,
 )
 
-# kinds of events
-MAXIMUM, SHOULDER, HIDDEN = range(3)
+# Kinds of events. Before the first one there may be a level: maxima are looked for above it.
+MAXIMUM, SHOULDER, HIDDEN, LEVEL = range(4)
 NO_FALL = 1e-12  # of a largest value: a fall by less is rounding
-ROOM = 32  # events by which a log grows, at least
+ROOM = 32  # events by which a log grows, at least, and more than an interval has
 # An event of a grain that may be its front, as its size exceeds all sizes before: a maximum of the
 # size, a shoulder of its rise, or intervals in which a larger one may be hidden.
 EVENT = np.dtype([
@@ -49,18 +62,10 @@ EVENT = np.dtype([
     ("since", float),  # least size until a larger one follows
     ("until", float),  # s, until when the size is the same within its error
 ])  # fmt: skip
-
-
-class Largest(NamedTuple):
-    """Largest sizes of G grains so far, and the bounds between which they lie, (G,) each."""
-
-    value: Array
-    low: Array
-    high: Array
-
-    def estimate(self, error: float) -> tuple[Array, Array]:
-        """Return the values and their errors, for samples with this error."""
-        return self.value, np.maximum(self.high - self.value, self.value - self.low) + error
+# Rows in `derivatives.derive` of bodies that are not there: one at rest, and none.
+AT_REST, ALONE = -1, -2
+# Rows of the largest sizes of G grains, (3, G): the values, and the bounds between which they lie.
+VALUE, LOW, HIGH = range(3)
 
 
 class Window(NamedTuple):
@@ -79,16 +84,10 @@ class Window(NamedTuple):
     end: int
 
 
-class Log(NamedTuple):
-    """Events so far: so many of them as `used` says in `events`."""
-
-    events: np.ndarray
-    used: int
-
-
-def lowest(count: int, bound: float = 0.0) -> Largest:
-    """Return largest values before any interval."""
-    return Largest(*np.full((3, count), bound))
+def estimate(largest: Array, error: float) -> tuple[Array, Array]:
+    """Return largest sizes (3, G) as values and their errors, for samples with this error."""
+    value, low, high = largest
+    return value, np.maximum(high - value, value - low) + error
 
 
 def events_of(values: Array) -> np.ndarray:
@@ -100,79 +99,90 @@ def events_of(values: Array) -> np.ndarray:
     return events
 
 
+def levels_of(values: Array) -> np.ndarray:
+    """Return the levels above which the maxima of G grains are looked for."""
+    events = events_of(values)
+    events["kind"] = LEVEL
+    events["since"] = 0.0
+    return events
+
+
 @joined
-def hidden(p, i):
+def hidden(p, kind, h, ceiling, i):
     """Return a bound on the sizes behind sample i; -1 where the polynomial shows all of them."""
-    if p.ceiling.size == 0 or p.ceiling[i] < 0.0:
+    if ceiling.size == 0 or ceiling[i] < 0.0:
         return -1.0
-    if p.kind == VELOCITY:
-        return p.ceiling[i]
-    u = p.series.u
-    return (size(u[i], p.kind) + size(u[i + 1], p.kind) + p.h * p.ceiling[i]) / 2
+    if kind == VELOCITY:
+        return ceiling[i]
+    return (size(p[U, i], kind) + size(p[U, i + 1], kind) + h * ceiling[i]) / 2
 
 
 @compiled
-def _append(log, event):
-    """Append an event; return the log."""
-    events = log.events
-    if log.used == events.size:
-        # twice as many, so that the copies cost no more than the events
-        events = np.empty(2 * log.used + ROOM, EVENT)
-        events[: log.used] = log.events
-    events[log.used] = event
-    return Log(events, log.used + 1)
-
-
-@compiled
-def _log_hidden(log, last, limit, begin, end):
+def _log_hidden(events, used, last, limit, begin, end):
     """Log that a size up to a limit may be hidden from one time to another."""
     if limit < abs(last.height):
-        return log
+        return used
     # intervals that follow one another are one event
-    if log.used > 0:
-        before = log.events[log.used - 1]
+    if used > 0:
+        before = events[used - 1]
         if before.kind == HIDDEN and before.grain == last.grain and before.until == begin:
             before.height = max(before.height, limit)
             before.until = end
-            return log
-    log = _append(log, last)
-    event = log.events[log.used - 1]
+            return used
+    events[used] = last
+    event = events[used]
     event.kind = HIDDEN
     event.when = begin
     event.height = limit
     event.until = end
-    return log
+    return used + 1
+
+
+@compiled
+def _slope(c, count, s, work):
+    """Return the derivative of a polynomial at a place."""
+    differentiate(c, count, work[STEEP])
+    return value(work[STEEP], count - 1, s)
 
 
 @joined
-def _log_shoulders(p, i, t, stretch, last, log):
+def sure_bend(slopes, count, s, top, error, work):
+    """Return h^2 times the least curvature at a place, for value and error there; 0 if unsure."""
+    bend = abs(_slope(slopes, count, s, work))
+    return larger(bend - SHAPE.curvature * error - FLAT * top, 0.0)
+
+
+@compiled
+def _log_shoulders(p, i, h, t, count, stretch, last, events, used, work):
     """Log where a rise beyond all sizes before is slowest for a while, within a stretch of it."""
-    sign = 1.0 if p.d[0] + p.d[p.d.size - 1] > 0.0 else -1.0
+    slopes = work[D]
+    bends = work[BEND]
+    sign = 1.0 if slopes[0] + slopes[count - 2] > 0.0 else -1.0
     slower = 0
-    while slower < p.d.size - 1 and sign * (p.d[slower + 1] - p.d[slower]) >= 0.0:
+    while slower < count - 2 and sign * (slopes[slower + 1] - slopes[slower]) >= 0.0:
         slower += 1
     # most rises are never slower and then faster
-    if slower >= p.d.size - 2:
-        return log
-    bent = (p.d.size - 1) * (p.d[1:] - p.d[:-1])
-    places = np.empty(8)
-    for k in range(roots(bent, places)):
-        s = places[k]
+    if slower >= count - 3:
+        return used
+    differentiate(slopes, count - 1, bends)
+    for k in range(roots(bends, count - 2, work[PLACES], work)):
+        s = work[PLACES, k]
         if not stretch[0] < s < stretch[1]:
             continue
-        height = value(p.c, s)
+        height = value(work[C], count, s)
         sign = 1.0 if height > 0.0 else -1.0
-        steep = sign * value(p.d, s)
-        bend = sign * slope(bent, s)
+        steep = sign * value(slopes, count - 1, s)
+        bend = sign * _slope(bends, count - 2, s, work)
         if abs(height) > abs(last.height) and steep > 0.0 and bend > 0.0:
-            log = _append(log, last)
-            event = log.events[log.used - 1]
+            events[used] = last
+            event = events[used]
             event.kind = SHOULDER
-            event.when = t + s * p.h
+            event.when = t + s * h
             event.height = height
-            event.tilt = (SHAPE.slope * p.error[i] - steep) / p.h
-            event.bend = bend / p.h**3
-    return log
+            event.tilt = (SHAPE.slope * p[ERROR, i] - steep) / h
+            event.bend = bend / h**3
+            used += 1
+    return used
 
 
 @joined
@@ -181,233 +191,282 @@ def _has_fallen(last):
     return last.since < (1.0 - NO_FALL) * abs(last.height)
 
 
-@joined
-def _exceed(last, p, i, t, s, height, bend):
+@compiled
+def _exceed(last, begin, error, h, t, s, height, bend):
     """Let a size at place s, that exceeds all before, take the place of the last maximum.
 
-    The interval from sample i on begins at t; the curvature `bend` is 0 if unsure.
+    The interval begins at time t with the size `begin`; the curvature `bend` is 0 if unsure.
     """
     top = abs(height)
-    begin = abs(sampled(p)[i])
-    error = p.error[i]
     if bend == 0.0 and top > 0.0:
         # in free flight, maybe: the maximum is where that began
         flat = begin <= (1.0 + NO_FALL) * abs(last.height) and top <= begin + error
         if flat and not _has_fallen(last):
             # or it is higher, by an error that the interval before need not have
             last.off = larger(last.off, error)
-            last.tilt = larger(last.tilt, SHAPE.slope * error / p.h)
+            last.tilt = larger(last.tilt, SHAPE.slope * error / h)
             return
         s = 0.0 if begin >= (1.0 - NO_FALL) * top else s
-    last.when = t + s * p.h
+    last.when = t + s * h
     last.height = height
     last.off = error
-    last.tilt = SHAPE.slope * error / p.h
+    last.tilt = SHAPE.slope * error / h
     last.bend = bend
     last.since = top
     last.until = last.when
 
 
-@joined
-def _end(last, p, i, t):
-    """Take in the size at the end of the interval from sample i and time t on."""
-    height = sampled(p)[i + 1]
-    if abs(height) >= abs(last.height):
-        _exceed(last, p, i, t, 1.0, height, 0.0)
-    last.since = min(last.since, abs(height))
-    # both sizes may be off, to opposite sides
-    if last.since >= abs(last.height) - 2.0 * last.off:
-        last.until = t + p.h
-
-
-@joined
-def _dips(p, i):
-    """Return whether a size falls and rises again from sample i to the next."""
-    slopes = p.series.a if p.kind == VELOCITY else p.series.v
-    y = sampled(p)
-    return slopes[i] * y[i] < 0.0 < slopes[i + 1] * y[i + 1]
-
-
-@joined
-def _rises_or_dips(p, k, last):
-    """Return whether behind sample k the last maximum is exceeded, or the size dips below it."""
-    y = sampled(p)
-    # it stays below: only a dip counts, unless the size has been 0 before
-    if p.reach[k] + p.error[k] < abs(last.height):
-        return last.since > 0.0 and _dips(p, k)
-    fallen = y[k] * y[k + 1] < 0.0 or _has_fallen(last)
-    return (abs(y[k + 1]) >= abs(last.height) and fallen) or turns_or_slows(p, k)
-
-
-@joined
-def _pass_calm(p, i, window, peaks, latest, n):
-    """Take in intervals from i on as long as nothing turns in one; return the first other."""
-    y = sampled(p)
-    for k in range(i, window.end):
-        if hidden(p, k) >= 0.0:
-            return k
-        exceeds = p.reach[k] + p.error[k] > peaks.low[n]
-        if latest.size and _rises_or_dips(p, k, latest[n]):
-            return k
-        if exceeds:
-            if turns_or_slows(p, k):
-                return k
-            top = larger(size(y[k], p.kind), size(y[k + 1], p.kind))
-            peaks.high[n] = larger(peaks.high[n], top + p.error[k])
-        if latest.size:
-            last = latest[n]
-            if y[k] * y[k + 1] < 0.0:
-                last.since = 0.0
-            _end(last, p, k, (window.first + k) * p.h)
-    return window.end
-
-
-@joined
-def _pass_turns(p, i, t, turns, limit, last, log):
-    """Take in the interval from sample i and time t on but for its end; return the log.
-
-    The polynomial turns so often in it, unless a size up to a limit from 0 on is hidden there.
-    """
-    if limit >= 0.0:
-        log = _log_hidden(log, last, limit, t, t + p.h)
-    before = sampled(p)[i]
-    begin = 0.0
-    # from turn to turn the size only rises or only falls
-    for k in range(turns + 1):
-        s = p.places[k] if k < turns else 1.0
-        height = value(p.c, s) if k < turns else sampled(p)[i + 1]
-        if before * height < 0.0:
-            last.since = 0.0
-        if abs(height) >= abs(last.height):
-            if _has_fallen(last):
-                log = _append(log, last)
-            if limit < 0.0:
-                log = _log_shoulders(p, i, t, (begin, s), last, log)
-            if k < turns:
-                bend = sure_bend(p, s, abs(height), p.error[i]) / p.h**2
-                _exceed(last, p, i, t, s, height, bend)
-        if k < turns:
-            last.since = min(last.since, abs(height))
-        before = height
-        begin = s
-    return log
-
-
-@joined
-def _pass_any(p, i, t, peaks, latest, n, log):
-    """Take in the interval from sample i and time t on; return the log."""
-    y = sampled(p)
-    limit = hidden(p, i)
-    turns = 0
-    if limit >= 0.0:
-        peaks.high[n] = larger(peaks.high[n], limit)
-    else:
-        polynomial(p, i)
-        turns = roots(p.d, p.places)
-        top = larger(size(y[i], p.kind), size(y[i + 1], p.kind))
-        for k in range(turns):
-            top = larger(top, size(value(p.c, p.places[k]), p.kind))
-        peaks.value[n] = larger(peaks.value[n], top)
-        peaks.low[n] = larger(peaks.low[n], top - p.error[i])
-        peaks.high[n] = larger(peaks.high[n], top + p.error[i])
-    if latest.size:
-        last = latest[n]
-        log = _pass_turns(p, i, t, turns, limit, last, log)
-        _end(last, p, i, t)
-    return log
+@compiled
+def _turns_or_slows(p, kind, i, count, slopes):
+    """Return whether a polynomial may turn behind sample i, or rise slower and then faster."""
+    top = slopes[0]
+    low = slopes[0]
+    for k in range(1, count - 1):
+        top = max(top, slopes[k])
+        low = min(low, slopes[k])
+    row = J if kind == VELOCITY else A
+    before = p[row, i]
+    after = p[row, i + 1]
+    # a derivative of one sign turns nowhere; it slows and then speeds up if its own slope says so
+    if top >= -low:
+        return low < 0.0 or before < 0.0 < after
+    return top > 0.0 or before > 0.0 > after
 
 
 @compiled
-def follow(p, window, peaks, latest, n, log):
-    """Take in some intervals of a body; return the log of its events.
+def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
+    """Take in some intervals of a body; return the log of its events and their number.
 
     Parameters
     ----------
-    p : Path
+    p : (8, R) array
+        Its path, see `hermite`.
+    kind : int
+        DISPLACEMENT, VELOCITY or RAISED.
+    h : float
+        Time between two samples, s.
     window : Window
-    peaks : Largest
+    ceiling : (R-1,) or (0,) array
+        Bounds on the speed between samples; below 0, or empty, where it follows from the samples.
+    largest : (3, G) array
         Raised at n.
     latest : (G,) or (0,) array of EVENT
         The last maximum that exceeds all before, changed at n; no event is logged if it is empty.
     n : int
-    log : Log
+    events, used : array of EVENT and int
+        The log, and how many events it has.
+    work : array
+        See `scratch`.
     """
+    y = p[V if kind == VELOCITY else U]
+    slopes = p[A if kind == VELOCITY else V]
+    c = work[C]
+    d = work[D]
+    turning = work[TURNS]
+    bound(p, kind, h)
     # samples first: what stays below them need not be looked at
-    top = highest(sampled(p), window.begin, window.end + 1, p.kind)
-    peaks.value[n] = larger(peaks.value[n], top)
-    peaks.low[n] = larger(peaks.low[n], top)
-    peaks.high[n] = larger(peaks.high[n], top)
-    i = window.begin
-    while i < window.end:
-        i = _pass_calm(p, i, window, peaks, latest, n)
-        if i < window.end:
-            log = _pass_any(p, i, (window.first + i) * p.h, peaks, latest, n, log)
-        i += 1
-    return log
-
-
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def reduce(block, grains, derived, ceiling, window, sizes, latest, log):
-    """Take in some intervals of the displacements and velocities of G grains; return the log.
-
-    Parameters
-    ----------
-    block : Block
-    grains : (G,) array
-        Their numbers.
-    derived : (G+1, 3, R) array
-        See `derivatives.derive`.
-    ceiling : (G, R-1) or (1, 0) array
-        See `hermite.Path`.
-    window : Window
-    sizes : pair of Largest
-        Displacements and speeds, of G grains, or of none if not asked for.
-    latest : (G,) or (0,) array of EVENT
-        See `follow`: of the speeds.
-    log : Log
-    """
-    far, fast = sizes
-    bounds = np.empty((2, block.u.shape[1] - 1))
-    for g in range(grains.size):
-        series = series_of(block, derived, g, grains[g])
-        # at rest
-        if not (series.u.any() or series.v.any()):
+    top = highest(y, window.begin, window.end + 1, kind)
+    for k in range(3):
+        largest[k, n] = larger(largest[k, n], top)
+    for i in range(window.begin, window.end):
+        before = y[i]
+        after = y[i + 1]
+        error = p[ERROR, i]
+        reach = p[REACH, i] + error
+        limit = hidden(p, kind, h, ceiling, i)
+        seen = limit < 0.0
+        exceeds = seen and reach > largest[LOW, n]
+        rises = False
+        dips = False
+        if latest.size:
+            height = abs(latest[n].height)
+            # what stays below counts only if it dips, unless the size has been 0 before
+            rises = seen and reach >= height
+            dips = seen and reach < height and latest[n].since > 0.0
+            dips = dips and slopes[i] * before < 0.0 < slopes[i + 1] * after
+        count = 0
+        turns = 0
+        if exceeds or rises or dips:
+            count = fill_polynomial(p, kind, h, i, work)
+            if dips or _turns_or_slows(p, kind, i, count, d):
+                turns = roots(d, count - 1, turning, work)
+            else:
+                count = 0
+        if exceeds:
+            top = larger(size(before, kind), size(after, kind))
+            for k in range(turns):
+                top = larger(top, size(value(c, count, turning[k]), kind))
+            largest[VALUE, n] = larger(largest[VALUE, n], top)
+            largest[LOW, n] = larger(largest[LOW, n], top - error)
+            largest[HIGH, n] = larger(largest[HIGH, n], top + error)
+        elif not seen:
+            largest[HIGH, n] = larger(largest[HIGH, n], limit)
+        if not latest.size:
             continue
-        limits = ceiling[g if ceiling.size else 0]
-        if fast.value.size:
-            p = path(series, VELOCITY, block.h, limits, bounds)
-            log = follow(p, window, fast, latest, g, log)
-        if far.value.size:
-            p = path(series, DISPLACEMENT, block.h, limits, bounds)
-            follow(p, window, far, latest[:0], g, log)
-    return log
+        last = latest[n]
+        t = (window.first + i) * h
+        if last.kind == LEVEL:
+            if seen and not rises:
+                continue
+            # maxima are looked for from here on
+            last.kind = MAXIMUM
+            last.when = t
+            last.until = t
+            last.height = before
+            last.since = abs(before)
+        if used + ROOM > events.size:
+            # twice as many, so that the copies cost no more than the events
+            grown = np.empty(2 * events.size + ROOM, EVENT)
+            for k in range(used):
+                grown[k] = events[k]
+            events = grown
+        if not seen:
+            used = _log_hidden(events, used, last, limit, t, t + h)
+        begin = 0.0
+        here = before
+        # from turn to turn the size only rises or only falls
+        for k in range(turns + 1):
+            s = turning[k] if k < turns else 1.0
+            there = value(c, count, s) if k < turns else after
+            if here * there < 0.0:
+                last.since = 0.0
+            if abs(there) >= abs(last.height):
+                if _has_fallen(last):
+                    events[used] = last
+                    used += 1
+                if count > 0:
+                    stretch = (begin, s)
+                    used = _log_shoulders(p, i, h, t, count, stretch, last, events, used, work)
+                bend = 0.0
+                if k < turns:
+                    bend = sure_bend(d, count - 1, s, abs(there), error, work) / h**2
+                _exceed(last, abs(before), error, h, t, s, there, bend)
+            last.since = min(last.since, abs(there))
+            here = there
+            begin = s
+        # both sizes may be off, to opposite sides
+        if last.since >= abs(last.height) - 2.0 * last.off:
+            last.until = t + h
+    return events, used
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def approach(block, contact, derived, rows, ceiling, window, closest):
-    """Take in some intervals of how much closer than at rest the two bodies of a contact are.
+@compiled
+def _add_row(row, sign, values):
+    """Add the values of a body at its samples, or their negatives, to those of a row."""
+    for i in range(row.size):
+        row[i] += sign * values[i]
+
+
+@compiled
+def _add_body(p, sign, block, derived, place, n):
+    """Add the motion of a body to a path; its derivatives are in a row of `derived`, unless -1."""
+    column = block.column[n]
+    if n == 0:
+        # body 0 is the top wall, whose motion is imposed
+        for k in range(4):
+            _add_row(p[k], sign, block.imposed.wall[k])
+        _add_row(p[DOUBT], 1.0, block.imposed.doubt)
+    elif column >= 0:
+        _add_row(p[U], sign, block.u[column])
+        _add_row(p[V], sign, block.v[column])
+    if place >= 0:
+        _add_row(p[A], sign, derived[place, 0])
+        _add_row(p[J], sign, derived[place, 1])
+        _add_row(p[DOUBT], 1.0, derived[place, 2])
+
+
+@compiled
+def fill_path(p, block, derived, body, row, lower):
+    """Fill in the motion of a body, or that relative to the body below it; return if it moves.
+
+    `row` and `lower` are rows of the two in `derived`, see `table_of`.
+    """
+    for k in range(5):
+        for i in range(p.shape[1]):
+            p[k, i] = 0.0
+    _add_body(p, 1.0, block, derived, row, body)
+    if lower >= AT_REST:
+        _add_body(p, -1.0, block, derived, lower, body + 1)
+    moves = False
+    for i in range(p.shape[1]):
+        moves |= (p[U, i] != 0.0) | (p[V, i] != 0.0)
+    return moves
+
+
+def table_of(grains: np.ndarray, kinds: Sequence[int], contacts: Sequence[int]) -> np.ndarray:
+    """Return what `reduce` follows, (F, 5) integers: these sizes of G grains, and P contacts.
+
+    Each row has the number of a body, its row in `derivatives.derive`, the row of the body below it
+    if the approach of the two is followed, the kind of size, and its place in the largest ones.
+    """
+    table = np.empty((len(kinds) * grains.size + len(contacts), 5), dtype=np.int64)
+    count = np.arange(grains.size)
+    for place, kind in enumerate(kinds):
+        part = table[place * grains.size :][: grains.size]
+        part[:, 0] = grains
+        part[:, 1] = part[:, 4] = count
+        part[:, 2] = ALONE
+        part[:, 3] = kind
+    row = dict(zip(grains.tolist(), range(grains.size), strict=True)) if contacts else {}
+    for place, n in enumerate(contacts):
+        lower = row.get(n + 1, AT_REST)
+        table[len(kinds) * grains.size + place] = n, row.get(n, AT_REST), lower, RAISED, place
+    return table
+
+
+def reduce(
+    block: SampledBlock,
+    table: np.ndarray,
+    derived: Array,
+    ceiling: Array,
+    window: Window,
+    largest: Sequence[Array],
+    tracked: int,
+    latest: np.ndarray,
+    events: np.ndarray,
+) -> np.ndarray:
+    """Take in some intervals of the motion of grains and contacts; return the events so far.
 
     Parameters
     ----------
-    block : Block
-    contact : int
-        Its number.
-    derived : (G+1, 3, R) array
+    block : SampledBlock
+    table : (F, 5) array of int
+        See `table_of`.
+    derived : (G, 3, R) array
         See `derivatives.derive`.
-    rows : (int, int)
-        Of the two bodies in `derived`, -1 for one at rest.
-    ceiling : (R-1,) or (0,) array
-        Bounds on the relative speed between samples; see `hermite.Path`.
+    ceiling : (G, R-1) or (1, R-1) or (1, 0) array
+        See `follow`: of each grain or contact, of a single one, or of none.
     window : Window
-    closest : Largest
-        Of this contact, with its sign.
+    largest : three (3, G) or (3, P) arrays
+        Displacements and speeds of grains, and approaches of contacts beyond those at rest; raised.
+    tracked : int
+        DISPLACEMENT or VELOCITY: of which of these `latest` are, and events are logged.
+    latest : (G,) or (0,) array of EVENT
+        See `follow`.
+    events : (E,) array of EVENT
+        Those so far.
     """
-    above = series_of(block, derived, rows[0], contact)
-    below = series_of(block, derived, rows[1], contact + 1)
-    relative = BodySeries(
-        above.u - below.u, above.v - below.v, above.a - below.a, above.j - below.j,
-        above.doubt + below.doubt,
-    )  # fmt: skip
-    p = path(relative, RAISED, block.h, ceiling, np.empty((2, block.u.shape[1] - 1)))
-    none = np.empty(0, EVENT)
-    follow(p, window, closest, none, 0, Log(none, 0))
+    path = np.zeros((8, block.u.shape[1]))
+    arguments = (block, table, derived, ceiling, window, *largest, tracked, latest, events)
+    log, used = _reduce(*arguments, path, scratch())
+    return log[:used]
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def _reduce(
+    block, table, derived, ceiling, window, far, fast, closest, tracked, latest, events, path, work
+):
+    """Do the work of `reduce`; return the log and the number of its events."""
+    used = events.size
+    for f in range(table.shape[0]):
+        kind = table[f, 3]
+        n = table[f, 4]
+        moves = fill_path(path, block, derived, table[f, 0], table[f, 1], table[f, 2])
+        if moves or kind == RAISED:
+            limits = ceiling[n if ceiling.shape[0] > 1 else 0]
+            largest = fast if kind == VELOCITY else (far if kind == DISPLACEMENT else closest)
+            few = latest if kind == tracked else latest[:0]
+            events, used = follow(
+                path, kind, block.h, window, limits, largest, few, n, events, used, work
+            )
+    return events, used

@@ -1,0 +1,215 @@
+"""Largest values, fronts and closest approaches of a motion, accumulated along its samples."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from ..chain.chain import Chain
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .between.derivatives import STILL as STILL
+from .between.derivatives import UNKNOWN as UNKNOWN
+from .between.derivatives import SampledBlock, by_body, derive, imposed_on, law_of
+from .between.fronts import Rules, arrivals, fronts
+from .between.hermite import DISPLACEMENT, VELOCITY
+from .between.maxima import EVENT, Window, estimate, events_of, levels_of, reduce, table_of
+from .between.viscous_forces import ViscousContact, largest_force
+
+Field = Literal["velocity", "displacement"]
+KINDS = {"displacement": DISPLACEMENT, "velocity": VELOCITY}
+FRACTION = 0.5  # of the largest size of a grain, that its front has at least by default
+
+
+def viscous_contact(chain: Chain, number: int) -> ViscousContact:
+    """Return a contact of a chain with its viscosity."""
+    law = chain.contacts.of(np.array([number]))
+    return ViscousContact(law, float(chain.contact_viscosity[number]))
+
+
+class Accumulator:
+    """The largest sizes and the maxima of grains, and the largest forces of contacts.
+
+    Samples are taken in block by block with `take`, or all at once with `take_all`.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene whose samples are taken in.
+    linear : bool
+        Whether its forces are those of the linearised chain.
+    column : (N+2,) array
+        Column of each body in the samples, or a mark; see `between.derivatives.SampledBlock`.
+    lawful : (N+2,) array of bool
+        Whether the law gives the acceleration of a body.
+    grains : (G,) array
+        Numbers of the grains that are followed.
+    fields : collection of str
+        Fields of which the largest sizes are asked for.
+    tracked : str, optional
+        The one of these fields of which fronts are asked for.
+    contacts : sequence of int
+        Contacts of which the largest force is asked for.
+    ceiling : (G, T-1) or (1, T-1) or (1, 0) array, optional
+        Bounds on speeds between samples; see `between.maxima.follow`.
+    state : mapping, optional
+        Arrays that `state` of an earlier accumulator holds.
+
+    Attributes
+    ----------
+    state : dict of arrays
+        Arrays from which another accumulator continues with the same bits.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        linear: bool,
+        column: np.ndarray,
+        lawful: np.ndarray,
+        grains: np.ndarray,
+        fields: Collection[str],
+        tracked: str | None = None,
+        contacts: Sequence[int] = (),
+        ceiling: Array | None = None,
+        state: Mapping[str, Array] | None = None,
+    ):
+        self.scene = scene
+        self.step = scene.sampling_interval
+        self.contacts = list(contacts)
+        self._law = law_of(scene.chain, linear)
+        self._column = column
+        self._lawful = lawful
+        self._grains = grains
+        self._tracked = tracked
+        self._ceiling = np.zeros((1, 0)) if ceiling is None else ceiling
+        self._viscous = scene.chain.damping.longest_time > 0
+        kinds = [KINDS[field] for field in fields]
+        self._table = table_of(grains, kinds, self.contacts)
+        followed = grains.size if tracked else 0
+        start = {
+            "fast": np.zeros((3, grains.size if "velocity" in fields else 0)),
+            "far": np.zeros((3, grains.size if "displacement" in fields else 0)),
+            "latest": np.zeros(followed, EVENT),
+            "log": np.zeros(0, EVENT),
+            "closest": np.full((len(self.contacts), 3), -np.inf),
+            # of viscous contacts: largest force, its error, approach and rate
+            "strongest": np.full((len(self.contacts) * self._viscous, 4), -np.inf),
+            "before": np.zeros((2, 0, int(column.max()) + 1)),
+            "interval": np.zeros((), dtype=np.int64),
+            "start": np.zeros(followed),
+        }
+        self.state: dict[str, Any] = start
+        if state:
+            self.state = {name: np.array(state.get(name, start[name])) for name in start}
+            # these two grow; a state of another scene shows in the others
+            fixed = start.keys() - {"log", "before"}
+            if any(self.state[name].shape != start[name].shape for name in fixed):
+                raise ValueError("the state that was kept does not fit")
+
+    def take(self, first: int, u: Array, v: Array) -> None:
+        """Take in the samples of a block, (B, C) each, which begin with sample number `first`."""
+        state = self.state
+        if first == 0:
+            self._begin(v if self._tracked == "velocity" else u)
+        before = state["before"]
+        base = first - before.shape[1]
+        last = first + len(u) - 1
+        u = np.concatenate((before[0], u))
+        v = np.concatenate((before[1], v))
+        begin = int(state["interval"])
+        ends = last == self.scene.intervals
+        # the misfit of an interval is known when the sample behind the next one is
+        end = last if ends else max(last - 1, 0)
+        # where no law gives accelerations, four samples do
+        if begin < end and (ends or len(u) > 3 or not self.scene.chain.damped):
+            self._take_intervals(u, v, Window(base, begin - base, end - base))
+            state["interval"] = np.array(end)
+        # the next interval is judged by its neighbours, too
+        state["before"] = np.array([u[-3:], v[-3:]])
+
+    def take_all(self, u: Array, v: Array, levels: Array) -> None:
+        """Take in all samples, (T, C) each; of maxima only those above a level of each grain."""
+        self._begin(v if self._tracked == "velocity" else u)
+        self.state["latest"] = levels_of(levels)
+        self._take_intervals(u, v, Window(0, 0, len(u) - 1))
+
+    def _begin(self, field: Array) -> None:
+        """Take in the first sample of the field whose fronts are asked for."""
+        if self._tracked:
+            first = field[0, self._column[self._grains]]
+            self.state["start"] = np.abs(first)
+            self.state["latest"] = events_of(first)
+
+    def _take_intervals(self, u: Array, v: Array, window: Window) -> None:
+        """Take in some intervals of a block."""
+        state = self.state
+        imposed = imposed_on(self.scene, self.step, window.first, len(u))
+        self._block = SampledBlock(
+            by_body(u), by_body(v), self._column, self._lawful, self.step, self._law, imposed
+        )
+        self._derived = derive(self._block, self._grains)
+        closest = np.ascontiguousarray(state["closest"].T)
+        state["log"] = reduce(
+            self._block,
+            self._table,
+            self._derived,
+            self._ceiling,
+            window,
+            (state["far"], state["fast"], closest),
+            KINDS[self._tracked or "velocity"],
+            state["latest"],
+            state["log"],
+        )
+        state["closest"] = closest.T.copy()
+        for number, strongest in zip(self.contacts, state["strongest"], strict=False):
+            motion = self.relative(number, window.first, u, v)
+            contact = viscous_contact(self.scene.chain, number)
+            force = largest_force(contact, motion, self.step, window)
+            strongest[:] = force if force[0] > strongest[0] else strongest
+
+    def relative(self, number: int, first: int, u: Array, v: Array) -> Array:
+        """Return how much closer the bodies of a contact are at some samples, and the rate, (2, B).
+
+        The samples (B, C) begin with sample number `first`.
+        """
+        above, below = self._column[[number, number + 1]].tolist()
+        if number == 0:
+            upper = imposed_on(self.scene, self.step, first, len(u)).wall[:2]
+        else:
+            upper = np.array([u[:, above], v[:, above]])
+        return upper - [u[:, below], v[:, below]] if below >= 0 else upper
+
+    def largest(self, field: str, error: float) -> tuple[Array, Array]:
+        """Return the largest sizes of a field and their errors, (G,), for samples with an error."""
+        return estimate(self.state["fast" if field == "velocity" else "far"], error)
+
+    def closest(self, row: int, error: float) -> tuple[Array, Array]:
+        """Return the closest approach of a contact beyond that at rest and its error, (1,) m."""
+        return estimate(self.state["closest"][row][:, None], error)
+
+    def arrivals(self, error: float) -> Array:
+        """Return when the front passes each grain and the error of that time, (2, G) s."""
+        log = self.state["log"]
+        # block after block there are events of all grains
+        log = log[np.argsort(log["grain"], kind="stable")]
+        return arrivals(*self._maxima(log), self._rules(FRACTION, error, error))
+
+    def fronts(self, fraction: float, error: float, fall: float, width: bool) -> Array:
+        """Return time, height and width of the front and their errors, (G, 6), after `take_all`."""
+        kind = KINDS[self._tracked or "velocity"]
+        motion = (self._block, self._grains, self._derived, kind, width)
+        return fronts(*motion, *self._maxima(self.state["log"]), self._rules(fraction, error, fall))
+
+    def _maxima(self, log: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array, Array]:
+        """Return the arrays that show fronts, for events in the order of their grains."""
+        state = self.state
+        largest = state["fast" if self._tracked == "velocity" else "far"]
+        return log, state["latest"], largest, state["start"]
+
+    def _rules(self, fraction: float, error: float, fall: float) -> Rules:
+        """Return the definition of a front."""
+        scene = self.scene
+        return Rules(fraction, error, fall, scene.highest_frequency, self.step, scene.duration)
