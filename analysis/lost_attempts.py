@@ -19,8 +19,8 @@ from figures import TABLES, write_table
 
 from lmpchain import Chain, Impulse, Profile, Scene, simulate
 from lmpchain.engines import Native
-from lmpchain.engines.stepping import companion_run
-from lmpchain.engines.stepping.companion_run import JudgingTimes
+from lmpchain.engines.stepping import monitor
+from lmpchain.engines.stepping.monitor import JudgingTimes
 
 COLUMNS = (
     "scene",
@@ -51,12 +51,12 @@ def springs() -> Scene:
 @contextmanager
 def unseen() -> Iterator[None]:
     """Have every attempt run to its end."""
-    looks = companion_run.LOOKS
-    companion_run.LOOKS = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
+    looks = monitor.JUDGING
+    monitor.JUDGING = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
     try:
         yield
     finally:
-        companion_run.LOOKS = looks  # type: ignore[misc]
+        monitor.JUDGING = looks  # type: ignore[misc]
 
 
 class Watched(Native):
@@ -96,7 +96,7 @@ def spend_last(scene: Scene, step_s: float) -> float:
     engine = Native()
     candidate = engine.propose(scene, TOLERANCE)
     steps = round(candidate.steps.per_landing * candidate.step / step_s)
-    run = engine.start([scene], candidate.with_steps(candidate.steps.shortened(steps)))
+    run = engine.start([scene], candidate.with_steps(candidate.steps.shorten(steps)))
     began = time.process_time()
     for _ in run.blocks():
         pass

@@ -17,7 +17,7 @@ from unittest import mock
 
 import lmpchain
 from lmpchain.engines.base import ErrorBudget, Run
-from lmpchain.engines.stepping.companion_run import CompanionRun
+from lmpchain.engines.stepping.run import SteppingRun
 from lmpchain.trajectory.record import Block
 
 KEEP = ["arrival_time", "peak_velocity"]
@@ -48,8 +48,8 @@ def share(realisations: int) -> tuple[float, float]:
     estimate.
     """
     inside = [0.0]
-    blocks = CompanionRun.blocks
-    errors = CompanionRun.errors
+    blocks = SteppingRun.blocks
+    errors = SteppingRun.errors
 
     def timed(run: Run) -> Iterator[Block]:
         parts = blocks(run)  # type: ignore[arg-type]
@@ -69,7 +69,7 @@ def share(realisations: int) -> tuple[float, float]:
             inside[0] += time.process_time() - began
 
     patches = {"blocks": timed, "errors": estimated}
-    with mock.patch.multiple(CompanionRun, **patches), tempfile.TemporaryDirectory() as folder:
+    with mock.patch.multiple(SteppingRun, **patches), tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
         lmpchain.sweep(asked(realisations), folder)
         spent = time.process_time() - began

@@ -43,7 +43,7 @@ STATIONS = (
         "Run",
         "yields samples, and\nestimates their error",
         (
-            "engines/stepping/\n    companion_run.py\n    estimate.py",
+            "engines/stepping/\n    run.py\n    monitor.py",
             "integrators/stepper.py",
             "integrators/kernels/",
         ),

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from .simulation.api import simulate as simulate
     from .simulation.many import simulate_many as simulate_many
     from .simulation.planner import plan as plan
-    from .simulation.signals import Stopped as Stopped
+    from .simulation.run_folder import Stopped as Stopped
     from .simulation.time_averages import Averages as Averages
     from .simulation.time_averages import averages as averages
     from .sweeps.results import load_sweep as load_sweep
@@ -82,7 +82,7 @@ _MODULES = {
     "simulation.api": "simulate resume",
     "simulation.many": "simulate_many",
     "simulation.planner": "plan",
-    "simulation.signals": "Stopped",
+    "simulation.run_folder": "Stopped",
     "simulation.time_averages": "averages Averages",
     "report.exploration": "explore",
     "sweeps.run": "sweep",

@@ -21,8 +21,7 @@ from common import ALL_BUT_ONE, NINE_IN_TEN, Row, changed, command, label, quant
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines.stepping.amplification import GROWTH, amplify_rounding
-from lmpchain.engines.stepping.round_off import native_floor
+from lmpchain.engines.stepping.rounding import GROWTH, amplify_rounding, native_floor
 from lmpchain.errors import RunFailed
 from lmpchain.integrators.splittings import RKN6
 from lmpchain.stability.predictability import SEED

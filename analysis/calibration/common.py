@@ -20,7 +20,7 @@ from lmpchain.benchmark.reference import Reference, reference
 from lmpchain.engines.base import Engine, ErrorBudget, Proposal, Run
 from lmpchain.engines.native import Native
 from lmpchain.engines.step_control import first_attempt, solve_to_tolerance
-from lmpchain.engines.stepping.companion_run import CompanionRun
+from lmpchain.engines.stepping.run import SteppingRun
 from lmpchain.errors import RunFailed, ToleranceNotMet
 from lmpchain.util.provenance import processor
 from lmpchain.util.tables import align
@@ -136,11 +136,13 @@ def answer(engine: Engine, scene: Scene, candidate: Proposal) -> Answer | None:
 
 def _companions(run: Run) -> tuple[tuple[float, ...], float]:
     """Return how far companions are from their run, and the lowest r / eps in any of them."""
-    if not isinstance(run, CompanionRun):
+    if not isinstance(run, SteppingRun):
         return (), 0.0
-    peaks = np.where(run.peaks[0] > 0, run.peaks[0], 1.0)
+    peaks = np.where(run.monitor.peaks[0] > 0, run.monitor.peaks[0], 1.0)
     relative = np.asarray(run.state()["differences"])[:, :, 0] / peaks
-    return tuple(relative.max((1, 2)).tolist()), float(run.native.watched["least_strain"].min())
+    return tuple(relative.max((1, 2)).tolist()), float(
+        run.monitor.native.watched["least_strain"].min()
+    )
 
 
 def with_reach(scene: Scene, candidate: Proposal, reach: float) -> Proposal:
@@ -152,7 +154,7 @@ def with_reach(scene: Scene, candidate: Proposal, reach: float) -> Proposal:
 
 def sampled(candidate: Proposal, count: int) -> Proposal:
     """Return a candidate with so many steps from sample to sample."""
-    return candidate.with_steps(candidate.steps.sampled.shortened(count))
+    return candidate.with_steps(candidate.steps.sampled.shorten(count))
 
 
 @contextmanager
@@ -268,7 +270,7 @@ class Job(NamedTuple):
             if self.longer > 1:
                 steps = math.ceil(attempt.proposal.steps.per_landing / self.longer)
                 attempt = attempt._replace(
-                    proposal=attempt.proposal.with_steps(attempt.proposal.steps.shortened(steps))
+                    proposal=attempt.proposal.with_steps(attempt.proposal.steps.shorten(steps))
                 )
             outcome = solve_to_tolerance(self.engine, [self.scene], attempt, collect)
         except (RunFailed, ToleranceNotMet):

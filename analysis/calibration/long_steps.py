@@ -27,7 +27,7 @@ from scenes import drawn
 from lmpchain import Chain, Profile, Scene
 from lmpchain.engines.base import Proposal
 from lmpchain.engines.native import Native
-from lmpchain.engines.stepping.round_off import ROUNDING, interpolation_loss
+from lmpchain.engines.stepping.rounding import ROUNDING, interpolation_loss
 from lmpchain.engines.stepping.step_choice import INTERPOLATION
 from lmpchain.integrators.steps import Steps
 

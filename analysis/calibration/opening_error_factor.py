@@ -31,7 +31,7 @@ from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.engines.native import Native
-from lmpchain.engines.stepping.companions import OPENINGS
+from lmpchain.engines.stepping.auxiliary_runs import OPENINGS
 from lmpchain.engines.stepping.step_choice import FIRST_STEP
 from lmpchain.integrators.openings import OPENING_STEPS
 

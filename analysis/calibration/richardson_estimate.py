@@ -37,9 +37,9 @@ from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.engines.base import Proposal
-from lmpchain.engines.native import Native, companions
-from lmpchain.engines.stepping.companions import FEWEST_STEPS, OPENINGS
-from lmpchain.engines.stepping.estimate import TRUST
+from lmpchain.engines.native import Native
+from lmpchain.engines.stepping import auxiliary_runs
+from lmpchain.engines.stepping.auxiliary_runs import FEWEST_STEPS, OPENINGS, TRUST
 from lmpchain.integrators.steps import MANY_STEPS
 
 REACHES = (1.6, 0.8, 0.4, 0.2)  # omega h
@@ -251,7 +251,7 @@ def _fewest(count: int) -> Row:
     scenes = drawn(2 * count, 6, lambda s: s.largest_strain < 0.3, **calm)
     short = map(Case, (scene.replace(samples=2) for scene in scenes))
     found = []
-    with mock.patch.object(companions, "FEWEST_STEPS", 4):
+    with mock.patch.object(auxiliary_runs, "FEWEST_STEPS", 4):
         for case, name in itertools.product(short, ("verlet", "rkn4", "rkn6", "kahan-li8")):
             engine = Native(name, adaptive=False)
             proposed = proposal(engine, case.scene, 1e-3) if case.known else None
@@ -279,12 +279,12 @@ def _landings(cases: list[Case]) -> Row:
             found.append(look(engine, case, sampled(proposed, count), None))
 
     def change(value: float) -> AbstractContextManager[object]:
-        companions._arrange.cache_clear()
+        auxiliary_runs._arrange.cache_clear()
         return mock.patch("lmpchain.integrators.steps.MANY_STEPS", value)
 
     runs = [each for each in found if each]
     row = judge("MANY_STEPS", MANY_STEPS, (8, 16, 64, 128), change, runs, "9 to 65 steps a sample")
-    companions._arrange.cache_clear()
+    auxiliary_runs._arrange.cache_clear()
     return row
 
 

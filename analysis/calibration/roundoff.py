@@ -21,7 +21,7 @@ from lmpchain import Chain, Drive, Force, Impulse, Scene
 from lmpchain.engines.lammps.engine import HEIGHTS, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import CANCELS, Chebyshev, LinearEngine, Modes
 from lmpchain.engines.native import Native
-from lmpchain.engines.stepping.round_off import ROUNDING, native_floor, plain_loss, reduced_loss
+from lmpchain.engines.stepping.rounding import ROUNDING, native_floor, plain_loss, reduced_loss
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS

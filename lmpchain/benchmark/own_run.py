@@ -325,7 +325,7 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
     if cost.integrator not in (*BY_NAME, UNKNOWN_METHOD):
         why = f"it solves Eq. ({answer.equation}), and takes no steps"
         return "", 0.0, (Cause("equation", wrong, why),)
-    if answer.engine == "native":
+    if answer.engine == Native.name:
         engine = Native(cost.integrator)
         rounding = engine.typical_round_off(scene, cost.steps, float(solution.scale[1]))
         step = Cause("step", wrong, _compare_with_limit(scene, engine.integrator, cost.step_s))

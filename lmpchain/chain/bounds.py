@@ -84,15 +84,12 @@ def bounds(
     moduli = [*kinds.moduli, *(wall.plane_strain_modulus for wall in walls)]
     narrowest = min(kinds.diameters)
     widest = max(kinds.diameters)
+    # a power of mean diameters has its extremes at the ends
+    lengths = {narrowest, widest}
     try:
-        # of mean diameters between these two: a power of them has its extremes at the ends
-        softest = min(
-            law.constant(min(moduli) / 2, narrowest / 4, length) for length in (narrowest, widest)
-        )
+        softest = min([law.constant(min(moduli) / 2, narrowest / 4, d) for d in lengths])
         # at a wall, whose radius is infinite
-        hardest = max(
-            law.constant(max(moduli) / 2, widest / 2, length) for length in (narrowest, widest)
-        )
+        hardest = max([law.constant(max(moduli) / 2, widest / 2, d) for d in lengths])
         weight = gravity * (grains * kinds.masses[0] + sum(kinds.masses[1:]))
         extremes = Bounds(
             softest,

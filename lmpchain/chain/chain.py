@@ -24,7 +24,6 @@ from ..util.validation import (
     make_unchecked,
     with_derived,
 )
-from . import walls
 from .bounds import Bounds, bounds
 from .contact_law import ContactLaw, power_law
 from .contacts import FEW_GRAINS, Contacts
@@ -197,9 +196,26 @@ class Chain(ChainPicture, Checked):
             yield "law", "takes the place of an exponent: give one of them"
         yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)
         yield from self.damping.misfits(self.grains)
+        yield from self._misfits_of_walls()
+
+    def _misfits_of_walls(self) -> Iterator[tuple[str, str]]:
+        """Yield materials and constants of walls that do not fit the ends of the chain."""
         ends = (self.top, self.bottom)
         materials = (self.top_material, self.bottom_material)
-        yield from walls.misfits(ends, materials, self.given_wall_constants)
+        constants = self.given_wall_constants
+        for name, end, material in zip(("top", "bottom"), ends, materials, strict=True):
+            if material is not None and end != "wall":
+                yield f"{name}_material", f'is that of a wall; there is none unless {name} = "wall"'
+        if constants is None:
+            return
+        if len(constants) != 2 or any(
+            k < 0 or (k > 0) != (end == "wall") for k, end in zip(constants, ends, strict=True)
+        ):
+            fault = 'above 0 where the end is "wall", 0 where it is not'
+            yield "wall_constants", f"must be two, of top and bottom: {fault}"
+        elif any(material is not None for material in materials):
+            fault = "take the place of the materials of the walls: leave one of them out"
+            yield "wall_constants", fault
 
     @cached_property
     def _kinds(self) -> Kinds | None:
@@ -229,14 +245,14 @@ class Chain(ChainPicture, Checked):
         """Return a property of the material of every grain, (N,)."""
         return np.full(self.grains, self.of_material(prop))
 
-    def of_material(self, prop: str, drawn: Array | None = None) -> float | Array:
-        """Return a property of the material of the grains, (..., N); one number if all share it.
+    def of_material(self, prop: str, drawn: Array | None = None) -> Array:
+        """Return a property of the material of the grains, (..., N), or (1,) if all share it.
 
         Values that were drawn, (..., N), take the place of that of all grains but impurities.
         """
         values: Any = drawn
         if drawn is None and isinstance(self.material, Material):
-            values = getattr(self.material, prop)
+            values = np.array([getattr(self.material, prop)])
         elif drawn is None:
             values = np.array([getattr(material, prop) for material in self.material])
 
@@ -340,9 +356,9 @@ class Chain(ChainPicture, Checked):
     def loose(self) -> str:
         """Why nothing of grains that only touch is linear, and what to do."""
         if self.loose_grains == 1:
-            return "grain 1 only touches grain 2: let the load act on grain 1, or use native"
+            return "grain 1 only touches grain 2: let the load act on grain 1"
         last = self.loose_grains
-        return f"grains 1 to {last} only touch: let the load act on grain 1, or use native"
+        return f"grains 1 to {last} only touch: let the load act on grain 1"
 
     @property
     def wall_load(self) -> float:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,8 @@ from .impurities import with_impurities
 from .materials import sphere_mass
 from .plausible import LIMITS
 
-if TYPE_CHECKING:
-    from .chain import Chain
-
-Values = Any  # of every grain or contact, (..., N), or one number that all share, or (1,) of it
-Ends = tuple[Values, Values, Values]  # of the top, of those between, of the bottom
+# of the contact at the top, of those between grains, and of that at the bottom
+Ends = tuple[float | Array, float | Array, float | Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +75,16 @@ class Equilibrium:
         )
 
 
-def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equilibrium:
+def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equilibrium:
     """Return a chain at rest, or R chains like it of which some values were drawn.
 
-    A value that all grains share stays one number until rows of grains are filled, so that a chain
-    of like grains takes little time.
+    A value that all grains share stays one, in a (1,) array, until rows of grains are filled, so
+    that a chain of like grains takes little time.
 
     Parameters
     ----------
     chain : Chain
+        Its module imports this one, which therefore cannot name its type.
     drawn : mapping of (R, N) or (R, N-1) arrays, optional
         What takes the place of fields of the chain: "diameter", "masses", "contact_constants", or
         "material.density", "material.youngs_modulus", "material.poissons_ratio". Impurities keep
@@ -96,7 +94,7 @@ def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equi
     grains = chain.grains
     rows = next(iter(drawn.values())).shape[:-1] if drawn else ()
     # an array in any case: a power of a Python float raises where it overflows, and has other bits
-    diameter = np.atleast_1d(drawn.get("diameter", chain.diameter))
+    diameter = np.array(drawn.get("diameter", chain.diameter), ndmin=1)
     diameter = with_impurities(diameter, chain.impurity, attrgetter("diameter"), grains)
     density, youngs, poisson = (
         chain.of_material(name, drawn.get(f"material.{name}"))
@@ -110,7 +108,7 @@ def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equi
     given = drawn.get("contact_constants", chain.given_contact_constants)
     modulus = youngs / (1 - poisson * poisson)
     constants = _contact_constants(chain, modulus, diameter, lengths, given)
-    masses = np.full((*rows, grains), mass)
+    masses = _spread((*rows, grains), mass)
     # in long doubles: the rounding of the weight of many grains would show in the stiffnesses
     weight = chain.gravity * masses.cumsum(-1, dtype=np.longdouble)
     force = force_at_rest(weight, chain.top_load, chain.load_grain).astype(float)
@@ -123,7 +121,7 @@ def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equi
     return Equilibrium(
         Contacts.at_rest(_fill(shape, constants), force, chain.law),
         read_only(_fill(shape, lengths)),
-        read_only(np.full(masses.shape, diameter)),
+        read_only(_spread(masses.shape, diameter)),
         read_only(masses),
     )
 
@@ -148,7 +146,7 @@ def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDA
 
 
 def _contact_constants(
-    chain: Chain, modulus: Values, diameter: Values, lengths: Ends, given: Array | None
+    chain: Any, modulus: Array, diameter: Array, lengths: Ends, given: Array | None
 ) -> Ends:
     """Return the constants of the contact at the top, of those between grains, and at the bottom.
 
@@ -157,7 +155,7 @@ def _contact_constants(
     Parameters
     ----------
     chain : Chain
-    modulus, diameter : Values
+    modulus, diameter : (..., N) or (1,) arrays
         Plane-strain moduli, Pa, and m.
     lengths : Ends
         Mean diameters of the same contacts, m.
@@ -169,8 +167,8 @@ def _contact_constants(
     )
     between = natural if given is None else given
     # the constant of a wall is in the proportion of Hertz's law to that of the next contact
-    scale = 1.0 if given is None else given / natural
-    ends: list[Values] = []
+    scale = np.ones(1) if given is None else given / natural
+    ends: list[float | Array] = []
     for end, kind, wall in (
         (0, chain.top, chain.top_material),
         (-1, chain.bottom, chain.bottom_material),
@@ -189,19 +187,26 @@ def _contact_constants(
     return ends[0], between, ends[1]
 
 
-def _neighbours(values: Values) -> tuple[Values, Values]:
+def _neighbours(values: Array) -> tuple[Array, Array]:
     """Return the values (..., N) of the upper and the lower grain of every contact between grains.
 
     A value that all grains share stands for both.
     """
-    return (values, values) if np.size(values) == 1 else (values[..., :-1], values[..., 1:])
+    return (values, values) if values.size == 1 else (values[..., :-1], values[..., 1:])
 
 
-def _end(values: Values, end: int) -> Values:
+def _end(values: Array, end: int) -> Array:
     """Return the value of the first (end 0) or the last grain (-1), (..., 1), or that of all."""
-    if np.size(values) == 1:
+    if values.size == 1:
         return values
     return values[..., :1] if end == 0 else values[..., -1:]
+
+
+def _spread(shape: tuple[int, ...], values: Array) -> Array:
+    """Return rows of these values, or of the one that all grains share."""
+    row = np.empty(shape)
+    row[...] = values
+    return row
 
 
 def _fill(shape: tuple[int, ...], values: Ends) -> Array:

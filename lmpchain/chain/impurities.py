@@ -78,12 +78,12 @@ def with_impurities(
     grains: int,
 ) -> Any:
     """Return values (..., N), or the value that all grains share, with those of impurities."""
-    changes = {i.grain - 1: value for i in impurities if (value := own(i)) is not None}
-    if not changes:
+    if not impurities:
         return values
     changed = np.array(np.broadcast_to(values, (*np.shape(values)[:-1], grains)), dtype=float)
-    for place, value in changes.items():
-        changed[..., place] = value
+    for impurity in impurities:
+        if (value := own(impurity)) is not None:
+            changed[..., impurity.grain - 1] = value
     return changed
 
 
@@ -112,8 +112,10 @@ def kinds(material: Material, diameter: float, impurities: Sequence[Any]) -> Kin
     materials = [material, *(impurity.material or material for impurity in impurities)]
     diameters = [diameter, *(impurity.diameter or diameter for impurity in impurities)]
     own_masses = [None, *(impurity.mass for impurity in impurities)]
-    densities = np.array([material.density for material in materials])
+    # a power of a Python float raises where it overflows, one of numpy's is infinite
     with np.errstate(over="ignore"):
-        spheres = sphere_mass(densities, np.array(diameters)).tolist()
-    masses = [mass or sphere for mass, sphere in zip(own_masses, spheres, strict=True)]
+        masses = [
+            mass or float(sphere_mass(kind.density, np.float64(width)))
+            for kind, width, mass in zip(materials, diameters, own_masses, strict=True)
+        ]
     return Kinds(materials, diameters, masses)

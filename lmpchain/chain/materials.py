@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..errors import shown
-from ..util.arrays import Array
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Real
 
@@ -221,9 +220,9 @@ SYNONYMS = {
 }
 
 
-def sphere_mass(density: float | Array, diameter: Array) -> Array:
+def sphere_mass(density: Any, diameter: Any) -> Any:
     """Return the mass of spheres of this density, kg/m3, and diameter, m: (...) kg."""
-    return density * np.pi / 6 * diameter**3  # type: ignore[no-any-return]
+    return density * np.pi / 6 * diameter**3
 
 
 def _letters(name: str) -> str:

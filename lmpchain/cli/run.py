@@ -154,7 +154,7 @@ def _report(
     answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False
 ) -> int:
     """Run, print the summary and return the exit code."""
-    from ..simulation.signals import Stopped
+    from ..simulation.run_folder import Stopped
 
     missed = ""
     try:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..engines.cost_model import announce
-from ..engines.stepping.round_off import native_floor
+from ..engines.stepping.rounding import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..integrators.adjoint import Inputs
 from ..integrators.differentiation import (

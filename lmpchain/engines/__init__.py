@@ -33,6 +33,9 @@ REGISTRY = {  # module and class, by name
     "continuum": ("linear.closed_form", "Continuum"),
 }
 __all__ = ["Engine", "automatic", "get", "names", *(cls for _, cls in REGISTRY.values())]
+DEFAULT = (
+    "native"  # where one engine must do for "auto": for options, and for all scenes of a sweep
+)
 # of `simulate` for every engine
 ARGUMENTS = ("engine", "tolerance", "on_miss", "progress", "folder", "max_wall")
 

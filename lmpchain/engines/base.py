@@ -4,6 +4,10 @@ Every engine states which equation it solves, says beforehand what an answer wil
 off it will be, and delivers the answer in blocks with an estimate of its own error. The light cone,
 the choice of the engine, step control, progress, Ctrl-C and where the output goes are not its
 business: `lmpchain.simulation` does that for all.
+
+In the terms of solvers of differential equations: an engine is the solver, and `step_control` the
+controller. The engine proposes `Steps`, its `Run` takes them and estimates the error, and if that
+exceeds the tolerance, the engine refines its proposal.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from ..util.arrays import Array
 from ..util.tables import finite
 
 # fields of a proposal in a plan
-COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
+PLAN_COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
            "step", "cost_s", "kept", "why")  # fmt: skip
 # what a proposal without an answer has in their place
 NO_STEPS = Steps(1, 1, math.nan)
@@ -110,12 +114,15 @@ class Proposal(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of a plan for a JSON file; numbers that are not known are null."""
-        fields = {name: getattr(self, name) for name in COLUMNS}
+        fields = {name: getattr(self, name) for name in PLAN_COLUMNS}
         return finite(fields | {"active_grains": self.active_grains or None})
 
 
 class ErrorBudget(NamedTuple):
     """Estimated error of a run and its parts, as defined for `ErrorEstimate`.
+
+    A trajectory and its files hold an `ErrorEstimate`, which is at most 2. Step control also needs
+    the parts, and values however large.
 
     Attributes
     ----------

@@ -82,12 +82,15 @@ class ChainBatch:
         formulas = chain.law if chain.law.power is None else None
         at_rest = _at_rest(self.contacts, chain.loose_grains)
         acts, reach, wave, knots, pieces, laws = self._imposed()
-        damped = any(chain.damped for chain in chains)
-        viscosity = np.array([chain.contact_viscosity for chain in chains if damped])
-        drag = np.array([chain.drag for chain in chains if damped])
-        pushed = acts and bool((wave["body"] < 0).any())
-        alike = damped and not (pushed or drag.any() or np.ptp(viscosity, axis=1).any())
         size = len(scenes)
+        damped = any([chain.damped for chain in chains])
+        viscosity = drag = np.zeros((size, 0))
+        alike = False
+        if damped:
+            viscosity = np.array([chain.contact_viscosity for chain in chains])
+            drag = np.array([chain.drag for chain in chains])
+            pushed = acts and (wave["body"] < 0).any()
+            alike = not (pushed or drag.any() or np.ptp(viscosity, axis=1).any())
         rows = aligned_rows(8 if damped else 5, size, self.grains)
         of_damped = rows[5:] if damped else np.zeros((3, size, 0))
         uncompressed, least_strain, omega, allowed = np.zeros((4, size))
@@ -126,7 +129,7 @@ class ChainBatch:
             at_rest,
             self.masses,
             np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes]),
-            (viscosity.reshape(size, -1), drag.reshape(size, -1)),
+            (viscosity, drag),
             (self.driven, chain.movable),
             self.opening_power,
         )
@@ -150,8 +153,9 @@ class ChainBatch:
         return np.repeat(rows, len(self.scenes), axis=0) if len(rows) < len(self.scenes) else rows
 
     def _initial(self) -> tuple[Array, Array]:
-        u, v = np.array([scene.initial() for scene in self._struck]).swapaxes(0, 1)
-        return self._of_each(np.ascontiguousarray(u)), self._of_each(np.ascontiguousarray(v))
+        starts = [scene.initial() for scene in self._struck]
+        u, v = (self._of_each(np.array(rows)) for rows in zip(*starts, strict=True))
+        return u, v
 
     def place(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, NDArray[Any]]:
         """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R,).

@@ -62,6 +62,14 @@ class Stepper(Protocol):
         Returns the steps made.
         """
 
+    @property
+    def progress(self) -> float:
+        """Part of its work that is done, 0 to 1."""
+
+    @property
+    def own_part(self) -> float:
+        """Part of its steps that were those of the answer."""
+
     def state(self) -> dict[str, Array]:
         """Return the arrays from which a run goes on with the same bits."""
 
@@ -73,7 +81,7 @@ class NativeStepper:
     """A batch of chains in displacements from equilibrium, shared out over threads.
 
     If there are fewer chains than threads, and they are long, the threads share each of them.
-    Companions of the same chains, by other schedules of the same method, are moved in the same
+    Auxiliary runs of the same chains, by other schedules of the same method, are moved in the same
     compiled call.
 
     Parameters
@@ -84,7 +92,7 @@ class NativeStepper:
     state : mapping
         Empty, or what `state` returned.
     threads : int
-    companions : sequence of S Steps
+    auxiliary : sequence of S Steps
 
     Attributes
     ----------
@@ -103,12 +111,12 @@ class NativeStepper:
         schedule: Steps,
         state: Mapping[str, Array],
         threads: int = 1,
-        companions: Sequence[Steps] = (),
+        auxiliary: Sequence[Steps] = (),
     ):
         self.chains = chains
         self.threads = threads
         scenes = chains.scenes
-        self._schedules = (schedule, *companions)
+        self._schedules = (schedule, *auxiliary)
         self._size = len(scenes)
         count = len(self._schedules)
         u = chains.initial[0][None]
@@ -185,7 +193,7 @@ class NativeStepper:
     ) -> int:
         """Step on to the sample `until`, or by `max_steps` a thread.
 
-        Samples from `offset` on go into u, v, those of the companions into the arrays beside, (S,
+        Samples from `offset` on go into u, v, those of auxiliary runs into the arrays beside, (S,
         R, B, N).
         """
         fields = Fields(u, v, *beside, offset, self.balance)

@@ -67,7 +67,7 @@ class Steps(NamedTuple):
         ratio = self.per_landing / (self.stride * steps)
         return self._replace(per_landing=steps, stride=1, step=self.step * ratio, dense=0)
 
-    def shortened(self, per_landing: int) -> Steps:
+    def shorten(self, per_landing: int) -> Steps:
         """Return so many steps from landing to landing, none of them coarse near openings."""
         step = self.step * (self.per_landing / per_landing)
         return self._replace(per_landing=per_landing, step=step, coarse_openings=False)

@@ -118,14 +118,18 @@ class SceneFacts(Recording):
         """Velocity given to one grain at t = 0, m/s; 0 for any other excitation."""
         return self.excitation.strike_velocity
 
-    @cached_property
+    @property
     def _surroundings(self) -> tuple[int, Self]:
         """The grains that the excitation moves, with their neighbours: first number, and scene.
 
         The whole scene if its chain is short, because its contacts are then known as soon.
         """
-        if self.chain.grains <= FEW_GRAINS:
-            return 1, self
+        # A scene that stored itself would stay in memory until the next search for cycles.
+        return (1, self) if self.chain.grains <= FEW_GRAINS else self._struck_part
+
+    @cached_property
+    def _struck_part(self) -> tuple[int, Self]:
+        """The part of a long chain that `_surroundings` returns."""
         top, bottom = self.excitation.reach(self.chain)
         first = self.chain.first_of_part(max(1, top - 1))
         return first, self.part(first, min(self.chain.grains, bottom + 2))

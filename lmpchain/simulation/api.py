@@ -111,8 +111,7 @@ def simulate(
             )
         memory = _Memory(*asked)
         return _conclude(memory, *_answer(memory, progress))
-    from .run_folder import RunFolder
-    from .signals import Requests
+    from .run_folder import Requests, RunFolder
 
     with RunFolder(folder, Requests(max_wall), *asked) as output:
         answer = _answer(output, progress)
@@ -157,8 +156,7 @@ def resume(
     LmpchainError
         As for `simulate`.
     """
-    from .run_folder import RunFolder, status
-    from .signals import Requests
+    from .run_folder import Requests, RunFolder, status
 
     state = status(folder)
     if state["state"] == "finished":
@@ -243,7 +241,8 @@ def _solve(
         nonlocal state
         state = output.begin(attempt) or {}
         _announce(scene, attempt, 1 - output.samples / scene.samples)
-        return of_engine(state) or None
+        # an attempt from the beginning has no state
+        return (of_engine(state) or None) if state else None
 
     def collect(run: Run) -> Any:
         nonlocal gathering, solved
@@ -268,11 +267,10 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
     `left` is the share of the samples that remains.
     """
     cost_s = left * attempt.proposal.cost_s
-    cures = ["a shorter duration"]
     if cost_s > PATIENCE_S:
-        cures += _cheaper(scene, attempt, cost_s)
-    cure = f"{', '.join(cures)} takes less; a run folder keeps what is done"
-    announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
+        cures = ", ".join(["a shorter duration", *_cheaper(scene, attempt, cost_s)])
+        cure = f"{cures} takes less; a run folder keeps what is done"
+        announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
 
 
 def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:

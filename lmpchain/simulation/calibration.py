@@ -19,7 +19,7 @@ from .api import simulate
 
 # of the answers that are timed
 REPEATS = 5
-TOLERANCE = 1e-9
+ACCURACY = 1e-9
 # grains, and tens of time units
 SMALL = (2, 1)
 LARGE = (60, 40)
@@ -84,11 +84,11 @@ def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
     """Return the shortest time of an answer, s, and its work on the reference machine, s."""
     scene = _scene(grains, periods)
     start, slowness = speed(engine.name, engine.start_up_s)
-    work = (engine.propose(engine.part(scene), TOLERANCE).cost_s - start) / slowness
+    work = (engine.propose(engine.part(scene), ACCURACY).cost_s - start) / slowness
     times = []
     with warnings_aside():
         for _ in range(REPEATS):
             began = time.perf_counter()
-            simulate(scene, engine, TOLERANCE)
+            simulate(scene, engine, ACCURACY)
             times.append(time.perf_counter() - began)
     return min(times), work

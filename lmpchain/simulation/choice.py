@@ -31,7 +31,7 @@ SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
     """Return an engine by its name; None for "auto", with which each scene gets its own engine.
 
-    Options without a name are those of the native engine.
+    With options "auto" stands for the engine `engines.DEFAULT`, to which they belong.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
         return None
     if isinstance(engine, str) and engine != AUTO and engine not in engines.REGISTRY:
         raise InputError.at("engine", not_among(engine, (AUTO, *engines.names())))
-    return engines.get("native" if engine == AUTO else engine, **options)
+    return engines.get(engines.DEFAULT if engine == AUTO else engine, **options)
 
 
 def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
@@ -79,10 +79,10 @@ def _choose(scene: Scene, tolerance: float) -> Proposal:
     """Return the proposal of the cheapest engine, or raise `ToleranceNotMet`."""
     proposals = propose(scene, tolerance)
     best = cheapest(proposals)
-    return _explained(best, plan=f"{best.engine}: {reason(best, proposals)}")
+    return _explain(best, plan=f"{best.engine}: {reason(best, proposals)}")
 
 
-def _explained(proposal: Proposal, **why: str) -> Proposal:
+def _explain(proposal: Proposal, **why: str) -> Proposal:
     """Return a proposal that keeps on record why it was chosen."""
     return proposal._replace(choices={**proposal.choices, **why})
 
@@ -115,7 +115,7 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
         f"{left_out} along the run of {before.name}, {expected}: "
         f"run again with {best.engine}, Eq. (1)"
     )
-    best = _explained(best, plan=f"{best.engine}: {redone}", redone=redone)
+    best = _explain(best, plan=f"{best.engine}: {redone}", redone=redone)
     return Attempt(best, tolerance, planned_s=clock() - began)
 
 

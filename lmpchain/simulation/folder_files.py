@@ -12,7 +12,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -371,16 +371,15 @@ def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
     # zarr has hashes of its own in them
     if IN_STORE.fullmatch(text) or _is_aside(name):
         return True
-    if text in (RUN, STATUS):
-        return read_sealed_json(path) is not None
-    if text == SCENE:
-        return is_sealed(folder)
-    if text == SUMS:
-        return bool(sums)
-    if text in CHECKPOINT_FILES:
-        return is_intact(path)
-    if text == LOCK:
-        return is_lock(path)
+    checks: dict[str, Callable[[], bool]] = {
+        SCENE: lambda: is_sealed(folder),
+        SUMS: lambda: bool(sums),
+        LOCK: lambda: is_lock(path),
+        **dict.fromkeys((RUN, STATUS), lambda: read_sealed_json(path) is not None),
+        **dict.fromkeys(CHECKPOINT_FILES, lambda: is_intact(path)),
+    }
+    if check := checks.get(text):
+        return check()
     if text in sums:
         return text in _names() and checksum(path) == sums[text]
     # a log grows until the run is finished

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..engines.cost_model import announce, seconds
 from ..engines.native import Native
-from ..engines.stepping.amplification import perturb
+from ..engines.stepping.rounding import perturb
 from ..engines.stepping.step_choice import FIRST_STEP
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.batch import ChainBatch
@@ -319,6 +319,8 @@ class _Sums(NamedTuple):
         Mean relative error of the energy in each stretch.
     energy_error : float
         Its root mean square over all times.
+    lost_after : float, optional
+        Part of the motion after which the energy was off by more than allowed, so that it ended.
     """
 
     reference: Array
@@ -326,52 +328,7 @@ class _Sums(NamedTuple):
     square: Array
     energy: Array
     energy_error: float
-
-
-class _TooLong(Exception):
-    """A step changes the energy by too much.
-
-    Parameters
-    ----------
-    error : float
-        Of the energy, relative, so far.
-    share : float
-        Of the motion that is done.
-    """
-
-    def __init__(self, error: float, share: float):
-        super().__init__()
-        self.error = error
-        self.share = share
-
-
-class _EnergyWatch:
-    """The error of the energy along a motion, which ends it where that exceeds a tolerance."""
-
-    def __init__(self, tolerance: float):
-        self._tolerance = tolerance
-        self._square = 0.0
-        self._count = 0
-        self._warming = True
-
-    def look(self, errors: Array, warming: bool, share: float) -> None:
-        """Take in relative errors of the energy; raise `_TooLong` if all so far are too large."""
-        if self._warming and not warming:
-            # what averages are to be of begins here
-            self._square = 0.0
-            self._count = 0
-        self._warming = warming
-        self._square += float((errors**2).sum())
-        self._count += errors.size
-        # the wave is steepest when it is young
-        allowed = 4 * self._tolerance if warming else self._tolerance
-        if self._count >= AVERAGING.judged and not self.error <= allowed:
-            raise _TooLong(self.error, share)
-
-    @property
-    def error(self) -> float:
-        """Root mean square of the relative error of the energy."""
-        return math.sqrt(self._square / max(self._count, 1))
+    lost_after: float | None
 
 
 def averages(
@@ -481,24 +438,22 @@ def averages(
             # before the first of them alone
             if error == math.inf:
                 work = Native.seconds_per_grain_step * method.evaluations * steps * samples
-                cost_s = seconds("native", 0.0, work * copies * scene.chain.grains)
+                cost_s = seconds(Native.name, 0.0, work * copies * scene.chain.grains)
                 announce(
                     cost_s,
                     f"the average over {copies * steps * samples} steps of {method.name}",
                     "a shorter time, fewer copies or a larger tolerance takes less",
                 )
             schedule = Steps.spread(longer.sampling_interval, steps)
-            try:
-                sums = _follow(course, scenes, observables, method, schedule, tolerance, bar)
-            except _TooLong as fault:
-                error = fault.error
-                # of a random walk, as it would be at the end
-                ratio = (tolerance / (error / math.sqrt(fault.share))) ** (1 / method.order)
-                reach *= min(max(0.9 * ratio, 0.25), 0.8) if math.isfinite(ratio) else 0.25
-                bar.reach(0)
-                continue
-            named = dict(zip(names, observables, strict=True))
-            return _conclude(scene, course, named, sums, schedule, method.name)
+            sums = _follow(course, scenes, observables, method, schedule, tolerance, bar)
+            if sums.lost_after is None:
+                named = dict(zip(names, observables, strict=True))
+                return _conclude(scene, course, named, sums, schedule, method.name)
+            error = sums.energy_error
+            # of a random walk, as it would be at the end
+            ratio = (tolerance / (error / math.sqrt(sums.lost_after))) ** (1 / method.order)
+            reach *= min(max(0.9 * ratio, 0.25), 0.8) if math.isfinite(ratio) else 0.25
+            bar.reach(0)
     reason = f"the energy is off by {error:.2g} in {AVERAGING.attempts} attempts at shorter steps"
     cure = "ask lmpchain.averages for less, or for a shorter time"
     raise ToleranceNotMet(f"{reason}, above the tolerance of {tolerance:.2g}: {cure}")
@@ -604,7 +559,7 @@ def _follow(
     tolerance: float,
     bar: ProgressBar,
 ) -> _Sums:
-    """Return sums over a motion; raise `_TooLong` if its energy is off by more than allowed."""
+    """Return sums over a motion, which ends where its energy is off by more than allowed."""
     chain = course.scene.chain
     batch = ChainBatch(scenes)
     copies = len(scenes)
@@ -615,7 +570,9 @@ def _follow(
     first, square = np.zeros((2, *shape))
     reference = np.zeros((len(observables), 1))
     drift = np.zeros(shape[1:])
-    watch = _EnergyWatch(tolerance)
+    squares = error = 0.0
+    looked = 0
+    lost_after = None
     threads = min(copies, len(os.sched_getaffinity(0)))
     with closing(NativeStepper(batch, method, schedule, {}, threads)) as stepper:
         for stretch, begin, end in course.pieces(block):
@@ -627,7 +584,18 @@ def _follow(
             some = slice(None, None, AVERAGING.energies)
             energy = chain.excess_energy(shown_u[:, some], shown_v[:, some])
             energy = energy / energies - 1
-            watch.look(energy, stretch < 0, end / course.scene.samples)
+            if begin == course.warm_up + 1:
+                # errors during the warm-up are none of the averages
+                squares = 0.0
+                looked = 0
+            squares += float((energy**2).sum())
+            looked += energy.size
+            error = math.sqrt(squares / looked)
+            # the wave is steepest when it is young
+            allowed = 4 * tolerance if stretch < 0 else tolerance
+            if looked >= AVERAGING.judged and not error <= allowed:
+                lost_after = end / course.scene.samples
+                break
             if stretch < 0:
                 if end == course.warm_up:
                     _check_apart(shown_u[:, -1], course)
@@ -640,7 +608,7 @@ def _follow(
                 values = values - reference[row]
                 first[row, :, stretch] += values.sum(-1)
                 square[row, :, stretch] += (values**2).sum(-1)
-    return _Sums(reference, first, square, drift, watch.error)
+    return _Sums(reference, first, square, drift, error, lost_after)
 
 
 def _check_apart(u: Array, course: _Course) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..engines.base import Proposal
 from ..engines.native import Native
-from ..engines.stepping.amplification import separate
+from ..engines.stepping.rounding import separate
 from ..errors import InputError, RunFailed
 from ..integrators.methods import BY_NAME
 from ..scene.scene import Scene

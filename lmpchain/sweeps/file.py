@@ -333,9 +333,7 @@ def _take_engine(name: Any) -> str:
     if not isinstance(name, str):
         raise InputError.at("engine", f"must be the name of an engine (got {shown(name)})")
     # one engine for all: small scenes go together, and bits do not depend on the speed of a machine
-    if name == "auto":
-        return "native"
-    return engines.get(name).name
+    return engines.get(engines.DEFAULT if name == "auto" else name).name
 
 
 def _take_names(names: Any) -> list[str]:

@@ -171,7 +171,7 @@ def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
     list of (str, bool, str)
         Field, whether it allows for modes, and the cure if not.
     """
-    cure = "give one number, or use the engine native"
+    cure = "give one number"
     return [
         (
             "chain.damping.viscoelastic",

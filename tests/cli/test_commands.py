@@ -35,7 +35,7 @@ from lmpchain.benchmark.truth import truth
 from lmpchain.cli import command_line, common, compare, orbit, pages
 from lmpchain.cli.command_line import main
 from lmpchain.cli.verbs import VERBS
-from lmpchain.simulation.signals import Stopped
+from lmpchain.simulation.run_folder import Stopped
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util import mpi
 

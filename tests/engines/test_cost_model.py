@@ -108,5 +108,5 @@ def test_a_trial_of_lammps_is_announced_at_every_attempt(monkeypatch: pytest.Mon
 
 def test_the_expected_time_grows_with_the_steps():
     candidate = Native("verlet").propose(SCENE, 1e-6)
-    shorter = candidate.with_steps(candidate.steps.shortened(3 * candidate.steps.per_landing))
+    shorter = candidate.with_steps(candidate.steps.shorten(3 * candidate.steps.per_landing))
     assert shorter.cost_s == pytest.approx(3 * candidate.cost_s)

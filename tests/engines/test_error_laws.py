@@ -26,17 +26,15 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 from lmpchain.engines.base import ErrorBudget, Proposal
-from lmpchain.engines.stepping.amplification import (
+from lmpchain.engines.stepping.auxiliary_runs import TRUST, estimate_truncation
+from lmpchain.engines.stepping.rounding import (
     GROWTH,
+    accumulate,
     amplify_rounding,
     could_grow,
-    perturb,
-)
-from lmpchain.engines.stepping.estimate import TRUST, estimate_truncation
-from lmpchain.engines.stepping.round_off import (
-    accumulate,
     interpolation_loss,
     native_floor,
+    perturb,
     plain_loss,
     rounded_energy,
 )
@@ -130,7 +128,7 @@ def test_errors_fall_with_the_order_of_the_method_where_touching_grains_part(cha
     proposed = engine.propose(scene, 1e-6)
     errors = []
     for steps in (24, 192):
-        run = engine.start([scene], proposed.with_steps(proposed.steps.sampled.shortened(steps)))
+        run = engine.start([scene], proposed.with_steps(proposed.steps.sampled.shorten(steps)))
         motion = (x[0] for x in blocks_of(run))
         errors.append(true.error(*motion))
         assert errors[-1] <= run.errors()[0].solver
@@ -360,7 +358,7 @@ def test_steps_of_a_proposal():
     """Seven steps from a landing to the next, three samples later."""
     assert PROPOSAL.steps.total(10) == 24
     assert PROPOSAL.steps.total(9) == 21
-    finer = PROPOSAL.with_steps(PROPOSAL.steps.shortened(14))
+    finer = PROPOSAL.with_steps(PROPOSAL.steps.shorten(14))
     steps = finer.steps
     assert (steps.per_landing, steps.stride, steps.coarse_openings) == (14, 3, False)
     assert finer.step == pytest.approx(1e-7, rel=1e-15)

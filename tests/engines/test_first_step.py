@@ -24,7 +24,7 @@ from lmpchain import (
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
 from lmpchain.engines.stepping import step_choice
-from lmpchain.engines.stepping.companions import OPENINGS, Companions, recurs
+from lmpchain.engines.stepping.auxiliary_runs import OPENINGS, AuxiliarySteps, recurs
 from lmpchain.engines.stepping.step_choice import FIRST_STEP, choose_step, expected_reach, land
 from lmpchain.integrators.methods import METHODS
 
@@ -125,7 +125,7 @@ def test_of_scenes_that_nothing_bounds_the_first_attempt_shows_the_step(tmp_path
 
 def ratios(scene: Scene, tolerance: float, **options) -> list[float]:
     candidate = Native("rkn6", **options).propose(scene, tolerance)
-    companions = Companions(RKN6, [scene], candidate.steps)
+    companions = AuxiliarySteps(RKN6, [scene], candidate.steps)
     return [schedule.ratio for schedule in companions.schedules]
 
 
@@ -158,7 +158,7 @@ def test_the_order_that_is_trusted():
     method = METHODS["kahan-li8"]
 
     def order(scene=strong, opens=True, smooth=True, **changes):
-        companions = Companions(method, [scene], candidate.steps._replace(**changes))
+        companions = AuxiliarySteps(method, [scene], candidate.steps._replace(**changes))
         return companions.order(opens, smooth)
 
     assert candidate.steps.adaptive
@@ -170,7 +170,7 @@ def test_the_order_that_is_trusted():
     assert order(adaptive=False) == 2
     assert order(adaptive=False, opens=False) == 8
     assert order(adaptive=False, opens=False, smooth=False) == 2
-    verlet = Companions(METHODS["verlet"], [strong], candidate.steps._replace(adaptive=False))
+    verlet = AuxiliarySteps(METHODS["verlet"], [strong], candidate.steps._replace(adaptive=False))
     assert verlet.order(True, True) == 2
 
 
@@ -200,7 +200,7 @@ def test_the_longest_steps_of_companions_fit_between_two_corners_of_what_acts():
         candidate = Native("rkn6").propose(scene, 1e-3)
         assert candidate.steps.adaptive
         assert 4 * candidate.step <= spacing * (1 + 1e-9)
-        schedules = Companions(RKN6, [scene], candidate.steps).schedules
+        schedules = AuxiliarySteps(RKN6, [scene], candidate.steps).schedules
         assert {2, 4} <= {schedule.ratio for schedule in schedules}
 
 

@@ -90,7 +90,7 @@ def test_the_largest_motion_is_found(integrator, scene):
     run = engine.start([chosen], candidate)
     for _ in run.blocks():
         pass
-    ratio = run.peaks[0] / largest(scene)
+    ratio = run.monitor.peaks[0] / largest(scene)
     reach = candidate.step * chosen.highest_frequency
     assert reach < 1.6
     assert (ratio > 0.995 * np.cos(max(reach, 0.6) / 2)).all()
@@ -104,6 +104,6 @@ def test_the_largest_motion_of_a_lammps_run_is_that_of_its_twin():
     try:
         for _ in run.blocks():
             pass
-        assert run.peaks[0] == pytest.approx([LENGTH, SPEED], rel=0.04)
+        assert run.monitor.peaks[0] == pytest.approx([LENGTH, SPEED], rel=0.04)
     finally:
         run.close()

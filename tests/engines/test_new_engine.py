@@ -147,6 +147,14 @@ def test_it_joins_auto_only_if_it_says_so(spring: Scene, monkeypatch: pytest.Mon
     assert simulate(spring).engine == "oscillator"
 
 
+def test_refusals_name_it_where_it_can_do_more(spring: Scene, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Oscillator, "dissipates", True)
+    damped = spring.replace(chain=spring.chain.replace(damping={"drag": 1.0}))
+    cure = "leave damping out, or use native, modes, oscillator or lammps"
+    with pytest.raises(lmpchain.InputError, match=f"chebyshev conserves energy: {cure}$"):
+        simulate(damped, "chebyshev")
+
+
 def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):
     spring.to_toml(tmp_path / "scene.toml")
     numbers = tmp_path / "numbers.json"

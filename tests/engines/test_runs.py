@@ -12,7 +12,8 @@ from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import monitor
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.engines.stepping.time_stepping import kind
 from lmpchain.integrators.methods import METHODS
 
@@ -23,7 +24,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=4e-5, sam
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Have four samples in a block."""
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
 
 
 def test_what_engines_are():
@@ -93,7 +94,7 @@ def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
     again = engine.start([SCENE], candidate, states[1])
     rest = np.concatenate([block.velocity for block in again.blocks()], axis=1)
     other = again.errors()[0]
-    peaks = again.peaks
+    peaks = again.monitor.peaks
     again.close()
     assert np.array_equal(rest, np.concatenate([block.velocity for block in blocks[2:]], axis=1))
     assert (other.truncation, other.roundoff) == (errors.truncation, errors.roundoff)
@@ -125,11 +126,11 @@ def test_distances_of_runs_are_those_of_answers_at_their_steps():
             scale = 1e-9 * np.abs(getattr(one, name)).max()
             np.testing.assert_allclose(distances[index, :, field], expected, rtol=1e-6, atol=scale)
     error = run.errors()[0]
-    largest = distances.max(1) / run.peaks[0]
+    largest = distances.max(1) / run.monitor.peaks[0]
     gain = np.clip(largest[1] / largest[0], 1.5, 4)
     expected = np.maximum(2 * largest[0] / (gain - 1), largest[1] / 12).max()
     assert error.truncation == pytest.approx(expected, rel=1e-9)
-    assert run.closest[0] > 0
+    assert run.monitor.closest[0] > 0
 
 
 def test_a_run_that_breaks_down_says_when_and_with_which_steps():
@@ -142,8 +143,8 @@ def test_a_run_that_breaks_down_says_when_and_with_which_steps():
     exact = scene.duration / 500 / np.ceil(scene.duration / 500 / step)
     assert words.endswith(f"at steps of {exact:.3g} s: use a shorter step or a tolerance")
     assert words.split(", after t = ")[0] in (
-        *companion_run.WRONG.values(),
-        companion_run.TOO_CLOSE,
+        *monitor.WRONG.values(),
+        monitor.TOO_CLOSE,
     )
     assert 0 <= float(words.split(", after t = ")[1].split(" s ")[0]) < 1e-3
 
@@ -227,11 +228,11 @@ def test_progress_in_lammps_is_that_of_the_time(monkeypatch):
     assert run.proposal.steps.total(1) == 4000
     assert run.progress == 0
     fields = np.zeros((2, 1, 1, 10))
-    run._answer.fill(*fields, offset=1, until=1, max_steps=1000)
+    answer.stepper.fill(*fields, offset=1, until=1, max_steps=1000)
     answer.seconds = 10.0
     assert run.progress == pytest.approx(0.25, rel=1e-12)
     twin.seconds = 0.5
-    monkeypatch.setattr(type(run.native), "progress", 0.125)
+    monkeypatch.setattr(type(run.monitor.native), "progress", 0.125)
     # 40 s and 4 s in all, of which 10 s and 0.5 s are over
     assert run.progress == pytest.approx(10.5 / 44, rel=1e-12)
     run.close()
@@ -249,7 +250,7 @@ def test_a_batch_has_the_answers_and_errors_of_its_scenes(small_blocks):
         alone = simulate(scene, engine)
         assert np.array_equal(velocity[place], alone.velocity)
         assert run.errors()[place].solver == pytest.approx(alone.error_estimate.solver, rel=1e-9)
-    np.testing.assert_allclose(run.peaks[:, 1], velocities, rtol=0.05, atol=0)
+    np.testing.assert_allclose(run.monitor.peaks[:, 1], velocities, rtol=0.05, atol=0)
 
 
 def test_longer_runs_are_expected_to_cost_more():

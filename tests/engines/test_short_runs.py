@@ -12,7 +12,7 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Displacement, Impulse, RunFailed, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.stepping.companions import Companions
+from lmpchain.engines.stepping.auxiliary_runs import AuxiliarySteps
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.steps import Steps
 
@@ -164,7 +164,7 @@ def test_where_twice_the_step_is_unstable_half_of_it_shows_the_error(
     step = 0.6 * method.stability_limit / chain.band_edge
     scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=20 * step, samples=2)
     given = Native(integrator, step=step)
-    (companion,) = Companions(method, [scene], given.propose(scene, 1e-6).steps).schedules
+    (companion,) = AuxiliarySteps(method, [scene], given.propose(scene, 1e-6).steps).schedules
     assert companion.step == pytest.approx(step / 2, rel=1e-9)
     t = simulate(scene, given)
     true, own = true_error(t, scene)

@@ -61,7 +61,7 @@ class Scripted(Engine):
     def refine(self, candidate, error, tolerance):
         """Halve the step, unless that was the last one."""
         steps = candidate.steps
-        return None if self.last else candidate.with_steps(steps.shortened(2 * steps.per_landing))
+        return None if self.last else candidate.with_steps(steps.shorten(2 * steps.per_landing))
 
     def start(self, scenes, candidate, state=None):
         """Start the next run of the script."""

@@ -9,7 +9,8 @@ So a run of a second has as many attempts and checkpoints to be killed at as one
 import sys
 
 from lmpchain.cli import command_line
-from lmpchain.engines.stepping import companion_run, time_stepping
+from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping
 from lmpchain.simulation import run_folder
 
 LONGER = 20  # than the steps that it would choose
@@ -17,14 +18,14 @@ LONGER = 20  # than the steps that it would choose
 
 def main(words: list[str]) -> int:
     """Run a command of lmpchain."""
-    companion_run.BLOCK_S = 0.02
+    stepping_run.BLOCK_S = 0.02
     run_folder.INTERVALS = run_folder.INTERVALS._replace(checkpoint_s=0.02, checkpoint_share=0.5)
     honest = time_stepping.TimeSteppingEngine.propose
 
     def propose(engine, *arguments):
         right = honest(engine, *arguments)
         count = right.steps.per_landing
-        steps = right.steps.shortened(count if engine.step else max(1, count // LONGER))
+        steps = right.steps.shorten(count if engine.step else max(1, count // LONGER))
         return right.with_steps(steps)
 
     time_stepping.TimeSteppingEngine.propose = propose

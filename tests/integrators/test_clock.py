@@ -8,7 +8,7 @@ import pytest
 from numba import njit
 
 from lmpchain import Chain, Impulse, Scene
-from lmpchain.engines.stepping.round_off import native_floor
+from lmpchain.engines.stepping.rounding import native_floor
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import STATE
 from lmpchain.integrators.kernels.sample_loop import end_of_step

@@ -10,7 +10,7 @@ from helpers.whole_runs import blocks_of
 from scipy.integrate import simpson
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 
@@ -176,7 +176,7 @@ def test_exact_restart(engine, integrator, excitation):
 
     whole, error = run()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(companion_run, "BLOCK_BYTES", 1)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_BYTES", 1)  # four samples a block
         first, kept = run(stop=4)
     rest, error_again = run(kept)
     assert rest[0].samples.start == first[-1].samples.stop < scene.samples
@@ -195,7 +195,7 @@ def test_where_an_integration_may_be_interrupted_leaves_no_trace(monkeypatch):
         for integrator, scene in product(ENGINES[engine], (struck, driven)):
             solver = fixed_step(engine, integrator, 1e-7 if engine == "native" else 5e-7)
             whole = simulate(scene, engine=solver)
-            monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
+            monkeypatch.setattr(stepping_run, "PIECE_S", 1e-5)
             pieces = simulate(scene, engine=solver)
             monkeypatch.undo()
             assert np.array_equal(whole.displacement, pieces.displacement)

@@ -10,7 +10,7 @@ from numba import njit
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.native import Native
-from lmpchain.engines.stepping.companions import Companions
+from lmpchain.engines.stepping.auxiliary_runs import AuxiliarySteps
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.dense_output import DenseRates, fill_samples
 from lmpchain.integrators.kernels.layout import LEAST_SHARE, PAD, STATE, SampleRow
@@ -134,7 +134,7 @@ def test_companions_are_compared_in_every_step():
         chain=SPRING, excitation=Impulse(velocity=SPEED), duration=20 / OMEGA, samples=1001
     )
     candidate = Native("rkn6").propose(scene, 1e-6)
-    for schedule in Companions(METHODS["rkn6"], [scene], candidate.steps).schedules:
+    for schedule in AuxiliarySteps(METHODS["rkn6"], [scene], candidate.steps).schedules:
         assert schedule.dense <= schedule.stride / schedule.per_landing
         u, _ = samples_of(scene, schedule, "rkn6")
         assert u[schedule.dense : schedule.stride : schedule.dense].any(1).all()
@@ -178,7 +178,7 @@ def test_rounding_of_samples_between_short_steps_is_known():
     truth = reference(scene)
     candidate = engine.propose(scene, 1e-6)
     assert candidate.steps.stride > 1
-    shorter = candidate.steps.shortened(50 * candidate.steps.per_landing)
+    shorter = candidate.steps.shorten(50 * candidate.steps.per_landing)
     run = engine.start([scene], candidate.with_steps(shorter))
     blocks = list(run.blocks())
     u, v = (

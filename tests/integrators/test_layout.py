@@ -134,6 +134,32 @@ def test_scales_are_the_largest_speed_and_displacement_that_it_makes(excitation)
     )
 
 
+DAMPED = {
+    "contacts": ({"viscoelastic": 2e-8}, None, True),
+    "driven": ({"viscoelastic": 2e-8}, Drive(amplitude=2e-8, frequency=2e4), True),
+    "pushed": ({"viscoelastic": 2e-8}, Force(amplitude=0.1, frequency=2e4, grain=2), False),
+    "drag": ({"viscoelastic": 2e-8, "drag": 50.0}, None, False),
+}
+
+
+@pytest.mark.parametrize("what", DAMPED)
+def test_damping_is_that_of_the_grains_that_move_freely(what: str):
+    """Creep follows the accelerations only where contacts of one viscosity are all that acts."""
+    damping, excitation, alike = DAMPED[what]
+    made = [chain.replace(damping=damping) for chain in chains()]
+    laid = batch(*made, excitation=excitation)
+    arrays = laid.arrays
+    assert (arrays.damped, arrays.alike) == (True, alike)
+    for real, chain in enumerate(made):
+        contacts = arrays.viscosity[real, PAD - 1 : PAD + N]
+        assert contacts.tolist() == [2e-8] * (N + 1)
+        free = np.arange(N) < N - 1
+        free[0] = what != "driven"
+        for row, values in ((arrays.drag, chain.drag), (arrays.mass, chain.masses)):
+            assert row[real, PAD : PAD + N].tolist() == np.where(free, values, 0.0).tolist()
+    assert batch(*chains()).arrays.viscosity.size == 0
+
+
 def test_rows_begin_at_cache_lines_and_have_a_body_more_at_either_end():
     for grains in (7, 8, 9, 15, 16, 17):
         laid = batch(Chain(grains=grains, diameter=1e-3))

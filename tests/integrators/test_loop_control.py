@@ -161,14 +161,13 @@ def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int
     """
     chain = windowed(PAD, 2 * PAD)
     chain.state.sample = sample
-    clock = SimpleNamespace(dense=every, interval=0.5)
-    span = SimpleNamespace(length=4.0)
+    clock = SimpleNamespace(dense=every, interval=0.5, length=4.0)
     for begin in np.arange(0, 4, 0.25):
         for end in np.arange(begin + 0.25, 4.01, 0.25):
             numbers = [
                 n for n in range(1, 8) if begin < n * 0.5 <= end and (sample + n) % every == 0
             ]
-            assert passes(chain, clock, span, begin, end) == (numbers[0] if numbers else 0)
+            assert passes(chain, clock, begin, end) == (numbers[0] if numbers else 0)
 
 
 def test_steps_are_equal_parts_of_the_time_that_is_left():

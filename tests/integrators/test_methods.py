@@ -268,7 +268,7 @@ def stepper(companions: int = 0, state=None, **options) -> NativeStepper:
     own = Steps(3, 1, SCENES[0].duration / 24, False)
     beside = [own.longer(2), own.longer(4)][:companions]
     return NativeStepper(
-        ChainBatch(SCENES), METHODS["verlet"], own, state or {}, companions=beside, **options
+        ChainBatch(SCENES), METHODS["verlet"], own, state or {}, auxiliary=beside, **options
     )
 
 

@@ -13,7 +13,8 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.stepping import companion_run, step_choice
+from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import step_choice
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
@@ -43,8 +44,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     assert candidate.steps.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
-    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # few samples a block
-    monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # few samples a block
+    monkeypatch.setattr(stepping_run, "PIECE_S", 1e-5)
     pieces = []
     state = None
     while not pieces or pieces[-1].samples.stop < scene.samples:
@@ -173,7 +174,7 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     engine = Native("rkn6")
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
     # nor are samples interpolated
-    monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
+    monkeypatch.setattr(step_choice, "_pass_samples", lambda *_: None)
     candidate = engine.propose(scene, 1e-4)
     truth = reference(scene)
     costs = []
@@ -202,7 +203,7 @@ def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too(
     scene = scene.replace(excitation=scene.excitation.scaled(2.0))
     springs = scene.replace(chain=scene.chain.replace(exponent=1.0))
     engine = Native("rkn6")
-    monkeypatch.setattr(step_choice, "_interpolate", lambda *_: [])
+    monkeypatch.setattr(step_choice, "_pass_samples", lambda *_: None)
     assert engine.propose(scene, 1e-2).steps.coarse_openings
     assert not Native("rkn6").propose(scene, 1e-12).steps.coarse_openings
     assert not Native("rkn6").propose(springs, 1e-2).steps.coarse_openings

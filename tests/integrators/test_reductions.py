@@ -7,7 +7,6 @@ from lmpchain.integrators.kernels.reductions import (
     NOT_A_NUMBER,
     SOUND,
     TOO_FAST,
-    AuxiliaryRuns,
     compare,
 )
 
@@ -31,7 +30,7 @@ def verdict(u=U, v=V, allowed=None, begin=BEGIN, peaks=None) -> tuple[int, np.nd
     allowed = 1.01 * KINETIC.max(1) if allowed is None else allowed
     differences = np.full((OTHERS, FINAL + 1, CHAINS, 2), np.nan)
     peaks = np.zeros((CHAINS, 2)) if peaks is None else peaks
-    runs = AuxiliaryRuns(OTHERS_U, OTHERS_V, AGAINST, STRIDES)
+    runs = (OTHERS_U, OTHERS_V, AGAINST, STRIDES)
     said = compare(u, v, runs, begin, MASSES, allowed, differences, peaks)
     return said, differences, peaks
 

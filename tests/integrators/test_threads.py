@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive, Force, Profile, Scene, engines, simulate
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import LEAST_SHARE
 from lmpchain.integrators.methods import METHODS
@@ -176,7 +176,7 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
     assert one.error_estimate == two.error_estimate
     assert one.cost.steps == two.cost.steps
 
-    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # few samples a block
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # few samples a block
 
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)

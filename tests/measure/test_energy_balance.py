@@ -31,7 +31,7 @@ from lmpchain import (
     simulate_many,
 )
 from lmpchain.engines import Modes, Native
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.measure import energy
 from lmpchain.trajectory.record import ErrorEstimate
 
@@ -290,7 +290,7 @@ def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
         simulate(scene, Native(threads=2), 1e-8),
         simulate(scene.replace(grains=[2, 5]), "native", 1e-8),
     ]
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     folder = tmp_path / "run"
     with pytest.raises(Stopped):
         simulate(scene, "native", 1e-8, folder=folder, max_wall=1e-9)

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 
 Tables = dict[str, Any]
 MARK = "INJECTED"  # what no deck may hold
@@ -451,7 +451,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = Scene.from_toml(folder / "scene.toml")
     simulate(scene, "native", folder=folder / "finished").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
         with pytest.raises(Stopped):
             simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
         with pytest.raises(Stopped):

@@ -20,7 +20,7 @@ from helpers.standalone_lammps import lmp
 
 from lmpchain import Force, InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.simulation import folder_files
 from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read as read_sweep
@@ -91,7 +91,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = Scene.from_dict(SCENE)
     simulate(scene, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
         with pytest.raises(Stopped):
             simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
     write_deck(scene, folder / "deck", step=1e-7)

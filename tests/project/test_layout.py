@@ -90,6 +90,18 @@ def test_arrows_run_down(module: str):
     }
 
 
+def test_no_engine_imports_another_one():
+    """Engines stand on the seam and on what time steppers share; the registry imports by name."""
+    rooms = {name: name.split(".")[2] for name in MODULES if name.startswith("lmpchain.engines.")}
+    shared = {"base", "step_control", "cost_model", "stepping"}
+    assert {
+        (name, other)
+        for name, room in rooms.items()
+        for other in ARROWS[name] & rooms.keys()
+        if rooms[other] not in {room, *shared}
+    } == set()
+
+
 @pytest.mark.parametrize("module", sorted(MODULES))
 def test_docstrings_open_with_one_short_line(module: str):
     tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))

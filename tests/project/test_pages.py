@@ -765,3 +765,26 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
             timeout=PATIENCE,
         ).stdout
         assert "plot_05_spectra.html" in shown
+
+
+def test_one_native_run_passes_the_listed_files_in_this_order():
+    text = (DOCS / "contributing.md").read_text(encoding="utf-8")
+    section = text.split("## Follow one native run")[1].split("\n## ")[0]
+    files = re.findall(r"^\d+\. `(.*)\.py`", section, re.MULTILINE)
+    listed = [f"lmpchain.{file.replace('/', '.')}" for file in files]
+    assert len(listed) <= 12
+    assert all((ROOT / "lmpchain" / f"{file}.py").exists() for file in files)
+    simulate(SHORT, "native")
+    passed: dict[str, None] = {}
+
+    def note(frame: Any, *_: object) -> None:
+        passed.setdefault(frame.f_globals.get("__name__", ""))
+
+    sys.setprofile(note)
+    try:
+        simulate(SHORT, "native")
+    finally:
+        sys.setprofile(None)
+    # compiled loops call one another unseen
+    python = [name for name in listed if ".kernels." not in name]
+    assert [name for name in passed if name in python] == python

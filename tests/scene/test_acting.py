@@ -32,7 +32,7 @@ from lmpchain import (
 )
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.measure import contact, energy
@@ -387,7 +387,7 @@ def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pyt
     candidate = solver.propose(scene, 1e-6)
     whole = solver.start([scene], candidate)
     u, v = blocks_of(whole)
-    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)  # four samples a block
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # four samples a block
     begun = solver.start([scene], candidate)
     blocks = []
     for block in begun.blocks():
@@ -407,8 +407,8 @@ def test_adaptive_steps_restart_exactly_too(monkeypatch: pytest.MonkeyPatch):
     for kind in ("force, burst", "force, points", "wall, burst", "wall, points"):
         scene = scene_of(*STRONG[kind], samples=9)
         whole = simulate(scene, "native", 1e-8)
-        monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)
-        monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
+        monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)
+        monkeypatch.setattr(stepping_run, "PIECE_S", 1e-5)
         pieces = simulate(scene, "native", 1e-8)
         monkeypatch.undo()
         assert np.array_equal(whole.displacement, pieces.displacement)

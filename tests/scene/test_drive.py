@@ -18,7 +18,7 @@ from scipy.integrate import simpson
 from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.scene.waveform import Waveform
@@ -376,7 +376,7 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
     # four samples a block, after the one at t = 0
-    monkeypatch.setattr(companion_run, "BLOCK_BYTES", 1)
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)
     begun = solver.start(scenes, candidate)
     blocks = []
     for block in begun.blocks():
@@ -401,7 +401,7 @@ def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(
     scene = scene_of(chain, path(chain, 2.0), samples=3)
     solver = engines.Native(integrator=integrator, step=scene.duration / 2000)
     whole = simulate(scene, engine=solver)
-    monkeypatch.setattr(companion_run, "PIECE_S", 1e-5)
+    monkeypatch.setattr(stepping_run, "PIECE_S", 1e-5)
     pieces = simulate(scene, engine=solver)
     assert np.array_equal(whole.displacement, pieces.displacement)
     assert np.array_equal(whole.velocity, pieces.velocity)

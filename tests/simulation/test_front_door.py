@@ -27,7 +27,7 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 from lmpchain.engines.step_control import first_attempt
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.simulation import api, folder_files, many, run_folder
 from lmpchain.simulation.choice import engine_for
 from lmpchain.simulation.folder_files import (
@@ -38,8 +38,7 @@ from lmpchain.simulation.folder_files import (
     resume_command,
     save_checkpoint,
 )
-from lmpchain.simulation.run_folder import status
-from lmpchain.simulation.signals import Requests
+from lmpchain.simulation.run_folder import Requests, status
 from lmpchain.util import progress
 from lmpchain.util.files import sealed_json
 
@@ -50,7 +49,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=6e-5, sam
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Have four samples in a block."""
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
 
 
 def stopped(folder, scene=SCENE, engine="native", tolerance=1e-6):

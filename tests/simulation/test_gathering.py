@@ -30,7 +30,7 @@ from lmpchain import (
 )
 from lmpchain.disorder.averages import ensemble
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.measure.contact import contacts
 from lmpchain.measure.motion import motion_of
 from lmpchain.simulation.run_folder import status
@@ -238,7 +238,7 @@ def test_stopped_after_every_block_it_gathers_the_same_bits(
     monkeypatch.setattr(linear, "BLOCK", 4)
     monkeypatch.setattr(linear, "SMALL_BLOCK", 1)
     whole = simulate(scene, engine, 1e-6)
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     stops = 0
     while True:
         limit = 1e-9 if stops < 2 else None

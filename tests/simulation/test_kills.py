@@ -34,7 +34,8 @@ from lmpchain import Chain, EngineUnavailable, Impulse, Scene, Trajectory, engin
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.stepping import companion_run, time_stepping
+from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping
 from lmpchain.integrators.steps import Steps
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.folder_files import is_run
@@ -98,7 +99,7 @@ def fallback(monkeypatch: pytest.MonkeyPatch):
 def busy_disk(monkeypatch: pytest.MonkeyPatch):
     """Have a checkpoint after every four samples, and do not wait for the disk."""
     monkeypatch.setattr(files, "_to_disk", lambda _: None)
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     intervals = run_folder.INTERVALS._replace(checkpoint_s=0.0, checkpoint_share=1e9)
     monkeypatch.setattr(run_folder, "INTERVALS", intervals)
 

@@ -19,8 +19,8 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines.step_control import PATIENCE
-from lmpchain.engines.stepping import companion_run
-from lmpchain.engines.stepping.companion_run import JudgingTimes, place_looks
+from lmpchain.engines.stepping import monitor
+from lmpchain.engines.stepping.monitor import JudgingTimes, place_looks
 
 
 def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
@@ -43,7 +43,7 @@ def springs(duration: float) -> Scene:
 @pytest.fixture
 def early(monkeypatch):
     """Have short runs judged, too."""
-    monkeypatch.setattr(companion_run, "LOOKS", JudgingTimes(begin_s=1e-5))
+    monkeypatch.setattr(monitor, "JUDGING", JudgingTimes(begin_s=1e-5))
 
 
 @pytest.fixture

@@ -429,8 +429,8 @@ def test_what_it_would_take_in_lammps(capsys: pytest.CaptureFixture[str]):
     assert main([*words, "--tolerance", "1e-4"]) == 0
     said = capsys.readouterr().out
     assert [line.split()[:2] for line in said.splitlines()[2:4]] == [
-        ["lammps", "kahan-li6"],
         ["lammps", "verlet"],
+        ["lammps", "kahan-li6"],
     ]
     assert max(map(len, said.splitlines())) <= 80
     assert main([*words, "--tolerance", "1e-13"]) == 1

@@ -27,7 +27,7 @@ from lmpchain import (
     resume,
     simulate,
 )
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.run_folder import status
 
@@ -98,7 +98,7 @@ LONGEST = (
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch):
     """Have four samples in a block, however short the run, so that it can be stopped on the way."""
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
@@ -292,7 +292,7 @@ def test_ten_stops_at_random_on_random_ranks(
     def block(fit: int, *_: int) -> int:
         return 40 if fit else 4 * rng.randint(1, 10)
 
-    monkeypatch.setattr(companion_run, "fit_block", block)
+    monkeypatch.setattr(stepping_run, "fit_block", block)
     monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(sample_s=math.inf))
     grains = rng.randint(30, 61)
     strike = Impulse(velocity=rng.choice([-0.1, 0.1]), grain=rng.randint(1, grains - 1))

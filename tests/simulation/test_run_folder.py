@@ -32,7 +32,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.cli.command_line import main
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.simulation.run_folder import status
 
 SCENE = Scene(
@@ -470,7 +470,7 @@ def test_a_stopped_run_loads_with_its_estimate_so_far(
 
     Later samples make it unknown.
     """
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
     scene = Scene(
         chain=Chain(grains=12, diameter=1e-3),
         excitation=Impulse(velocity=1e-4),

@@ -22,7 +22,7 @@ from lmpchain import (
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.step_control import first_attempt, solve_to_tolerance
-from lmpchain.engines.stepping.amplification import perturb
+from lmpchain.engines.stepping.rounding import perturb
 from lmpchain.errors import RunFailed
 from lmpchain.stability.predictability import (
     growth,

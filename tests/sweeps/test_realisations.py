@@ -96,12 +96,12 @@ def numbers(scene: Scene) -> dict[str, Any]:
         name: getattr(chain, name)
         for name in ("masses", "diameters", "wall_constants", "band_edge")
     }
-    names = ("constant", "force", "exponent", "exists", "pressed", "overlap", "stiffness")
+    names = ("constant", "force", "law", "exists", "pressed", "overlap", "stiffness")
     held = {f"contacts.{name}": getattr(contacts, name) for name in names}
     found = {name: getattr(scene, name) for name in ("duration", "samples", "grains", "quantities")}
     found |= {"strike": scene.strike_number, "strain": scene.largest_strain}
+    found["fastest"] = scene.fastest_motion
     found |= {
-        "pair": scene._pair_frequency,
         "energy": scene.energy if not scene.excitation.does_work else 0.0,
     }
     found |= {

@@ -23,7 +23,7 @@ from numcodecs.abc import Codec
 
 from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.report.origin import origin
 from lmpchain.simulation import folder_files
 from lmpchain.util.files import seal
@@ -42,7 +42,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("originals")
     simulate(SCENE, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(companion_run, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
         with pytest.raises(Stopped):
             simulate(SCENE, "native", folder=folder / "stopped", max_wall=1e-9)
     return folder

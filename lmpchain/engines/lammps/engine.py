@@ -26,19 +26,18 @@ from ...util.remarks import warn
 from ...util.suggestions import not_among
 from ..base import ErrorBudget, Proposal, Run
 from ..cost_model import announce, check_time
-from ..native import Native
 from ..step_control import (
     Attempt,
     Outcome,
     first_attempt,
     solve_to_tolerance,
 )
-from ..stepping.companion_run import CompanionRun
-from ..stepping.time_stepping import TimeSteppingEngine
+from ..stepping.run import SteppingRun
+from ..stepping.time_stepping import CompiledSteps, TimeSteppingEngine
 from . import deck, watching
 from .column import PAIR_STYLES, LammpsColumn
-from .launch import gather
 from .stepper import LammpsStepper, word
+from .subprocess_ranks import gather
 
 # in a run folder
 LOG = "log.lammps"
@@ -211,9 +210,9 @@ class Lammps(TimeSteppingEngine):
         except ToleranceNotMet:
             return math.inf
 
-    def _trial(self, scene: Scene) -> Native:
+    def _trial(self, scene: Scene) -> CompiledSteps:
         """Return the engine of the native trial: the same map."""
-        return Native(self.splitting(scene).name, self.step, adaptive=False)
+        return CompiledSteps(self.splitting(scene).name, self.step)
 
     def propose_steps(
         self, scene: Scene, tolerance: float, method: Method, steps: Steps
@@ -334,9 +333,8 @@ class Lammps(TimeSteppingEngine):
         state: Mapping[str, Array],
     ) -> LammpsStepper:
         """Make the stepper of the answer."""
-        # one instance, one chain: companions are native runs
+        # one instance, one chain: auxiliary runs are native
         (scene,) = scenes
-        schedule = schedules[0]
         column = self.column(scene, proposal)
         if self.run_folder and self.include:
             word(self.run_folder)
@@ -351,15 +349,7 @@ class Lammps(TimeSteppingEngine):
         if self.log:
             communicator.ask("commands", f'log "{word(self.log)}" append')
         splitting = self.splitting(scene)
-        stepper = LammpsStepper(
-            column,
-            splitting,
-            schedule.step,
-            state,
-            communicator,
-            every=schedule.per_landing,
-            keep=self.keep,
-        )
+        stepper = LammpsStepper(column, splitting, schedules[0], state, communicator, self.keep)
         if self.log and splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper
@@ -471,7 +461,9 @@ def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
         raise InputError.at("ranks", f"must be a whole number from 1 (got {shown(ranks)})")
 
 
-def _try_steps(native: Native, scene: Scene, tolerance: float) -> Outcome[tuple[Array, float]]:
+def _try_steps(
+    native: CompiledSteps, scene: Scene, tolerance: float
+) -> Outcome[tuple[Array, float]]:
     """Return the native trial at the longest steps that meet the tolerance, if any do.
 
     Where nothing bounds the strain beforehand, its first steps may be much too short.
@@ -503,10 +495,10 @@ def _without_heights(reason: str, known_until: float) -> ToleranceNotMet:
 
 def _largest_motion(run: Run) -> tuple[Array, float]:
     """Run; return the largest displacement and velocity, m, m/s, and the closest approach, m."""
-    assert isinstance(run, CompanionRun)
+    assert isinstance(run, SteppingRun)
     for _ in run.blocks():
         check_time()
-    return run.peaks[0], float(run.closest[0])
+    return run.monitor.peaks[0], float(run.monitor.closest[0])
 
 
 def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:

@@ -10,10 +10,11 @@ import numpy as np
 
 from ...errors import InputError, RunFailed
 from ...integrators.splittings import Splitting
+from ...integrators.steps import Steps
 from ...util.arrays import Array
 from . import deck, drive
 from .column import LammpsColumn
-from .launch import Communicator
+from .subprocess_ranks import Communicator
 from .worker import LocalState, StepPlan
 
 # Packages of fix mvv/dpd, of the pair style that it asks for, and of the atom style.
@@ -28,19 +29,18 @@ class LammpsStepper:
     ----------
     column : Column
     splitting : Splitting
-    step : float
-        s.
+    steps : Steps
+        Steps of one length that land on every sample.
     state : mapping
         Empty, or what `state` returned.
     communicator : Communicator
         The ranks; closed with the stepper.
-    every : int
-        Steps from one sample to the next.
     keep : Path, optional
         Folder for the deck, the data file and a dump of the samples.
     """
 
     stride = 1
+    own_part = 1.0
     # Each step is a command or a loop of LAMMPS, slower than compiled kernels.
     guessed_rate = 1e6
 
@@ -48,16 +48,14 @@ class LammpsStepper:
         self,
         column: LammpsColumn,
         splitting: Splitting,
-        step: float,
+        steps: Steps,
         state: Mapping[str, Array],
         communicator: Communicator,
-        *,
-        every: int,
         keep: Path | None = None,
     ):
         self._column = column
         self._communicator = communicator
-        self._every = every
+        self._every = steps.per_landing
         self._done = int(state.get("done", 0))
         scene = column.scene
         first, last = column.mobile
@@ -67,7 +65,7 @@ class LammpsStepper:
             first=first - 1,
             last=last,
             splitting=splitting,
-            step=step,
+            step=steps.step,
             done=self._done,
             pieces=tuple(drive.pieces(scene.excitation, scene.duration)),
             rest=column.heights[0],
@@ -84,12 +82,13 @@ class LammpsStepper:
             if column.predicts:
                 communicator.ask("require", PREDICTING)
             with deck.data_file(column, keep) as data:
-                setup = deck.setup(column, word(data), step, splitting, self._done)
+                setup = deck.setup(column, word(data), steps.step, splitting, self._done)
                 communicator.ask("commands", setup)
             if keep is not None:
-                deck.write_deck(column, keep / "in.column", step, splitting)
+                deck.write_deck(column, keep / "in.column", steps.step, splitting)
                 dump = word(keep / "column.lammpstrj")
-                communicator.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
+                every = self._every * deck.deck_steps(splitting)
+                communicator.ask("commands", deck.dump(dump, every))
             if state:
                 start: tuple[Array, ...] = state["z"], state["vz"], state["fz"]
             else:
@@ -132,6 +131,11 @@ class LammpsStepper:
     def steps(self) -> Array:
         """Steps made, (1,)."""
         return np.array([self._done])
+
+    @property
+    def progress(self) -> float:
+        """Part of its steps that are made."""
+        return self._done / (self._every * self._column.scene.intervals)
 
     def _take(self) -> None:
         """Take the motion from all ranks; raises `RunFailed` if they are no numbers."""

@@ -15,9 +15,9 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from ...errors import EngineUnavailable, LmpchainError
+from ...errors import EngineUnavailable, InputError, LmpchainError
 from ...util import mpi
-from .communicators import SIGNALS, MpiRanks, shutdown_workers, worker_loop
+from .communicators import SIGNALS, MpiRanks, Serial, shutdown_workers, worker_loop
 
 START_S = 60.0  # longest wait for the ranks to report, s
 
@@ -173,6 +173,32 @@ def serve(address: str) -> None:
     if communicator:
         communicator.close()
     shutdown_workers(world)
+
+
+Communicator = Serial | MpiRanks | SubprocessRanks
+
+
+def gather(ranks: int | None, log: str) -> Communicator:
+    """Return the ranks of a surrounding mpirun, ranks started for the run, or this process.
+
+    Raises
+    ------
+    InputError
+        If they are not to be had.
+    EngineUnavailable
+        If MPI does not work here.
+    """
+    world = mpi.current_world()
+    if mpi.count_processes() > 1 and ranks not in (None, 1 if world is None else world.size):
+        raise InputError.at(
+            "ranks",
+            f"mpirun has started {mpi.count_processes()} processes; leave the number of ranks out",
+        )
+    if world:
+        return MpiRanks(world, log)
+    if ranks is None or ranks == 1:
+        return Serial(log)
+    return SubprocessRanks(ranks, log)
 
 
 if __name__ == "__main__":

@@ -88,6 +88,7 @@ class Bessel(ClosedForm):
     """The homogeneous chain, Eqs. (4) and (13): contacts as stiff as the first, and no bottom."""
 
     name: ClassVar[str] = "bessel"
+    auto = "cheapest"
     style = (COLOURS["sky blue"], "v")
     equation: ClassVar[int] = 4
 
@@ -111,6 +112,7 @@ class Continuum(ClosedForm):
     """The column as a continuum, Eq. (27): its impulse response, Eq. (35), averaged over grains."""
 
     name: ClassVar[str] = "continuum"
+    auto = "cheapest"
     style = (COLOURS["orange"], "P")
     equation: ClassVar[int] = 27
 

@@ -45,7 +45,6 @@ class LinearEngine(Engine):
 
     summed_values: ClassVar[int] = 2**14
     equation: ClassVar[int] = 3
-    auto = "cheapest"
     # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
 
@@ -57,7 +56,7 @@ class LinearEngine(Engine):
             why = "without gravity and load nothing can be linearised; use the engine native"
             reasons.append(("gravity", why))
         elif scene.chain.loose_grains:
-            reasons.append(("load_grain", scene.chain.loose))
+            reasons.append(("load_grain", f"{scene.chain.loose}, or use native"))
         elif (contacts.exists & ~contacts.pressed).any():
             why = "a wall that only touches cannot be linearised; give a top_load or use native"
             reasons.append(("top", why))
@@ -130,6 +129,7 @@ class Chebyshev(LinearEngine):
     """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
+    auto = "cheapest"
     summed_values: ClassVar[int] = 2**17
     style = (COLOURS["pink"], "D")
     start_up_s: ClassVar[float] = 2e-4
@@ -166,6 +166,7 @@ class Modes(LinearEngine):
     """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
 
     name: ClassVar[str] = "modes"
+    auto = "cheapest"
     style = (COLOURS["green"], "^")
     dissipates: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 2.4e-4
@@ -179,7 +180,9 @@ class Modes(LinearEngine):
         if scene.chain.damped:
             from ...theory.modes import unequal_damping
 
-            reasons += [(key, why) for key, equal, why in unequal_damping(scene.chain) if not equal]
+            cure = "or use the engine native"
+            unequal = unequal_damping(scene.chain)
+            reasons += [(key, f"{why}, {cure}") for key, equal, why in unequal if not equal]
         return reasons
 
     def round_off(self, scene: Scene) -> float:

@@ -20,9 +20,8 @@ from ...integrators.method import Method
 from ...integrators.steps import MANY_STEPS, Steps
 from ...scene.scene import Scene
 from ..base import ErrorBudget
-from .companions import DIES, LONGER, OPENINGS
-from .estimate import TRUST
-from .round_off import interpolation_loss
+from .auxiliary_runs import DIES, LONGER, OPENINGS, TRUST
+from .rounding import interpolation_loss
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     interval = scene.sampling_interval
     phase = scene.sampling_phase
     steps = math.ceil(phase / reach)
-    # Two companions land on every sample, by halves, thirds or quarters of its steps.
+    # Two auxiliary runs land on every sample, by halves, thirds or quarters of its steps.
     while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and scene.sampling_decay > DIES:
         steps += 1
     coarse = False
@@ -242,15 +241,16 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     if strain <= FIRST_STEP.safe_strain:
         reach = min(reach, FIRST_STEP.longest * stable)
     else:
-        # two companions, at up to four times the step, show the rate at which the error falls; of
-        # one alone the distance itself counts, which is 2^order times the error. Where nothing
-        # bounds the strain, errors of longer steps scatter, and two runs may agree by chance.
+        # Two auxiliary runs, at up to four times the step, show the rate at which the error falls.
+        # If there is one alone, the distance itself counts, which is 2^order times the error. If
+        # nothing bounds the strain, errors of longer steps scatter, and two runs may agree by
+        # chance.
         longest = FIRST_STEP.longest_damped if scene.chain.damped else FIRST_STEP.longest_opening
         alone = min(reach / 2, longest * stable) if strain < math.inf else 0.0
         reach = max(min(reach, stable / 4), alone)
     if adaptive:
-        # all runs end steps on the corners of what acts: the longest steps of a companion, too, fit
-        # between two corners, or those of all would be cut to the same length
+        # All runs end steps on the corners of an applied force. The longest steps of an auxiliary
+        # run must fit between two corners, or corners would cut the steps of all runs alike.
         spacing = scene.corner_spacing / LONGER[-1]
         reach = min(reach, scene.highest_frequency * spacing)
     return reach

@@ -1,25 +1,30 @@
-"""Engines that step through time: options, steps, and the start of a run with companions."""
+"""Engines that step through time: options, steps, and the start of a run; and compiled steps."""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import ClassVar
 
-from ...errors import InputError, shown
+from ...errors import InputError, ToleranceNotMet, shown
+from ...integrators.batch import ChainBatch, force_form, name_of
+from ...integrators.kernels.contact_forces import PLAIN
+from ...integrators.kernels.layout import PAD
 from ...integrators.method import Method
-from ...integrators.methods import BY_NAME, methods_of
-from ...integrators.stepper import Stepper
+from ...integrators.methods import BY_NAME, METHODS, methods_of
+from ...integrators.stepper import NativeStepper, Stepper
 from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from ...util.compilation import clock
 from ...util.suggestions import not_among
 from ..base import Engine, ErrorBudget, Proposal
 from ..cost_model import seconds
-from .companion_run import CompanionRun
-from .companions import LONGER, longer_steps
+from .auxiliary_runs import LONGER, AuxiliarySteps, longer_steps
+from .monitor import Monitor, TwinMonitor
+from .rounding import native_floor, plain_loss
+from .run import SteppingRun, restrict
 from .step_choice import FIRST_STEP, STEP_CONTROL, choose_given_step, choose_step, work
 
 AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
@@ -33,15 +38,14 @@ class TimeSteppingEngine(Engine):
 
     Attributes
     ----------
-    twin : bool
-        Whether a native twin measures its round-off. Its steps must then be those of the native
-        engine in exact arithmetic.
+    monitor : type
+        What estimates the error of its runs.
     adaptive : bool
         Whether steps are shorter where contacts open and pass over samples, if the method allows.
     """
 
     adaptive: bool = False
-    twin: ClassVar[bool] = True
+    monitor: ClassVar[type[Monitor]] = TwinMonitor
     # Methods of other programs, which `lmpchain check` asks for.
     foreign: ClassVar[tuple[str, ...]] = ()
     dissipates: ClassVar[bool] = True
@@ -87,8 +91,26 @@ class TimeSteppingEngine(Engine):
     ) -> Stepper:
         """Make the stepper of the answer, from the start or a kept state.
 
-        A native one moves the companions of the answer, too.
+        A native stepper moves the auxiliary runs, too.
         """
+
+    def steppers(
+        self,
+        scenes: Sequence[Scene],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
+        state: Mapping[str, Array] | None,
+    ) -> dict[str, Stepper]:
+        """Make the steppers of a run, by the name of their state: that of the answer first.
+
+        "native" is the one that moves the auxiliary runs, and here also a twin of the answer.
+        """
+        twin, *beside = schedules
+        method = BY_NAME[proposal.integrator]
+        start = restrict("native", state)
+        native = NativeStepper(ChainBatch(scenes), method, twin, start, auxiliary=beside)
+        answer = self.stepper(scenes, proposal, schedules, restrict("answer", state))
+        return {"answer": answer, "native": native}
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
@@ -162,7 +184,7 @@ class TimeSteppingEngine(Engine):
             if steps.coarse_openings:
                 # steps near openings get their full order, and those elsewhere may stay as long
                 ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
-        shorter = steps.shortened(math.ceil(steps.per_landing * ratio))
+        shorter = steps.shorten(math.ceil(steps.per_landing * ratio))
         # with a step a sample or more, to interpolate none is cheaper
         every = shorter.per_landing > shorter.stride
         return proposal.with_steps(shorter.sampled if every else shorter)
@@ -172,19 +194,19 @@ class TimeSteppingEngine(Engine):
     ) -> Proposal | None:
         """Lengthen a step as far as its error allows; None if that gains little, or is not asked.
 
-        Companions at four times the step remain stable, which show the rate at which errors fall.
+        Auxiliary runs at four times the step stay stable: they show the rate at which errors fall.
         """
         method = BY_NAME[proposal.integrator]
         steps = proposal.steps
         interval = steps.step * steps.per_landing
         longest = min(method.stability_limit, math.pi) / LONGER[-1] / scene.highest_frequency
         aimed = steps.per_landing * STEP_CONTROL.aim(error, tolerance)
-        # companions that broke down show no error to go by
+        # auxiliary runs that broke down show no error to go by
         if math.isinf(aimed):
             return None
         fewer = math.ceil(max(aimed, interval / longest))
         gains = steps.per_landing >= STEP_CONTROL.least * fewer
-        return proposal.with_steps(steps.shortened(fewer)) if gains and not proposal.fixed else None
+        return proposal.with_steps(steps.shorten(fewer)) if gains and not proposal.fixed else None
 
     def batch_key(self, scene: Scene, proposal: Proposal) -> tuple:
         """Return a key of scenes of one kind that take the same steps."""
@@ -197,24 +219,110 @@ class TimeSteppingEngine(Engine):
         scenes: Sequence[Scene],
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
-    ) -> CompanionRun:
+    ) -> SteppingRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
-        make = partial(self.stepper, scenes, proposal)
+        began = clock()
         method = BY_NAME[proposal.integrator]
         scene = scenes[0]
         # as shipped: where a run is judged must not rest on the speed of a machine
         evaluations = method.evaluations * proposal.steps.total(scene.intervals)
         work_s = self.seconds_per_grain_step * evaluations * scene.chain.grains * len(scenes)
+        auxiliary = AuxiliarySteps(method, scenes, proposal.steps, self.monitor.twins)
+        schedules = proposal.steps, *auxiliary.schedules
         try:
-            return CompanionRun(make, method, scenes, proposal, state, self.twin, work_s)
+            steppers = self.steppers(scenes, proposal, schedules, state)
+            native = steppers["native"]
+            assert isinstance(native, NativeStepper)
+            monitor = self.monitor(native, auxiliary, method, scenes, proposal)
+            return SteppingRun(steppers, monitor, method, scenes, proposal, state, work_s, began)
         except (LookupError, TypeError, ValueError) as error:
             # without a state it is a fault of this package, not of a file
             if state is None or isinstance(error, InputError):
                 raise
             why = "does not fit its run, or was changed: run the scene anew"
             raise InputError.at("checkpoint", why) from error
+
+
+class CompiledSteps(TimeSteppingEngine):
+    """Integrate Eq. (1) in displacements with compiled loops, by options that were checked."""
+
+    name: ClassVar[str] = "native"
+    equation: ClassVar[int] = 1
+    integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
+    start_up_s: ClassVar[float] = 1e-4
+    # with the auxiliary runs that show the error
+    seconds_per_grain_step: ClassVar[float] = 8e-10
+    monitor: ClassVar[type[Monitor]] = Monitor
+    threads: int = 1
+    force: str = "auto"
+
+    def __init__(self, integrator: str, step: float | None, adaptive: bool = False):
+        super().__init__(integrator, step)
+        self.adaptive = adaptive
+
+    def propose_steps(
+        self, scene: Scene, tolerance: float, method: Method, steps: Steps
+    ) -> Proposal:
+        """Propose these steps, unless round-off alone exceeds the tolerance."""
+        proposal = super().propose_steps(scene, tolerance, method, steps)
+        # a given step is taken, whatever it leaves, and what is held has no error
+        if not proposal.fixed and scene.recorded[0] <= scene.chain.movable:
+            evaluations = steps.total(scene.intervals) * method.evaluations
+            floor = native_floor(evaluations, scene.total_phase)
+            if floor > tolerance:
+                cure = "ask for less"
+                if self.integrator != "auto" and method.order < METHODS["rkn6"].order:
+                    cure = f'use integrator "rkn6", which takes fewer steps, or {cure}'
+                raise ToleranceNotMet(
+                    f"round-off alone may make an error of {floor:.1g}, above the tolerance: {cure}"
+                )
+        return proposal
+
+    def choices(self, scene: Scene) -> dict[str, str]:
+        """Return the form of the force."""
+        return {"force": name_of(force_form(scene, self.force))}
+
+    def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
+        """Predict round-off: a random walk of force evaluations, and the loss of a plain force.
+
+        The phase shifts by a quarter of what `native_floor` allows for.
+        """
+        walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
+        if force_form(scene, self.force) in PLAIN:
+            walk += plain_loss(scene, steps) / speed
+        return walk
+
+    def computed(self, scene: Scene) -> float:
+        """Return the grains that a step computes, on average: those that waves have reached."""
+        first, last = scene.excitation.reach(scene.chain)
+        # a front runs at half the highest frequency, so on average the cone has half its width
+        reached = last - first + 1 + 2 * PAD + scene.total_phase / 4
+        return min(scene.chain.grains, reached)
+
+    def stepper(
+        self,
+        scenes: Sequence[Scene],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
+        state: Mapping[str, Array],
+    ) -> NativeStepper:
+        """Make the stepper of the answer and of its auxiliary runs."""
+        answer, *beside = schedules
+        chains = ChainBatch(scenes, self.force)
+        method = BY_NAME[proposal.integrator]
+        return NativeStepper(chains, method, answer, state, self.threads, beside)
+
+    def steppers(
+        self,
+        scenes: Sequence[Scene],
+        proposal: Proposal,
+        schedules: Sequence[Steps],
+        state: Mapping[str, Array] | None,
+    ) -> dict[str, Stepper]:
+        """Make the one stepper of a run, by the name of its state."""
+        return {"native": self.stepper(scenes, proposal, schedules, restrict("native", state))}
 
 
 def kind(scene: Scene) -> tuple:

@@ -139,7 +139,8 @@ _ROWS = types.NamedUniTuple(_ROW, len(Rows._fields), Rows)
 # what the loops of a form take; they return nothing
 FORCES = types.void(_ROW, _ROW, _LINKS)
 STIFFNESSES = types.void(_ROW, _ROW, _ROW, _LINKS)
-SERIES = types.void(_ROW, _ROW, _ROW, _ROW, _ROW)
+_SAMPLES = types.float64[:]
+SERIES = types.void(_SAMPLES, _SAMPLES, _ROW, _SAMPLES, _SAMPLES)
 SWEEP = types.void(_ROW, _ROW, _ROW, _LINKS, _ROWS, types.boolean, types.int64, types.boolean)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -18,25 +16,6 @@ _in_order = numba.njit(error_model="numpy", pipeline_class=Ingredient)
 _in_any_order = numba.njit(
     error_model="numpy", fastmath={"nsz", "reassoc"}, pipeline_class=Ingredient
 )
-
-
-class AuxiliaryRuns(NamedTuple):
-    """S runs beside an answer.
-
-    Attributes
-    ----------
-    displacement, velocity : (S, R, B, N) arrays
-        Their first samples are those of the answer.
-    against : (S,) array
-        From which run each is measured: 0 is the answer, 1 the first of these.
-    strides : (S,) array
-        After how many samples each stops, besides the last one.
-    """
-
-    displacement: Array
-    velocity: Array
-    against: NDArray[np.int64]
-    strides: NDArray[np.int64]
 
 
 @_in_order
@@ -73,7 +52,7 @@ def _kinetic(v, masses):
 def compare(
     u: Array,
     v: Array,
-    runs: AuxiliaryRuns,
+    runs: tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]],
     begin: int,
     masses: Array,
     allowed: Array,
@@ -86,7 +65,10 @@ def compare(
     ----------
     u, v : (R, B, N) arrays
         Displacement and velocity of R chains.
-    runs : Runs
+    runs : tuple
+        Displacements and velocities of S other runs, (S, R, B, N) arrays from the same sample on;
+        from which run each is measured, (S,), 0 for the answer, 1 for the first of these; and
+        after how many samples each stops, besides the last one, (S,).
     begin : int
         Number of the first sample.
     masses : (R, N) array
@@ -104,6 +86,7 @@ def compare(
         `SOUND`, `TOO_FAST` if any sample has more energy than there is, or `NOT_A_NUMBER` if a
         displacement or velocity is none; the last of these.
     """
+    displacements, velocities, against, strides = runs
     final = differences.shape[1] - 1
     verdict = SOUND
     for real in range(u.shape[0]):
@@ -121,18 +104,18 @@ def compare(
                 verdict = max(verdict, TOO_FAST)
             peaks[real, 0] = max(peaks[real, 0], farthest)
             peaks[real, 1] = max(peaks[real, 1], _largest(w))
-            for run in range(runs.against.size):
+            for run in range(against.size):
                 # all begin alike, and some pass over samples
-                if sample == 0 or (sample % runs.strides[run] and sample < final):
+                if sample == 0 or (sample % strides[run] and sample < final):
                     continue
                 a = x
                 b = w
-                other = runs.against[run] - 1
+                other = against[run] - 1
                 if other >= 0:
-                    a = runs.displacement[other, real, index]
-                    b = runs.velocity[other, real, index]
-                y = runs.displacement[run, real, index]
-                s = runs.velocity[run, real, index]
+                    a = displacements[other, real, index]
+                    b = velocities[other, real, index]
+                y = displacements[run, real, index]
+                s = velocities[run, real, index]
                 differences[run, sample, real, 0] = _farthest(a, y)
                 differences[run, sample, real, 1] = _farthest(b, s)
     return verdict

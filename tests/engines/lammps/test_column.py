@@ -26,7 +26,7 @@ from lmpchain import (
 )
 from lmpchain.engines import Lammps
 from lmpchain.engines.base import ErrorBudget
-from lmpchain.engines.lammps import communicators, deck, drive, launch, library
+from lmpchain.engines.lammps import communicators, deck, drive, library, subprocess_ranks
 from lmpchain.engines.lammps.column import Contact, LammpsColumn
 from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.stepper import _join, word
@@ -357,9 +357,8 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
     assert loose.choices["diameter"] == "physical"
     assert loose.choices["drawn_m"] == 0.0
     assert tight.choices["diameter"] == "gauge"
-    assert (
-        float(tight.choices["drawn_m"]) == float(tight.choices["gauge_m"]) == gauge_diameter(scene)
-    )
+    assert tight.choices["drawn_m"] == tight.choices["gauge_m"] == gauge_diameter(scene)
+    assert tight.record()["drawn_m"] == repr(gauge_diameter(scene))
     assert "1e-06 is asked for" in tight.choices["why"]
     assert "round-off in heights leaves about" in tight.choices["why"]
     assert tight.solver_error <= 1e-6
@@ -437,22 +436,32 @@ def test_words_of_commands(tmp_path):
 
 
 def test_who_runs_a_column(monkeypatch):
-    monkeypatch.setattr(launch, "Serial", lambda log: ("serial", log))
-    monkeypatch.setattr(launch, "SubprocessRanks", lambda ranks, log: ("started", ranks, log))
-    monkeypatch.setattr(launch, "MpiRanks", lambda world, log: ("world", world.size, log))
-    assert launch.gather(None, "none") == launch.gather(1, "none") == ("serial", "none")
-    assert launch.gather(2, "none") == ("started", 2, "none")
+    monkeypatch.setattr(subprocess_ranks, "Serial", lambda log: ("serial", log))
+    monkeypatch.setattr(
+        subprocess_ranks, "SubprocessRanks", lambda ranks, log: ("started", ranks, log)
+    )
+    monkeypatch.setattr(subprocess_ranks, "MpiRanks", lambda world, log: ("world", world.size, log))
+    assert (
+        subprocess_ranks.gather(None, "none")
+        == subprocess_ranks.gather(1, "none")
+        == ("serial", "none")
+    )
+    assert subprocess_ranks.gather(2, "none") == ("started", 2, "none")
     monkeypatch.setattr(mpi, "count_processes", lambda: 3)
     monkeypatch.setattr(mpi, "current_world", lambda: SimpleNamespace(size=3))
-    assert launch.gather(None, "none") == launch.gather(3, "none") == ("world", 3, "none")
+    assert (
+        subprocess_ranks.gather(None, "none")
+        == subprocess_ranks.gather(3, "none")
+        == ("world", 3, "none")
+    )
     with pytest.raises(
         InputError, match="ranks: mpirun has started 3 processes; leave the number of ranks out"
     ):
-        launch.gather(2, "none")
+        subprocess_ranks.gather(2, "none")
     monkeypatch.setattr(mpi, "current_world", lambda: None)
-    assert launch.gather(1, "none") == ("serial", "none")
+    assert subprocess_ranks.gather(1, "none") == ("serial", "none")
     with pytest.raises(InputError, match="mpirun has started 3"):
-        launch.gather(3, "none")
+        subprocess_ranks.gather(3, "none")
 
 
 @pytest.mark.parametrize(

@@ -26,10 +26,11 @@ from lmpchain.engines import Lammps
 from lmpchain.engines.lammps import deck, library
 from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.lammps.launch import gather
 from lmpchain.engines.lammps.stepper import LammpsStepper
+from lmpchain.engines.lammps.subprocess_ranks import gather
 from lmpchain.engines.lammps.worker import Worker
 from lmpchain.integrators.splittings import VERLET
+from lmpchain.integrators.steps import Steps
 
 DECKS = {
     "impulse": small(),
@@ -254,9 +255,8 @@ def test_what_rounding_presses_in_a_vacuum_is_no_breakdown(exponent):
 
 
 def stepper(scene: Scene) -> LammpsStepper:
-    return LammpsStepper(
-        LammpsColumn(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1
-    )
+    steps = Steps(1, 1, 1e-7)
+    return LammpsStepper(LammpsColumn(scene, gauge=0.0), VERLET, steps, {}, gather(1, "none"))
 
 
 def test_faults_that_lammps_does_not_report():
@@ -278,7 +278,7 @@ def test_faults_that_lammps_does_not_report():
 def test_a_breakdown_long_before_a_sample_is_seen():
     """Of many grains, what is read takes a part of a step: not after each pause, but soon."""
     column = LammpsStepper(
-        LammpsColumn(small(), gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=10**6
+        LammpsColumn(small(), gauge=0.0), VERLET, Steps(10**6, 1, 1e-7), {}, gather(1, "none")
     )
     try:
         column._communicator._rank._x[3, 2] = np.nan

@@ -9,7 +9,7 @@ import pytest
 from lmpchain import Chain, Damping, Impulse, InputError, Scene, Stopped, resume, simulate
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.stepper import LammpsStepper
-from lmpchain.engines.stepping import companion_run
+from lmpchain.engines.stepping import run as stepping_run
 
 SCENE = Scene(
     chain=Chain(grains=8, diameter=1e-3, damping=Damping(viscoelastic=1e-8)),
@@ -51,7 +51,7 @@ def test_what_is_watched_goes_on_after_a_stop(
     engine = Lammps(**options, include="../my.include")
     whole = simulate(SCENE, engine, folder="../whole")
     (tmp_path / "empty").mkdir()
-    monkeypatch.setattr(companion_run, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     at = tmp_path / "run"
     for attempt in itertools.count():
         limit = None if attempt == 4 else 1e-9

@@ -1,9 +1,52 @@
-"""Companions of an answer: native runs at other steps, whose distances show its truncation error.
+"""Auxiliary runs: native runs at other steps, whose distances show the error of an answer.
 
-They run at 2h and 4h, for the rate at which differences shrink gives the error; where 4h is too
-long there is one at 2h, and where that is, one at h/2. Where contacts open again and again errors
-scatter, and two runs may agree by chance: there runs one more, at about 1.5h. So it does where
-contacts only touch at rest.
+Auxiliary runs have steps 2h and 4h, because the rate at which differences shrink gives the error.
+If 4h is too long, there is one at 2h; if that is too long, one at h/2. If contacts open again and
+again, or only touch at rest, errors scatter and two runs may agree by chance. Then there is one
+more run, at about 1.5h.
+
+The estimate of the largest relative error of an answer at steps h is
+
+    e = max(2 d12 / (g - 1),  b)                                 truncation
+        + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      round-off, as it is or amplified
+        + 8 eps D x / v                                  and of reduced velocities
+
+with b = 2 dn where an auxiliary run is at 1.5 h, else b = d24 / (r2^p - r1^p). One such run alone,
+at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
+nothing opens and steps are equal. Where equal steps press contacts to far beyond their overlap at
+rest, these began as good as open: a part of the error falls with h^2 alone, and with the share s of
+d12 that follows from the gain, e is at least 2 d12 ((1 - s) / (r1^p - 1) + s / (r1^2 - 1)).
+
+========  ==========  =========================================================================
+symbol    variable    meaning
+========  ==========  =========================================================================
+d12       fine        distance of the answer from an auxiliary run at steps r1 h = 2 h, over the
+                      largest motion
+d24       coarse      distance of that run from one at steps r2 h = 4 h
+dn        nearby      distance of the answer from one at 1.5 h, which runs where errors may scatter;
+                      over 1.5^p - 1 if no contact opened
+r1, r2    ratios      steps of the auxiliary runs over h
+p         order       order that is trusted, see `AuxiliarySteps.truncation`
+g         gain        error at steps r1 h over that at h, as observed:
+                      (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
+                      of twice the length; g^(ln r / ln r1) where corners of a force cut steps, and
+                      r, `least_ratio`, is the smallest ratio of steps between two corners
+s         share       (r1^p - g) / (r1^p - r1^2), the part of d12 that falls with h^2, at most 1
+eps       EPSILON     unit of the last place of 1
+n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n), or
+                      max(sqrt(n k), n / (8 k)) where contacts open, see `rounding`
+k         flights     how far the fastest grain would fly, over the largest displacement
+omega T   radians     phase of the fastest motion in the duration
+A         amplified   what the scene makes of one last digit, see `rounding`; near the
+                      tolerance, or with a given step if they exceed the truncation error, it and
+                      the rounding of free flights are 2 times the distance of runs with the
+                      steps of the answer that begin a last digit apart
+========  ==========  =========================================================================
+
+The estimate of a trajectory is e or 2, see `ErrorEstimate`. Step control uses e, however large.
+
+Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; the
+observed rate is that of Roache, Annu. Rev. Fluid Mech. 29, 123 (1997).
 """
 
 from __future__ import annotations
@@ -12,7 +55,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +64,6 @@ from ...integrators.steps import MANY_STEPS, Steps
 from ...scene.excitation import Displacement, Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from .estimate import estimate_truncation
 
 
 @dataclass(frozen=True)
@@ -53,7 +94,7 @@ class OpeningOrder:
         Phase of the fastest motion, in radians a grain, after which waves come back to contacts
         that opened: errors scatter from there on.
     nearby, nearby_kinked : float
-        Step of the companion that runs where errors scatter, over that of the answer, and that for
+        Step of the auxiliary run where errors scatter, over that of the answer, and that for
         forces with kinks.
     """
 
@@ -81,15 +122,17 @@ class OpeningOrder:
 
 OPENINGS = OpeningOrder()
 STRIKES = (Impulse, Displacement)  # of one grain
-LONGER = (2.0, 4.0)  # steps of companions over those of the answer
+LONGER = (2.0, 4.0)  # steps of auxiliary runs over those of the answer
 DIVIDING = (2.0, 3.0, 4.0)  # the same where each is to land on every sample
-# exponent of the decay between two samples from which on companions land on each
+# exponent of the decay between two samples from which on auxiliary runs land on each
 DIES = 0.25
-FEWEST_STEPS = 8  # of a run whose companions have longer steps: of fewer, two may have the same
+FEWEST_STEPS = 8  # of a run whose auxiliary runs have longer steps: of fewer, two may have the same
 
 
-class Companions:
-    """The companions of an answer to a scene, or to R like ones.
+class AuxiliarySteps:
+    """The steps of the auxiliary runs of an answer to a scene, or to R like ones.
+
+    They say how these runs are compared, and what truncation error their distances show.
 
     Parameters
     ----------
@@ -97,17 +140,17 @@ class Companions:
     scenes : sequence of R scenes
     steps : Steps
         Those of the answer.
-    twin : bool
-        Whether a twin at the same steps runs beside the answer, too.
+    twins : int
+        Runs beside the answer that have its steps.
 
     Attributes
     ----------
     answer : Steps
         Those of the answer.
     schedules : tuple of Steps
-        Those of the companions.
+        Those of the auxiliary runs.
     ratios : tuple of float
-        Mean steps of the companions over those of the answer.
+        Mean steps of the auxiliary runs over those of the answer.
     against, strides : (S,) arrays
         With which run each of the S beside the answer is compared (0: the answer, from 1: one of
         these), and every how many samples.
@@ -117,7 +160,7 @@ class Companions:
         Whether contacts may open again and again, so that errors scatter.
     """
 
-    def __init__(self, method: Method, scenes: Sequence[Scene], steps: Steps, twin: bool = False):
+    def __init__(self, method: Method, scenes: Sequence[Scene], steps: Steps, twins: int = 0):
         self._method = method
         self.answer = steps
         self._order_at_openings = min(method.order, OPENINGS.trusted_order(steps))
@@ -128,7 +171,7 @@ class Companions:
         if self._nearby:
             kinks = OPENINGS.kinks(scenes[0].chain.law.onset)
             longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
-        arrangement = _arrange(self.answer, tuple(longer), self._nearby, twin, scenes[0].intervals)
+        arrangement = _arrange(steps, tuple(longer), self._nearby, twins, scenes[0].intervals)
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
         self._least_ratio = [self._ratio_between_corners(scene) for scene in scenes]
 
@@ -141,7 +184,7 @@ class Companions:
     def compare_energies(self, balance: Array) -> Array:
         """Return the largest differences between energies of the runs, (S, R, 2) J.
 
-        `balance` has those of the answer, or of its twin, and of the companions, (S + 1, R, T, 2).
+        `balance` has those of the answer or its twin, then of the auxiliary runs, (S + 1, R, T, 2).
         """
         against = [*range(len(self.schedules) - self._nearby), *[0] * self._nearby]
         final = balance.shape[2] - 1
@@ -187,14 +230,14 @@ class Companions:
         )
 
     def _ratio_between_corners(self, scene: Scene) -> float:
-        """Return the smallest ratio of steps of the first companion between corners of a force.
+        """Return the smallest ratio of steps of the first auxiliary run between corners of a force.
 
         All runs end steps on corners, so that between these the ratio is that of two whole numbers.
         """
         if not scene.corners or not self.answer.adaptive:
             return self.ratios[0]
         times = np.array([0.0, *scene.corners, scene.duration])
-        # A piece that is shorter than a step of a companion is the last one, and has few steps.
+        # A piece that is shorter than a step of an auxiliary run is the last one, with few steps.
         long = np.diff(times) >= LONGER[-1] * self.answer.step
         pieces = times[:-1][long], times[1:][long]
         steps = self.schedules[0].longest_between(*pieces) / self.answer.longest_between(*pieces)
@@ -212,37 +255,30 @@ class Companions:
         return order, min(order, OPENINGS.equal_order) if self._far[real] else order
 
 
-class Arrangement(NamedTuple):
-    """Schedules of companions and how they are compared; the fields are those of `Companions`."""
-
-    schedules: tuple[Steps, ...]
-    ratios: tuple[float, ...]
-    against: NDArray[np.int64]
-    strides: NDArray[np.int64]
-    together: int
-
-
-@lru_cache(maxsize=256)  # like scenes have like companions
+@lru_cache(maxsize=256)  # like scenes have like auxiliary runs
 def _arrange(
-    answer: Steps, longer: tuple[float, ...], nearby: bool, twin: bool, final: int
-) -> Arrangement:
-    """Arrange companions at steps longer by these ratios, or at half the step if there are none."""
+    answer: Steps, longer: tuple[float, ...], nearby: bool, twins: int, final: int
+) -> tuple[tuple[Steps, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
+    """Return steps and ratios of auxiliary runs, `against`, `strides` and `together` of them.
+
+    Their steps are longer by these ratios, or half as long if there are none.
+    """
     schedules = tuple(answer.longer(ratio) for ratio in longer) or (answer.halved,)
     ratios = tuple(answer.total(final) / schedule.total(final) for schedule in schedules)
-    runs = (*[answer] * twin, *schedules)
+    runs = (*[answer] * twins, *schedules)
     # each is compared with the one of the next shorter steps, but the nearby one with the answer
     against = np.array([*range(len(runs) - nearby), *[0] * nearby])
     strides = np.array([schedule.filled for schedule in runs])
     together = math.lcm(4, *(schedule.stride for schedule in runs))
-    return Arrangement(schedules, ratios, against, strides, together)
+    return schedules, ratios, against, strides, together
 
 
 def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
-    """Return how many times as long the steps of companions are: 2 and 4, 2 alone, or none.
+    """Return how many times as long the steps of auxiliary runs are: 2 and 4, 2 alone, or none.
 
     None where these are unstable or too few. Where damping ends a motion within a few samples its
-    error is there in the first of them alone, and companions must land on each: then 3 serves, too,
-    but there must be two, and no corners of a force.
+    error is there in the first of them alone, and auxiliary runs must land on each: then 3 serves,
+    too, but there must be two, and no corners of a force.
     """
     if answer.total(scene.intervals) < FEWEST_STEPS:
         return []
@@ -254,8 +290,8 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
     else:
         ratios = list(LONGER)
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
-    # One companion at longer steps may be right by chance where motions die within a step or two,
-    # and where corners end steps, all of them may pass the last one before a sample alike.
+    # One auxiliary run at longer steps may be right by chance where motions die within a step or
+    # two, and where corners end steps, all of them may pass the last one before a sample alike.
     seen = len(stable) > 1 and not scene.corners
     return stable if seen or not dies else []
 
@@ -277,3 +313,91 @@ def recurs(scene: Scene) -> bool:
     # The bounds on strains take arrays of all contacts: they are asked for last.
     recurs = returns or OPENINGS.kinks(chain.law.onset) or not chain.linearisable
     return recurs and min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Trust in the differences between runs.
+
+    Measured by analysis/calibration/richardson_estimate.py.
+
+    Attributes
+    ----------
+    safety : float
+        Factor on the extrapolated error, and on the distance from an auxiliary run at 1.5 h.
+    least_gain : float
+        Of steps of twice the length: differences that shrink by less show no order at all.
+    settled : float
+        Difference up to which two runs alone show the error: phases that are far off lose the
+        order.
+    """
+
+    safety: float = 2.0
+    least_gain: float = 1.5
+    settled: float = 0.01
+
+
+TRUST = Trust()
+
+
+def estimate_truncation(
+    distances: Sequence[float],
+    ratios: Sequence[float],
+    order: float,
+    nearby: float = 0.0,
+    settled: bool = False,
+    slow_order: float = math.inf,
+    least_ratio: float = 0.0,
+) -> float:
+    """Return the truncation error of an answer by Richardson's extrapolation at the observed rate.
+
+    Parameters
+    ----------
+    distances : sequence of one or two float
+        Relative distances d12 and d24, d12 alone where there is one run.
+    ratios : sequence of as many float
+        Steps of these runs over that of the answer; below 1 for one at shorter steps.
+    order : float
+        That is trusted.
+    nearby : float
+        dn; 0 where there is no auxiliary run at 1.5 h.
+    settled : bool
+        Whether the force is a smooth function of time, so that the order is sure.
+    slow_order : float
+        Lowest order that a part of the error may have.
+    least_ratio : float
+        Ratio r of steps that the first auxiliary run has at least everywhere; 0: ratios[0].
+    """
+    fine = distances[0]
+    if not math.isfinite(fine):
+        # no rate follows from an auxiliary run that broke down
+        return math.inf
+    if len(distances) == 1:
+        # the distance alone bounds the error at the longer steps, and no rate is seen; a run
+        # at shorter ones shows no order either
+        gain = max(ratios[0] ** order, 2.0) if settled and fine <= TRUST.settled else 2.0
+        return TRUST.safety * fine / (gain - 1)
+    coarse = distances[1]
+    first, second = ratios
+    gain = observe_gain(fine, coarse, first, second, order)
+    if 1 < least_ratio < first:
+        gain **= math.log(least_ratio) / math.log(first)
+    extrapolated = TRUST.safety * fine / (gain - 1)
+    if slow_order < order and first > 1:
+        steep = first**order
+        flat = first**slow_order
+        share = min((steep - gain) / (steep - flat), 1.0)
+        mean = (1 - share) / (steep - 1) + share / (flat - 1)
+        extrapolated = max(extrapolated, TRUST.safety * fine * mean)
+    # one more run confirms the rate; without it, the coarse difference alone is a bound, too
+    bound = TRUST.safety * nearby if nearby > 0 else coarse / (second**order - first**order)
+    return max(extrapolated, bound)
+
+
+def observe_gain(fine: float, coarse: float, first: float, second: float, order: float) -> float:
+    """Return the factor by which the error grows at steps `first` times as long, as observed."""
+    doublings = math.log2(second / first)
+    # from two differences that are both round-off, no rate above the order follows, nor one below 1
+    rate = math.log2(max(coarse, 1e-300) / max(fine, 1e-300)) / doublings
+    rate = min(max(rate, math.log2(TRUST.least_gain)), order)
+    return first**rate
