@@ -151,7 +151,9 @@ def content_of(function: Any) -> str:
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
     named = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
     used = [content_of(value) for value in (*cells, *named) if value is not function]
-    content = code.co_code.hex(), code.co_consts, code.co_names, code.co_varnames, used
+    # what is kept finds its functions again by the name of their module
+    place = function.__module__, code.co_names, code.co_varnames
+    content = code.co_code.hex(), code.co_consts, *place, used
     return sha256(repr(content).encode()).hexdigest()
 
 

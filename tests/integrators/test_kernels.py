@@ -53,7 +53,8 @@ def links_of(
 ) -> Links:
     """Return contacts without one that only touches."""
     loops = np.array(forces.addresses(form))
-    return Links(inverse_length, strength, 0.0, int(form), loops, precompressed, series(exponent))
+    numbers = 0.0, int(form), loops, precompressed, series(exponent)
+    return Links(inverse_length, strength, *numbers, np.zeros((strength.size, 0)))
 
 
 def force(
@@ -249,7 +250,7 @@ alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
     ],
 )
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
-    _, kept = forces.LOOPS[form]
+    _, kept, _ = forces.LOOPS[form]
     # what is kept for later processes cannot be read; the same compiled anew can
     loop = alone(kept.py_func)
     loop.compile(forces.SWEEP)

@@ -17,7 +17,6 @@ from typing import Any
 
 from numba import types
 
-from ...chain.contact_law import ContactLaw
 from ...util.compilation import content_of
 from .compiling import (
     STRICT,
@@ -247,7 +246,7 @@ LOOPS = {
 
 
 @cache
-def _loops_of(law: ContactLaw) -> tuple[Any, ...]:
+def _loops_of(law: Any) -> tuple[Any, ...]:
     """Make the loops of a law given by formulas, and that over samples, see `change_in_time`."""
     force_at = compiled_formula(law.force_formula)
     stiffness_at = compiled_formula(law.stiffness_formula)
@@ -272,10 +271,10 @@ def _loops_of(law: ContactLaw) -> tuple[Any, ...]:
 
 
 @cache
-def addresses(form: int, law: ContactLaw | None = None) -> tuple[int, ...]:
+def addresses(form: int, law: Any = None) -> tuple[int, ...]:
     """Return where the loops of a form lie in memory, once they are compiled.
 
-    Those of formulas depend on the `law`, and have a loop over samples besides.
+    Those of formulas depend on the `ContactLaw`, and have a loop over samples besides.
     """
     loops = LOOPS[form] if law is None else _loops_of(law)
     signatures = FORCES, SWEEP, STIFFNESSES, SERIES
