@@ -257,7 +257,7 @@ def _solve(
     return np.where(known, new, target)
 
 
-class Power(ContactLaw):
+class PowerForce(ContactLaw):
     """The force K o^delta of a closed contact.
 
     Parameters
@@ -281,9 +281,9 @@ class Power(ContactLaw):
         """The exponent delta."""
         return self.onset
 
-    def with_parameters(self, parameters: Iterable[Any]) -> Power:
+    def with_parameters(self, parameters: Iterable[Any]) -> PowerForce:
         """Return the law of another exponent."""
-        return Power(*parameters)
+        return PowerForce(*parameters)
 
     def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
         """Return Hertz's constant K = (4/3) E* sqrt(R*) dbar^(1.5 - delta), N/m^delta."""
@@ -363,6 +363,6 @@ def _power_curvature(overlap: Any, constant: Any, exponent: Any) -> Any:
 
 
 @cache
-def power_law(exponent: float) -> Power:
+def power_law(exponent: float) -> PowerForce:
     """Return the power law of an exponent; every chain asks for one, and most for the same."""
-    return Power(exponent)
+    return PowerForce(exponent)
