@@ -180,7 +180,7 @@ def _contact_constants(
         else:
             of_grain = _end(modulus, end)
             plane: Any = wall.plane_strain_modulus if wall else of_grain
-            radius: Any = reduced(_end(diameter, end) / 2, np.array(math.inf))
+            radius = reduced(_end(diameter, end) / 2, np.array(math.inf))
             pair = reduced(of_grain, plane)
             constant = chain.law.constant(pair, radius, lengths[end])
             ends.append(constant * _end(scale, end) if chain.grains > 1 else constant)

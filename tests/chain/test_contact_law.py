@@ -56,7 +56,9 @@ def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float, kin
         change = contacts.force_change(r)
         above_rest = contacts.energy(r)
     assert change == pytest.approx(force, rel=2e-14, abs=1e-40)
-    assert above_rest == pytest.approx(energy, rel=1e-12 if kind is PowerForce else 1e-11, abs=1e-55)
+    assert above_rest == pytest.approx(
+        energy, rel=1e-12 if kind is PowerForce else 1e-11, abs=1e-55
+    )
     rows = np.stack((r, 0 * r, 2 * r))
     rows[:, 3] = 0.0
     each = np.stack([contacts.energy(row) for row in rows])
@@ -99,7 +101,9 @@ def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
     for energy in (1e-25, 1e-14, 1e-6):
         bound = contacts.approach_bound(energy)
         assert contacts.energy(bound) == pytest.approx([energy, 0, energy], rel=1e-11, abs=0)
-        assert law.approach(energy, 3e9) == pytest.approx(PowerForce(exponent).approach(energy, 3e9))
+        assert law.approach(energy, 3e9) == pytest.approx(
+            PowerForce(exponent).approach(energy, 3e9)
+        )
     assert contacts.overlap_bound(np.inf).tolist() == [np.inf, 0.0, np.inf]
     assert contacts.bend == pytest.approx([exponent - 1, 0.0, 0.0], abs=1e-15)
     o = np.array([1e-9, 2e-8])

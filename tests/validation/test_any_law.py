@@ -42,10 +42,7 @@ SCENES = {
     "a wall that touches": (COLUMN.replace(top_load=0.0, top="wall"), Impulse(velocity=0.01)),
     "a striker": (COLUMN.replace(gravity=0.0, load_grain=2), Impulse(velocity=0.05)),
     "driven": (COLUMN, Drive(amplitude=2e-8, frequency=4e4)),
-    "damped": (
-        COLUMN.replace(damping=Damping(viscoelastic=2e-8, drag=300.0)),
-        Impulse(velocity=0.1),
-    ),
+    "damped": (COLUMN.replace(damping=Damping(viscoelastic=2e-8, drag=300.0)), Impulse(velocity=0.1)),
 }
 
 
@@ -61,9 +58,7 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         (chain.wall_constants[:1], chain.contact_constants, chain.wall_constants[1:])
     )
     carried = np.cumsum(np.append(0.0, chain.masses)) * chain.gravity
-    carried[chain.load_grain if chain.load_grain > 1 else int(chain.top == "free") :] += (
-        chain.top_load
-    )
+    carried[chain.load_grain if chain.load_grain > 1 else int(chain.top == "free"):] += chain.top_load
     rest = [
         brentq(lambda o: force(o, k, (C,)) - f, 0.0, 1e-5, xtol=1e-24, rtol=1e-15) if k * f else 0.0
         for k, f in zip(constant, carried, strict=True)
@@ -87,14 +82,8 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     start = np.concatenate(scene.initial())
     scale = np.repeat((np.abs(start).max() or 1e-8) * np.array([1e-6, 1.0]), chain.grains)
     run = solve_ivp(
-        rates,
-        (0.0, scene.duration),
-        start,
-        "DOP853",
-        scene.time,
-        rtol=1e-13,
-        atol=1e-13 * scale,
-        max_step=1e-7,
+        rates, (0.0, scene.duration), start, "DOP853", scene.time, rtol=1e-13,
+        atol=1e-13 * scale, max_step=1e-7,
     )
     u, v = run.y.reshape(2, chain.grains, -1).swapaxes(1, 2)
     if driven:
