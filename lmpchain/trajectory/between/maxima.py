@@ -260,22 +260,23 @@ def _begin(last, t, height):
     last.since = abs(height)
 
 
-@compiled
-def _log_maxima(p, interval, counts, last, events, used, work):
+@joined
+def _log_maxima(p, interval, ends, counts, last, events, used, work):
     """Take in the turns and the end of an interval; return the number of events.
 
-    The polynomial has so many coefficients, 0 if it neither turns nor slows, and so many turns.
+    `ends` are the values at its ends, and `counts` the numbers of coefficients of its polynomial, 0
+    if that neither turns nor slows, and of its turns.
     """
-    kind, i, t, h = interval
+    i, t, h = interval
     count, turns = counts
-    y = p[V if kind == VELOCITY else U]
+    before, after = ends
     error = p[ERROR, i]
-    here = y[i]
+    here = before
     begin = 0.0
     # from turn to turn the size only rises or only falls
     for k in range(turns + 1):
         s = work[TURNS, k] if k < turns else 1.0
-        there = value(work[C], count, s) if k < turns else y[i + 1]
+        there = value(work[C], count, s) if k < turns else after
         if here * there < 0.0:
             last.since = 0.0
         if abs(there) >= abs(last.height):
@@ -288,7 +289,7 @@ def _log_maxima(p, interval, counts, last, events, used, work):
             bend = 0.0
             if k < turns:
                 bend = sure_bend(work[D], count - 1, s, abs(there), error, work) / h**2
-            _exceed(last, abs(y[i]), error, h, t, s, there, bend)
+            _exceed(last, abs(before), error, h, t, s, there, bend)
         last.since = min(last.since, abs(there))
         here = there
         begin = s
@@ -379,7 +380,10 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
                 _begin(latest[n], t, before)
             if not seen:
                 used = _log_hidden(events, used, latest[n], limit, t, t + h)
-            used = _log_maxima(p, (kind, i, t, h), (count, turns), latest[n], events, used, work)
+            interval = (i, t, h)
+            ends = (before, after)
+            counts = (count, turns)
+            used = _log_maxima(p, interval, ends, counts, latest[n], events, used, work)
     return events, used
 
 
