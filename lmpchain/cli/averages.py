@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from .common import check_outputs, gather, keep, on_terminal, read
+from .common import check_outputs, collect, keep, on_terminal, read_scene
 
 
 def averages(arguments: argparse.Namespace) -> int:
     """Average quantities of a scene over time."""
-    scene, picture, numbers = gather(
-        lambda: read(arguments.scene),
+    scene, picture, numbers = collect(
+        lambda: read_scene(arguments.scene),
         *check_outputs(arguments, arguments.scene),
     )
     from ..simulation import time_averages

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..errors import InputError, check_tolerance
-from .common import gather, keep, on_terminal, output, read
+from .common import collect, keep, on_terminal, output, read_scene
 
 
 def check(arguments: argparse.Namespace) -> int:
@@ -13,8 +13,8 @@ def check(arguments: argparse.Namespace) -> int:
     subject = arguments.run or arguments.deck
     if not subject or (arguments.run and arguments.deck):
         raise InputError.at("run", "name one: a dump or a saved run, or else --deck FOLDER")
-    scene, numbers, _ = gather(
-        lambda: arguments.scene and read(arguments.scene),
+    scene, numbers, _ = collect(
+        lambda: arguments.scene and read_scene(arguments.scene),
         lambda: (
             arguments.json
             and output(arguments.json, arguments.scene or subject, force=arguments.force)

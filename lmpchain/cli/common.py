@@ -47,7 +47,7 @@ def on_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-def gather(*checks: Callable[[], Any]) -> list[Any]:
+def collect(*checks: Callable[[], Any]) -> list[Any]:
     """Return what the checks return; raise one `InputError` with the faults of all of them."""
     results = []
     faults = []
@@ -62,7 +62,7 @@ def gather(*checks: Callable[[], Any]) -> list[Any]:
     return results
 
 
-def read(path: str) -> Scene:
+def read_scene(path: str) -> Scene:
     """Return the scene of a file."""
     from ..scene.scene import Scene
 

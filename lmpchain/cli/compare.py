@@ -22,12 +22,12 @@ from .common import (
     PICTURES,
     beside,
     check_outputs,
+    collect,
     complain,
-    gather,
     keep,
     on_terminal,
     output,
-    read,
+    read_scene,
     show,
     write_json,
 )
@@ -46,9 +46,9 @@ def compare(arguments: argparse.Namespace) -> int:
     """Solve a scene with several engines and compare them with a reference solution."""
     from ..util.validation import check_positive
 
-    names, scene, picture, numbers, _, _ = gather(
+    names, scene, picture, numbers, _, _ = collect(
         lambda: _names(arguments.engines),
-        lambda: read(arguments.scene),
+        lambda: read_scene(arguments.scene),
         *check_outputs(arguments, arguments.scene),
         lambda: check_tolerance(arguments.tolerance),
         lambda: check_positive("budget", arguments.budget),
@@ -62,13 +62,13 @@ def compare(arguments: argparse.Namespace) -> int:
     with budget(arguments.budget):
         scene, remark = thin_trace(scene, arguments.tolerance)
     tolerances = dict.fromkeys(engines_of_scene, arguments.tolerance)
-    trajectories, failures, remarks = _solve(scene, tolerances, arguments.budget)
+    trajectories, failures, remarks = _run_engines(scene, tolerances, arguments.budget)
     beginning = min((each.scene for each in trajectories), key=_count_samples, default=scene)
     if beginning.samples < scene.samples:
         # of what cannot be predicted to its end the beginning is compared
         scene = scene.replace(duration=beginning.duration, samples=beginning.samples)
         tolerances = {each.engine: tolerances[each.engine] for each in trajectories}
-        trajectories, _, shorter = _solve(scene, tolerances, arguments.budget)
+        trajectories, _, shorter = _run_engines(scene, tolerances, arguments.budget)
         remarks += shorter
     if trajectories:
         solution = truth(scene, arguments.tolerance, progress=on_terminal())
@@ -132,7 +132,7 @@ def _names(given: str | None) -> list[str]:
     return names
 
 
-def _solve(
+def _run_engines(
     scene: Scene, tolerances: dict[str, float], budget_s: float
 ) -> tuple[list[Trajectory], list[str], list[str]]:
     """Run every engine; return the trajectories, and failures and remarks in words.
@@ -220,8 +220,8 @@ def _quickest(scene: Scene, name: str, tolerance: float) -> float:
 def workprec(arguments: argparse.Namespace) -> int:
     """Chart the speed of every engine and integrator against its accuracy on a scene."""
     json = arguments.json or (arguments.output and beside(arguments.output, ".json"))
-    scene, picture, numbers = gather(
-        lambda: read(arguments.scene),
+    scene, picture, numbers = collect(
+        lambda: read_scene(arguments.scene),
         lambda: (
             arguments.output
             and output(arguments.output, arguments.scene, PICTURES, force=arguments.force)
@@ -237,8 +237,8 @@ def workprec(arguments: argparse.Namespace) -> int:
 
 def stability(arguments: argparse.Namespace) -> int:
     """Find where methods fail on a scene."""
-    scene, picture, numbers = gather(
-        lambda: read(arguments.scene),
+    scene, picture, numbers = collect(
+        lambda: read_scene(arguments.scene),
         *check_outputs(arguments, arguments.scene),
     )
     from ..stability import find

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from ..errors import InputError, shown
-from .common import gather, on_terminal, output, read
+from .common import collect, on_terminal, output, read_scene
 from .read import PAGES
 
 RUNS_OF_KEY = 15  # of a key whose number of values is not named
@@ -16,8 +16,8 @@ FORM = "KEY=LOW:HIGH[:N][:log], such as excitation.velocity=1e-6:1e-1:25:log"
 
 def explore(arguments: argparse.Namespace) -> int:
     """Write a page with sliders that go through runs of a scene."""
-    _, path, *axes = gather(
-        lambda: read(arguments.scene),
+    _, path, *axes = collect(
+        lambda: read_scene(arguments.scene),
         lambda: output(arguments.output, arguments.scene, PAGES, force=arguments.force),
         *((lambda text=text: read_axis(text)) for text in arguments.over),
     )

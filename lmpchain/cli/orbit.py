@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, shown
-from .common import check_outputs, gather, keep, on_terminal, read
+from .common import check_outputs, collect, keep, on_terminal, read_scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 def orbit(arguments: argparse.Namespace) -> int:
     """Follow a mode of the chain of a scene up to an energy, or the answer to its drive."""
-    scene, (name, until), picture, numbers = gather(
-        lambda: read(arguments.scene),
+    scene, (name, until), picture, numbers = collect(
+        lambda: read_scene(arguments.scene),
         lambda: _read_goal(arguments),
         *check_outputs(arguments, arguments.scene),
     )

@@ -6,7 +6,7 @@ import argparse
 
 from ..errors import InputError, LmpchainError, check_tolerance
 from ..util.tables import align, number
-from .common import gather, keep, output, read
+from .common import collect, keep, output, read_scene
 
 
 def plan(arguments: argparse.Namespace) -> int:
@@ -15,8 +15,8 @@ def plan(arguments: argparse.Namespace) -> int:
         raise InputError.at("scene", "is missing; name a scene file, or use --calibrate alone")
     if arguments.scene is None and arguments.json:
         raise InputError.at("json", "goes with a scene file; name one")
-    scene, numbers, _ = gather(
-        lambda: arguments.scene and read(arguments.scene),
+    scene, numbers, _ = collect(
+        lambda: arguments.scene and read_scene(arguments.scene),
         lambda: (
             arguments.json and output(arguments.json, arguments.scene or "", force=arguments.force)
         ),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, shown
-from .common import beside, check_outputs, gather, keep, on_terminal, output, read
+from .common import beside, check_outputs, collect, keep, on_terminal, output, read_scene
 
 if TYPE_CHECKING:
     from ..trajectory.trajectory import Trajectory
@@ -21,7 +21,7 @@ def dyson(arguments: argparse.Namespace) -> int:
     from ..disorder.averages import at_the_end
     from ..measure.dyson import orders, sums
 
-    run, picture, numbers, m = gather(
+    run, picture, numbers, m = collect(
         lambda: _run_or_dump(arguments),
         *check_outputs(arguments, arguments.run),
         lambda: orders(arguments.m),
@@ -37,7 +37,7 @@ def dyson(arguments: argparse.Namespace) -> int:
 
 def export(arguments: argparse.Namespace) -> int:
     """Write traces of a run as a CSV file."""
-    run, path, force, velocity, displacement = gather(
+    run, path, force, velocity, displacement = collect(
         lambda: _run_or_dump(arguments),
         lambda: output(arguments.output, arguments.run, TABLES, force=arguments.force),
         lambda: _places(arguments.contact_force, "contact-force", ("wall", "top", "bottom")),
@@ -75,7 +75,7 @@ def _places(text: str | None, key: str, words: Sequence[str] = ()) -> list[int |
 
 def fit(arguments: argparse.Namespace) -> int:
     """Fit the theory to a saved run or a LAMMPS dump."""
-    trajectory, path = gather(
+    trajectory, path = collect(
         lambda: _run_or_dump(arguments),
         lambda: (
             arguments.json
@@ -119,7 +119,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     if scene is None:
         run = load(path)
     else:
-        run = Trajectory.from_dump(path, read(scene), axis=axis, units=arguments.units)
+        run = Trajectory.from_dump(path, read_scene(scene), axis=axis, units=arguments.units)
     # a run folder whose run has just begun
     if run.time.size < 2:
         raise InputError.at(
@@ -131,7 +131,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
 def report(arguments: argparse.Namespace) -> int:
     """Write an HTML page about a saved run or a LAMMPS dump."""
     page = arguments.output or beside(arguments.run, ".html")
-    trajectory, path = gather(
+    trajectory, path = collect(
         lambda: _run_or_dump(arguments),
         lambda: output(page, arguments.run, PAGES, force=arguments.force),
     )

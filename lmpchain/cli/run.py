@@ -14,14 +14,14 @@ from ..util import mpi
 from ..util.remarks import warn
 from ..util.suggestions import either
 from ..util.tables import align, counted
-from .common import beside, complain, gather, on_terminal, output, read
+from .common import beside, collect, complain, on_terminal, output, read_scene
 
 if TYPE_CHECKING:
     from ..engines.base import Engine
     from ..trajectory.trajectory import Trajectory
 
 
-def _engine(arguments: argparse.Namespace) -> Engine | None:
+def _engine_with_options(arguments: argparse.Namespace) -> Engine | None:
     """Return the engine with its options, None for "auto"."""
     from ..simulation.choice import engine_for
 
@@ -36,14 +36,14 @@ def run(arguments: argparse.Namespace) -> int:
     name = arguments.output or beside(arguments.scene, ".nc")
     # a name that ends in / is a folder, even if it is not there yet
     in_folder = run_folder(arguments) is not None
-    scene, path, engine, _ = gather(
-        lambda: read(arguments.scene),
+    scene, path, engine, _ = collect(
+        lambda: read_scene(arguments.scene),
         lambda: (
             _new_folder(name, arguments.force)
             if in_folder
             else _new_file(name, arguments.scene, arguments.force)
         ),
-        lambda: _engine(arguments),
+        lambda: _engine_with_options(arguments),
         lambda: check_tolerance(arguments.tolerance),
     )
     from .. import engines
@@ -181,7 +181,7 @@ def _report(
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return a summary of the run: engine, steps, error and cost."""
     from ..simulation.choice import GIVEN_STEP
-    from ..trajectory.gathered import in_words
+    from ..trajectory.gathered import describe_gathered
 
     cost = trajectory.cost
     error = trajectory.error_estimate
@@ -200,7 +200,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         **({"damping": scene.damping_remark} if scene.chain.damped else {}),
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error "
         f"estimate, {cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
-        **in_words(scene, trajectory.gathered),
+        **describe_gathered(scene, trajectory.gathered),
         "folder" if path.is_dir() else "file": str(path),
     }
     return "\n".join(align(lines.items()))
@@ -208,7 +208,9 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
 
 def deck(arguments: argparse.Namespace) -> int:
     """Write a LAMMPS input that `lmp` runs by itself."""
-    scene, _ = gather(lambda: read(arguments.scene), lambda: check_tolerance(arguments.tolerance))
+    scene, _ = collect(
+        lambda: read_scene(arguments.scene), lambda: check_tolerance(arguments.tolerance)
+    )
     from shlex import quote
 
     from ..engines.lammps.export import write_deck

@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from ..errors import InputError
-from .common import check_outputs, gather, keep
+from .common import check_outputs, collect, keep
 
 # option of the command, parameter and what it is
 UNCERTAIN = {
@@ -23,7 +23,7 @@ def sensitivity(arguments: argparse.Namespace) -> int:
     """Rank what an answer of a saved run depends on."""
     from ..design import sensitivities
 
-    scene, picture, numbers, _ = gather(
+    scene, picture, numbers, _ = collect(
         lambda: _scene(arguments.run),
         *check_outputs(arguments, arguments.run),
         lambda: sensitivities.objective(arguments.of),
@@ -41,9 +41,9 @@ def sensitivity(arguments: argparse.Namespace) -> int:
 def _scene(path: str) -> Any:
     """Return the scene of a saved run, or of a scene file."""
     if path.endswith(".toml"):
-        from .common import read
+        from .common import read_scene
 
-        return read(path)
+        return read_scene(path)
     from ..trajectory.dump_frames import is_dump
     from ..trajectory.trajectory import Trajectory
 

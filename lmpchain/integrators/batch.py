@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, read_only
 from .kernels import waveform
 from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, addresses
 from .kernels.layout import PAD, WAVE, BatchArrays
@@ -71,8 +71,8 @@ class ChainBatch:
         self.grains = chain.grains
         self.driven = excitation.driven
         # one start serves all scenes of one excitation, unless it depends on the chain
-        differ = excitation.of_chain or any(s.excitation is not excitation for s in scenes)
-        self._struck = scenes if differ else scenes[:1]
+        same = not excitation.of_chain and all(s.excitation is excitation for s in scenes)
+        self._struck = scenes[:1] if same else scenes
         self.initial = initial or self._initial()
         self.masses = np.array([chain.masses for chain in chains])
         self.contacts = together([chain.contacts for chain in chains])
@@ -83,14 +83,10 @@ class ChainBatch:
         at_rest = _at_rest(self.contacts, chain.loose_grains)
         acts, reach, wave, knots, pieces, laws = self._imposed()
         size = len(scenes)
-        damped = any([chain.damped for chain in chains])
-        viscosity = drag = np.zeros((size, 0))
-        alike = False
-        if damped:
-            viscosity = np.array([chain.contact_viscosity for chain in chains])
-            drag = np.array([chain.drag for chain in chains])
-            pushed = acts and (wave["body"] < 0).any()
-            alike = not (pushed or drag.any() or np.ptp(viscosity, axis=1).any())
+        damped, viscosity, drag = self._damping()
+        alike = damped and not (
+            (wave["body"] < 0).any() or drag.any() or np.ptp(viscosity, axis=1).any()
+        )
         rows = aligned_rows(8 if damped else 5, size, self.grains)
         of_damped = rows[5:] if damped else np.zeros((3, size, 0))
         uncompressed, least_strain, omega, allowed = np.zeros((4, size))
@@ -165,6 +161,18 @@ class ChainBatch:
         """
         return place_bodies(u, v, copies, self.driven, self.arrays, WINDOW_MIN)
 
+    def _damping(self) -> tuple[bool, Array, Array]:
+        """Return whether chains are damped, viscosities, (R, N+1) s, and drag, (R, N) 1/s.
+
+        The arrays are (R, 0) without damping.
+        """
+        chains = [scene.chain for scene in self.scenes]
+        if not any([chain.damped for chain in chains]):
+            nothing = np.zeros((len(chains), 0))
+            return False, nothing, nothing
+        viscosity = np.array([chain.contact_viscosity for chain in chains])
+        return True, viscosity, np.array([chain.drag for chain in chains])
+
     def _imposed(self) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
         """Return the motions or forces that act after t = 0: six fields of `BatchArrays`."""
         size = len(self.scenes)
@@ -218,11 +226,12 @@ def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array
     touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
     touch[:, 0] &= not powers
     trace = np.maximum(contacts.law.force(TOUCHING, constant), np.finfo(float).tiny)
+    # read-only as the others, so that the loops are compiled once
     return (
-        np.where(touch, TOUCHING, overlap),
-        np.where(touch, trace, force),
+        read_only(np.where(touch, TOUCHING, overlap)),
+        read_only(np.where(touch, trace, force)),
         constant,
-        np.where(touch, 0.0, stiffness),
+        read_only(np.where(touch, 0.0, stiffness)),
     )
 
 

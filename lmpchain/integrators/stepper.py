@@ -23,7 +23,7 @@ from .kernels.layout import (
     Noted,
     team,
 )
-from .method import Method
+from .method import March, Method
 from .steps import Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
@@ -115,9 +115,8 @@ class NativeStepper:
     ):
         self.chains = chains
         self.threads = threads
-        scenes = chains.scenes
         self._schedules = (schedule, *auxiliary)
-        self._size = len(scenes)
+        self._size = len(chains.scenes)
         count = len(self._schedules)
         u = chains.initial[0][None]
         v = chains.initial[1][None]
@@ -132,8 +131,6 @@ class NativeStepper:
             self._check_state(state["state"])
             self._state[:] = state["state"]
         self.stride = schedule.stride
-        final = scenes[0].intervals
-        interval = scenes[0].sampling_interval
         march = method.march(chains, self._schedules)
         self._march = march.run
         self._by_step = march.by_step
@@ -154,21 +151,29 @@ class NativeStepper:
             if state["history"].shape != self._history.shape:
                 raise ValueError(UNFIT)
             self._history[:] = state["history"]
-        borders = [share * self._size // shares for share in range(shares + 1)]
-        # of each thread: what it moves by the method, where it works, and by which clocks; and the
-        # first of its chains, and the one behind the last
-        self._shares: list[tuple[tuple[Any, ...], int, int]] = []
-        for thread_state, member in zip(self._states, self._teams, strict=True):
-            in_motion = Chains(chains.arrays, self._x, self._v, self._history, thread_state, member)
-            for begin, end in pairwise(borders):
-                work = march.make_work(in_motion, march.method)
-                times = clocks(self._schedules, interval, final)
-                self._shares.append(((in_motion, march.method, work, times), begin, end))
+        self._shares = self._share_out(march, shares)
         # to no goal: this only compiles, so that the time of the first fill is that of steps
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
             fields = Fields(none, none, NOTHING, NOTHING, 0, self.balance)
             self._march(*self._shares[0][0], fields, 0, 0, 0, 0)
+
+    def _share_out(self, march: March, shares: int) -> list[tuple[tuple[Any, ...], int, int]]:
+        """Return the part of each thread, of so many that share the chains out.
+
+        What it moves by the method, where it works, and by which clocks; the first of its chains,
+        and the one behind the last.
+        """
+        scene = self.chains.scenes[0]
+        borders = [share * self._size // shares for share in range(shares + 1)]
+        parts: list[tuple[tuple[Any, ...], int, int]] = []
+        for state, member in zip(self._states, self._teams, strict=True):
+            chains = Chains(self.chains.arrays, self._x, self._v, self._history, state, member)
+            for begin, end in pairwise(borders):
+                work = march.make_work(chains, march.method)
+                times = clocks(self._schedules, scene.sampling_interval, scene.intervals)
+                parts.append(((chains, march.method, work, times), begin, end))
+        return parts
 
     def _check_state(self, state: NDArray[Any]) -> None:
         """Raise `ValueError` if a state does not fit: compiled loops trust its window."""

@@ -22,7 +22,7 @@ from . import live, panels
 from .html import render_live
 from .origin import NOT_RECORDED
 from .panels import Panel
-from .verdicts import front_below, linear_theory, strike_verdict, unit_of
+from .verdicts import front_below, linear_theory, strike_verdict, unit_of_key
 
 Rows = Sequence[Sequence[str]]
 PANELS: dict[str, Callable[[Trajectory], Panel]] = {
@@ -91,7 +91,7 @@ def page(
         # for readers without JavaScript, and on paper
         still = panels.wave(trajectory)
         linear = linear_theory(live.crop(trajectory))
-        numbers = live.numbers([_view(trajectory, linear)])
+        numbers = live.figure_numbers([_view(trajectory, linear)])
         bar.advance()
         sections = list(_sections(trajectory, bar))
         bar.describe("Fits")
@@ -199,7 +199,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     yield "chain", f"{counted(chain.grains, 'grain')}, {ends}, {chain.law}"
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N{_of_load(chain)}"
     values = ", ".join(
-        f"{key} {value:g} {unit_of(key, scene.excitation.kind)}".rstrip()
+        f"{key} {value:g} {unit_of_key(key, scene.excitation.kind)}".rstrip()
         if isinstance(value, int | float)
         else f"{key} of {np.size(value)} values"
         for key, value in scene.excitation.given().items()

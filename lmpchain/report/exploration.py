@@ -15,7 +15,7 @@ from ..measure.front import Front
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..simulation.many import simulate_many
-from ..sweeps.file import Sweep, read
+from ..sweeps.file import Sweep, read_sweep
 from ..sweeps.tasks import announced_work
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import plain
@@ -27,7 +27,7 @@ from ..util.suggestions import did_you_mean
 from . import live
 from .html import render_live
 from .live import Slider, View
-from .verdicts import facts, front_below, linear_theory, short_power, unit_of
+from .verdicts import facts, front_below, linear_theory, short_power, unit_of_key
 
 SOURCE_KEYS = ("scene", "over", "engine", "tolerance")
 
@@ -115,13 +115,13 @@ def explore(
     ...     lmpchain.explore({"scene": scene, "over": over}, f"{folder}/page.html")
     """
     check_not_foreign(expanded(path), overwrite)
-    plan, axes = _read(source)
+    plan, axes = _read_plan(source)
     grid = _make_grid(plan)
     views: list[View | str] = []
     work = announced_work(plan, grid.scenes, plan.count)
     with work, ProgressBar(plan.count, "explore", " runs", shown=progress) as bar:
         for first in range(0, plan.count, grid.batch):
-            for run in _solve(plan, grid.scenes[first : first + grid.batch]):
+            for run in _run_scenes(plan, grid.scenes[first : first + grid.batch]):
                 views.append(run if isinstance(run, str) else _view(run, grid.between, plan))
                 bar.advance()
     page = _fit(views, axes, plan, grid)
@@ -129,7 +129,7 @@ def explore(
         aside.write_text(page, encoding="utf-8")
 
 
-def _read(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
+def _read_plan(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
     """Return the sweep and the sliders of a page; raises `InputError` with every fault."""
     if not isinstance(source, Mapping):
         raise InputError.at("source", 'must be a mapping, such as {"scene": scene, "over": {...}}')
@@ -150,7 +150,7 @@ def _read(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
     table = {"scene": source.get("scene"), "grid": values or {"recording.samples": [PAGE.samples]}}
     options = {key: source[key] for key in ("engine", "tolerance") if key in source}
     try:
-        plan = read(table | options)
+        plan = read_sweep(table | options)
     except InputError as error:
         raise InputError(
             (key.removeprefix("grid."), message) for key, message in error.faults
@@ -197,7 +197,7 @@ def _check_values(sweep: Any) -> list[float]:
 def _axis(key: str, values: list[float], scene: Any, kind: str) -> Slider:
     """Return the slider of a key; evenly spaced ratios are those of a logarithmic one."""
     name = key.rpartition(".")[2]
-    unit = unit_of(name, kind)
+    unit = unit_of_key(name, kind)
     log = values[0] > 0 and len(values) > 2
     if log:
         ratios = np.diff(np.log(values))
@@ -242,12 +242,14 @@ def _find_extent(plan: Sweep, scenes: Sequence[Scene]) -> tuple[int, int]:
         len(plan.shape), -1
     )
     corners = np.unique(np.ravel_multi_index(tuple(ends), plan.shape))
-    runs = [run for n in corners for run in _solve(plan, [scenes[n]]) if not isinstance(run, str)]
+    runs = [
+        run for n in corners for run in _run_scenes(plan, [scenes[n]]) if not isinstance(run, str)
+    ]
     reached = [live.extent(run) for run in runs] or [(1, scenes[0].chain.grains)]
     return min(first for first, _ in reached), max(last for _, last in reached)
 
 
-def _solve(plan: Sweep, scenes: Sequence[Scene]) -> Iterator[Trajectory | str]:
+def _run_scenes(plan: Sweep, scenes: Sequence[Scene]) -> Iterator[Trajectory | str]:
     """Yield the runs of scenes, or why there is none."""
     with warnings_aside():
         # a tolerance that is missed is said beside the run
@@ -285,7 +287,7 @@ def _fit(views: list[View | str], axes: list[Slider], plan: Sweep, grid: _Grid) 
     """Return the page with as many times and grains as it has room for."""
     for times, grains in PAGE.views:
         thin = [view if isinstance(view, str) else view.thinned(times, grains) for view in views]
-        page = _render(live.numbers(thin, axes, LEVELS), thin, axes, plan, grid)
+        page = _render(live.figure_numbers(thin, axes, LEVELS), thin, axes, plan, grid)
         if len(page.encode()) <= PAGE.size:
             return page
     least = len(views) * PAGE.size // len(page.encode())

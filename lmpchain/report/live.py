@@ -230,7 +230,7 @@ class Slider(NamedTuple):
     start: int
 
 
-def numbers(
+def figure_numbers(
     views: Sequence[View | str], axes: Sequence[Slider] = (), levels: int = VIEW.levels
 ) -> dict[str, Any]:
     """Return the numbers for the script of the figure.

@@ -53,7 +53,7 @@ UNITS_OF_KEYS = {
 }
 
 
-def unit_of(name: str, kind: str) -> str:
+def unit_of_key(name: str, kind: str) -> str:
     """Return the unit of a key of a scene by its last word, for this kind of excitation."""
     return "N" if name == "amplitude" and kind == "force" else UNITS_OF_KEYS.get(name, "")
 

@@ -401,7 +401,7 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
         if viscosity > 0:
             needed = _damped_distance(omega * viscosity, omega * scene.duration)
         else:
-            needed = _distance(2 * omega * scene.duration)
+            needed = _lossless_distance(2 * omega * scene.duration)
         if needed <= reach:
             return chain.first_of_part(max(1, top - needed)), min(grains, bottom + needed)
         reach = max(needed, 2 * reach)
@@ -423,7 +423,7 @@ def _fastest(scene: SceneFacts, first: int, last: int) -> float:
     return math.sqrt(float(stiffness.max()) / masses.min())
 
 
-def _distance(x: float) -> int:
+def _lossless_distance(x: float) -> int:
     """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is too small to be seen.
 
     The logarithm of that is concave where it falls: Newton's method ends beyond its root, never

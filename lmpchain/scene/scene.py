@@ -230,7 +230,7 @@ class Scene(SceneFacts):
     @classmethod
     def from_toml(cls, path: str | PathLike[str]) -> Self:
         """Read a scene file; raises `InputError` with every fault in it."""
-        return cls(**toml_file.read(path))
+        return cls(**toml_file.read_fields(path))
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:

@@ -66,7 +66,7 @@ CURES = (
 )
 
 
-def read(path: str | PathLike[str]) -> dict[str, Any]:
+def read_fields(path: str | PathLike[str]) -> dict[str, Any]:
     """Return the fields of a scene from a file; raises `InputError` with every fault in it."""
     path = expanded(path)
     return fields(parse(path), path.parent)

@@ -332,7 +332,9 @@ class RunFolder:
             engine = self._answering
             scene = self._known
             choices = record(engine, scene, attempt.proposal, self.tolerance)
-            store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
+            store.create_zarr(
+                self.path, scene, subject(scene, engine.name, engine.equation, choices)
+            )
             engine.write_inputs(scene.fine, attempt.proposal, self.tolerance, self.path)
             files.write_sums(self.path, finished=False)
         self._writer = store.Writer(self.path, self._known, self.samples)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..chain.contact_law import OverlapPower
+from ..chain.contact_law import PowerForce
 from ..chain.contacts import Contacts
 from ..chain.equilibrium import force_at_rest
 from ..engines import Lammps, Native
@@ -151,7 +151,7 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
     carried = force_at_rest(weight, chain.top_load, chain.load_grain)
     # changes of the forces of other laws have the accuracy of doubles
     exponent: Any = Long(chain.law.power_of("measured round-off"))
-    law = OverlapPower(exponent)
+    law = PowerForce(exponent)
     contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), law)
     mobility = np.where(np.arange(chain.grains) < chain.movable, 1 / mass, 0)
     u, v = (x.astype(Long) for x in scene.initial())

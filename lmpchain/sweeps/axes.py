@@ -203,7 +203,7 @@ def _random(table: dict[str, Any]) -> list[Axis]:
 
     tables = {key: value for key, value in table.items() if isinstance(value, dict)}
     numbers = {key: value for key, value in table.items() if key not in tables}
-    options, laws = _check(Draws, numbers, tables)
+    options, laws = _check_axes(Draws, numbers, tables)
     if not laws:
         raise InputError.at("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")
     by_grain = {key: law for key, law in laws.items() if law.per_grain or key in ALWAYS}
@@ -223,7 +223,7 @@ def _random(table: dict[str, Any]) -> list[Axis]:
 
 def _disorder(table: dict[str, Any]) -> list[Axis]:
     tables = {key: value for key, value in table.items() if isinstance(value, dict)}
-    options, laws = _check(Realisations, _only(table, "realisations"), tables)
+    options, laws = _check_axes(Realisations, _only(table, "realisations"), tables)
     arrays = bind_laws(laws, Seeded(**_only(table, "seed")).seed) if laws else ()
     axis = Axis("realisation", options.realisations, {}, drawn=True, arrays=arrays)
     return [axis if arrays and "m" not in table else _number(axis)]
@@ -238,7 +238,7 @@ def _number(axis: Axis) -> Axis:
     return replace(axis, columns={INDEX: range(len(axis))})
 
 
-def _check(
+def _check_axes(
     kind: type[Checked], table: dict[str, Any], tables: dict[str, Any]
 ) -> tuple[Any, dict[str, Uniform | Normal]]:
     """Return options and laws of random numbers; raises `InputError` with every fault."""

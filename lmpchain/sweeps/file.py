@@ -91,7 +91,7 @@ class Sweep:
     def text(self) -> str:
         """All options that shape the answers and their quantities, as JSON."""
         # in order: that of the axes is in it
-        return json.dumps({"format": FORMAT, **self.source}, default=plain)
+        return json.dumps({"format": FORMAT, **self.source}, default=as_json)
 
     @property
     def name(self) -> str:
@@ -112,7 +112,7 @@ class Sweep:
         ]
         options = (self.engine, self.tolerance, self.keep)
         causes = (self.tables_at(position), laws, self.source["files"], options)
-        text = json.dumps(causes, sort_keys=True, default=plain)
+        text = json.dumps(causes, sort_keys=True, default=as_json)
         return hashlib.sha256(text.encode()).digest()[:16]
 
     def tables_at(self, position: Place) -> dict[str, Any]:
@@ -151,7 +151,7 @@ class Sweep:
             for key, values in self.draw_values(position, grains).items():
                 tables = _set_each_grain(tables, key, values)
         tables = {key: table for key, table in tables.items() if key != "disorder"}
-        return _make_scene(json.dumps((tables, self.source["files"]), default=plain), self.folder)
+        return _make_scene(json.dumps((tables, self.source["files"]), default=as_json), self.folder)
 
     def scene(self, position: Place) -> Scene:
         """Make a scene; raises `InputError`."""
@@ -239,7 +239,7 @@ def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -
     return hashes
 
 
-def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
+def read_sweep(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
     """Read a sweep from a file or a mapping.
 
     Raises
@@ -394,6 +394,6 @@ def _set_each_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str
     return tables | {"chain": chain | {"material": changed}}
 
 
-def plain(value: Any) -> Any:
+def as_json(value: Any) -> Any:
     """Return arrays as lists and other values as text, for JSON."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -16,7 +16,7 @@ from ..errors import InputError, short
 from ..util.arrays import Array
 from ..util.files import LARGEST_JSON, check_readable, check_tree, expanded
 from .file import FORMAT, Sweep, is_name, read_text
-from .store import NAME, SCALARS, StoreLayout, open_store, read, read_layout
+from .store import NAME, SCALARS, StoreLayout, open_store, read_column, read_layout
 
 
 def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
@@ -45,7 +45,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
         If the folder holds no sweep, or a damaged one.
     """
     folder = expanded(folder)
-    index = _read(folder / NAME)
+    index = _read_json(folder / NAME)
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         index = {}
     if not is_name(index.get("results")):
@@ -59,7 +59,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     for name, column in layout.columns.items():
         attributes = {"units": column.units, "long_name": column.long_name}
         if name in ("reason", *SCALARS):
-            values = read(results, layout, name, np.arange(layout.count)).reshape(plan.shape)
+            values = read_column(results, layout, name, np.arange(layout.count)).reshape(plan.shape)
             data[name] = swept, values.astype(object) if column.dtype is str else values, attributes
             continue
         # larger arrays stay in their files until they are used
@@ -94,7 +94,7 @@ def read_results(results: Path) -> tuple[Sweep, StoreLayout]:
     path = results / NAME
     try:
         check_tree(results)
-        if not _read(path):
+        if not _read_json(path):
             raise InputError.at(str(path), "is missing: remove its folder, and sweep again")
         plan = read_text(path.read_text(encoding="utf-8"), results)
     except (OSError, KeyError, TypeError, ValueError) as error:
@@ -106,7 +106,7 @@ def read_results(results: Path) -> tuple[Sweep, StoreLayout]:
     return plan, read_layout(results, plan)
 
 
-def _read(path: Path) -> Any:
+def _read_json(path: Path) -> Any:
     """Return the content of a JSON file, or None if there is none."""
     try:
         if path.is_symlink():
@@ -145,5 +145,5 @@ class _Stored(BackendArray):
         outer = np.ix_(*rows[: len(self._swept)])
         inner = rows[len(self._swept) :]
         numbers = np.ravel_multi_index(outer, self._swept).ravel()
-        values = read(self._folder, self._layout, self._name, numbers, inner)
+        values = read_column(self._folder, self._layout, self._name, numbers, inner)
         return values.reshape([indices.size for indices in chosen if indices.ndim])

@@ -21,7 +21,7 @@ from ..util.locks import describe_holder, take_lock
 from ..util.progress import ProgressBar
 from ..util.remarks import warn, warnings_aside
 from .executors import Here, Processes, end_if_imported
-from .file import FORMAT, Sweep, read
+from .file import FORMAT, Sweep, read_sweep
 from .labels import Labels, make_labels
 from .results import load_sweep
 from .store import (
@@ -32,10 +32,10 @@ from .store import (
     StoreLayout,
     clean,
     complete,
-    create,
+    create_results,
     forget_damaged,
-    gather,
     intact,
+    join_parts,
     make_layout,
     whole_parts,
 )
@@ -100,7 +100,7 @@ def sweep(
     local = scheduler is None and executor is None
     if workers > 1 and local:
         end_if_imported()
-    plan = read(source)
+    plan = read_sweep(source)
     batch = _try_scenes(plan)
     folder = make_folder(folder).absolute()
     with _lock(folder):
@@ -157,13 +157,13 @@ def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, StoreLayout, 
         plan.keep, plan.count, batch, labels.samples, labels.grains.size, labels.extra
     )
     results = folder / plan.name
-    _check(results, plan)
+    _check_same_sweep(results, plan)
     _check_index(folder / NAME)
     (results / PARTS).mkdir(parents=True, exist_ok=True)
     if not intact(results):
         swept = {axis.name: len(axis) for axis in plan.axes}
         try:
-            create(results, layout, _coordinates(plan, labels), swept)
+            create_results(results, layout, _coordinates(plan, labels), swept)
         except (IsADirectoryError, NotADirectoryError, FileExistsError) as error:
             cause = f"{short(error.filename2 or error.filename)}: {error.strerror}"
             raise InputError.at(
@@ -181,7 +181,7 @@ def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, StoreLayout, 
     return results, layout, labels.grains
 
 
-def _check(results: Path, plan: Sweep) -> None:
+def _check_same_sweep(results: Path, plan: Sweep) -> None:
     """Raise `InputError` if a folder of results holds those of another sweep."""
     path = results / NAME
     try:
@@ -326,7 +326,7 @@ class _Work:
                         self._submit(executor, job, pending)
                         continue
                     if error is not None:
-                        faults.append(_describe(error))
+                        faults.append(_describe_machine_fault(error))
                     if isinstance(job, SweepTask):
                         bar.advance(job.count)
                         # a shard is gathered once all of its batches are on the disk
@@ -341,7 +341,7 @@ class _Work:
         if isinstance(job, SweepTask):
             pending[executor.submit(answer, job)] = job
         else:
-            pending[executor.submit(gather, self._folder, self._layout, job)] = job
+            pending[executor.submit(join_parts, self._folder, self._layout, job)] = job
 
     def _completes_shard(self, task: SweepTask) -> bool:
         """Note that a batch is done; return whether it was the last one of its shard."""
@@ -373,7 +373,7 @@ def _find_error(future: Future) -> Exception | None:
     return None
 
 
-def _describe(error: Exception) -> str:
+def _describe_machine_fault(error: Exception) -> str:
     """Return a fault of the machine or the cluster, not of a scene, in words."""
     if isinstance(error, BrokenExecutor):
         return f"the process that was at it died {TASKS.deaths} times"

@@ -169,7 +169,7 @@ def _check_column(
         raise ValueError(f"{name} is not that of its sweep")
 
 
-def create(
+def create_results(
     folder: Path, layout: StoreLayout, coordinates: Coordinates, swept: Mapping[str, int]
 ) -> None:
     """Make a store without results, or put right what is damaged of one but for its results."""
@@ -302,7 +302,7 @@ def read_part(path: Path, name: str, column: StoredArray) -> Array:
         raise InputError.at(str(path), f"cannot be read ({error}): sweep again") from None
 
 
-def gather(folder: Path, layout: StoreLayout, shard: int) -> None:
+def join_parts(folder: Path, layout: StoreLayout, shard: int) -> None:
     """Write a shard of every array from its parts, and remove these."""
     parts = [part_of(folder, first) for first in layout.batches(shard)]
     if not complete(folder, shard):
@@ -383,14 +383,14 @@ def forget_damaged(folder: Path, layout: StoreLayout) -> None:
             path.unlink(missing_ok=True)
 
 
-def remove(folder: Path) -> None:
+def remove_results(folder: Path) -> None:
     """Remove a folder of results, unless anything in it is not lmpchain's."""
     names = [path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir()]
     if all(OWN.fullmatch(name.as_posix()) for name in names):
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def read(
+def read_column(
     folder: Path,
     layout: StoreLayout,
     name: str,

@@ -10,7 +10,16 @@ import numpy as np
 from ..errors import InputError
 from .file import Sweep, is_name
 from .results import read_results
-from .store import NAME, NOT_DONE, StoreLayout, clean, forget_damaged, read, remove, write_part
+from .store import (
+    NAME,
+    NOT_DONE,
+    StoreLayout,
+    clean,
+    forget_damaged,
+    read_column,
+    remove_results,
+    write_part,
+)
 
 
 def list_earlier(folder: Path, results: Path) -> list[Path]:
@@ -48,7 +57,7 @@ def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) ->
         # in the order of the store, which is read faster
         numbers = numbers[np.argsort(old_numbers[spots[numbers]])]
         columns = {
-            name: read(earlier, old_layout, name, old_numbers[spots[numbers]])
+            name: read_column(earlier, old_layout, name, old_numbers[spots[numbers]])
             for name in layout.columns
         }
         for first in layout.batches(shard):
@@ -77,7 +86,7 @@ def _write(results: Path, first: int, end: int, numbers: np.ndarray, batch: dict
 
 def _done(plan: Sweep, layout: StoreLayout, results: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the keys of the scenes that are done, in order, and their numbers."""
-    reasons = read(results, layout, "reason", np.arange(layout.count))
+    reasons = read_column(results, layout, "reason", np.arange(layout.count))
     numbers = np.flatnonzero(reasons != NOT_DONE)
     keys = np.array([plan.key(int(number)) for number in numbers], dtype="S32")
     order = np.argsort(keys)
@@ -93,4 +102,4 @@ def drop(plan: Sweep, earlier: Path) -> None:
     keys, _ = _done(old_plan, old_layout, earlier)
     new_keys = [plan.key(number) for number in range(plan.count)]
     if old_plan.keep == plan.keep and np.isin(keys, new_keys).all():
-        remove(earlier)
+        remove_results(earlier)

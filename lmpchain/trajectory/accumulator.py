@@ -84,6 +84,7 @@ class Accumulator:
         self._lawful = lawful
         self._grains = grains
         self._tracked = tracked
+        self._kind = KINDS[tracked or "velocity"]
         self._ceiling = np.zeros((1, 0)) if ceiling is None else ceiling
         self._viscous = scene.chain.damping.longest_time > 0
         kinds = [KINDS[field] for field in fields]
@@ -159,7 +160,7 @@ class Accumulator:
             self._ceiling,
             window,
             (state["far"], state["fast"], closest),
-            KINDS[self._tracked or "velocity"],
+            self._kind,
             state["latest"],
             state["log"],
         )
@@ -199,9 +200,9 @@ class Accumulator:
 
     def fronts(self, fraction: float, error: float, fall: float, width: bool) -> Array:
         """Return time, height and width of the front and their errors, (G, 6), after `take_all`."""
-        kind = KINDS[self._tracked or "velocity"]
-        motion = (self._block, self._grains, self._derived, kind, width)
-        return fronts(*motion, *self._maxima(self.state["log"]), self._rules(fraction, error, fall))
+        rules = self._rules(fraction, error, fall, width)
+        motion = (self._block, self._grains, self._derived)
+        return fronts(*motion, *self._maxima(self.state["log"]), rules)
 
     def _maxima(self, log: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array, Array]:
         """Return the arrays that show fronts, for events in the order of their grains."""
@@ -209,7 +210,16 @@ class Accumulator:
         largest = state["fast" if self._tracked == "velocity" else "far"]
         return log, state["latest"], largest, state["start"]
 
-    def _rules(self, fraction: float, error: float, fall: float) -> Rules:
+    def _rules(self, fraction: float, error: float, fall: float, width: bool = False) -> Rules:
         """Return the definition of a front."""
         scene = self.scene
-        return Rules(fraction, error, fall, scene.highest_frequency, self.step, scene.duration)
+        return Rules(
+            fraction=fraction,
+            error=error,
+            fall=fall,
+            frequency=scene.highest_frequency,
+            step=self.step,
+            duration=scene.duration,
+            kind=self._kind,
+            width=width,
+        )

@@ -177,7 +177,7 @@ def check_jumps(name: str, frames: Frames, axis: str) -> None:
 
 def find_misfit(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
     """Return how the first frame differs from the initial state of the scene, or nothing."""
-    gauge = gauge_of(scene, motion, first)
+    gauge = drawn_diameter(scene, motion, first)
     distance, overlap = ("", "") if gauge else _find_gap(scene, motion, first)
     # wrong distances make all else wrong, while overlaps differ by what grains begin with, too
     return distance or _find_start(scene, motion, first) or overlap
@@ -212,7 +212,7 @@ def _gap_limits(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> Array:
     return np.asarray(limits)
 
 
-def gauge_of(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> float:
+def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> float:
     """Return the diameter with which all grains are drawn, m, or 0 if they are drawn as they are.
 
     Decks of ours draw grains a few overlaps large, where heights would lose digits else.
@@ -322,7 +322,9 @@ def check_course(
     # steps below the last digit of a height are lost, all of them alike, and do not add at random
     lost = rounding * steps / scene.intervals
     last = digit + lost * math.sqrt(u.size)
-    ratio, doubt = _compare(*sums, interval, last if single else last * masses.max() * masses.size)
+    ratio, doubt = _compare_changes(
+        *sums, interval, last if single else last * masses.max() * masses.size
+    )
     if _excess(ratio, doubt) > slip + (angle**3 / 2 if single else SAMPLED.leak):
         cure = f"{CURE}: one with its duration, and with as many samples as it has frames"
         raise InputError.at(
@@ -334,7 +336,7 @@ def check_course(
     if angle > SAMPLED.forces or scene.chain.damped:
         return
     acceleration = _accelerations(scene, motion)[:, lawful]
-    ratio, doubt = _compare(v, acceleration, interval, 0.0)
+    ratio, doubt = _compare_changes(v, acceleration, interval, 0.0)
     size = float(np.square(acceleration).mean()) if acceleration.any() else np.inf
     # digits that are cut off make accelerations at random, of which none are in the velocities
     noise = (scene.highest_frequency**2 * digit) ** 2 / size
@@ -364,7 +366,9 @@ def _grouped(scene: Scene, motion: DumpedMotion, angle: float) -> tuple[Array, A
     return np.add.reduceat(u, starts, axis=1), np.add.reduceat(v, starts, axis=1)
 
 
-def _compare(values: Array, rates: Array, interval: float, digit: float) -> tuple[float, float]:
+def _compare_changes(
+    values: Array, rates: Array, interval: float, digit: float
+) -> tuple[float, float]:
     """Return how many times the changes of values are those by their rates, and how far it is off.
 
     It is fitted by least squares to all changes from sample to sample, (T, B): to integrals of

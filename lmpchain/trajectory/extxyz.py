@@ -15,7 +15,7 @@ PROPERTIES = (
 )
 
 
-def write(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
+def write_extxyz(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.to_extxyz`."""
     chain = record.scene.chain
     grains = record.grains

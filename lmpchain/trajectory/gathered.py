@@ -107,7 +107,7 @@ def variables(
     }
 
 
-def in_words(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:
+def describe_gathered(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:
     """Return a line for each quantity: the range of its values, and their largest error."""
     lines = {}
     for name in scene.quantities:

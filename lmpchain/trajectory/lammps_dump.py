@@ -20,8 +20,8 @@ from .dump_checks import (
     check_frames,
     check_grains,
     check_jumps,
+    drawn_diameter,
     find_misfit,
-    gauge_of,
 )
 from .dump_frames import AXES, COLUMNS, Frames, read_frames
 from .record import Cost, ErrorEstimate, Record
@@ -46,7 +46,7 @@ class _Column(NamedTuple):
     slack: float
 
 
-def read(
+def read_dump(
     path: str | PathLike[str],
     scene: Scene,
     equilibrium: Sequence[float] | Array | None = None,
@@ -87,7 +87,7 @@ def read(
     # lmpchain deck writes v_phi, and its z points up
     directions = [-1.0] if v_phi is not None and axis == "z" else _directions(scene, z[0], rest)
     motion, first = _orient(name, scene, directions, column, rest)
-    check_grains(name, scene, columns, motion.order, gauge_of(scene, motion, first))
+    check_grains(name, scene, columns, motion.order, drawn_diameter(scene, motion, first))
     mover = motion.order[int(np.abs(motion.velocity).sum(0).argmax())]
     if v_phi is None:
         _check_digits(name, written[:, mover], length, float(np.ptp(z[:, mover])))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import h5py
 
 
-def write(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
+def write_netcdf(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
     # xarray writes the same, but its import takes longer than most runs
     import h5netcdf
@@ -38,7 +38,7 @@ def write(record: Record, path: str | PathLike[str], overwrite: bool = False) ->
         opened.writelines((memory.getbuffer(), seal(memory.getbuffer())))
 
 
-def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
+def read_netcdf(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
     """Return metadata, scene and arrays of a file; a damaged or foreign one raises an error.
 
     Only plain arrays in this very file are read, and a claim about their size is checked before

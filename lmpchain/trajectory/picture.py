@@ -17,7 +17,7 @@ UNITS_OF_FIELDS = {"velocity": "m/s", "displacement": "m"}
 MOVING = 1e-3  # share of the largest motion below which a grain counts as at rest
 
 
-def space_time(
+def draw_motion(
     trajectory: Record, field: Literal["velocity", "displacement"], ax: Axes | None
 ) -> Axes:
     """Draw the motion over time and depth; see `Trajectory.plot`."""

@@ -103,9 +103,9 @@ class Trajectory(Shown, Record, Tabular):
             By default those of a new figure.
         field : "velocity" or "displacement"
         """
-        from .picture import space_time
+        from .picture import draw_motion
 
-        return space_time(self, field, ax)
+        return draw_motion(self, field, ax)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return a labelled dataset of time and grain; stored arrays stay on the disk."""
@@ -123,9 +123,9 @@ class Trajectory(Shown, Record, Tabular):
         A file that lmpchain did not write is replaced only if `overwrite` is true; otherwise
         `InputError` is raised.
         """
-        from .netcdf import write
+        from .netcdf import write_netcdf
 
-        write(self, path, overwrite)
+        write_netcdf(self, path, overwrite)
 
     def to_extxyz(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
@@ -138,9 +138,9 @@ class Trajectory(Shown, Record, Tabular):
         The other columns are in its `arrays`. The file is written atomically. A file that lmpchain
         did not write is replaced only if `overwrite` is true.
         """
-        from .extxyz import write
+        from .extxyz import write_extxyz
 
-        write(self, path, overwrite)
+        write_extxyz(self, path, overwrite)
 
     def universe(self) -> Universe:
         """Return an MDAnalysis Universe of the recorded grains, in SI units, read on demand.
@@ -215,9 +215,9 @@ class Trajectory(Shown, Record, Tabular):
         InputError
             If it cannot be read, or is not of this scene.
         """
-        from .lammps_dump import read
+        from .lammps_dump import read_dump
 
-        return cls(**vars(read(path, scene, equilibrium, axis, units)))
+        return cls(**vars(read_dump(path, scene, equilibrium, axis, units)))
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Trajectory:
@@ -245,7 +245,9 @@ class Trajectory(Shown, Record, Tabular):
         if not folder and (fault := describe_other_format(path)):
             raise InputError.at(str(path), fault)
         try:
-            attributes, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
+            attributes, scene, arrays = (
+                zarr_store.read_zarr(path) if folder else netcdf.read_netcdf(path)
+            )
             time = arrays["time"]
             if not np.array_equal(time, scene.time[: time.size]):
                 raise ValueError("its times are not those of its scene")

@@ -65,7 +65,7 @@ class ChunkSizes(NamedTuple):
 CHUNKS = ChunkSizes()
 
 
-def pieces(samples: int, grains: int) -> dict[str, Piece]:
+def file_shapes(samples: int, grains: int) -> dict[str, Piece]:
     """Return the shapes of the files of each array, and of a chunk in those of the fields."""
     count = math.ceil(grains / CHUNKS.grains)
     width = math.ceil(grains / count)
@@ -82,7 +82,7 @@ def pieces(samples: int, grains: int) -> dict[str, Piece]:
 
 def stores(scene: Scene, present: Collection[str]) -> dict[str, Piece]:
     """Return the shapes of the files of each array of a scene; see `pieces` and `shapes`."""
-    return shapes(scene, present) | pieces(scene.samples, scene.count(scene.chain))
+    return shapes(scene, present) | file_shapes(scene.samples, scene.count(scene.chain))
 
 
 def metadata(node: Path) -> dict[str, Any]:
@@ -97,7 +97,7 @@ def metadata(node: Path) -> dict[str, Any]:
     raise ValueError(f"{node.name} is not in Zarr format 3")
 
 
-def check(store: Path, scene: Scene) -> None:
+def check_layout(store: Path, scene: Scene) -> None:
     """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
     names = {path.name for path in store.iterdir() if path.is_dir()}
     arrays = shapes(scene, names)

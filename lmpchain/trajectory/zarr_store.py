@@ -27,7 +27,7 @@ from ..util.arrays import Array
 from ..util.files import check_tree
 from . import gathered
 from .record import DIMENSIONS, FIELDS, LABELS, Block, Cost, ErrorEstimate, read_scene, verdict
-from .zarr_layout import check, metadata, pieces
+from .zarr_layout import check_layout, file_shapes, metadata
 
 if TYPE_CHECKING:
     import xarray
@@ -36,7 +36,7 @@ NAME = "trajectory.zarr"
 SO_FAR = "error_so_far"  # attribute of a run that is not finished
 
 
-def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
+def create_zarr(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     """Make an empty store, in place of one that is there."""
     import zarr
     from zarr.codecs import BloscCodec, Crc32cCodec
@@ -44,7 +44,7 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     group = zarr.open_group(folder / NAME, mode="w", zarr_format=3, attributes=dict(attributes))
     samples = scene.samples
     grains = scene.recorded.size
-    sizes = pieces(samples, grains)
+    sizes = file_shapes(samples, grains)
     shrink: Any = [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]
 
     def make(name: str, dimensions: tuple[str, ...], labels: Any, **options: Any) -> None:
@@ -161,7 +161,7 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
     if not samples:
         return True
     try:
-        check(folder / NAME, scene)
+        check_layout(folder / NAME, scene)
         group: Any = zarr.open_group(folder / NAME, mode="r", zarr_format=3)
         first = samples - samples % group[FIELDS[0]].shards[0]
         arrays = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
@@ -171,7 +171,7 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
         return False
 
 
-def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
+def read_zarr(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     """Return metadata, scene and arrays of the complete samples; fields are read on demand.
 
     Of a run that is not finished, the error is the estimate so far, or infinite if more samples are
@@ -183,7 +183,7 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     check_tree(folder / NAME)
     attributes = metadata(folder / NAME)["attributes"]
     scene = read_scene(attributes)
-    check(folder / NAME, scene)
+    check_layout(folder / NAME, scene)
     data = xarray.open_dataset(
         folder / NAME,
         engine="zarr",

@@ -30,7 +30,7 @@ def unname_shared_memory() -> None:
 
 
 @cache
-def sweep() -> None:
+def remove_leftovers() -> None:
     """Remove leftovers of killed MPI runs of this user: shared memory, files of its launcher.
 
     A rank that starts later than `OLD_S` after its launcher finds out by itself what that file

@@ -10,7 +10,7 @@ import pytest
 
 from lmpchain import Chain, Impurity, InputError
 from lmpchain.chain.bounds import bounds
-from lmpchain.chain.contact_law import ContactLaw, OverlapPower
+from lmpchain.chain.contact_law import ContactLaw, PowerForce
 from lmpchain.chain.contacts import Contacts, dynamical_matrix, together
 from lmpchain.chain.impurities import Kinds, kinds
 from lmpchain.chain.materials import GLASS, PTFE, STEEL, Material
@@ -36,7 +36,7 @@ def by_formulas(exponent: float) -> ContactLaw:
     return ContactLaw(force, stiffness, curvature, exponent, (exponent,))
 
 
-@pytest.mark.parametrize("kind", [OverlapPower, by_formulas])
+@pytest.mark.parametrize("kind", [PowerForce, by_formulas])
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float, kind: Any) -> None:
     """Pressed, open and torn apart: K [eps + r]^delta - F, and its integral over r."""
@@ -57,7 +57,7 @@ def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float, kin
         above_rest = contacts.energy(r)
     assert change == pytest.approx(force, rel=2e-14, abs=1e-40)
     assert above_rest == pytest.approx(
-        energy, rel=1e-12 if kind is OverlapPower else 1e-11, abs=1e-55
+        energy, rel=1e-12 if kind is PowerForce else 1e-11, abs=1e-55
     )
     rows = np.stack((r, 0 * r, 2 * r))
     rows[:, 3] = 0.0
@@ -67,7 +67,7 @@ def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float, kin
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_loose_contact_only_pushes(exponent: float) -> None:
-    contacts = Contacts.at_rest(np.array([3e9, 0.0, 3e9]), np.zeros(3), OverlapPower(exponent))
+    contacts = Contacts.at_rest(np.array([3e9, 0.0, 3e9]), np.zeros(3), PowerForce(exponent))
     r = np.array([2e-8, 1e-8, -1e-8])
     force = [3e9 * 2e-8**exponent, 0.0, 0.0]
     assert contacts.force_change(r) == pytest.approx(force, rel=1e-14)
@@ -78,7 +78,7 @@ def test_a_loose_contact_only_pushes(exponent: float) -> None:
     assert contacts.law.elastic_share == pytest.approx(1 / (1 + (exponent + 1) / 2), rel=1e-15)
 
 
-@pytest.mark.parametrize("kind", [OverlapPower, by_formulas])
+@pytest.mark.parametrize("kind", [PowerForce, by_formulas])
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float, kind: Any) -> None:
     pressed = Contacts.at_rest(np.array([3e9]), np.array([2e-4]), kind(exponent)).of(0)
@@ -102,13 +102,13 @@ def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
         bound = contacts.approach_bound(energy)
         assert contacts.energy(bound) == pytest.approx([energy, 0, energy], rel=1e-11, abs=0)
         assert law.approach(energy, 3e9) == pytest.approx(
-            OverlapPower(exponent).approach(energy, 3e9)
+            PowerForce(exponent).approach(energy, 3e9)
         )
     assert contacts.overlap_bound(np.inf).tolist() == [np.inf, 0.0, np.inf]
     assert contacts.bend == pytest.approx([exponent - 1, 0.0, 0.0], abs=1e-15)
     o = np.array([1e-9, 2e-8])
     largest = law.largest_stiffness(o, 3e9)
-    assert largest == pytest.approx(OverlapPower(exponent).stiffness(o, 3e9))
+    assert largest == pytest.approx(PowerForce(exponent).stiffness(o, 3e9))
 
 
 def test_an_exponent_and_another_law_exclude_each_other() -> None:
@@ -117,7 +117,7 @@ def test_an_exponent_and_another_law_exclude_each_other() -> None:
     assert chain.law is law
     assert chain == chain.replace(gravity=9.81)
     assert chain != Chain(grains=3, diameter=1e-3)
-    assert Chain(grains=3, diameter=1e-3, law=OverlapPower(2.0)) == chain.replace(
+    assert Chain(grains=3, diameter=1e-3, law=PowerForce(2.0)) == chain.replace(
         law=None, exponent=2.0
     )
     with pytest.raises(InputError, match="law: takes the place of an exponent"):
@@ -134,7 +134,7 @@ def test_energy_bounds_overlaps_and_strains() -> None:
     """
     constant = np.array([1e9, 2e9, 5e8])
     force = np.array([1e-4, 3e-4, 2e-4])
-    contacts = Contacts.at_rest(constant, force, OverlapPower(1.5))
+    contacts = Contacts.at_rest(constant, force, PowerForce(1.5))
     for energy in (1e-25, 1e-14, 1e-11, 1e-6):
         loose = (2.5 * energy / constant) ** 0.4
         pressed = np.sqrt(2 * energy / contacts.stiffness)
@@ -146,14 +146,12 @@ def test_energy_bounds_overlaps_and_strains() -> None:
         assert contacts.strain_bound(contacts.approach_bound(energy)) == pytest.approx(
             1.05 * strain, rel=1e-13
         )
-    alike = Contacts.at_rest(np.full(3, 1e9), np.array([1e-4, 2e-4, 3e-4]), OverlapPower(1.5))
+    alike = Contacts.at_rest(np.full(3, 1e9), np.array([1e-4, 2e-4, 3e-4]), PowerForce(1.5))
     strain = min((2.5 * 1e-12 / 1e9) ** 0.4, np.sqrt(2e-12 / alike.stiffness[0])) / alike.overlap[0]
     assert alike.strain_bound(alike.approach_bound(1e-12)) == pytest.approx(
         1.05 * strain, rel=1e-13
     )
-    mixed = Contacts.at_rest(
-        np.array([1e9, 0.0, 1e9]), np.array([0.0, 0.0, 1e-4]), OverlapPower(1.5)
-    )
+    mixed = Contacts.at_rest(np.array([1e9, 0.0, 1e9]), np.array([0.0, 0.0, 1e-4]), PowerForce(1.5))
     assert mixed.strain_bound(mixed.approach_bound(1e-12)) == np.inf
     bound = mixed.overlap_bound(1e-12)
     assert bound[:2] == pytest.approx([(2.5e-12 / 1e9) ** 0.4, 0.0], rel=1e-13)
@@ -178,7 +176,7 @@ def test_contacts_of_many_chains_are_rows() -> None:
     for name in ("constant", "force", "overlap", "stiffness"):
         assert np.array_equal(getattr(rows, name), [getattr(one, name), getattr(other, name)])
         assert np.array_equal(getattr(alone, name), [getattr(one, name)])
-    assert rows.law == OverlapPower(1.5)
+    assert rows.law == PowerForce(1.5)
 
 
 def test_contacts_above_a_held_grain() -> None:
@@ -238,7 +236,7 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
     assert known.frequency(1e-6) == pytest.approx(pair, rel=1e-8)
     assert known.frequency(1e-6) > pair
     odd = (Impurity(grain=1, diameter=1e-3, material=PTFE), Impurity(grain=2, mass=1.0))
-    mixed = bounds(kinds(GLASS, 2e-3, odd), 5, [STEEL], 0.0, 9.81, OverlapPower(1.5))
+    mixed = bounds(kinds(GLASS, 2e-3, odd), 5, [STEEL], 0.0, 9.81, PowerForce(1.5))
     assert (mixed.lightest, mixed.heaviest) == pytest.approx(
         (2200 * np.pi / 6 * 1e-9, 1.0), rel=1e-14
     )
@@ -253,7 +251,7 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
 def test_what_overflows_has_no_bounds() -> None:
     for diameter, density in ((1e-300, 1.0), (1e150, 1.0), (1e-120, 1e-10)):
         material = GLASS.replace(density=density)
-        assert bounds(kinds(material, diameter, ()), 5, (), 0.0, 9.81, OverlapPower(3.0)) is None
+        assert bounds(kinds(material, diameter, ()), 5, (), 0.0, 9.81, PowerForce(3.0)) is None
 
 
 def test_depths_and_loads_from_grain_to_grain() -> None:
@@ -287,18 +285,18 @@ def test_a_long_chain_is_judged_by_its_common_grains() -> None:
     """
     material = Material(density=1.0, youngs_modulus=6e10, poissons_ratio=0.0)
     both = Kinds([material, material], [1e-3, 2e-3], [1e-6, 1e-5])
-    assert least_compression(both, LIMITS.long_chain - 1, 0.0, 9.81, OverlapPower(1.5)) == 0.0
+    assert least_compression(both, LIMITS.long_chain - 1, 0.0, 9.81, PowerForce(1.5)) == 0.0
     constant = 2 / 3 * 6e10 * np.sqrt(1e-3 / 4)
     force = 0.3 + 9.81 * (LIMITS.long_chain - 6) * 1e-6
     expected = (force / constant) ** (2 / 3) / 1e-3
-    assert least_compression(
-        both, LIMITS.long_chain, 0.3, 9.81, OverlapPower(1.5)
-    ) == pytest.approx(expected, rel=1e-12)
+    assert least_compression(both, LIMITS.long_chain, 0.3, 9.81, PowerForce(1.5)) == pytest.approx(
+        expected, rel=1e-12
+    )
     constant *= 1e-3**-0.5
     expected = (force / constant) ** 0.5 / 1e-3
-    assert least_compression(
-        both, LIMITS.long_chain, 0.3, 9.81, OverlapPower(2.0)
-    ) == pytest.approx(expected, rel=1e-12)
+    assert least_compression(both, LIMITS.long_chain, 0.3, 9.81, PowerForce(2.0)) == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def faults(**fields: object) -> list[tuple[str, str]]:

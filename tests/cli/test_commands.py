@@ -405,16 +405,16 @@ def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
         return replace(answer, cost=cost._replace(integration_s=next(times)))
 
     monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
-    trajectories, failures, _ = compare._solve(answer.scene, {"native": 1e-5}, 30.0)
+    trajectories, failures, _ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 3.0
     assert next(times) == 0.75
     monkeypatch.setattr("lmpchain.benchmark.bench.repeat", lambda run: [run(), run()])
     times = iter([0.7, 0.75, 0.5])
-    trajectories, failures, _ = compare._solve(answer.scene, {"native": 1e-5}, 30.0)
+    trajectories, failures, _ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 0.5
     assert failures == []
     times = iter([0.95])  # with the rest above 2 s
-    trajectories, *_ = compare._solve(answer.scene, {"native": 1e-5}, 30.0)
+    trajectories, *_ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 0.95
 
 
@@ -742,9 +742,9 @@ def test_faults_of_all_checks_come_at_once():
     def fails(key: str) -> None:
         raise InputError([(key, "wrong")])
 
-    assert common.gather(lambda: 1, lambda: None) == [1, None]
+    assert common.collect(lambda: 1, lambda: None) == [1, None]
     with pytest.raises(InputError) as caught:
-        common.gather(lambda: fails("a"), lambda: 1, lambda: fails("b"))
+        common.collect(lambda: fails("a"), lambda: 1, lambda: fails("b"))
     assert caught.value.faults == [("a", "wrong"), ("b", "wrong")]
     assert issubclass(InputError, LmpchainError)
 

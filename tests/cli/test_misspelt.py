@@ -4,7 +4,7 @@ import pytest
 
 from lmpchain import Chain, Impulse, Impurity, InputError, Scene, disorder, simulate
 from lmpchain.cli import main
-from lmpchain.sweeps.file import read
+from lmpchain.sweeps.file import read_sweep
 
 SCENE = Scene(
     chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=1e-6
@@ -25,7 +25,7 @@ duration = 1e-6
 
 
 def swept(**keys):
-    return lambda: read({"scene": SCENE, "grid": {"chain.gravity": [1.0]}} | keys)
+    return lambda: read_sweep({"scene": SCENE, "grid": {"chain.gravity": [1.0]}} | keys)
 
 
 @pytest.mark.parametrize(

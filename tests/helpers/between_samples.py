@@ -136,10 +136,10 @@ def front_among(
     sampled = np.abs(values[1 if kind == hermite.VELOCITY else 0])
     level = fraction / 2 * max(sampled.max() - known, 0.0)
     largest, latest, events = followed(values, kind, h, ceiling, level)
-    rules = Rules(fraction, known, certain, frequency, h, h * (values.shape[1] - 1))
+    rules = Rules(fraction, known, certain, frequency, h, h * (values.shape[1] - 1), kind, width)
     motion = body_of(values, h)
     maxima = (events, latest, largest, sampled[:1], rules)
-    front: np.ndarray = fronts(*motion, kind, width, *maxima)[0]
+    front: np.ndarray = fronts(*motion, *maxima)[0]
     return front
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -215,3 +216,32 @@ def test_a_front_that_rises_behind_a_sample_near_a_contact_that_opens():
     arrival, height, _ = many.fronts("velocity", 0.5)[2, :3]
     assert abs(few[0] - arrival) <= few[3] < 3e-5
     assert abs(few[1] - height) <= few[4] < 0.05
+
+
+def test_largest_values_and_fronts_of_a_field_take_in_its_samples_once():
+    """Of any order of calls; another fraction of the largest value asks for other maxima."""
+    column = Chain(grains=20, diameter=1e-3)
+    strike = Impulse(velocity=1e-3)
+    scene = Scene(chain=column, excitation=strike, duration=3e-5, samples=61)
+    motion = motion_of(simulate(scene, "native"))
+    taken = []
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code.co_name == "derive":
+            taken.append(frame.f_code.co_filename)
+
+    sys.setprofile(note)
+    try:
+        top = motion.peaks("velocity")
+        first = motion.fronts("velocity", 0.5)
+        again = motion.peaks("velocity")
+    finally:
+        sys.setprofile(None)
+    assert len(taken) == 1
+    assert np.array_equal(top.value, again.value)
+    heights = np.abs(first[:, 1])
+    passed = np.isfinite(heights)
+    assert passed.sum() > 3
+    assert (heights[passed] <= top.value[passed] * (1 + 1e-12)).all()
+    other = motion_of(simulate(scene, "native")).fronts("velocity", 0.3)
+    np.testing.assert_array_equal(motion.fronts("velocity", 0.3), other)

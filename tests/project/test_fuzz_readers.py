@@ -23,7 +23,7 @@ from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.simulation import folder_files
 from lmpchain.simulation.run_folder import status
-from lmpchain.sweeps.file import read as read_sweep
+from lmpchain.sweeps.file import read_sweep
 from lmpchain.util.files import seal
 
 MEMORY = 500_000  # kB more than before

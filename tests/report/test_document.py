@@ -18,13 +18,13 @@ from lmpchain import Chain, Drive, Impulse, Profile, Scene, Trajectory, simulate
 from lmpchain.report import document, origin, page, write
 from lmpchain.report import live as live_view
 from lmpchain.report.document import _view, title
-from lmpchain.report.live import crop, extent, numbers
+from lmpchain.report.live import crop, extent, figure_numbers
 from lmpchain.trajectory.record import ErrorEstimate
 
 
 def figure(run: Trajectory) -> dict[str, Any]:
     """Return what the live figure of a page gets, as its script reads it."""
-    return arrays(numbers([_view(run, None)]))
+    return arrays(figure_numbers([_view(run, None)]))
 
 
 CHAIN = Chain(grains=40, diameter=1e-3)
@@ -286,7 +286,7 @@ def test_equal_arrays_stand_once():
     t = moved(20, 30)
     shown = _view(t, None)
     loud = replace(shown, velocity=3 * shown.velocity)
-    one, three = numbers([shown, loud])["runs"]
+    one, three = figure_numbers([shown, loud])["runs"]
     assert one["velocity"][0] == three["velocity"][0]
     assert 3 * one["velocity"][1] == pytest.approx(three["velocity"][1])
 

@@ -252,7 +252,7 @@ def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.Monk
         for path in used[1:]:
             file = held.enter_context(open(path, "rb"))
             held.enter_context(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
-        leftovers.sweep.__wrapped__()
+        leftovers.remove_leftovers.__wrapped__()
         assert set(tmp_path.iterdir()) == {*new, *used[1:], old[2]}
         leftovers.unname_shared_memory()
         assert set(tmp_path.iterdir()) == {*new, *used[2:], old[2]}

@@ -8,7 +8,7 @@ import pytest
 from lmpchain import Chain, Scene
 from lmpchain.chain.equilibrium import derive_chain
 from lmpchain.sweeps import realisations
-from lmpchain.sweeps.file import read
+from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.realisations import scenes
 
 HARD = {"density": 7800.0, "youngs_modulus": 2e11, "poissons_ratio": 0.3}
@@ -143,7 +143,7 @@ CASES = [
 @pytest.mark.parametrize(("chain", "excitation", "drawn"), CASES)
 def test_scenes_made_together_are_those_made_alone(chain: str, excitation: str, drawn: Any):
     table = drawn if isinstance(drawn, dict) else {key: LAWS[key] for key in drawn}
-    plan = read(asked(chain, excitation, table))
+    plan = read_sweep(asked(chain, excitation, table))
     together = scenes(plan, 0, 5, together=True)
     for number, scene in enumerate(together):
         alone = plan.scene((number,))
@@ -156,7 +156,7 @@ def test_scenes_made_together_are_those_made_alone(chain: str, excitation: str, 
 @pytest.mark.parametrize("chain", ["column", "walls", "impurities"])
 @pytest.mark.parametrize("key", ["chain.diameter", "chain.masses"])
 def test_a_copy_of_a_chain_made_together_has_its_grains(chain: str, key: str):
-    plan = read(asked(chain, "first", {key: LAWS[key]}))
+    plan = read_sweep(asked(chain, "first", {key: LAWS[key]}))
     for number, scene in enumerate(scenes(plan, 0, 5, together=True)):
         alone = plan.scene((number,)).chain
         copy = scene.chain.replace(top_load=0.7)

@@ -17,7 +17,7 @@ import pytest
 from lmpchain import Chain, Impulse, InputError, Scene, sweep
 from lmpchain.sweeps import run, store, tasks
 from lmpchain.sweeps.executors import Here
-from lmpchain.sweeps.file import read
+from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.labels import find_recorded, make_labels
 from lmpchain.sweeps.tasks import count_scenes
 
@@ -263,7 +263,7 @@ def test_labels_are_those_of_all_scenes():
     masses = {
         "disorder": {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
     }
-    plan = read({"scene": SCENE, "list": recording, **masses})
+    plan = read_sweep({"scene": SCENE, "list": recording, **masses})
     found = make_labels(plan)
     assert (found.samples, found.time, found.grains.tolist()) == (5, None, [2, 3, 5])
     assert found.extra["time"].shape == (5,)
@@ -274,12 +274,12 @@ def test_labels_are_those_of_all_scenes():
     assert found.extra["chain.masses"].shape == (9,)
     assert find_recorded(plan, (0, 1), 6).tolist() == [5, 2]
     assert find_recorded(plan, (1, 0), 9).tolist() == [2, 3]
-    alike = make_labels(read(ASKED))
+    alike = make_labels(read_sweep(ASKED))
     assert (alike.samples, alike.grains.tolist()) == (3, [1, 2, 3, 4, 5, 6])
     assert alike.time is not None
     assert alike.time.tolist() == [0.0, 2.5e-6, 5e-6]
     assert not alike.extra
-    later = make_labels(read(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
+    later = make_labels(read_sweep(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
     assert later.extra["time"].shape == (3,)
 
 

@@ -11,7 +11,7 @@ import zarr
 
 from lmpchain import InputError, load_sweep, sweep
 from lmpchain.sweeps import store, store_check
-from lmpchain.sweeps.file import is_name, read, read_text
+from lmpchain.sweeps.file import is_name, read_sweep, read_text
 from lmpchain.sweeps.store import (
     StoredArray,
     StoreLayout,
@@ -84,7 +84,7 @@ def test_the_layout_has_an_error_beside_each_number_read_off():
 
 def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
     made = StoreLayout(4000, 4, laid(1, 1, velocity=(128, 64), peak=()).columns)
-    store.create(tmp_path, made, {}, {"case": 4000})
+    store.create_results(tmp_path, made, {}, {"case": 4000})
     group = zarr.open_group(tmp_path / "results.zarr", mode="r")
     velocity = group["velocity"]
     peak = group["peak"]
@@ -108,7 +108,7 @@ def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, StoreLayout, dict[str
     made = laid(11, 3, velocity=(2, 4), peak=())
     assert (made.shard, made.shards) == (6, 2)
     (tmp_path / "parts").mkdir()
-    store.create(tmp_path, made, {}, {"case": 11})
+    store.create_results(tmp_path, made, {}, {"case": 11})
     rng = np.random.default_rng(1)
     values: dict[str, Any] = {"velocity": rng.normal(size=(11, 2, 4)), "peak": rng.normal(size=11)}
     values["reason"] = np.array([""] * 11)
@@ -120,7 +120,7 @@ def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, StoreLayout, dict[str
     lacking["reason"] = np.array(["", "not done"])
     lacking["velocity"][1] = lacking["peak"][1] = np.nan
     write_part(tmp_path, 9, lacking, whole=False)
-    store.gather(tmp_path, made, 0)
+    store.join_parts(tmp_path, made, 0)
     values["reason"] = np.array([*[""] * 10, "not done"])
     values["velocity"][10] = values["peak"][10] = np.nan
     return tmp_path, made, values
@@ -149,24 +149,24 @@ def test_any_scenes_are_read_from_shards_and_parts(split: Any, numbers: Any):
     folder, made, values = split
     rows = np.array(list(numbers), dtype=int)
     for name, array in values.items():
-        found = store.read(folder, made, name, rows)
+        found = store.read_column(folder, made, name, rows)
         assert np.array_equal(found.astype(array.dtype), array[rows], equal_nan=name != "reason")
     inner = np.array([1, 0]), np.array([3])
-    found = store.read(folder, made, "velocity", rows, inner)
+    found = store.read_column(folder, made, "velocity", rows, inner)
     expected = values["velocity"][rows][:, inner[0]][:, :, inner[1]]
     assert np.array_equal(found, expected, equal_nan=True)
 
 
 def test_what_is_not_done_is_no_number(tmp_path: Path):
     made = laid(3, 1, peak=())
-    store.create(tmp_path, made, {}, {"case": 3})
-    assert np.isnan(store.read(tmp_path, made, "peak", np.arange(3))).all()
-    assert store.read(tmp_path, made, "reason", np.arange(3)).tolist() == ["not done"] * 3
+    store.create_results(tmp_path, made, {}, {"case": 3})
+    assert np.isnan(store.read_column(tmp_path, made, "peak", np.arange(3))).all()
+    assert store.read_column(tmp_path, made, "reason", np.arange(3)).tolist() == ["not done"] * 3
 
 
 def test_what_killed_processes_leave_is_cleaned_away(split: Any):
     folder, made, _ = split
-    store.gather(folder, made, 0)  # once more: another process was faster
+    store.join_parts(folder, made, 0)  # once more: another process was faster
     left = [
         folder / "parts" / ".0000006.1.partial",
         folder / "results.zarr" / "peak" / "c" / f"0.{'a' * 32}.partial",
@@ -185,7 +185,7 @@ def test_what_killed_processes_leave_is_cleaned_away(split: Any):
     ]
     assert sorted(parts_of(folder)) == [6, 9]
     with pytest.raises(FileNotFoundError):
-        store.gather(folder, made, 1)
+        store.join_parts(folder, made, 1)
 
 
 def test_a_part_has_the_shape_of_its_column(tmp_path: Path):
@@ -210,7 +210,7 @@ def test_a_part_has_the_shape_of_its_column(tmp_path: Path):
 
 def plain(folder: Path, length: int, *, held: int, shape: Any = None) -> None:
     """Write an array as lmpchain does, and files of so many bytes as what it holds."""
-    store.create(
+    store.create_results(
         folder, laid(2, 1, peak=()), {"grain": (("grain",), np.arange(length), {})}, {"case": 2}
     )
     node = folder / "results.zarr" / "grain"
@@ -243,7 +243,7 @@ def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
     made = StoreLayout(
         4000, 4, laid(1, 1, velocity=(128, 32)).columns
     )  # 32 kB a scene: eight a chunk
-    store.create(tmp_path, made, {}, {"case": 4000})
+    store.create_results(tmp_path, made, {}, {"case": 4000})
     file = tmp_path / "results.zarr" / "velocity" / "zarr.json"
     about = json.loads(file.read_text())
     inner = about["codecs"][0]["configuration"]
@@ -264,7 +264,7 @@ def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
 
 @pytest.mark.parametrize("batch", [0, -1, True, 1.0, "1", None])
 def test_a_batch_is_a_whole_number_from_1(tmp_path: Path, batch: Any):
-    store.create(tmp_path, laid(2, 1, peak=()), {}, {"case": 2})
+    store.create_results(tmp_path, laid(2, 1, peak=()), {}, {"case": 2})
     file = tmp_path / "results.zarr" / "zarr.json"
     about = json.loads(file.read_text())
     file.write_text(json.dumps(about | {"attributes": {"batch": batch}}))
@@ -277,7 +277,9 @@ def test_a_batch_is_a_whole_number_from_1(tmp_path: Path, batch: Any):
 
 def test_places_follow_the_last_axis_first():
     grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
-    plan = read({"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}})
+    plan = read_sweep(
+        {"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}}
+    )
     assert (plan.shape, plan.count) == ((3, 2, 4), 24)
     places = [plan.place(number) for number in range(24)]
     assert places == [tuple(map(int, np.unravel_index(n, plan.shape))) for n in range(24)]
@@ -300,14 +302,14 @@ def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
         {"keep": ["velocity"]},
     ]
     for change in (*changes, {"scene": other_scene}):
-        plan = read(base | change)
+        plan = read_sweep(base | change)
         names.add(plan.name)
         keys |= {plan.key(0), plan.key(1)}
         assert read_text(plan.text, plan.folder).name == plan.name
         assert read_text(plan.text, plan.folder).key(1) == plan.key(1)
     assert (len(names), len(keys)) == (5, 10)
-    assert read(base).key(0) == read(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
-    plan = read(base)
+    assert read_sweep(base).key(0) == read_sweep(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
+    plan = read_sweep(base)
     assert (plan.tolerance, plan.engine, plan.keep) == (
         1e-6,
         "native",
@@ -321,7 +323,9 @@ def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
 
 def test_one_scene_for_each_value_is_tried_before_all_are_run():
     grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
-    plan = read({"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}})
+    plan = read_sweep(
+        {"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}}
+    )
     tried = [(scene.chain.gravity, scene.excitation.velocity) for scene in plan.trials()]
     assert tried == [(1.0, 1e-4), (1.0, 2e-4), (2.0, 1e-4), (3.0, 1e-4)]
 
@@ -329,7 +333,7 @@ def test_one_scene_for_each_value_is_tried_before_all_are_run():
 def test_of_draws_32_are_tried(monkeypatch: Any):
     """A sweep is refused if none of them makes a scene."""
     law = {"low": -40.0, "high": 1.0}
-    plan = read(
+    plan = read_sweep(
         {
             "scene": SCENE,
             "keep": ["wall_force"],
@@ -360,7 +364,7 @@ def test_drawn_numbers_need_a_chain_of_so_many_grains(grains: Any):
         if value is not None
     }
     masses = {"chain.masses": {"low": 1e-6, "high": 2e-6}}
-    plan = read(
+    plan = read_sweep(
         {"scene": SCENE | {"chain": chain}, "disorder": {"seed": 1, "realisations": 2} | masses}
     )
     with pytest.raises(InputError, match=r"chain\.grains: must be a whole number from 1"):

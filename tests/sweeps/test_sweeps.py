@@ -41,7 +41,7 @@ from lmpchain.measure.front import track
 from lmpchain.measure.motion import peaks
 from lmpchain.sweeps import tasks
 from lmpchain.sweeps.executors import Here, Processes
-from lmpchain.sweeps.file import read
+from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.realisations import scenes
 
 SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
@@ -82,7 +82,7 @@ def test_a_cell_and_a_taper_are_swept(tmp_path):
             velocity = found.velocity.isel({"chain.cell": row}).sel({"chain.taper": taper})
             assert velocity.to_numpy() == pytest.approx(run.velocity, rel=1e-6, abs=1e-12)
     key = "chain.cell.1.youngs_modulus"
-    plan = read({"scene": SHORT | {"chain": chain}, "grid": {key: [1e9, 2e9]}})
+    plan = read_sweep({"scene": SHORT | {"chain": chain}, "grid": {key: [1e9, 2e9]}})
     moduli = [plan.scene((n,)).chain.by_grain("youngs_modulus") for n in range(2)]
     assert [values[1::2].tolist() for values in moduli] == [[1e9] * 3, [2e9] * 3]
 
@@ -91,7 +91,7 @@ def test_moduli_of_the_grains_of_a_cell_are_drawn():
     law = {"mean": 1e10, "deviation": 1e9}
     chain = {"grains": 6, "cell": ["steel", "pom"], "diameter": 1e-3, "taper": 0.1}
     laws = {"realisations": 2, "seed": 1, "chain.material.youngs_modulus": law}
-    drawn = read({"scene": SHORT | {"chain": chain}, "disorder": laws}).scene((1,)).chain
+    drawn = read_sweep({"scene": SHORT | {"chain": chain}, "disorder": laws}).scene((1,)).chain
     assert drawn.by_grain("density").tolist() == [8000.0, 1410.0] * 3
     assert len(set(drawn.by_grain("youngs_modulus").tolist())) == 6
     assert drawn.diameters[5] == pytest.approx(1e-3 * 0.9**5, rel=1e-14)
@@ -248,7 +248,7 @@ def test_a_packet_is_that_of_each_chain():
     chain = Chain(grains=60, diameter=1e-3, gravity=0, top_load=1, top="wall", bottom="wall")
     packet = Packet(frequency=2e4, width=2, grain=30, amplitude=1e-9)
     scene = Scene(chain=chain, excitation=packet, duration=2e-5)
-    plan = read({"scene": scene, "disorder": {"m": 20, "seed": 1, "realisations": 3}})
+    plan = read_sweep({"scene": scene, "disorder": {"m": 20, "seed": 1, "realisations": 3}})
     made = scenes(plan, 0, 3, together=True)
     assert [each.energy for each in made] == [plan.scene((number,)).energy for number in range(3)]
 
@@ -449,7 +449,7 @@ def test_what_is_gathered_is_kept(tmp_path):
     keep = ["peak_velocity", "peak_force:5", "peak_displacement"]
     asked = {"scene": tables, "keep": keep, "disorder": {"m": 5, "seed": 1, "realisations": 3}}
     found = sweep(asked, tmp_path)
-    plan = read(asked)
+    plan = read_sweep(asked)
     for index in range(3):
         one = simulate(
             plan.scene((index,)).replace(samples=2001, grains="all", quantities=None), "native"
@@ -703,7 +703,7 @@ def test_a_file_that_is_no_name():
     }
     with pytest.raises(InputError, match="file"):
         list(
-            read(
+            read_sweep(
                 tables | {"keep": ["peak_velocity"], "grid": {"chain.gravity": [1.0, 2.0]}}
             ).trials()
         )
@@ -738,7 +738,7 @@ def test_folders_that_are_no_sweeps(tmp_path):
 def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
     """What an interrupted sweep has left is completed; a longer one takes over what there is."""
     monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
-    monkeypatch.setattr(run, "gather", None)
+    monkeypatch.setattr(run, "join_parts", None)
     with pytest.warns(UserWarning, match="could not be done"):
         sweep(chains(6), tmp_path / "parts")  # whose shard cannot be gathered
     (folder,) = (tmp_path / "parts").glob("*/parts")

@@ -136,7 +136,7 @@ def test_a_part_that_is_not_whole_is_computed_again(
     from lmpchain.sweeps import run
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "gather", None)
+        patch.setattr(run, "join_parts", None)
         with pytest.warns(UserWarning, match="could not be done"):
             sweep(ASKED, tmp_path / "sweep")
     damage(next((tmp_path / "sweep").glob("*/parts/0000002.npz")))

@@ -522,11 +522,11 @@ def test_shoulders_of_a_rise_are_where_its_slope_is_least():
             assert event["tilt"] == pytest.approx(-slope(place), rel=1e-7)
             assert event["bend"] == pytest.approx(slope.deriv(2)(place), rel=1e-6)
             allowed = 4 * slope(place)  # of the slope: with it the rise may turn before
-            rules = fronts.Rules(0.3, allowed, 0.0, 1.0, H, 1.0)
+            rules = fronts.Rules(0.3, allowed, 0.0, 1.0, H, 1.0, 1, False)
             begin, height = earlier(log, 1.0, 0.0, 0.0, rules)
             parabola = place - np.sqrt(6 * slope(place) / slope.deriv(2)(place))
             assert begin == pytest.approx(max(parabola, 0.0), abs=1e-6)
             assert height == pytest.approx(abs(curve(place)), rel=1e-9)
-            rules = fronts.Rules(0.3, 0.99 * slope(place), 0.0, 1.0, H, 1.0)
+            rules = fronts.Rules(0.3, 0.99 * slope(place), 0.0, 1.0, H, 1.0, 1, False)
             assert earlier(log, 1.0, 0.0, 0.0, rules) == (1.0, 0.0)
     assert seen > 20

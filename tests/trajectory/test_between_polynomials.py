@@ -417,7 +417,7 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(
     weights = np.append(0, np.append(inverse_mass, 0))
     for n in range(6):
         path = np.zeros((8, 6))
-        fill_path(path, block, derived, n, n - 1 if 0 < n < 5 else maxima.AT_REST, maxima.ALONE)
+        fill_path(path, block, derived, n, n - 1 if 0 < n < 5 else maxima.AT_REST, maxima.NONE)
         found = path[:4]
         if n == 5:
             assert not path.any()

@@ -164,7 +164,7 @@ def test_what_is_gathered_in_words():
         "peak_force:3": np.array(1.5),
         "peak_force:3_error": np.array(0.02),
     }
-    assert gathered.in_words(scene, values) == {
+    assert gathered.describe_gathered(scene, values) == {
         "peak_velocity": "0.0003 to 0.00125 m/s, off by 2.5e-06 at most",
         "peak_displacement": "nothing: no front has passed",
         "arrival_time": "1e-06 to 2e-06 s in 2 of 3 grains, off by 3e-09 at most",

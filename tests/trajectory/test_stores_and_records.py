@@ -20,7 +20,7 @@ from lmpchain.trajectory.record import (
     read_scene,
     verdict,
 )
-from lmpchain.trajectory.zarr_layout import pieces
+from lmpchain.trajectory.zarr_layout import file_shapes
 from lmpchain.trajectory.zarr_store import Writer, usable
 
 SCENE = Scene(
@@ -46,7 +46,7 @@ def stored(folder: Path) -> Any:
 
 @pytest.fixture
 def empty(tmp_path: Path) -> Path:
-    zarr_store.create(tmp_path, SCENE, {"title": "none", "solver": 3})
+    zarr_store.create_zarr(tmp_path, SCENE, {"title": "none", "solver": 3})
     return tmp_path
 
 
@@ -163,7 +163,7 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
         "equation": 1,
     }
     zarr.open_group(empty / NAME, mode="r+").attrs.update(text | verdict_of)
-    about, scene, arrays = zarr_store.read(empty)
+    about, scene, arrays = zarr_store.read_zarr(empty)
     assert (scene, about["solver_error"]) == (SCENE, 1e-9)
     field = arrays["velocity"]
     truth = V[0]
@@ -223,7 +223,7 @@ def test_how_a_store_is_laid_out(samples: int, grains: int, shard: Any, chunk: A
         "velocity": shard,
         "chunk": chunk,
     }
-    assert pieces(samples, grains) == expected
+    assert file_shapes(samples, grains) == expected
 
 
 # --- metadata
@@ -277,7 +277,7 @@ def test_metadata_that_make_no_sense_are_refused(change: dict[str, Any], why: st
 
 def test_descriptions_are_gathered_as_zarr_does(tmp_path: Path):
     """By hand, for zarr warns of it, and Python's filters of warnings are one list for threads."""
-    zarr_store.create(tmp_path, SCENE, {"engine": "native"})
+    zarr_store.create_zarr(tmp_path, SCENE, {"engine": "native"})
     file = tmp_path / zarr_store.NAME / "zarr.json"
     by_hand = json.loads(file.read_text())
     with pytest.warns(UserWarning, match="Consolidated metadata"):

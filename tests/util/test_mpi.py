@@ -179,9 +179,9 @@ def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypat
     owner = os.getuid()
     with pytest.MonkeyPatch.context() as another:
         another.setattr(os, "getuid", lambda: owner + 1)
-        leftovers.sweep.__wrapped__()
+        leftovers.remove_leftovers.__wrapped__()
     assert all((shared / name).exists() for name in ages)
-    leftovers.sweep.__wrapped__()
+    leftovers.remove_leftovers.__wrapped__()
     left = {name for name in ages if (shared / name).exists()}
     assert left == ages.keys() - {
         "shm/mpich_shm_old",

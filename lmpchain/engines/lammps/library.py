@@ -10,7 +10,7 @@ from typing import Any
 
 from ...errors import EngineUnavailable
 from ...util import mpi
-from ...util.leftovers import sweep, unname_shared_memory
+from ...util.leftovers import remove_leftovers, unname_shared_memory
 from ...util.remarks import warn
 
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
@@ -45,7 +45,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
     if mpi.count_processes() == 1:
         # of several processes, `mpi.settle` does it
         unname_shared_memory()
-    sweep()
+    remove_leftovers()
     try:
         check_packages(instance, "GRANULAR")
     except EngineUnavailable:

@@ -57,58 +57,70 @@ def fill_batch(
     opening_power : float
         The force of a contact that opens goes as the overlap to this power.
     """
-    overlap, force, constant, stiffness = at_rest
-    first, stop = free
-    size, grains = masses.shape
-    pressed = batch.precompressed > 0.0
-    for real in range(size):
-        inverse_length = batch.inverse_length[real]
-        strength = batch.strength[real]
-        inverse_mass = batch.inverse_mass[real]
-        for n in range(grains + 1):
-            # the force of a contact in units of that at rest; if nothing is pressed, of K and 1 m
-            length = overlap[real, n] if pressed else 1.0
-            if length > 0.0:
-                inverse_length[PAD - 1 + n] = 1.0 / length
-                strength[PAD - 1 + n] = force[real, n] if pressed else constant[real, n]
-        total = 0.0
-        for n in range(grains):
-            total += masses[real, n]
-            if first <= n < stop:
-                inverse_mass[PAD + n] = 1.0 / masses[real, n]
-        touching = constant[real, 0] if pressed and force[real, 0] == 0.0 else 0.0
-        batch.uncompressed[real] = touching
-        # stiffnesses are 0 where contacts only touch
-        closed = pressed and touching == 0.0
-        for n in range(grains + 1):
-            closed = closed and (stiffness[real, n] > 0.0 or constant[real, n] == 0.0)
-        batch.least_strain[real] = 0.0 if closed else -1.0
-        fastest, energy, farthest, speed = strikes[real]
-        speed = max(speed, farthest * fastest)
-        batch.omega[real] = fastest
-        batch.scale[real, 0] = speed / fastest
-        batch.scale[real, 1] = speed
-        # a single grain has a contact with the wall above it, or one with that below
-        below = 1 if constant[0, 1] > 0.0 else 0
-        # a contact that only touches has no unit
-        while pressed and stiffness[real, below] == 0.0 and below < grains:
-            below += 1
-        length = overlap[real, below]
-        unit = length * math.sqrt(stiffness[real, below] / masses[real, 0])
-        batch.units[real, 0] = length
-        batch.units[real, 1] = unit
-        # half as much again may be rounded, and slow motion that nothing puts in
-        batch.allowed[real] = min(3.0 * energy + total * (1e-3 * unit) ** 2, UNBOUNDED)
-        if batch.damped:
-            # reduced velocities leave their rounding, also where nothing moves
-            batch.allowed[real] += total * (ROUNDED * speed) ** 2
-            for n in range(grains + 1):
-                batch.viscosity[real, PAD - 1 + n] = damping[0][real, n]
+    for real in range(masses.shape[0]):
+        _fill_contacts(batch, real, at_rest)
+        _fill_scales(batch, real, at_rest, masses[real], strikes[real])
+        first, stop = free
+        for n in range(first, stop):
+            batch.inverse_mass[real, PAD + n] = 1.0 / masses[real, n]
             # what is held or driven moves as it is told
-            for n in range(first, stop):
+            if batch.damped:
                 batch.drag[real, PAD + n] = damping[1][real, n]
                 batch.mass[real, PAD + n] = masses[real, n]
+        if batch.damped:
+            for n in range(damping[0].shape[1]):
+                batch.viscosity[real, PAD - 1 + n] = damping[0][real, n]
         _fill_weights(batch, real, opening_power)
+
+
+@inlined
+def _fill_contacts(batch, real, at_rest):
+    """Fill the lengths and strengths of the contacts of a chain, and what they are at rest."""
+    overlap, force, constant, stiffness = at_rest
+    pressed = batch.precompressed > 0.0
+    touching = constant[real, 0] if pressed and force[real, 0] == 0.0 else 0.0
+    closed = pressed and touching == 0.0
+    last = overlap.shape[1] - 1
+    for n in range(last + 1):
+        # the force of a contact in units of that at rest; if nothing is pressed, of K and 1 m
+        length = overlap[real, n] if pressed else 1.0
+        if length > 0.0:
+            batch.inverse_length[real, PAD - 1 + n] = 1.0 / length
+            batch.strength[real, PAD - 1 + n] = force[real, n] if pressed else constant[real, n]
+        # stiffnesses are 0 where contacts only touch
+        if 0 < n < last and stiffness[real, n] == 0.0:
+            closed = False
+    batch.uncompressed[real] = touching
+    batch.least_strain[real] = 0.0 if closed else -1.0
+
+
+@inlined
+def _fill_scales(batch, real, at_rest, masses, strike):
+    """Fill the scales of the motion of a chain, and the bound on its energy."""
+    overlap, _, constant, stiffness = at_rest
+    fastest, energy, farthest, speed = strike
+    speed = max(speed, farthest * fastest)
+    batch.omega[real] = fastest
+    batch.scale[real, 0] = speed / fastest
+    batch.scale[real, 1] = speed
+    # a single grain has a contact with the wall above it, or one with that below
+    below = 1 if constant[0, 1] > 0.0 else 0
+    # a contact that only touches has no unit
+    if batch.precompressed > 0.0:
+        while stiffness[real, below] == 0.0 and below < masses.size:
+            below += 1
+    length = overlap[real, below]
+    unit = length * math.sqrt(stiffness[real, below] / masses[0])
+    batch.units[real, 0] = length
+    batch.units[real, 1] = unit
+    total = 0.0
+    for n in range(masses.size):
+        total += masses[n]
+    # half as much again may be rounded, and slow motion that nothing puts in
+    allowed = min(3.0 * energy + total * (1e-3 * unit) ** 2, UNBOUNDED)
+    # reduced velocities leave their rounding, also where nothing moves
+    rounded = ROUNDED * speed if batch.damped else 0.0
+    batch.allowed[real] = allowed + total * rounded**2
 
 
 @inlined

@@ -18,7 +18,7 @@ from ...util.lazy import listed
 
 __dir__ = listed(__name__)
 
-NEWS = "the measures", 20  # topic and seconds of the compilation
+NEWS = "the measures", 8  # topic and seconds of the compilation
 # columns of bodies at rest, and of bodies that were not recorded: any number below 0 would do
 STILL = -1
 UNKNOWN = -2

@@ -12,7 +12,7 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .derivatives import NEWS, SampledBlock, compiled
 from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch, value
-from .maxima import ALONE, EVENT, HIDDEN, HIGH, LOW, MAXIMUM, SHOULDER, VALUE, fill_path
+from .maxima import EVENT, HIDDEN, HIGH, LOW, MAXIMUM, NONE, SHOULDER, VALUE, fill_path
 
 SMALLEST = sys.float_info.min  # maximum that has all of its digits
 
@@ -32,6 +32,10 @@ class Rules(NamedTuple):
         Highest one of these errors, rad/s.
     step, duration : float
         Time between two samples, and of the whole motion, s.
+    kind : int
+        DISPLACEMENT or VELOCITY: the size whose fronts these are.
+    width : bool
+        Whether their widths are asked for.
     """
 
     fraction: float
@@ -40,6 +44,8 @@ class Rules(NamedTuple):
     frequency: float
     step: float
     duration: float
+    kind: int
+    width: bool
 
 
 @compiled
@@ -213,7 +219,7 @@ def arrivals(
 
 
 @compiled
-def _crossings(p, kind, front, level, rules, work):
+def _crossings(p, front, level, rules, work):
     """Return when a size has risen to a level before a front, and has fallen to it after the front.
 
     They are NaN if it does not; the largest error of the polynomials on the way comes with them.
@@ -231,7 +237,7 @@ def _crossings(p, kind, front, level, rules, work):
         crossed = np.nan
         while 0 <= i <= last and math.isnan(crossed):
             error = max(error, p[ERROR, i])
-            count = fill_polynomial(p, kind, h, i, work)
+            count = fill_polynomial(p, rules.kind, h, i, work)
             for k in range(count):
                 work[C, k] = sign * work[C, k] - level
             found = roots(work[C], count, work[PLACES], work)
@@ -250,18 +256,18 @@ def _crossings(p, kind, front, level, rules, work):
 
 
 @compiled
-def _last_as_large(p, kind, front, rules, work):
+def _last_as_large(p, front, rules, work):
     """Return how long before or after a maximum the size is the same within its error."""
     when, height, off = front
     level = abs(height) - 2.0 * (off + rules.error)
-    begin, end, _ = _crossings(p, kind, front, level, rules, work)
+    begin, end, _ = _crossings(p, front, level, rules, work)
     before = when - begin if math.isfinite(begin) else when
     after = (end if math.isfinite(end) else rules.duration) - when
     return max(before, after)
 
 
 @compiled
-def _still_as_large(p, kind, front, late, rules, work):
+def _still_as_large(p, front, late, rules, work):
     """Return whether a size is the same within its error so long before or after a maximum.
 
     False also where that time is in another interval.
@@ -269,7 +275,7 @@ def _still_as_large(p, kind, front, late, rules, work):
     when, height, off = front
     h = rules.step
     i = min(int(when / h), p.shape[1] - 2)
-    count = fill_polynomial(p, kind, h, i, work)
+    count = fill_polynomial(p, rules.kind, h, i, work)
     level = abs(height) - 2.0 * (off + rules.error)
     sign = math.copysign(1.0, height)
     for side in range(-1, 2, 2):
@@ -280,11 +286,11 @@ def _still_as_large(p, kind, front, late, rules, work):
 
 
 @compiled
-def _width(p, kind, front, apart, rules, work):
+def _width(p, front, apart, rules, work):
     """Return the full width at half maximum of a front, and its error, s; NaN if unknown."""
     _, height, off = front
     half = abs(height) / 2
-    before, after, error = _crossings(p, kind, front, half, rules, work)
+    before, after, error = _crossings(p, front, half, rules, work)
     width = after - before
     if not math.isfinite(width):
         return np.nan, np.nan
@@ -294,7 +300,7 @@ def _width(p, kind, front, apart, rules, work):
     unsure = (3.0 * rules.error + off) / 2 + error
     error = 0.0
     for side in range(-1, 2, 2):
-        left, right, _ = _crossings(p, kind, front, half + side * unsure, rules, work)
+        left, right, _ = _crossings(p, front, half + side * unsure, rules, work)
         changed = right - left
         if not math.isfinite(changed):
             return width, rules.duration
@@ -303,9 +309,7 @@ def _width(p, kind, front, apart, rules, work):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def _fill_fronts(
-    block, grains, derived, kind, width, events, latest, largest, start, rules, few, p, work, out
-):
+def _fill_fronts(block, grains, derived, events, latest, largest, start, rules, few, p, work, out):
     """Fill in what `fronts` returns."""
     begin = 0
     for g in range(grains.size):
@@ -315,28 +319,26 @@ def _fill_fronts(
         at = _choose(of_grain, largest[g, VALUE], start[g], rules)
         if at < 0:
             continue
-        fill_path(p, block, derived, grains[g], g, ALONE)
-        bound(p, kind, block.h)
+        fill_path(p, block, derived, grains[g], g, NONE)
+        bound(p, rules.kind, block.h)
         event = of_grain[at]
         front = (event.when, event.height, event.off)
         late = _spread(event, rules)
-        if not _still_as_large(p, kind, front, late, rules, work):
-            late = min(late, _last_as_large(p, kind, front, rules, work))
+        if not _still_as_large(p, front, late, rules, work):
+            late = min(late, _last_as_large(p, front, rules, work))
         late, apart = _doubt_choice(of_grain, at, late, largest[g], rules)
         out[g, 0] = event.when
         out[g, 1] = event.height
         out[g, 3] = late
         out[g, 4] = max(event.off + rules.error, apart)
-        if width:
-            out[g, 2], out[g, 5] = _width(p, kind, front, apart, rules, work)
+        if rules.width:
+            out[g, 2], out[g, 5] = _width(p, front, apart, rules, work)
 
 
 def fronts(
     block: SampledBlock,
     grains: np.ndarray,
     derived: Array,
-    kind: int,
-    width: bool,
     events: np.ndarray,
     latest: np.ndarray,
     largest: Array,
@@ -353,17 +355,13 @@ def fronts(
         Their numbers.
     derived : (G, 3, R) array
         See `derivatives.derive`.
-    kind : int
-        VELOCITY or DISPLACEMENT.
-    width : bool
-        Whether the width is asked for.
     events, latest, largest, start, rules
         See `arrivals`.
     """
     out = np.full((grains.size, 6), np.nan)
     few = np.zeros(events.size + 1, EVENT)
     path = np.zeros((8, block.u.shape[1]))
-    motion = (block, grains, derived, kind, width)
+    motion = (block, grains, derived)
     maxima = (events, latest, largest.T.copy(), start, rules)
     _fill_fronts(*motion, *maxima, few, path, scratch(), out)
     return out

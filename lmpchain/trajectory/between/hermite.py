@@ -25,18 +25,64 @@ from .derivatives import compiled, joined
 
 # Values of interest: |u|, |v|, or u with its sign.
 DISPLACEMENT, VELOCITY, RAISED = range(3)
-# Rows of the path of a body, (8, R): displacement, velocity, acceleration and jerk at R samples; of
-# the interval behind each sample the error of the acceleration, the middle coefficient of the
-# velocity, the error of the polynomial, and a bound on its size.
-U, V, A, J, DOUBT, MIDDLE, ERROR, REACH = range(8)
-# Rows of the scratch array of `follow`: coefficients of a polynomial, of its derivatives, places of
-# roots, and pieces of a polynomial, each with its begin and its width in columns of their own.
-C, D, BEND, STEEP, TURNS, PLACES, PIECES = range(7)
-BEGIN, WIDTH, COLUMNS = 8, 9, 10
 HALVINGS = 40  # of an interval: roots so close are one or none
 # least curvature, over the value, that is no rounding, as it is in free flight
 FLAT = 1e-9
 BINOMIALS = np.array([[math.comb(degree, k) for k in range(8)] for degree in range(8)], float)
+
+
+class PathRows(NamedTuple):
+    """Rows of the path of a body, (8, R).
+
+    Attributes
+    ----------
+    displacement, velocity, acceleration, jerk : int
+        At the R samples.
+    doubt : int
+        Error of the acceleration in the interval behind each sample.
+    middle, error, reach : int
+        Middle coefficient of the velocity in that interval, error of the polynomial, and a bound on
+        its size; see `bound`.
+    """
+
+    displacement: int = 0
+    velocity: int = 1
+    acceleration: int = 2
+    jerk: int = 3
+    doubt: int = 4
+    middle: int = 5
+    error: int = 6
+    reach: int = 7
+
+
+class ScratchRows(NamedTuple):
+    """Rows and columns of the array that polynomials are worked out in; see `scratch`.
+
+    Attributes
+    ----------
+    value, slope, bend, steep : int
+        Rows of coefficients: of a polynomial, of its derivatives, and of one more derivative.
+    turns, places : int
+        Rows of roots.
+    pieces : int
+        First row of the pieces of a polynomial.
+    begin, width : int
+        Columns of their begin and width.
+    """
+
+    value: int = 0
+    slope: int = 1
+    bend: int = 2
+    steep: int = 3
+    turns: int = 4
+    places: int = 5
+    pieces: int = 6
+    begin: int = 8
+    width: int = 9
+
+
+U, V, A, J, DOUBT, MIDDLE, ERROR, REACH = PathRows()
+C, D, BEND, STEEP, TURNS, PLACES, PIECES, BEGIN, WIDTH = ScratchRows()
 
 
 class Shape(NamedTuple):
@@ -288,4 +334,4 @@ def roots(c, count, places, work):
 
 def scratch() -> Array:
     """Return the array that `follow` works in."""
-    return np.zeros((PIECES + HALVINGS + 2, COLUMNS))
+    return np.zeros((PIECES + HALVINGS + 2, WIDTH + 1))

@@ -62,10 +62,27 @@ EVENT = np.dtype([
     ("since", float),  # least size until a larger one follows
     ("until", float),  # s, until when the size is the same within its error
 ])  # fmt: skip
-# Rows in `derivatives.derive` of bodies that are not there: one at rest, and none.
-AT_REST, ALONE = -1, -2
-# Rows of the largest sizes of G grains, (3, G): the values, and the bounds between which they lie.
-VALUE, LOW, HIGH = range(3)
+
+
+class LargestRows(NamedTuple):
+    """Rows of the largest sizes of G grains, (3, G): values, and lower and upper bounds."""
+
+    value: int = 0
+    low: int = 1
+    high: int = 2
+
+
+VALUE, LOW, HIGH = LargestRows()
+
+
+class Missing(NamedTuple):
+    """Rows in `derivatives.derive` of bodies that are not there: one at rest, and none at all."""
+
+    at_rest: int = -1
+    none: int = -2
+
+
+AT_REST, NONE = Missing()
 
 
 class Window(NamedTuple):
@@ -234,6 +251,55 @@ def _turns_or_slows(p, kind, i, count, slopes):
 
 
 @compiled
+def _begin(last, t, height):
+    """Let the size at a sample be the last maximum."""
+    last.kind = MAXIMUM
+    last.when = t
+    last.until = t
+    last.height = height
+    last.since = abs(height)
+
+
+@joined
+def _log_maxima(p, interval, ends, counts, last, events, used, work):
+    """Take in the turns and the end of an interval; return the number of events.
+
+    `ends` are the values at its ends, and `counts` the numbers of coefficients of its polynomial, 0
+    if that neither turns nor slows, and of its turns.
+    """
+    i, t, h = interval
+    count, turns = counts
+    before, after = ends
+    error = p[ERROR, i]
+    here = before
+    begin = 0.0
+    # from turn to turn the size only rises or only falls
+    for k in range(turns + 1):
+        s = work[TURNS, k] if k < turns else 1.0
+        there = value(work[C], count, s) if k < turns else after
+        if here * there < 0.0:
+            last.since = 0.0
+        if abs(there) >= abs(last.height):
+            if _has_fallen(last):
+                events[used] = last
+                used += 1
+            if count > 0:
+                stretch = (begin, s)
+                used = _log_shoulders(p, i, h, t, count, stretch, last, events, used, work)
+            bend = 0.0
+            if k < turns:
+                bend = sure_bend(work[D], count - 1, s, abs(there), error, work) / h**2
+            _exceed(last, abs(before), error, h, t, s, there, bend)
+        last.since = min(last.since, abs(there))
+        here = there
+        begin = s
+    # both sizes may be off, to opposite sides
+    if last.since >= abs(last.height) - 2.0 * last.off:
+        last.until = t + h
+    return used
+
+
+@compiled
 def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
     """Take in some intervals of a body; return the log of its events and their number.
 
@@ -301,52 +367,23 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
             largest[HIGH, n] = larger(largest[HIGH, n], top + error)
         elif not seen:
             largest[HIGH, n] = larger(largest[HIGH, n], limit)
-        if not latest.size:
-            continue
-        last = latest[n]
-        t = (window.first + i) * h
-        if last.kind == LEVEL:
-            if seen and not rises:
-                continue
-            # maxima are looked for from here on
-            last.kind = MAXIMUM
-            last.when = t
-            last.until = t
-            last.height = before
-            last.since = abs(before)
-        if used + ROOM > events.size:
-            # twice as many, so that the copies cost no more than the events
-            grown = np.empty(2 * events.size + ROOM, EVENT)
-            for k in range(used):
-                grown[k] = events[k]
-            events = grown
-        if not seen:
-            used = _log_hidden(events, used, last, limit, t, t + h)
-        begin = 0.0
-        here = before
-        # from turn to turn the size only rises or only falls
-        for k in range(turns + 1):
-            s = turning[k] if k < turns else 1.0
-            there = value(c, count, s) if k < turns else after
-            if here * there < 0.0:
-                last.since = 0.0
-            if abs(there) >= abs(last.height):
-                if _has_fallen(last):
-                    events[used] = last
-                    used += 1
-                if count > 0:
-                    stretch = (begin, s)
-                    used = _log_shoulders(p, i, h, t, count, stretch, last, events, used, work)
-                bend = 0.0
-                if k < turns:
-                    bend = sure_bend(d, count - 1, s, abs(there), error, work) / h**2
-                _exceed(last, abs(before), error, h, t, s, there, bend)
-            last.since = min(last.since, abs(there))
-            here = there
-            begin = s
-        # both sizes may be off, to opposite sides
-        if last.since >= abs(last.height) - 2.0 * last.off:
-            last.until = t + h
+        if latest.size and (rises or not seen or latest[n].kind != LEVEL):
+            if used + ROOM > events.size:
+                # twice as many, so that the copies cost no more than the events
+                grown = np.empty(2 * events.size + ROOM, EVENT)
+                for k in range(used):
+                    grown[k] = events[k]
+                events = grown
+            t = (window.first + i) * h
+            if latest[n].kind == LEVEL:
+                # maxima are looked for from here on
+                _begin(latest[n], t, before)
+            if not seen:
+                used = _log_hidden(events, used, latest[n], limit, t, t + h)
+            interval = (i, t, h)
+            ends = (before, after)
+            counts = (count, turns)
+            used = _log_maxima(p, interval, ends, counts, latest[n], events, used, work)
     return events, used
 
 
@@ -405,7 +442,7 @@ def table_of(grains: np.ndarray, kinds: Sequence[int], contacts: Sequence[int]) 
         part = table[place * grains.size :][: grains.size]
         part[:, 0] = grains
         part[:, 1] = part[:, 4] = count
-        part[:, 2] = ALONE
+        part[:, 2] = NONE
         part[:, 3] = kind
     row = dict(zip(grains.tolist(), range(grains.size), strict=True)) if contacts else {}
     for place, n in enumerate(contacts):
