@@ -27,6 +27,8 @@ from .progress import PERCENT, ProgressBar
 from .remarks import warn
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
+KERNELS = Path(__file__).parents[1] / "integrators" / "kernels"
+OF_KERNELS = re.compile(r"^from \.\.\.integrators\.kernels\.(\w+) import", re.MULTILINE)
 # numba counts from 1 what each process compiles, to tell functions of one name apart. What two
 # processes have kept may then have the same names, and one that loads both calls one for the other:
 # a force of another exponent, or a step of another method
@@ -131,15 +133,16 @@ def clock() -> float:
 
 @cache
 def _sources(module: Path) -> str:
-    """Return a hash of a module, of its imports from its folder at any depth, and of this one."""
+    """Return a hash of this module, a module, and its imports among its neighbours and kernels."""
     sources = {}
     waiting = [module, Path(__file__)]
     while waiting:
         path = waiting.pop()
         if path not in sources and path.exists():
             sources[path] = path.read_bytes()
-            names = BESIDE.findall(sources[path].decode())
-            waiting += (path.with_name(f"{name}.py") for name in names)
+            text = sources[path].decode()
+            waiting += (path.with_name(f"{name}.py") for name in BESIDE.findall(text))
+            waiting += (KERNELS / f"{name}.py" for name in OF_KERNELS.findall(text))
     return sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()
 
 
