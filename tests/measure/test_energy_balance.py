@@ -371,3 +371,26 @@ def test_samples_alone_state_an_infinite_error_where_they_do_not_resolve_the_mot
         off = np.abs(getattr(linear, name) - getattr(summed, name)).max()
         assert off <= getattr(linear, f"{name}_error") + getattr(summed, f"{name}_error")
     assert np.isfinite(linear.drive_error) == (samples == 401)
+
+
+@pytest.mark.parametrize("samples", [3, 41])
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        Drive(amplitude=2e-8, frequency=4e4),
+        Drive(grain=0, amplitude=2e-8, frequency=4e4),
+        Force(grain=3, shape="half-sine", amplitude=0.02, duration=2e-5),
+    ],
+)
+def test_work_without_losses_is_what_is_summed_with_next_to_none(
+    excitation: Drive | Force, samples: int
+):
+    """Without damping, work follows from the balance; with a drag of 1e-7 /s it is summed."""
+    chain = Chain(**WALLS)
+    scene = Scene(chain=chain, excitation=excitation, duration=6e-5, samples=samples)
+    dragged = scene.replace(chain=chain.replace(damping={"drag": 1e-7}))
+    exact = energy.ledger(simulate(scene, "native", 1e-10))
+    summed = energy.ledger(simulate(dragged, "native", 1e-10))
+    assert "drive" in exact.balanced
+    assert "drive" not in summed.balanced
+    assert np.abs(exact.drive - summed.drive).max() < 1e-10 * np.abs(summed.total).max()
