@@ -60,6 +60,11 @@ def budget(budget_s: float) -> Iterator[None]:
         _limits.reset(token)
 
 
+def is_long(cost_s: float) -> bool:
+    """Return whether work of this time, s, is announced, or exceeds the budget of the caller."""
+    return cost_s > min(PATIENCE_S, _limits.get()[0])
+
+
 def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
     """Warn of work that will keep the user waiting, before it begins, even if warnings are aside.
 

@@ -67,7 +67,7 @@ class Scene(SceneFacts):
 
     Examples
     --------
-    >>> from lmpchain import GLASS, Impulse
+    >>> from lmpchain import GLASS, Chain, Impulse
     >>> scene = Scene(
     ...     chain=Chain(grains=120, material=GLASS, diameter=1e-3),
     ...     excitation=Impulse(velocity=8.57e-4),

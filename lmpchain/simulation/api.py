@@ -14,7 +14,7 @@ import numpy as np
 
 from .. import engines
 from ..engines.base import Engine, Run
-from ..engines.cost_model import PATIENCE_S, announce, check_time, in_words
+from ..engines.cost_model import announce, check_time, in_words, is_long
 from ..engines.step_control import AVERAGES, PATIENCE, Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, LmpchainError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.methods import BY_NAME
@@ -267,7 +267,7 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
     `left` is the share of the samples that remains.
     """
     cost_s = left * attempt.proposal.cost_s
-    if cost_s > PATIENCE_S:
+    if is_long(cost_s + attempt.spent_s):
         cures = ", ".join(["a shorter duration", *_cheaper(scene, attempt, cost_s)])
         cure = f"{cures} takes less; a run folder keeps what is done"
         announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)

@@ -392,6 +392,7 @@ def test_compare_loosens_the_tolerance_of_an_engine_above_the_budget(
             raise TooLong(f"{work} would take about a year")
 
     monkeypatch.setattr("lmpchain.simulation.api.announce", tell)
+    monkeypatch.setattr("lmpchain.simulation.api.is_long", lambda _: True)
     numbers = tmp_path / "c.json"
     options = ["--engines", "native,modes", "--json", str(numbers), "--budget", "7"]
     assert main(["compare", str(scene), *options]) == 0
