@@ -50,7 +50,7 @@ def constants(case: Case, name: str) -> list[float]:
         error = case.error(run.motion)
         floor = 1e-16 * (2 + math.sqrt(run.evaluations)) + case.reference.error
         if CLEAR * floor < error < LARGEST:
-            h = run.proposal.step * scene.highest_frequency
+            h = run.candidate.step * scene.highest_frequency
             found.append(
                 error / h**method.order / max(1.0, scene.highest_frequency * scene.duration / 60)
             )

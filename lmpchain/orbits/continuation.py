@@ -458,14 +458,17 @@ def follow(
     # the bar shows the share of the parameter, of which there may be nothing to go
     distance = max(abs(march.miss), 1e-300)
     layout = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
-    times = [(clock(), march.miss)]
+    began = clock()
+    times = [(began, march.miss)]
     told = False
     with ProgressBar(1.0, "orbits", layout=layout, shown=progress) as bar:
         while not march.done:
             march.advance()
             bar.reach(max(0.0, 1 - abs(march.miss) / distance))
             times = [*times[-2:], (clock(), march.miss)]
-            if not march.done and not told and (left_s := _left_s(times)) > PATIENCE_S:
+            # The first steps are short, so that their pace says little of those that follow.
+            settled = clock() - began > PATIENCE_S / 3
+            if settled and not march.done and not told and (left_s := _left_s(times)) > PATIENCE_S:
                 told = True
                 position = curve.position(march.members[-1])
                 announce(

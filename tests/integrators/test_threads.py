@@ -180,8 +180,9 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
 
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
+        proposal = engine.propose(scene, 1e-3)
         # else it lands at the end only
-        started = engine.start([scene], engine.propose(scene, 1e-3).sampled, kept)
+        started = engine.start([scene], proposal.with_steps(proposal.steps.sampled), kept)
         blocks = []
         for block in started.blocks():
             blocks += [block.velocity[0]]
