@@ -467,7 +467,7 @@ def follow(
             bar.reach(max(0.0, 1 - abs(march.miss) / distance))
             times = [*times[-2:], (clock(), march.miss)]
             # The first steps are short, so that their pace says little of those that follow.
-            settled = clock() - began > PATIENCE_S / 3
+            settled = times[-1][0] - began > PATIENCE_S / 3
             if settled and not march.done and not told and (left_s := _left_s(times)) > PATIENCE_S:
                 told = True
                 position = curve.position(march.members[-1])
