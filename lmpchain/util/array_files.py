@@ -205,6 +205,9 @@ def _read_hdf5(content: bytes, largest: int) -> Arrays:
             words = dict(_attributes(node.parent)) | dict(_attributes(node))
             unit = next((words[key] for key in UNIT_ATTRIBUTES if key in words), "")
             values = node[()]
+            # An oscilloscope stores levels of its converter, and their unit beside them.
+            if node.dtype.kind in "iu" and "yinc" in words:
+                unit = f"level of {words['yinc']}"
             # MATLAB has rows of a matrix as columns
             arrays.add(name, values.T if "MATLAB_class" in node.attrs else values, unit, **words)
     return arrays

@@ -122,6 +122,19 @@ def test_arrays_larger_than_memory_are_refused(tmp_path: Path, monkeypatch: pyte
             Force(grain=1, file=tmp_path / name)
 
 
+def test_levels_of_a_converter_need_a_scale(tmp_path: Path):
+    """An oscilloscope stores levels of its converter, and their unit beside them."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        channel = file.create_group("Waveforms/Channel 1")
+        channel.attrs["YInc"] = 2e-3
+        channel.create_dataset("Data", data=np.array([0, 100, 200], np.int16))
+    trace = {"file": tmp_path / "a.h5", "columns": [1], "time_scale": 1e-6}
+    with pytest.raises(InputError, match=r"scale: .*level of 0.002"):
+        Force(grain=1, **trace)
+    force = Force(grain=1, **trace, scale=2e-3)
+    np.testing.assert_allclose(force.force, [0, 0.2, 0.4])
+
+
 def test_a_missing_library_is_named_with_a_recipe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
