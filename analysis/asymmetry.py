@@ -49,7 +49,7 @@ def main() -> None:
     given = arguments(__file__, __doc__)
     deepest, grains = (50, 260) if given.quick else (DEEPEST, GRAINS)
     shown = (10, deepest)
-    # the reflection
+    # The reflected pulse is cut off.
     tau_end = 2 * float(continuum.chi(grains - 0.5)) - float(continuum.chi(deepest - 0.5)) - 20
     depths = np.unique([*np.geomspace(2, deepest, 16).astype(int), *shown])
     scene = weak_scene(grains, tau_end, int(10 * tau_end), 1e-8, recorded=depths.tolist())

@@ -1,4 +1,4 @@
-"""How much longer the engine that "auto" takes needs than the fastest one that would have done.
+"""CPU time of the engine that "auto" chooses, relative to the fastest engine that is good enough.
 
 Random weak scenes: 2 to 2000 grains, 1 to 10^4 radians, 2 to 1000 samples, exponents from 1.1 to 3,
 tolerances from 1e-3 to 1e-9, and strikes so weak that linear theory is expected to be within the

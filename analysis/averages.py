@@ -1,4 +1,4 @@
-"""Averages of beads between walls beside the microcanonical ensemble, and how often they cover.
+"""Time averages of beads between walls, compared with the microcanonical ensemble.
 
 After Przedborski, Sen and Harroun, Phys. Rev. E 95, 032903 (2017): the kinetic energy of Hertzian
 beads that only just touch fluctuates as that of an ensemble of constant energy does.
@@ -33,19 +33,19 @@ def beads(grains: int, seed: int) -> lmpchain.Scene:
 
 
 def ensemble(grains: int) -> stats.rv_continuous:
-    """Return how the share of the kinetic energy is distributed at constant energy."""
+    """Return the microcanonical distribution of the kinetic energy over the total energy."""
     return stats.beta(grains / 2, grains / 2.5)
 
 
 def average(scene: lmpchain.Scene, name: str, time: float) -> lmpchain.Averages:
-    """Return the average over a time, s, without remarks on intervals that the picture shows."""
+    """Return the average over a time, s, without warnings about intervals."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return lmpchain.averages(scene, [name], time=time, tolerance=6e-4)
 
 
 def draw_time(ax: "Axes", quick: bool) -> None:
-    """Draw how mean and variance of 38 beads come to those of the ensemble with time."""
+    """Draw the convergence of the mean and variance of 38 beads to the ensemble values."""
     exact = ensemble(38)
     scene = beads(38, 1)
     times = np.array([0.1, 0.3, 1.0] if quick else [0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
@@ -99,7 +99,7 @@ def draw_sizes(ax: "Axes", quick: bool) -> None:
 
 
 def draw_coverage(one: "Axes", all_of_them: "Axes", quick: bool) -> None:
-    """Draw intervals of single beads of 24, and how many of them cover what they should."""
+    """Draw intervals of single beads in chains of 24, and the share that covers the exact value."""
     trials = 60 if quick else 1000
     ends = []
     for seed in range(trials):
@@ -130,7 +130,7 @@ def draw_coverage(one: "Axes", all_of_them: "Axes", quick: bool) -> None:
 
 
 def main() -> None:
-    """Draw all four."""
+    """Draw the four panels."""
     given = arguments(__file__, __doc__)
     picture = figure(11, 8)
     axes = picture.subplots(2, 2)

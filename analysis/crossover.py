@@ -32,10 +32,10 @@ def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     after a strike of this number.
     """
     tau = 1.05 * float(front.peak_time(int(depths[-1]))) + 5
-    # strong pulses are ahead: the floor is far
+    # Strong pulses have not reached the floor.
     grains = int(continuum.depth(tau)) + int(depths[-1]) // 2
     scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, strength, recorded=depths.tolist())
-    # grains rattle behind, the front does not care
+    # Grains rattle behind the front without changing it.
     engine = lmpchain.engines.Native(step=0.3 / scene.highest_frequency)
     passed = measured.track(lmpchain.simulate(scene, engine))
     fits = measured.exponent(passed, "amplitude", WINDOW)

@@ -49,7 +49,7 @@ def main() -> None:
         first = orbits.find(dimer, drive=drive)
         family = orbits.follow(first, "drive.amplitude", STRONGEST)
         size = np.array([orbit.response("force:1") for orbit in family])
-        # between members of either kind
+        # Interpolate between members of either branch.
         ax.plot(1e6 * family.value, size, color=SHADES[5], lw=0.5)
         for chosen, style, words in (
             (family.stable, "-", "stable"),

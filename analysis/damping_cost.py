@@ -1,4 +1,4 @@
-"""What a damped answer costs over that of the same chain without damping, at one tolerance.
+"""Cost of a damped run, relative to the same chain without damping at the same tolerance.
 
 A column of 120 beads is struck at the top, by strike numbers from weak waves to contacts that open,
 with A omega from hardly any damping to contacts that are dashpots; omega is the highest frequency
@@ -23,14 +23,14 @@ def lossless(strike: float) -> Scene:
     """Return the scene without damping of this strike number."""
     chain = lmpchain.Chain(grains=120, diameter=1e-3)
     one = Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1.0), duration=1e-4)
-    # the number is the speed over that which the contact at rest stands for
+    # The strike number is the speed over the velocity scale of the contact at rest.
     speed = strike / one.strike_number
     scene = one.replace(excitation=lmpchain.Impulse(velocity=speed))
     return scene.replace(duration=RADIANS / scene.highest_frequency, samples=101)
 
 
 def damped(scene: Scene, viscous: float) -> Scene:
-    """Return the same with A omega."""
+    """Return the scene with viscous contacts of this A omega."""
     damping = lmpchain.Damping(viscoelastic=viscous / scene.highest_frequency)
     return scene.replace(chain=scene.chain.replace(damping=damping))
 

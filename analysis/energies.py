@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LEVEL = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
-# of waves that meet: shifts are the same at any load, and under this one the fastest waves press a
-# contact to less than a hundredth of the diameter, as Hertz's law asks for
+# Phase shifts of colliding waves do not depend on the load. With this load the fastest waves press
+# a contact by less than a hundredth of the diameter, where Hertz's law is valid.
 LIGHT = LEVEL | {"top_load": 0.1}
-# grains that are enough for waves to part, by exponent
+# Number of grains in which the waves separate, by exponent.
 LENGTHS = {
     1.1: 900,
     1.15: 500,
@@ -41,7 +41,7 @@ def strike(delta: float, velocity: float) -> solitary.Train:
     """Return the solitary waves that a bead of this velocity, m/s, sends into like ones."""
     grains = LENGTHS[delta]
     mass = 1e-6
-    # overlaps are some micrometres, whatever the exponent
+    # Overlaps are some micrometres for every exponent.
     constant = mass * 0.01 / 1e-6 ** (delta + 1)
     row = lmpchain.Chain(
         grains=grains,
@@ -60,7 +60,7 @@ def strike(delta: float, velocity: float) -> solitary.Train:
 
 
 def draw_shares(ax: "Axes", quick: bool) -> None:
-    """Draw what is left of the energy outside of the first wave against the exponent."""
+    """Draw the share of the energy outside the first wave against the exponent."""
     exponents = [delta for delta in LENGTHS if delta >= (1.3 if quick else 1)]
     for velocity, marker in ((0.1, "o"), (0.01, "x")):
         trains = [strike(delta, velocity) for delta in exponents]
@@ -101,7 +101,7 @@ def _meet(chain: lmpchain.Chain, pair: lmpchain.Profile, steps: float) -> collis
 
 
 def draw_shifts(ax: "Axes", quick: bool) -> None:
-    """Draw shifts over those of integrable chains against the speed."""
+    """Draw phase shifts relative to integrable chains against the speed."""
     pairs = ((1.2, 300), (1.1, 400), (1.05, 800), (1.025, 1600), (1.0125, 3000))
     runs = [(speed - 1, head_on(speed, grains)) for speed, grains in pairs[: 3 if quick else 5]]
     _plot_ratio(ax, runs, 0, "toda", "head-on, equal", SHADES[0], "o")

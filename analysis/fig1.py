@@ -25,7 +25,7 @@ from figures import (
 
 import lmpchain
 
-# s; the ends of the paper's interval, in the middle the highest peak
+# Times, s: the ends of the paper's interval, and the highest peak between them.
 MOMENTS = (
     88.4e-6,
     89.8e-6,

@@ -80,7 +80,7 @@ def main() -> None:
     columns = 12 if given.quick else 200
     wave.plot(n, linear, **THEORY, label=f"ordered: max {linear.max():.3f}")
     say("ordered, largest velocity", linear.max())
-    # green is the paper's formula, left
+    # The paper's formula is drawn in green, left.
     shades = colormaps["plasma"](np.linspace(0.0, 0.85, len(ORDERS)))
     for order, shade in zip(ORDERS, shades, strict=True):
         average = ensemble(scene, order, columns, seed=1)

@@ -55,7 +55,7 @@ def main() -> None:
     off = np.abs(chain[inside] / causal[inside] - 1).max()
     wrong = printed[ahead].min()
     fine = np.linspace(0.01, grains, 4000)  # depths h = n - 1/2
-    # left: everything; right: the front
+    # Left: the whole chain. Right: the front.
     for (wave, below), limits in zip(pairs, ((0, grains), (0.82, 1.18)), strict=True):
         whole = limits[0] == 0
         wave.plot(

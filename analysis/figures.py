@@ -38,7 +38,7 @@ THEORY = {"color": "0.2", "lw": 1.4}
 SVG = "--svg"
 PRINT_DPI = 300
 PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
-# the paper's formula where it is wrong
+# The paper's formula, drawn where it is wrong.
 PRINTED = {
     "color": COLOURS["green"],
     "lw": 1.4,
@@ -171,7 +171,7 @@ def save_for_print(picture: Figure, path: Path) -> None:
     """
     for cells in picture.findobj(QuadMesh):
         cells.set_rasterized(True)
-    # the same picture gives the same file
+    # The same picture gives the same file, because no date is stored.
     with rc_context({"svg.hashsalt": "lmpchain"}), write_aside(path, overwrite=True) as aside:
         picture.savefig(aside, dpi=PRINT_DPI, format="svg", metadata={"Date": None})
 
@@ -228,7 +228,7 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[obje
     lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
     print("\n".join(lines), flush=True)
     for row in rows:
-        # 1e-6, as the pages have it
+        # Exponents are written as on the pages: 1e-6.
         lines.append(f"| {' | '.join(map(str, row))} |".replace("e-0", "e-"))
         print(lines[-1], flush=True)
     with write_aside(path, overwrite=True) as aside:
@@ -256,7 +256,7 @@ def summit(profile: np.ndarray) -> float:
 
 
 def shorter(scene: lmpchain.Scene, grains: int) -> lmpchain.Scene:
-    """Return the same scene with fewer grains."""
+    """Return the scene with fewer grains."""
     chain = lmpchain.Chain(**scene.chain.given() | {"grains": grains})
     return lmpchain.Scene(**scene.given() | {"chain": chain})
 

@@ -1,4 +1,4 @@
-"""The cost of all derivatives of an answer over that of the run, at the same step.
+"""Cost of all derivatives of a run, relative to the run itself at the same step.
 
     python analysis/gradient_cost.py
 
@@ -38,7 +38,7 @@ WAVES: dict[str, tuple[float, dict[str, Any]]] = {  # velocities, m/s, and what 
 DAMPED: dict[str, tuple[float, dict[str, Any]]] = {
     "damped": (1e-2, {"top_load": 1.0, "damping": {"viscoelastic": 1e-9, "drag": 1e2}}),
     "damped, exponent 2": (1e-3, {"exponent": 2.0, "damping": {"viscoelastic": 1e-9}}),
-    # by steps that are shorter where contacts open
+    # Steps are shorter where contacts open.
     "damped, in a sonic vacuum": (1e-2, {"gravity": 0.0, "damping": {"viscoelastic": 1e-9}}),
 }
 

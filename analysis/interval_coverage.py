@@ -31,14 +31,14 @@ CASES = (  # beads; time of motion, s
 )
 CHAINS = 1000
 BEAD = 3
-# of the table of quantities
+# Number of beads in the table of quantities.
 BEADS = 38
 TOLERANCES = (1e-3, 2e-5)
 FEWER = 300
 
 
 def cover(grains: int, time: float) -> tuple[float, float]:
-    """Return how many intervals cover, and how many chains have one, both in per cent."""
+    """Return the percentages of intervals that cover and of chains that have an interval."""
     name = f"{NAME}:{BEAD}"
     covers = []
     for seed in range(CHAINS):
@@ -57,10 +57,10 @@ def measure() -> Iterator[tuple[str, ...]]:
 
 
 def laws(grains: int) -> dict[str, tuple[float, float]]:
-    """Return mean and variance of quantities in the ensemble, energies over that of the chain."""
+    """Return mean and variance of quantities in the ensemble, energies over the total energy."""
     whole = ensemble(grains)
     bead = stats.beta(0.5, grains / 2 - 0.5 + grains / 2.5)
-    # of the fourth powers of a direction that is drawn at random
+    # Variance of the sum of fourth powers of a random direction.
     square = (105 + 9 * (grains - 1)) / ((grains + 2) * (grains + 4) * (grains + 6))
     return {
         NAME: (whole.mean(), whole.var()),

@@ -42,7 +42,7 @@ def protectors() -> Iterator[tuple[str, ...]]:
 
 
 def shock_edges() -> Iterator[tuple[str, ...]]:
-    """Yield how far edges of dispersive shocks are from Whitham's, in speeds of sound."""
+    """Yield deviations of dispersive shock edges from Whitham's theory, in speeds of sound."""
     numbers = kept("pictures/shocks.png")
     name = "{} edge off Whitham's, in that of sound, jump {}"
     start = name.format("leading", "")
@@ -51,7 +51,7 @@ def shock_edges() -> Iterator[tuple[str, ...]]:
         for edge in ("leading", "trailing"):
             off = numbers[name.format(edge, jump)]
             error = numbers[f"its error, {edge} edge, jump {jump}"]
-            # one that is not a number was not found
+            # NaN marks an edge that was not found.
             cells.append(f"{off:+.4f} ± {error:.4f}".replace("-", "−") if off == off else "-")
         yield jump, *cells
 

@@ -39,7 +39,7 @@ LOOK_S = 0.2  # between two looks at a sweep
 
 
 def shards(folder: Path) -> int:
-    """Return how many shards of a sweep are complete."""
+    """Return the number of complete shards of a sweep."""
     return sum(1 for _ in folder.glob("*/results.zarr/reason/c/*"))
 
 
@@ -58,7 +58,7 @@ def digests(folder: Path) -> dict[str, str]:
 def swept(
     source: Path, folder: Path, workers: int, until: int | None = None
 ) -> tuple[bool, dict[int, int]]:
-    """Sweep, and kill the process that leads once so many shards are complete.
+    """Run a sweep and kill its leading process once this number of shards is complete.
 
     Returns whether it came to its end, and the most memory that any of its processes has had, MB,
     by the shards done.

@@ -50,7 +50,7 @@ def spend(scene: Scene, tolerance: float) -> tuple[float, float, int]:
 
 
 def measure(count: int) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table, of so many repeats."""
+    """Yield the rows of the table, each from this number of repeats."""
     paper = Scene.from_toml(SCENE)
     cases = [
         ("the paper's", paper, 1e-3),

@@ -1,4 +1,4 @@
-"""Processor time of a column in LAMMPS through the package, over that of `lmp` on the same deck.
+"""CPU time of a column in LAMMPS through the package, relative to `lmp` on the same deck.
 
 Set-up is what a run of a single step takes, less that step; the loop is what all further ones take.
 `lmp` reads the deck that the package wrote, without its dump. The step is given, and the loop of
@@ -46,7 +46,7 @@ def scene(grains: int, steps: int) -> lmpchain.Scene:
     """Return a column in which every grain moves from the start."""
     chain = lmpchain.Chain(grains=grains, material="glass", diameter=1e-3)
     velocity = np.random.default_rng(1).uniform(-1e-4, 1e-4, grains)
-    # grain N is held
+    # Grain N is held.
     velocity[-1] = 0.0
     return lmpchain.Scene(
         chain=chain,
@@ -80,7 +80,7 @@ def alone(folder: str, steps: int) -> Cost:
 
 
 def in_process(function, *arguments) -> Cost:
-    """Return what a function returns in a new process."""
+    """Return the result of a function that runs in a new process."""
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=fresh) as pool:
         return pool.submit(function, *arguments).result()

@@ -43,7 +43,7 @@ def agitated(grains: int) -> Scene:
 
 
 def springs() -> Scene:
-    """Return a chain near that of springs, whose contacts open."""
+    """Return a chain of nearly linear springs whose contacts open."""
     chain = Chain(grains=12, diameter=1e-3, exponent=1.05)
     return Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=0.01, samples=501)
 
@@ -106,7 +106,7 @@ def spend_last(scene: Scene, step_s: float) -> float:
 
 
 def measure(scene: Scene, count: int) -> tuple[str, ...]:
-    """Return a row of the table, of so many repeats."""
+    """Return a row of the table from this number of repeats."""
     looked = []
     to_the_end = []
     last = []

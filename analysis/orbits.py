@@ -40,7 +40,7 @@ def main() -> None:
     near = orbits.follow(breather, "period", (1.01 if given.quick else 1.0005) * period)
     far = []
     here = breather
-    # short pieces, so that two events that undo each other seldom lie within one step
+    # Short pieces rarely have two events that cancel within one step.
     for longer in np.geomspace(breather.period, most * period, 2 if given.quick else 41)[1:]:
         far.append(orbits.follow(here, "period", longer))
         here = far[-1][-1]

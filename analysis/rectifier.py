@@ -40,7 +40,7 @@ def transmitted(light: int, amplitude: float, quick: bool) -> tuple[np.ndarray, 
     drive = lmpchain.Drive(amplitude=amplitude, frequency=FREQUENCY)
     samples = int(20 * FREQUENCY * time) + 1
     scene = lmpchain.Scene(chain=chain(light), excitation=drive, duration=time, samples=samples)
-    # beyond the bifurcation only what is statistical of the motion is asked for
+    # Beyond the bifurcation only statistics of the motion are needed, so the step may be coarse.
     run = lmpchain.simulate(scene, "native", step=1e-6)
     force = lmpchain.measure.contact.contacts(run, [20]).change[:, 0]
     settled = force[samples // 2 :] - force[samples // 2 :].mean()

@@ -53,7 +53,7 @@ Row = dict[str, Any]
 
 
 def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
-    """Return a chain of beads that all move, for so many steps, and their length, s."""
+    """Return a scene in which all beads move for this number of steps, and the step, s."""
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
     mass = chain.masses[0]
     deepest = chain.part(grains - 1, grains)

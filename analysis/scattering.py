@@ -21,7 +21,7 @@ WIDTH = 16.0
 
 
 def with_odd(ratio: float, grains: list[int], total: int = 15) -> lmpchain.Chain:
-    """Return a chain of steel beads, some of which are so many times as wide."""
+    """Return a chain of steel beads in which some diameters are multiplied by this factor."""
     return lmpchain.Chain(
         grains=total, **HOST, impurity=[{"grain": n, "diameter": ratio * 1e-3} for n in grains]
     )

@@ -104,7 +104,7 @@ def draw_steady(ax: "Axes", quick: bool) -> None:
         wave = push(chain.replace(damping=damping), velocity, duration)
         state, speed = wave.rankine_hugoniot
         worst = max(worst, abs(wave.leading.speed / speed - 1))
-        # before it comes to the end
+        # The time is before the shock reaches the end of the chain.
         then = wave.overlap_then[int(0.8 * len(wave.moment))]
         share = (then - wave.ahead.overlap) / (state.overlap - wave.ahead.overlap)
         middle = _middle(wave, share)
@@ -113,7 +113,7 @@ def draw_steady(ax: "Axes", quick: bool) -> None:
         label = f"A c = {viscosity:g} grains"
         ax.plot(wave.contact - middle, share, color=colour, lw=1.4, label=label)
         place = np.linspace(-20, 20, 400)
-        # of this steepest slope
+        # A tanh profile with this steepest slope.
         ax.plot(place, (1 - np.tanh(2 * place / width)) / 2, ":", color=colour, lw=1.2)
     say("steady shocks, speed off Rankine and Hugoniot's", worst)
     ax.axhline(1, color="k", lw=0.8, ls="--", label="Rankine and Hugoniot")

@@ -34,7 +34,7 @@ POWERS = (1, 2, 3, 4, 5)
 
 
 def reflected(chain: Chain, grains: int, powers: tuple[int, ...]) -> float:
-    """Return the largest amplitude that a sponge of so many grains gives back."""
+    """Return the largest amplitude reflected by an absorbing boundary of n grains."""
     kept = sponge.GRADING
     sponge.GRADING = dataclasses.replace(kept, powers=powers)
     try:

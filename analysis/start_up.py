@@ -25,7 +25,7 @@ COMMANDS = {
     "`lmpchain compare`, all engines": ["compare", str(SCENE), "-o", "compare.png"],
     "`lmpchain plan`": ["plan", str(SCENE)],
 }
-# what a process does that imports libraries one by one, and simulates the paper's scene
+# The timed process imports libraries one by one, then simulates the paper's scene.
 STAGES = f"""
 import json
 import time
@@ -84,8 +84,8 @@ ROWS = (
 
 
 def processor_time(arguments: list[str], cache: Path) -> float:
-    """Return what a command takes with this folder of compiled code, s."""
-    # Python keeps the modules that it has read, as it does for users
+    """Return the CPU time of a command with this folder of compiled code, s."""
+    # Python stores the byte code of modules, as it does for users.
     environment = dict(os.environ)
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -102,7 +102,7 @@ def processor_time(arguments: list[str], cache: Path) -> float:
 
 
 def stages(cache: Path) -> list[float]:
-    """Return what the rows of the table of stages take, s, of a process of its own."""
+    """Return the CPU times of the stages in a new process, s."""
     with tempfile.TemporaryDirectory() as folder:
         done = subprocess.run(
             [sys.executable, "-c", STAGES],
@@ -117,7 +117,7 @@ def stages(cache: Path) -> list[float]:
 
 
 def time_commands(first: int, warm: int) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table of commands, of so many repeats."""
+    """Yield the rows of the table of commands, each from this number of repeats."""
     for name, arguments in COMMANDS.items():
         compiled_s = []
         for _ in range(first):
@@ -137,7 +137,7 @@ def time_stages(first: int, warm: int) -> Iterator[tuple[str, ...]]:
         with tempfile.TemporaryDirectory() as cache:
             compiled_s.append(stages(Path(cache)))
             later_s += [stages(Path(cache)) for _ in range(warm)]
-    # of whole processes, so that stages add up
+    # The fastest whole process is taken, so that its stages add up.
     columns = [min(repeats, key=sum) for repeats in (compiled_s, later_s)]
     for stage, *spent_s in zip(ROWS, *columns, strict=True):
         yield stage, *(f"{each:.2f}" for each in spent_s)

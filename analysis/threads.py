@@ -41,9 +41,7 @@ def shaken(grains: int, steps: int) -> lmpchain.Scene:
 def run(
     scene: lmpchain.Scene, name: str, adaptive: bool, steps: int, threads: int
 ) -> tuple[float, float, bytes]:
-    """Return how long the integration of a scene takes, s, its grain-steps,
-    and where the grains are then.
-    """
+    """Return the integration time of a scene, s, its grain-steps, and its final positions."""
     method = METHODS[name]
     schedule = Steps(steps, 1, scene.duration / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene]), method, schedule, {}, threads)

@@ -48,8 +48,8 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return the same by `theory.front` for a downward wave: 2 sqrt(kappa)
-    times the integral of v^2.
+    """Return this work by `theory.front` for a downward wave: 2 sqrt(kappa) times the integral of
+    v^2.
     """
     n = 100
     xi = 1 - 1 / delta
@@ -58,7 +58,7 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
     v = front.velocity(n, at, delta)
     last = np.flatnonzero((at > peak) & (v <= 0))[0]
     here = 2 * (n - 0.5) ** (xi / 2) * trapezoid(v[:last] ** 2, at[:last])
-    # a product of powers of depth
+    # The product of the powers of depth.
     return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])
 
 

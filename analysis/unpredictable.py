@@ -1,4 +1,4 @@
-"""What a scene takes that cannot be predicted to its end, beside its predictable beginning alone.
+"""CPU time of an unpredictable scene, compared with its predictable part alone.
 
     python analysis/unpredictable.py [--repeats 3]
 
@@ -47,7 +47,7 @@ def end(scene: Scene) -> Ending:
     except ToleranceNotMet as missed:
         all_s = time.process_time() - began
         answer = missed.trajectory
-    # the second run is that of the beginning
+    # The second run covers the predictable part alone.
     return Ending(answer, engine.begun[1] - began, all_s)
 
 
@@ -59,7 +59,7 @@ def time_alone(scene: Scene) -> float:
 
 
 def measure(count: int) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table, of so many repeats."""
+    """Yield the rows of the table, each from this number of repeats."""
     column = Chain(grains=300, diameter=1e-3)
     scenes = {
         "near springs": springs(),

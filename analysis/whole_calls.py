@@ -30,7 +30,7 @@ TOGETHER = 64  # scenes of `simulate_many`
 UNIT = 1e-6  # s, of time for the peer
 MOST_STEPS = 10**5  # that it may take
 Solution = tuple[np.ndarray, np.ndarray]
-# of the speed of the strike and the tolerance of the peer
+# A function of the strike velocity and of the peer's tolerance.
 Call = Callable[[float, float], Solution]
 
 
@@ -51,7 +51,7 @@ def plain(x: float) -> float:
 
 @numba.njit(inline="always")
 def exact(x: float) -> float:
-    """Return the same with all digits where x is small."""
+    """Return ``(1 + x)^(3/2) - 1`` to full precision for small x."""
     return x * (3.0 + x * (3.0 + x)) / ((1.0 + x) * np.sqrt(1.0 + x) + 1.0)
 
 

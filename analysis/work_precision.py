@@ -33,14 +33,14 @@ def at_the_end(name: str) -> lmpchain.Scene:
 
 
 def others(name: str) -> list[dict[str, Any]]:
-    """Return the points of other codes on a scene, without those of the native engine."""
+    """Return the points of other codes on a scene; the native engine is excluded."""
     path = HERE / "other_codes" / f"{name}.json"
     rows = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
     return [row for row in rows if not row["code"].startswith("native")]
 
 
 def again(name: str, path: Path) -> WorkPrecision:
-    """Return what was measured before, for the chart and the table."""
+    """Return stored measurements for the chart and the table."""
     kept = json.loads(path.read_text(encoding="utf-8"))
     known = (
         {

@@ -1,4 +1,4 @@
-"""Measure how well GROWTH allows for amplified last digits, and SEED, the digit of rounding.
+"""Measure GROWTH, the allowance for amplified rounding errors, and SEED, their initial size.
 
 Random grains between walls, whose contacts open again and again, are run with rkn6 at omega h = 0.3
 in double and in extended precision: what these differ by is the rounding of the run with all that

@@ -29,7 +29,7 @@ FACTOR = 4.0  # by which an energy error may be off that only sets a first step
 
 
 def sequence(rng: np.random.Generator, stretches: float) -> np.ndarray:
-    """Return the means of stretches of an AR(1) sequence that remembers for so many, (1, S)."""
+    """Return means over stretches of an AR(1) sequence with this memory in stretches, (1, S)."""
     memory = math.exp(-1 / (stretches * PER_STRETCH)) if stretches else 0.0
     noise = math.sqrt(1 - memory**2) * rng.normal(size=BATCHING.stretches * PER_STRETCH)
     values, _ = lfilter([1.0], [1.0, -memory], noise, zi=[memory * rng.normal()])

@@ -57,7 +57,7 @@ def trials(count: int, seed: int) -> Iterator[tuple[Trajectory, Trajectory]]:
 
 
 def thin_rows(trajectory: Trajectory, every: int) -> Trajectory:
-    """Return a trajectory with every so manieth of its samples."""
+    """Return the trajectory with every n-th sample."""
     time = trajectory.time[::every]
     scene = Scene(**trajectory.scene.given() | {"samples": time.size})
     u = trajectory.displacement[::every]
@@ -66,7 +66,7 @@ def thin_rows(trajectory: Trajectory, every: int) -> Trajectory:
 
 
 def read_off(t: Trajectory, equation: int = 1) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return values and claimed errors of what is read off a trajectory, by name."""
+    """Return quantities interpolated from a trajectory and their error bounds, by name."""
     between = Motion(
         t.scene, equation, t.grains, t.displacement, t.velocity, t.error_estimate.total
     )

@@ -1,4 +1,4 @@
-"""Measure when shorter steps are given up: PATIENCE.
+"""Measure the number of attempts after which shorter steps are abandoned: PATIENCE.
 
 Short columns, weakly to strongly struck, for up to hundreds of periods, so that some make more of a
 last digit than any tolerance allows: each is tried at ever shorter steps until round-off is too
@@ -36,7 +36,7 @@ class Story(NamedTuple):
 
     @property
     def ratios(self) -> list[float]:
-        """Errors over those of the attempts before."""
+        """Each error over that of the previous attempt."""
         return [after / before for before, after in pairwise(self.truncations)]
 
     @property
@@ -47,7 +47,7 @@ class Story(NamedTuple):
 
     @property
     def stall(self) -> int:
-        """Most attempts in a row that did not help."""
+        """Longest sequence of attempts that did not reduce the error."""
         longest = length = 0
         for ratio in self.ratios:
             length = length + 1 if ratio > PATIENCE.stalled else 0

@@ -135,7 +135,7 @@ def answer(engine: Engine, scene: Scene, candidate: Proposal) -> Answer | None:
 
 
 def _companions(run: Run) -> tuple[tuple[float, ...], float]:
-    """Return how far companions are from their run, and the lowest r / eps in any of them."""
+    """Return distances of the auxiliary runs from the run, and the lowest r / eps of all."""
     if not isinstance(run, SteppingRun):
         return (), 0.0
     peaks = np.where(run.monitor.peaks[0] > 0, run.monitor.peaks[0], 1.0)
@@ -153,7 +153,7 @@ def with_reach(scene: Scene, candidate: Proposal, reach: float) -> Proposal:
 
 
 def sampled(candidate: Proposal, count: int) -> Proposal:
-    """Return a candidate with so many steps from sample to sample."""
+    """Return a proposal with this number of steps per sample interval."""
     return candidate.with_steps(candidate.steps.sampled.shorten(count))
 
 
@@ -170,7 +170,7 @@ def changed(record: Any, **values: object) -> Iterator[None]:
 
 
 def proposal(engine: Engine, scene: Scene, tolerance: float) -> Proposal | None:
-    """Return what the engine proposes, None if it cannot meet the tolerance."""
+    """Return the proposal of the engine, or None if it cannot meet the tolerance."""
     try:
         return engine.propose(scene, tolerance)
     except ToleranceNotMet:
@@ -216,7 +216,7 @@ class Case:
 
 
 def distance(motion: np.ndarray, true: np.ndarray) -> float:
-    """Return how far two motions (2, T, G) are apart, over the largest values of the second."""
+    """Return the largest difference of two motions (2, T, G), relative to the second motion."""
     size = np.abs(true).max((1, 2))
     return float((np.abs(motion - true).max((1, 2)) / np.where(size > 0, size, 1.0)).max())
 
@@ -245,7 +245,7 @@ def near_best(costs: dict[float, float], within: float = 1.1) -> tuple[float, fl
 
 
 class Job(NamedTuple):
-    """A scene to answer to a tolerance, from a first step so many times the usual one."""
+    """A scene, a tolerance, and the factor on the usual first step."""
 
     engine: Engine
     scene: Scene

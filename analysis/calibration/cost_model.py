@@ -105,7 +105,7 @@ def _fitted(features: np.ndarray, times: np.ndarray, shipped: np.ndarray) -> np.
 
 
 def _features(name: str, scene: Scene) -> tuple[float, ...]:
-    """Return what the literals of `work` stand in front of."""
+    """Return the terms that the numerical coefficients of `work` multiply."""
     grains = scene.chain.grains
     looks = scene.samples + (0 if dense(scene) else evaluations(scene))
     if name == "modes":

@@ -24,7 +24,8 @@ from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.native import Native
 from lmpchain.integrators.methods import METHODS
 
-# times round-off, and largest error, between which an error falls with the order
+# An error falls with the order of the method between this multiple of the rounding error and this
+# largest error.
 CLEAR = 300.0
 LARGEST = 3e-3
 REACHES = 2.0 ** -np.arange(-2.0, 6.0)  # omega h

@@ -24,7 +24,7 @@ from lmpchain.measure.fit.overview import WEAK_STRIKE
 from lmpchain.measure.fit.solitary import SOLITARY
 from lmpchain.theory import soliton
 
-# of the chain; where the middle of a wave is at first and at last
+# Number of grains, and the grains on which the wave is centred at the start and at the end.
 GRAINS = 80
 START = 20.0
 END = 60.0
@@ -47,7 +47,7 @@ def told(trajectory: Trajectory) -> tuple[float, float] | None:
 
 
 def solitary_waves(quick: bool) -> list[tuple[float, float]]:
-    """Return what fits find of exact solitary waves."""
+    """Return the fits of exact solitary waves."""
     found = []
     for exponent in (1.5,) if quick else (1.3, 1.5, 2.0, 3.0):
         for speed in (0.0, 1.3) if quick else (0.0, 1.1, 1.3, 2.0, 4.0):
@@ -76,7 +76,7 @@ def solitary_waves(quick: bool) -> list[tuple[float, float]]:
 
 
 def _unit(chain: Chain) -> float:
-    """Return what 1 is of speeds in the sonic vacuum, grains/s."""
+    """Return the unit of speed in the sonic vacuum, grains/s."""
     delta = chain.exponent
     rate = chain.contact_constants[0] / chain.masses[0]
     return float(rate ** (1 / (delta + 1)))

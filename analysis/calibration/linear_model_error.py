@@ -49,7 +49,7 @@ TRUTH = 1e-9  # tolerance of the nonlinear solution
 
 
 def phase_error(scene: Scene) -> PhaseError:
-    """Return what the linear solution of a scene comes to, as a run of the engine sees it."""
+    """Return the extremes of a linear solution, as a run of the engine evaluates them."""
     run = Modes().start([scene], Modes().propose(scene, 1.0))
     for _ in run.blocks():
         pass
@@ -96,7 +96,7 @@ class Need(NamedTuple):
 
 
 def _part(wanted: float, unit: float, instead: float) -> Need:
-    """Return the factor of `unit` that gives what is wanted, unless `instead` does."""
+    """Return the factor of `unit` that gives the wanted value, or `instead` if that gives it."""
     return Need(0.0 if wanted <= instead else wanted / unit, wanted / unit)
 
 

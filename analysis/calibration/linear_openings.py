@@ -31,14 +31,14 @@ from lmpchain.engines.linear.resonance import FEW
 from lmpchain.errors import InputError
 
 FINER = 16  # evaluations over those of a look
-# lowest strains, between which a look begins to say that a contact opens
+# Range of the lowest strain in which a coarse evaluation first reports an opening.
 AROUND = (0.96, 1.04)
 BISECTIONS = 10
 ALL = {"kinds": ("gravity", "load"), "driven": 0.0, "grains": (2, 3, 5, 12)}
 
 
 def lowest(scene: Scene, per_radian: float) -> float:
-    """Return the lowest strain along the linear solution, with so many evaluations a radian."""
+    """Return the lowest strain of the linear solution at this many evaluations per radian."""
     times = np.linspace(
         0, scene.duration, math.ceil(per_radian * scene.duration * scene.linear_frequency) + 1
     )

@@ -37,7 +37,7 @@ START, END = 1e-11, 1e-4  # how far apart the runs are where growth is fitted
 def column(
     grains: int, strike_number: float, gravity: float = 9.81, decades: float = 12.0
 ) -> Scene:
-    """Return a column that is struck on the top, for as long as the law gives so many decades."""
+    """Return a struck column whose duration amplifies errors by this many decades, by the law."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=gravity)
     strike = Impulse(velocity=strike_number * chain.length_scale / chain.time_scale)
     scene = Scene(chain=chain, excitation=strike, duration=1e-4, samples=401)

@@ -51,7 +51,7 @@ WIDE = 3.0  # over the median estimate of the tightest value
 
 
 class Look(NamedTuple):
-    """A run that is to be made, and its true error."""
+    """A proposed run and its true error."""
 
     engine: Native
     case: Case
@@ -80,7 +80,7 @@ def look(engine: Native, case: Case, candidate: Proposal, opens: bool | None) ->
     run = answer(engine, case.scene, candidate)
     if run is None or opens not in (None, run.lowest <= OPENINGS.near):
         return None
-    # of few samples, which may be far below the largest motion
+    # With few samples the largest sample may be far below the largest motion of the run.
     error = float((np.abs(run.motion - case.motion).max((1, 2)) / case.reference.scale).max())
     known = CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN
     return Look(engine, case, candidate, error) if known else None

@@ -43,7 +43,7 @@ def gentle(count: int, seed: int, **ranges: object) -> list[Scene]:
 
 
 def evaluations(scene: Scene) -> int:
-    """Return how often the force is evaluated at steps with omega h = 0.3."""
+    """Return the number of force evaluations at steps with omega h = 0.3."""
     intervals = scene.samples - 1
     return (
         RKN6.evaluations
@@ -235,7 +235,7 @@ def _plain(count: int) -> list[Row]:
 
 
 def _lammps(count: int) -> list[Row]:
-    """Return the rows of the random walk of LAMMPS: a bound, and what is typical."""
+    """Return the rows of the random walk of LAMMPS: an upper bound and a typical value."""
     ratios: list[float] = []
     for scene in gentle(count, 54, strength=(-4.0, 2.0), exponents=(1.5,)):
         if Lammps().refuses(scene):

@@ -46,7 +46,7 @@ def draw(
 def drawn(
     count: int, seed: int, keep: Callable[[Scene], bool] = lambda scene: True, **ranges: object
 ) -> list[Scene]:
-    """Draw so many scenes that are to be kept."""
+    """Draw this number of random scenes that pass the filter."""
     rng = np.random.default_rng(seed)
     found = []
     while len(found) < count:

@@ -31,7 +31,7 @@ DOCUMENTED = {  # by `limit`: where runs of a hundred periods break, over the la
 
 
 def loaded(strike_number: float, periods: float, grains: int = 12, exponent: float = 1.5) -> Scene:
-    """Return a loaded chain that is struck, for so many periods of its band edge."""
+    """Return a struck, loaded chain with a duration in periods of its band edge."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent)
     strike = Impulse(velocity=strike_number * chain.length_scale / chain.time_scale)
     return Scene(

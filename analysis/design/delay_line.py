@@ -39,7 +39,7 @@ CHAIN = Chain(
     top_load=LOAD,
     bottom="wall",
 )
-# of a long wave from bead to bead, s
+# Travel time of a long wave from bead to bead, s.
 UNIT = float(np.sqrt(CHAIN.masses[0] / CHAIN.linear_stiffness[0]))
 SCENE = Scene(
     chain=CHAIN,
@@ -84,7 +84,7 @@ class Late:
 
 
 def seen_at_the_end(scene: Scene) -> Seen:
-    """Return how the beads at the end move."""
+    """Return the motion of the beads at the end."""
     looks = looks_of(scene, PeakForce(END))
     run = DifferentiableRun(
         scene, SPLITTINGS["rkn4"], 1.0 / scene.highest_frequency, looks, np.array([END, END + 1])
@@ -95,7 +95,7 @@ def seen_at_the_end(scene: Scene) -> Seen:
 def delay_of_long_waves(diameters: np.ndarray) -> float:
     """Return by how much longer long waves take than in equal beads, in UNIT."""
     made = CHAIN.replace(diameter=diameters)
-    # of half a contact on either side
+    # Each bead has half a contact on either side.
     stiffness = 2 / (1 / made.linear_stiffness[:-1] + 1 / made.linear_stiffness[1:])
     return float((np.sqrt(made.masses[1:-1] / stiffness) / UNIT - 1).sum())
 

@@ -36,7 +36,7 @@ PLAIN = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=1.0)
 MASS = float(PLAIN.masses[0])
 STIFFNESS = float(PLAIN.linear_stiffness[0])
 EDGE = 2 * np.sqrt(STIFFNESS / MASS)
-# points of a spectrum, to resolve what resonates in the cells
+# Number of points of a spectrum that resolves the resonances of the cells.
 LAST = FIRST + CELL * CELLS
 FINE = 2**14
 

@@ -53,7 +53,7 @@ PEAK = PeakForce(BEADS)
 
 
 def spare_length(by_name):
-    """Return what is left of the length, over it, and its derivatives."""
+    """Return the relative excess of the length, and its derivatives."""
     return 1 - by_name["diameters"].sum() / (BEADS * SIZE), {
         "diameters": np.full(BEADS, -1 / (BEADS * SIZE))
     }
@@ -117,7 +117,7 @@ def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
 
 
 def every_order() -> None:
-    """Print the least peak of all orders of equal beads, and that of the family."""
+    """Print the lowest peak over all orders of equal beads, and the lowest peak of the family."""
     count = 2 ** (BEADS - 1)
     some = 2**12
     pieces = [range(first, first + some) for first in range(0, count, some)]
@@ -143,9 +143,7 @@ def every_order() -> None:
 
 
 def evolution(seconds: float) -> tuple[float, Scene, int]:
-    """Return the least peak that an evolutionary algorithm finds in so many seconds of the
-    processor, and its runs.
-    """
+    """Return the lowest peak that evolution finds in this CPU time, s, its scene and run count."""
     best = (np.inf, SCENE)
     tried = 0
     end = time.process_time() + seconds

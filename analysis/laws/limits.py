@@ -45,7 +45,7 @@ def vacuum_power(exponent: float, loaded: bool) -> float:
 
 
 def springs_error(grains: int, excess: ArrayLike) -> Array:
-    """Return the deviation of v / v0 from that of springs, over its peak, at tau = 14.5.
+    """Return the deviation of v / v0 from linear springs at tau = 14.5, relative to its peak.
 
     The exponent of the column is 1 + excess.
     To first order in the excess: Eq. (19) with ``kappa_n = n^excess``.
@@ -108,7 +108,7 @@ def buckling(chain: Chain, gauge: float = 0.0) -> Eigenmodes:
 
 
 def dyson_rounding(kappa: ArrayLike, m: ArrayLike) -> Array:
-    """Return the relative rounding error of Eq. (23): that of kappa times ``m |kappa - 1|``.
+    """Return the relative rounding error of Eq. (23): ``m |kappa - 1|`` times the error of kappa.
 
     No less than that of the gamma function, some 32 roundings below m = 20.
     """

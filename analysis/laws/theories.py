@@ -192,7 +192,7 @@ def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
 
 
 def phase_velocity(wavelength: ArrayLike) -> Array:
-    """Return the phase velocity of the chain over that of the continuum, sin(x)/x.
+    """Return the phase velocity of the chain relative to the continuum, sin(x)/x.
 
     Here x = pi / wavelength in grains.
     From omega = 2 sqrt(kappa) sin(k/2). It is 1 % lower at 12.8 grains and 10 % at 4.0.

@@ -164,7 +164,7 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
 
 
 def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
-    """Return depths (G,) and the complex amplitude there over that of grain 1, (G,).
+    """Return depths (G,) and complex amplitudes relative to grain 1, (G,).
 
     It is the factor of exp(i omega tau). The top is driven weakly at the frequency omega, in units
     of tau, for a time tau. The average is over the last four periods; left out are depths that the

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SHADES = tuple(COLOURS.values())
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0, 2.4, 2.8)
-# of the front over h^(1/6): full width at half of the largest velocity (`theory.front`)
+# Width of the front over h^(1/6): full width at half of the largest velocity (`theory.front`).
 WIDTH = 2.2346 / 4 ** (1 / 3)
 
 

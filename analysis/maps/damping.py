@@ -41,10 +41,10 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _scene(passed: int, number: float, viscosity: float) -> Scene:
-    """Return a loaded chain whose front passes so many grains, with A omega of its band edge."""
+    """Return a loaded chain with this A omega (at the band edge) whose front passes n grains."""
     chain = Chain(grains=int(1.5 * passed) + 20, diameter=1e-3, gravity=0.0, top_load=LOAD)
     damped = chain.replace(damping={"viscoelastic": viscosity / chain.band_edge})
-    # sound takes 2 / omega from grain to grain
+    # The travel time of sound from grain to grain is 2 / omega.
     duration = 2 * passed / chain.band_edge
     strike = Impulse(velocity=1.0)
     unit = Scene(chain=chain, excitation=strike, duration=duration).strike_number

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 EXPONENT = 1.5
 ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive]
-# step x frequency below which a slope is found; of the others from the first point on
+# The slope is fitted below this product of step and frequency; other methods are fitted from the
+# first point on.
 ASYMPTOTIC = {"gear4": 0.02}
 RUNS = {"dop853": 120}  # for an error; of the others 40
 FLOOR = 3e-13  # error below which round-off contributes

@@ -139,7 +139,7 @@ def _vacuum(ax: Any, data: dict[str, Any]) -> None:
 
 
 def style(engine: str, size: float) -> dict[str, Any]:
-    """Return how the points of an engine are drawn."""
+    """Return the plot style of an engine."""
     label = "measured, LAMMPS" if engine == "lammps" else f"measured, {engine}"
     drawn = {
         "color": class_of(engine).style[0],

@@ -60,13 +60,13 @@ def heights():
 def solve(column, steps, step):
     """Return heights and velocities at the end, and processor time of all steps, s."""
     build(column, step)
-    # contacts are found in the first step: it is left out of the time, as set-up
+    # Contacts are detected in the first step, which counts as set-up and is not timed.
     O.run(1, True)
     began = time.process_time()
     O.run(steps - 1, True)
     seconds = (time.process_time() - began) * steps / (steps - 1)
     z, before = heights()
-    # velocities are known half a step before and half a step after positions
+    # Velocities are stored half a step before and half a step after the positions.
     O.run(1, True)
     _, after = heights()
     return {"z": z, "vz": (before + after) / 2, "seconds": seconds}

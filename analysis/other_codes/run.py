@@ -37,13 +37,14 @@ OTHERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts", "yade"
 CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
 LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
-# a run above the first is not repeated, one above the second is the last of its code
+# Runs longer than the first limit are not repeated; a code stops after a run above the second.
 LONG_S = 2.0
 LAST_S = 8.0
-# shortest chain to cut; displacement over the largest beyond the cut
+# Shortest chain that is cut, and relative displacement allowed beyond the cut.
 LONG_CHAIN = 1000
 UNTOUCHED = 1e-15
-# what is added later is timed by turns with LAMMPS, in runs of the first step up to this time, s
+# Codes that are added later are timed alternately with LAMMPS, in runs at the first step of up to
+# this time, s.
 TURNS = 12
 YARDSTICK_S = 0.2
 

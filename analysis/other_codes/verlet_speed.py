@@ -22,11 +22,12 @@ from lmpchain.benchmark.curves import machine
 from lmpchain.engines import Native
 
 GRAINS = 120, 1000, 10_000
-# velocities over eps_1 omega_1: contacts stay closed; weak enough for the polynomial force
+# Velocities over eps_1 omega_1: contacts stay closed, and the motion is weak enough for the
+# polynomial force.
 SPEED = 0.05
 FAINT = 1e-9
 STEP = 0.02  # over the time scale
-# grain-steps of a run, short because a busy machine disturbs long ones
+# Grain-steps of a run. Runs are short, because other processes disturb long ones.
 NATIVE_WORK = 2e7
 DEM_WORK = 1e6
 NATIVE_RUNS = 40

@@ -20,12 +20,12 @@ from problem import Answer, Code, Problem
 
 from lmpchain import RunFailed
 
-# contacts from the top (three open in the strong scene); 1 + s of the event
+# Number of guarded contacts from the top (three open in the strong scene), and 1 + s at an event.
 GUARDED = 8
 SWITCH = 1e-7
 ORDERS = 3, 4, 5, 6, 8, 10, 12, 14, 16, 18
 INLINED_GRAINS = 200  # longer chains would take too long to compile to straight-line code
-# strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances
+# Strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances.
 WEAK = 0.1
 
 

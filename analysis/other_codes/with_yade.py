@@ -60,12 +60,12 @@ class Column:
             stderr=subprocess.STDOUT,
             text=True,
         )
-        # Yade ends with its input
+        # Yade exits at the end of its input.
         weakref.finalize(self, process.communicate)
         return process
 
     def solve(self, step: float) -> Answer:
-        """Return the state at the end, with velocities between those of two half steps."""
+        """Return the final state; velocities are the means of two half steps."""
         steps = round(self._problem.scene.duration / step)
         self._process.stdin.write(f"{steps} {step!r}\n")
         self._process.stdin.flush()
