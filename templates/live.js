@@ -290,16 +290,21 @@
     slider.max = run.T - 1;
     paint(); draw();
   };
-  // a number that is typed takes the nearest run, in ratio where the runs are spaced so
+  // A typed number selects the nearest run, by ratio on a logarithmic axis; the box then shows the value of that run.
   const nearest = (axis, value) => {
     const size = axis.log ? Math.log : (x) => x, far = axis.values.map((x) => Math.abs(size(x) - size(value)));
     return far.indexOf(Math.min(...far));
   };
   axes.forEach((axis, k) => {
-    byId(`axis-${k}`).addEventListener("input", (event) => { places[k] = Number(event.target.value); change(); });
+    byId(`axis-${k}`).addEventListener("input", (event) => { places[k] = Number(event.target.value); byId(`typed-${k}`).value = ""; change(); });
     byId(`typed-${k}`).addEventListener("change", (event) => {
-      const value = Number(event.target.value.replace(",", "."));
-      if (event.target.value.trim() && Number.isFinite(value) && !(axis.log && value <= 0)) { places[k] = nearest(axis, value); change(); }
+      const box = event.target, value = Number(box.value.replace(",", "."));
+      const valid = Boolean(box.value.trim()) && Number.isFinite(value) && !(axis.log && value <= 0);
+      box.setCustomValidity(valid ? "" : axis.log ? "Type a positive number." : "Type a number.");
+      if (!box.reportValidity()) return;
+      places[k] = nearest(axis, value);
+      change();
+      box.value = axis.values[places[k]];
     });
   });
 

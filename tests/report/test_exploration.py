@@ -212,6 +212,11 @@ def test_the_page_in_a_browser(page: Path, tmp_path: Path):
             )
             shown.run(typed)
             assert shown.run(VALUE) == "1 mm/s (run 2 of 3)"
+            field = "document.getElementById('typed-0')"
+            assert shown.run(f"{field}.value") == "0.001", "the box shows the value of this run"
+            shown.run(typed.replace("2e-4", "abc"))
+            assert shown.run(VALUE) == "1 mm/s (run 2 of 3)"
+            assert shown.run(f"{field}.validationMessage") == "Type a positive number."
             shown.run("document.getElementById('map').focus()")
             grain = int(shown.run(SAID).split()[1])
             shown.press("ArrowDown")
