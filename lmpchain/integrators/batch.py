@@ -79,7 +79,7 @@ class ChainBatch:
         forms = [force_form(scene, force) for scene in scenes]
         self.plain = [form in PLAIN and chain.compressed for form in forms]
         self.opening_power = chain.law.onset
-        formulas = chain.law if chain.law.power is None else None
+        formulas = chain.law.formulas
         at_rest = _at_rest(self.contacts, chain.loose_grains)
         acts, reach, wave, knots, pieces, laws = self._imposed()
         size = len(scenes)
@@ -129,8 +129,14 @@ class ChainBatch:
             (self.driven, chain.movable),
             self.opening_power,
         )
-        if formulas:
+        if formulas and chain.law.kinks:
             self._weigh_openings(at_rest[0])
+        elif formulas:
+            # Without kinks no step is shortened, and no contact opens.
+            arrays = self.arrays
+            for field in (arrays.opening_weight, arrays.opening_reach, arrays.inverse_length):
+                field[:] = 0.0
+            arrays.least_strain[:] = 0.0
 
     def _weigh_openings(self, overlap: Array) -> None:
         """Give each contact the weight of its force at a typical overlap, which is no power."""
@@ -225,6 +231,9 @@ def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array
         return overlap, force, constant, stiffness
     touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
     touch[:, 0] &= not powers
+    if not powers:
+        # The kernels read this as the size of the force; a law that pulls carries none at rest.
+        force = stiffness * overlap
     trace = np.maximum(contacts.law.force(TOUCHING, constant), np.finfo(float).tiny)
     # read-only as the others, so that the loops are compiled once
     return (
@@ -239,9 +248,8 @@ def parameter_rows(contacts: Contacts, overlap: Array) -> Array:
     """Return `BatchArrays.parameters` of contacts with these overlaps at rest."""
     parameters = contacts.law.parameters
     rows = np.empty((*overlap.shape, 2 + len(parameters)))
-    rows[..., 0] = overlap
-    rows[..., 1] = contacts.constant
-    rows[..., 2:] = parameters
+    for n, values in enumerate((overlap, contacts.constant, *parameters)):
+        rows[..., n] = values
     return rows
 
 
