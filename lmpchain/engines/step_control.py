@@ -18,7 +18,7 @@ from ..trajectory.record import LARGEST_ERROR, Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
 from .base import Engine, ErrorBudget, Proposal, Run
-from .cost_model import check_budget
+from .cost_model import check_budget, check_time, is_long
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,10 @@ def solve_to_tolerance(
     compiled = compiled_s() - attempt.compiled_s
     while True:
         # A native trial, too, may need far more steps than its first attempt.
-        check_budget(attempt.proposal.cost_s + attempt.spent_s, attempt.work(scenes[0].samples))
+        cost_s = attempt.proposal.cost_s + attempt.spent_s
+        if is_long(cost_s):
+            check_budget(cost_s, attempt.work(scenes[0].samples))
+        check_time()
         began = clock()
         run = engine.start(scenes, attempt.proposal, begin(attempt))
         if not attempt.proposal.fixed:

@@ -224,14 +224,14 @@ def test_progress_in_lammps_is_that_of_the_time(monkeypatch):
     engine = Lammps("verlet", step=1e-8)
     scene = SCENE.replace(samples=2)
     run = engine.start([scene], engine.propose(scene, 1e-6))
-    answer, twin = run._movers
+    answer, _ = run._steppers
     assert run.proposal.steps.total(1) == 4000
     assert run.progress == 0
     fields = np.zeros((2, 1, 1, 10))
-    answer.stepper.fill(*fields, offset=1, until=1, max_steps=1000)
-    answer.seconds = 10.0
+    answer.fill(*fields, offset=1, until=1, max_steps=1000)
+    run._seconds[0] = 10.0
     assert run.progress == pytest.approx(0.25, rel=1e-12)
-    twin.seconds = 0.5
+    run._seconds[1] = 0.5
     monkeypatch.setattr(type(run.monitor.native), "progress", 0.125)
     # 40 s and 4 s in all, of which 10 s and 0.5 s are over
     assert run.progress == pytest.approx(10.5 / 44, rel=1e-12)

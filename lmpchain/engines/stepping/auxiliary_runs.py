@@ -196,14 +196,16 @@ class AuxiliarySteps:
             differences.append(apart.max(1))
         return np.array(differences)
 
-    def truncation(self, real: int, distances: Array, order: float, opens: bool) -> float:
+    def truncation(
+        self, real: int, distances: Sequence[Sequence[float]], order: float, opens: bool
+    ) -> float:
         """Return the truncation error of a realisation from the distances between its runs.
 
         Parameters
         ----------
         real : int
             Its number, from 0.
-        distances : (S, 2) array
+        distances : sequence of S pairs
             Largest distances in displacements and velocities, relative to the motion, as in
             `against`.
         order : float
@@ -226,7 +228,7 @@ class AuxiliarySteps:
                 slow_order=slow_order,
                 least_ratio=self._least_ratio[real],
             )
-            for field in distances.T.tolist()
+            for field in zip(*distances, strict=True)
         )
 
     def _ratio_between_corners(self, scene: Scene) -> float:
