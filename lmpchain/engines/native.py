@@ -8,7 +8,7 @@ import numba
 
 from ..errors import InputError, shown
 from ..integrators.batch import FORCES
-from ..integrators.damped_verlet import LAGGED
+from ..integrators.methods import LAGGED
 from ..scene.scene import Scene
 from ..util.arrays import check_flags
 from ..util.plotting import COLOURS

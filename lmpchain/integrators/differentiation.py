@@ -11,7 +11,7 @@ from ..scene.scene import Scene
 from .adjoint import DifferentiableRun
 from .adjoint_dop853 import DifferentiableDampedRun
 from .dop853 import DormandPrince
-from .held_steps import adaptive_steps
+from .observed_run import adaptive_steps
 from .splittings import SPLITTINGS, Splitting
 
 AnyMethod = Splitting | DormandPrince

@@ -11,8 +11,7 @@ import numpy as np
 from ..util.arrays import Array
 from ..util.caching import cached_property
 from .method import March, first_growth
-from .openings import shorten_steps
-from .steps import Steps
+from .steps import Steps, shorten_steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch

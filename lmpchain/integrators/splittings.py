@@ -18,8 +18,7 @@ from ..util.arrays import Array
 from ..util.caching import cached_property
 from .kernels.layout import SplittingStages
 from .method import March
-from .openings import shorten_steps
-from .steps import Steps
+from .steps import Steps, shorten_steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch

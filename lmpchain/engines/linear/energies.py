@@ -1,4 +1,4 @@
-"""Dissipated energy and work of the forcing in the linearised chain, by quadrature.
+"""Dissipated energy and work of the forcing in a damped linearised chain, by quadrature.
 
 The powers are integrated along the solution itself, so that the energies depend neither on the
 samples nor on the balance of energy.
@@ -51,13 +51,13 @@ def sum_energies(
     Returns
     -------
     dict of arrays
-        Empty if the scene has neither damping nor a forcing, or if the quadrature takes more
-        evaluations.
+        Empty without damping, because the balance of energy then gives the work, and if the
+        quadrature takes more evaluations.
     """
     excitation = scene.excitation
     left = most // NODES.size
     count = math.ceil(scene.linear_frequency * scene.duration / PANEL)
-    if not (scene.chain.damped or excitation.does_work) or count > left:
+    if not scene.chain.damped or count > left:
         return {}
     corners = excitation.waveform.corners if excitation.waveform else ()
     edges = np.linspace(0.0, scene.duration, count + 1)
@@ -88,7 +88,7 @@ def sum_energies(
     errors = width @ (2 * tails + series[:, 0, 2:])
     energies = {}
     for column, name in enumerate(("dissipated", "drive")):
-        if not (excitation.does_work if column else scene.chain.damped):
+        if column and not excitation.does_work:
             continue
         integral = legendre.legint(series[order, :, column].T, lbnd=-1) * width[order] / 2
         before = np.cumsum(integral.sum(0)) - integral.sum(0)

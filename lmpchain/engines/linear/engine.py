@@ -35,15 +35,8 @@ CANCELS = 40.0
 
 
 class LinearEngine(Engine):
-    """An engine for the linearised chain, Eq. (3), exact to round-off.
+    """An engine for the linearised chain, Eq. (3), exact to round-off."""
 
-    Attributes
-    ----------
-    summed_values : int
-        Number of evaluations times grains that takes some 10 ms.
-    """
-
-    summed_values: ClassVar[int] = 2**14
     equation: ClassVar[int] = 3
     # times of `work` are those of analysis/calibration/cost_model.py
     batches: ClassVar[bool] = True
@@ -96,11 +89,11 @@ class LinearEngine(Engine):
     def most_summed(self, scene: Scene) -> int:
         """Return the largest number of evaluations for the energies of a run.
 
-        The quadrature must not make a short run much longer. A run with damping and a forcing is
-        allowed more, because the balance of energy then yields neither term.
+        The quadrature must not make a short run much longer. A forced run is allowed more, because
+        the balance of energy then yields neither the dissipated energy nor the work.
         """
-        both = scene.chain.damped and scene.excitation.does_work
-        values = self.summed_values * (4 if both else 1)
+        # So many evaluations times grains take 40 or 10 ms.
+        values = 2**16 if scene.excitation.does_work else 2**14
         return max(values // scene.chain.grains, _evaluations(scene))
 
     @abstractmethod
@@ -130,7 +123,6 @@ class Chebyshev(LinearEngine):
 
     name: ClassVar[str] = "chebyshev"
     auto = "cheapest"
-    summed_values: ClassVar[int] = 2**17
     style = (COLOURS["pink"], "D")
     start_up_s: ClassVar[float] = 2e-4
 
