@@ -32,8 +32,6 @@ from ..util.tables import finite
 # fields of a proposal in a plan
 PLAN_COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
            "step", "cost_s", "kept", "why")  # fmt: skip
-# what a proposal without an answer has in their place
-NO_STEPS = Steps(1, 1, math.nan)
 
 
 class Proposal(NamedTuple):
@@ -72,7 +70,7 @@ class Proposal(NamedTuple):
 
     engine: str
     equation: int | None = None
-    steps: Steps = NO_STEPS
+    steps: Steps = Steps(1, 1, math.nan)
     active_grains: int = 0
     model_error: float = math.nan
     solver_error: float = math.nan

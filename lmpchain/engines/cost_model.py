@@ -51,7 +51,7 @@ def budget(budget_s: float) -> Iterator[None]:
     Within another budget, work may use half of the CPU time that is left of that one, so that the
     work in its place, with a larger tolerance, has some time, too.
     """
-    now = _used()
+    now = _cpu_time()
     left_s = min(OVERRUN * budget_s, (_limits.get()[1] - now) / 2)
     token = _limits.set((min(budget_s, left_s), now + left_s))
     try:
@@ -109,11 +109,11 @@ def check_time() -> None:
     """Raise `TooLong` if the work took far longer than its budget, though it promised less."""
     limit_s = _limits.get()[1]
     # without a budget no clock is read
-    if limit_s < math.inf and _used() > limit_s:
+    if limit_s < math.inf and _cpu_time() > limit_s:
         raise TooLong("the work took far longer than was expected")
 
 
-def _used() -> float:
+def _cpu_time() -> float:
     """Return the CPU time of this process without compilation, which happens once, s."""
     from ..util.compilation import compiled_s
 

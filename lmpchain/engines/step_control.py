@@ -304,9 +304,9 @@ def _conclude(
         missed = f"{engine.suspect}; {missed}"
     known_s = math.inf
     if attempt.proposal.fixed:
-        known_s = _known_until(error, PATIENCE.visible, scene)
+        known_s = _find_horizon(error, PATIENCE.visible, scene)
     elif missed:
-        known_s = _known_until(error, attempt.tolerance, scene)
+        known_s = _find_horizon(error, attempt.tolerance, scene)
     return missed, min(known_s, attempt.known_until)
 
 
@@ -329,7 +329,7 @@ def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: R
     if attempt.repeats or (on_course and patient):
         return
     expected = _worst(run.outlook())
-    known_s = _known_until(expected, tolerance, scene)
+    known_s = _find_horizon(expected, tolerance, scene)
     if on_course and known_s == math.inf:
         return
     helps = engine.refine(attempt.proposal, expected, tolerance)
@@ -435,7 +435,7 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
         reason += f", and steps shorter than {attempt.proposal.step:.2g} s do not help"
     if error.roundoff > tolerance / 2:
         reason += f", for round-off alone may make {min(error.roundoff, LARGEST_ERROR):.2g}"
-    time_s = _known_until(error, tolerance, scene)
+    time_s = _find_horizon(error, tolerance, scene)
     if time_s == math.inf:
         return f"{reason}: ask for less"
     return (
@@ -444,7 +444,7 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     )
 
 
-def _known_until(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
+def _find_horizon(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
     """Return until when amplified round-off leaves room for other errors, s; infinite if always."""
     if error.amplified.max(initial=0.0) <= tolerance:
         return math.inf

@@ -77,9 +77,8 @@ CHECKPOINTS = Checkpoints()
 PAGES = Pages()
 # strain between two checkpoints over the largest at any
 UNSEEN = 2.0
-# coefficients of `economised`
+# Number of coefficients of `economise` for small strains; 6 for larger ones.
 SHORT = 4
-LONG = 6
 
 
 class Inputs(NamedTuple):
@@ -130,7 +129,7 @@ class Call(NamedTuple):
     rows: int
 
 
-def aligned(rows: int, width: int) -> Array:
+def make_aligned(rows: int, width: int) -> Array:
     """Return zeros (rows, width), where rows of whole cache lines begin with one."""
     memory = np.zeros(rows * width + PAD)
     skip = -memory.ctypes.data // memory.itemsize % PAD
@@ -150,7 +149,7 @@ def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[A
     )
 
 
-def economised(exponent: float, reach: float) -> Array:
+def economise(exponent: float, reach: float) -> Array:
     """Return a polynomial for ((1 + s)^exponent - 1) / s, |s| <= reach: (4,) or (6,) coefficients.
 
     The binomial series in Chebyshev polynomials. For delta = 3/2 four are right to every digit up
@@ -159,7 +158,7 @@ def economised(exponent: float, reach: float) -> Array:
     k = np.arange(12)
     reach = min(max(reach, 1e-6), 0.02)
     series = poly2cheb(np.cumprod((exponent - k) / (k + 1)) * reach**k)
-    terms = SHORT if np.abs(series[SHORT:]).sum() <= 1e-16 * abs(series[0]) else LONG
+    terms = SHORT if np.abs(series[SHORT:]).sum() <= 1e-16 * abs(series[0]) else 6
     # numpy takes zeros at the end away
     coefficients = cheb2poly(series[:terms])
     return np.pad(coefficients, (0, terms - coefficients.size)) / reach ** np.arange(terms)
@@ -214,7 +213,7 @@ class DifferentiableRun(ObservedRun):
         arrays = self._arrays
         width = self._x.shape[1]
         # on the way back a contact has the place of the body below it
-        above = aligned(3, width)
+        above = make_aligned(3, width)
         above[0, 1:] = arrays.inverse_length[0, :-1]
         above[1, 1:] = arrays.strength[0, :-1]
         exponent = chain.law.power_of("derivatives of a run")
@@ -309,21 +308,21 @@ class DifferentiableRun(ObservedRun):
             looks[1][:, self.grains == 1] = 0.0
         width = self._x.shape[1]
         long = width + PAD + (PAGES.stride - width - PAD) % PAGES.size
-        adjoint, bodies, above = np.split(aligned(11, long), (5, 8))
+        adjoint, bodies, above = np.split(make_aligned(11, long), (5, 8))
         bodies[2, 1 : width + 1] = self._mobility
         above[:, :width] = self._above
         law = self._law
         # a polynomial for the strains of this run, which are known only now
         if law.way == Way.UNDONE_SERIES:
-            terms = economised(law.less, min(UNSEEN * self._strain, self.scene.largest_strain))
+            terms = economise(law.less, min(UNSEEN * self._strain, self.scene.largest_strain))
             way = Way.UNDONE_SHORT if terms.size == SHORT else Way.UNDONE_SERIES
             law = law._replace(way=int(way), terms=terms)
         memory = kernels.Memory(
             bodies=Bodies(*bodies),
             adjoint=Adjoint(*adjoint),
             above=Above(*above),
-            powers=aligned(1 if self._undone else self._longest, width),
-            forces=aligned(self._longest if law.way == Way.OTHER else 1, width),
+            powers=make_aligned(1 if self._undone else self._longest, width),
+            forces=make_aligned(self._longest if law.way == Way.OTHER else 1, width),
             tops=np.empty((2, self._longest)),
             room=self._room,
         )

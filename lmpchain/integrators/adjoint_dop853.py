@@ -54,8 +54,6 @@ class Dop853Checkpoints(NamedTuple):
 
 
 CHECKPOINTS = Dop853Checkpoints()
-# times as many as equal ones that adaptive steps are taken to be
-MORE = 4
 
 
 class Followed(NamedTuple):
@@ -86,7 +84,8 @@ def follow(
     batch = ChainBatch([scene.replace(samples=looks + 1)])
     run = NativeStepper(batch, method, schedule, {})
     width = batch.arrays.inverse_mass.shape[1]
-    expected = looks * schedule.per_landing * (MORE if schedule.adaptive else 1)
+    # Adaptive steps are at most about four times as many as equal ones.
+    expected = looks * schedule.per_landing * (4 if schedule.adaptive else 1)
     # as far apart as the cache allows; further where memory does not hold all
     every = CHECKPOINTS.kept_bytes // (3 * 8 * method.evaluations * width)
     every = max(

@@ -81,7 +81,7 @@ class ChainBatch:
         self.opening_power = chain.law.onset
         formulas = chain.law if chain.law.power is None else None
         at_rest = _at_rest(self.contacts, chain.loose_grains)
-        acts, reach, wave, knots, pieces, laws = self._imposed()
+        acts, reach, wave, knots, pieces, laws = self._impose()
         size = len(scenes)
         damped, viscosity, drag = self._damping()
         alike = damped and not (
@@ -173,7 +173,7 @@ class ChainBatch:
         viscosity = np.array([chain.contact_viscosity for chain in chains])
         return True, viscosity, np.array([chain.drag for chain in chains])
 
-    def _imposed(self) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
+    def _impose(self) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
         """Return the motions or forces that act after t = 0: six fields of `BatchArrays`."""
         size = len(self.scenes)
         if not self.scenes[0].excitation.does_work:
@@ -204,7 +204,7 @@ class ChainBatch:
 def _nothing_imposed(
     size: int, grains: int
 ) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
-    """Return what `ChainBatch._imposed` does where nothing acts: no loop writes to these arrays."""
+    """Return what `ChainBatch._impose` does where nothing acts: no loop writes to these arrays."""
     # the last body that is acted on lies before the first
     reach = np.array([[PAD - 1 + grains, PAD]] * size)
     knots = np.zeros((size, 0))

@@ -23,9 +23,6 @@ from .steps import Steps, shorten_steps
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
-DENSE_ROWS = 4
-
 
 @dataclass(frozen=True)
 class Splitting:
@@ -107,7 +104,8 @@ class Splitting:
             return March(splitting.march, splitting.make_work, self._stages, shared=True)
         assert not (schedule.dense and batch.arrays.acts), "see kernels.dense_output"
         openings = shorten_steps(self.order, batch, schedules)
-        history = DENSE_ROWS if schedule.dense else 0
+        # `kernels.dense_output` keeps u, v, a and j of the beginning of a step.
+        history = 4 if schedule.dense else 0
         method = self._stages, openings
         march = adaptive_splitting.march
         return March(march, adaptive_splitting.make_work, method, history, shared=True)

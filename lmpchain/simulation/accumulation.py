@@ -20,9 +20,8 @@ from ..trajectory.accumulator import KINDS, STILL, Accumulator, viscous_contact
 from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array, as_slice
 
-ROUNDED = 4  # last digits of a force that its power may cost
 PEAK, TRACE = OF_CONTACTS
-STATE = "gathered."  # before the names of what is kept, so that they never meet those of a run
+PREFIX = "gathered."  # before the names of what is kept, so that they never meet those of a run
 
 
 class Gatherer:
@@ -177,7 +176,8 @@ class Gatherer:
         for nearer, faster in product((-1, 1), (-1, 1) if self._viscous else (0,)):
             other = contact.force(closer + nearer * doubts[0], closing + faster * doubts[1])
             off = np.maximum(off, np.abs(other - force))
-        return force, off + ROUNDED * EPSILON * np.abs(force)
+        # A power of the overlap loses four units in the last place.
+        return force, off + 4 * EPSILON * np.abs(force)
 
 
 class GatheringRun(Run):
@@ -213,7 +213,7 @@ class GatheringRun(Run):
         first = columns.start if isinstance(columns, slice) else int(columns[0])
         states: list[dict[str, Array]] = [{} for _ in scenes]
         for key, values in state.items():
-            if key.startswith(STATE):
+            if key.startswith(PREFIX):
                 _, real, name = key.split(".")
                 states[int(real)][name] = values
         linear = engine.equation == 3
@@ -267,7 +267,7 @@ class GatheringRun(Run):
         """Return the state of the run and of every gatherer."""
         state = dict(self._run.state())
         for real, gatherer in enumerate(self.gatherers):
-            state |= {f"{STATE}{real}.{name}": values for name, values in gatherer.state().items()}
+            state |= {f"{PREFIX}{real}.{name}": values for name, values in gatherer.state().items()}
         return state
 
     def results(self, errors: Sequence[float]) -> list[dict[str, Array]]:
@@ -290,4 +290,4 @@ def at_samples(scene: Scene, energies: Mapping[str, Array]) -> dict[str, Array]:
 
 def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:
     """Return the arrays of a state that belong to the run of the engine."""
-    return state and {key: values for key, values in state.items() if not key.startswith(STATE)}
+    return state and {key: values for key, values in state.items() if not key.startswith(PREFIX)}

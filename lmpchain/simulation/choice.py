@@ -25,7 +25,6 @@ AUTO = "auto"
 GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
 # by the equation that it solves
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
-SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 
 
 def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
@@ -184,7 +183,8 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
 def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     """Return a proposal with the verdict on it."""
     theory = THEORY.get(proposal.equation or 1, f"Eq. ({proposal.equation})")
-    if proposal.model_error + proposal.solver_error <= tolerance * SUM_ROUNDING:
+    # The sum of the errors may exceed an equal tolerance by rounding.
+    if proposal.model_error + proposal.solver_error <= tolerance * (1 + 1e-9):
         return proposal._replace(kept=True, why="within the tolerance")
     if proposal.solver_error > tolerance:
         why = f"its solver leaves about {proposal.solver_error:.1g}, above the tolerance"

@@ -63,7 +63,6 @@ IN_STORE = re.compile(
     r"(([^/]+/)?zarr(\.json|\.[0-9a-f]{32}\.partial)|[^/]+/c(/\d+)+(\.[0-9a-f]{32}\.partial)?)"
 )
 FOLDER_IN_STORE = re.compile(rf"{re.escape(store.NAME)}(/[^/]+(/c(/\d+)*)?)?")
-NAMED = 5  # files that an error line names
 
 
 def resume_command(folder: str | PathLike[str]) -> str:
@@ -341,8 +340,10 @@ def check_replaceable(folder: str | PathLike[str]) -> Path:
 
 
 def _in_words(paths: list[Path]) -> str:
-    names = [short(path) for path in paths[:NAMED]]
-    return ", ".join(names) + (f" and {len(paths) - NAMED} more" if len(paths) > NAMED else "")
+    """Return the names of at most five files, and how many others there are."""
+    names = [short(path) for path in paths[:5]]
+    others = len(paths) - len(names)
+    return ", ".join(names) + (f" and {others} more" if others else "")
 
 
 def _are(paths: list[Path]) -> str:

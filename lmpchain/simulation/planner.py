@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
-TRIAL_S = 0.5  # cost of a trial up to which engines that run one are asked, too
 
 
 @dataclass(frozen=True, repr=False)
@@ -207,7 +206,8 @@ def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     unbounded = scene.excitation.does_work and scene.largest_strain == math.inf
     engine = engines.plain(proposal.engine)
     possible = not engines.obstacles(engine, scene)
-    if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > TRIAL_S):
+    # A plan waits half a second for a trial at most.
+    if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > 0.5):
         cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")
     asked = ask(engine, scene, tolerance)

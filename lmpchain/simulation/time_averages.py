@@ -35,7 +35,6 @@ from .observables import Observable, observable
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FEW_MEANS = 2  # that fit in a line
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
 A_TIME = "a time above 0 s"
 NO_INTERVAL = "unknown"  # half-width of an interval for which the time is too short
@@ -159,7 +158,7 @@ class Averages(Shown, Tabular):
     def __repr__(self) -> str:
         """Return the first means with their half intervals, and how many others there are."""
         said = []
-        for name, mean in islice(self.mean.items(), FEW_MEANS):
+        for name, mean in islice(self.mean.items(), 2):
             half_width = self.interval[name][1] - mean
             error = f"{half_width:.1g}" if math.isfinite(half_width) else NO_INTERVAL
             said.append(f"{name} = {mean:.4g} ± {error} {self.unit[name]}".rstrip())

@@ -263,11 +263,11 @@ def test_longer_runs_are_expected_to_cost_more():
     )
     assert two == pytest.approx(2 * one, rel=1e-9)
     assert four == pytest.approx(4 * one, rel=1e-9)
-    assert engine.computed(scene.replace(duration=1e-2)) == 120
+    assert engine.count_active(scene.replace(duration=1e-2)) == 120
     first, last = scene.excitation.reach(scene.chain)
-    reached = engine.computed(scene.replace(duration=1e-6)) - engine.computed(
+    reached = engine.count_active(scene.replace(duration=1e-6)) - engine.count_active(
         scene.replace(duration=5e-7)
     )
     assert reached == pytest.approx(scene.highest_frequency * 5e-7 / 4, rel=1e-9)
-    assert engine.computed(scene.replace(duration=1e-9)) > last - first + 1
-    assert Lammps().computed(scene) == 120
+    assert engine.count_active(scene.replace(duration=1e-9)) > last - first + 1
+    assert Lammps().count_active(scene) == 120

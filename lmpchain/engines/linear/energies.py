@@ -17,12 +17,9 @@ from ...util.arrays import Array
 from ..base import ErrorBudget
 from .solutions import LinearSolution
 
-# A product of two oscillations over a panel of this phase, rad, is a Legendre series of 32 terms
-# to rounding.
-PANEL = 10.0
-NODES, WEIGHTS = legendre.leggauss(32)
+GAUSS_NODES, _WEIGHTS = legendre.leggauss(32)
 # Coefficients of the Legendre series (32,) from the values at the nodes.
-PROJECT = (np.arange(32) + 0.5)[:, None] * WEIGHTS * legendre.legvander(NODES, 31).T
+PROJECT = (np.arange(32) + 0.5)[:, None] * _WEIGHTS * legendre.legvander(GAUSS_NODES, 31).T
 # A panel is halved at most so often: an overdamped mode decays within a small part of a panel.
 HALVINGS = 12
 
@@ -55,8 +52,10 @@ def sum_energies(
         quadrature takes more evaluations.
     """
     excitation = scene.excitation
-    left = most // NODES.size
-    count = math.ceil(scene.linear_frequency * scene.duration / PANEL)
+    left = most // GAUSS_NODES.size
+    # A product of two oscillations over a panel of 10 rad is a Legendre series of 32 terms to
+    # rounding.
+    count = math.ceil(scene.linear_frequency * scene.duration / 10.0)
     if not scene.chain.damped or count > left:
         return {}
     corners = excitation.waveform.corners if excitation.waveform else ()
@@ -69,7 +68,7 @@ def sum_energies(
         left -= begin.size
         if left < 0:
             return {}
-        times = begin[:, None] + width[:, None] / 2 * (1 + NODES)
+        times = begin[:, None] + width[:, None] / 2 * (1 + GAUSS_NODES)
         powers = _powers(scene, solve(), times.ravel(), budget.total * scale)
         series = PROJECT @ powers.reshape(*times.shape, 4)
         largest = np.maximum(largest, np.abs(powers[:, :2]).max(0))

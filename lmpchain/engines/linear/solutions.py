@@ -105,7 +105,7 @@ class ModalSolution:
         u, v = self._modes.response(times, *self._initial)
         top = np.empty((2, times.size, 0))
         if self._wave:
-            forced = self._forced(times[:, None])
+            forced = self._force(times[:, None])
             u = u + forced[0] @ self._modes.shape.T
             v = v + forced[1] @ self._modes.shape.T
         if self._drive:
@@ -115,7 +115,7 @@ class ModalSolution:
         v = np.hstack((top[1], v, rest))
         return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
-    def _forced(self, t: Array) -> tuple[Array, Array]:
+    def _force(self, t: Array) -> tuple[Array, Array]:
         """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion after them."""
         assert self._wave
         end = self._wave.end
@@ -133,7 +133,7 @@ class ModalSolution:
         from scipy.special import spherical_jn
 
         if self._modes.decay is not None:
-            return self._damped_by_sine(t, amplitude, omega)
+            return self._by_sine_of_damped(t, amplitude, omega)
         w = self._modes.frequency
         drive = abs(omega)
         m = (w + drive) / 2 * t
@@ -143,7 +143,7 @@ class ModalSolution:
         q = f / w * m * (m * spherical_jn(1, m) * np.cos(h) - h * spherical_jn(1, h) * np.cos(m))
         return q, f * drive * np.sin(m) * t * np.sinc(h / np.pi)
 
-    def _damped_by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
+    def _by_sine_of_damped(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
         """Return the same of damped modes: what a sine does to the exponentials of each.
 
         A motion acts by its rate, too, through the viscosity of the contact.

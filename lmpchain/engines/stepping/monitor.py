@@ -67,7 +67,6 @@ class JudgingTimes:
 
 
 JUDGING = JudgingTimes()
-TINY = 1e-300
 # factor on the error of an energy: a single number may agree by chance where motions differ
 SUMMED = 4.0
 TOO_CLOSE = "a contact overlaps more than the total energy allows: the run is unstable"
@@ -409,7 +408,7 @@ class Monitor:
         late = apart.max(0) / scale
         early = apart[: math.ceil(samples / JUDGING.window)].max(0) / scale
         field = late.argmax(1)[:, None]
-        grown = np.take_along_axis(np.fmax(late, TINY) / np.fmax(early, TINY), field, 1)[:, 0]
+        grown = np.take_along_axis(np.fmax(late, 1e-300) / np.fmax(early, 1e-300), field, 1)[:, 0]
         power = np.clip(np.log(grown) / math.log(JUDGING.window), 0.0, JUDGING.steepest)
         remaining = self._scene.intervals / self.sample
         budgets = []

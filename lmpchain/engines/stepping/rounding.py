@@ -21,10 +21,6 @@ from ...scene.excitation import Profile
 from ...scene.scene import Scene
 from ...util.arrays import EPSILON, Array
 
-BLOCK_BYTES = 2**24  # of samples held at a time
-PIECES = 50  # into which a scene is cut that need not be followed to its end
-BURST = 10**6  # steps between two opportunities to stop
-
 
 @dataclass(frozen=True)
 class Rounding:
@@ -242,8 +238,8 @@ def separate(
     batch = ChainBatch([scene, *(perturb(scene, change) for change in changes)])
     stepper = NativeStepper(batch, method, schedule, {})
     grains = scene.chain.grains
-    pieces = 1 if enough == math.inf else PIECES
-    count = max(1, min(scene.samples // pieces, BLOCK_BYTES // (64 * grains)))
+    pieces = 1 if enough == math.inf else 50
+    count = max(1, min(scene.samples // pieces, 2**24 // (64 * grains)))
     fields = np.zeros((2, 1 + len(changes), count, grains))
     displacement, velocity = fields
     # no step leads to sample 0
@@ -257,7 +253,7 @@ def separate(
             break
         final = min(first + count, scene.samples) - 1
         while stepper.sample < final:
-            stepper.fill(displacement, velocity, first, final, BURST)
+            stepper.fill(displacement, velocity, first, final, 10**6)
         samples = fields[:, :, : final + 1 - first]
         distances[:, :, first : final + 1] = np.abs(samples[:, 1:] - samples[:, :1]).max(-1)
     largest = stepper.largest()[0]

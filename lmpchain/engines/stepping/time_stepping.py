@@ -153,7 +153,9 @@ class TimeSteppingEngine(Engine):
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""
-        grain_steps = method.evaluations * steps * (self.computed(scene) + self.overhead(method))
+        grain_steps = (
+            method.evaluations * steps * (self.count_active(scene) + self.overhead(method))
+        )
         return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
 
     @abstractmethod
@@ -164,7 +166,7 @@ class TimeSteppingEngine(Engine):
         """Return what a force evaluation takes besides its grains, in grains."""
         return EVALUATION_OVERHEAD
 
-    def computed(self, scene: Scene) -> float:
+    def count_active(self, scene: Scene) -> float:
         """Return how many grains it computes in each step, on average."""
         return scene.chain.grains
 
@@ -294,7 +296,7 @@ class CompiledSteps(TimeSteppingEngine):
             walk += plain_loss(scene, steps) / speed
         return walk
 
-    def computed(self, scene: Scene) -> float:
+    def count_active(self, scene: Scene) -> float:
         """Return the grains that a step computes, on average: those that waves have reached."""
         first, last = scene.excitation.reach(scene.chain)
         # a front runs at half the highest frequency, so on average the cone has half its width
