@@ -422,7 +422,7 @@ def _shorten(
 
 
 def _stalls(attempt: Attempt) -> bool:
-    """Return whether the error has nearly stopped to fall, or the attempts are used up."""
+    """Return whether the error has nearly stopped falling, or the attempts are used up."""
     truncations = attempt.truncations
     if len(truncations) <= PATIENCE.stalls:
         return False

@@ -27,7 +27,7 @@ from .method import March, Method
 from .steps import Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
-UNFIT = "the state that was kept does not fit"
+UNFIT = "the stored state does not fit"
 
 
 def room_for(*shape: int) -> tuple[Array, Array]:

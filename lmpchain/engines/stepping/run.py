@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ...integrators.method import Method
-from ...integrators.stepper import Stepper, room_for
+from ...integrators.stepper import UNFIT, Stepper, room_for
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import Array, as_slice
 from ...util.compilation import clock
 from ..base import ErrorBudget, Proposal, Run
-from .monitor import UNFIT, Fill, Monitor
+from .monitor import Fill, Monitor
 
 PIECE_S = 0.1  # Longest time of one call of a stepper: a run can be stopped between two calls.
 # Memory of the samples of one block, bytes, and the longest time that a block may take, s: a run
