@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LaggedVerlet:
-    """Velocity Verlet of damped chains as `fix nve` of LAMMPS has it.
+    """Velocity Verlet for damped chains as in `fix nve` of LAMMPS.
 
-    Forces see the velocity v + lead h a, predicted from the last step. With a lead of 1/2 the
-    forces at the end of a step see the velocity of its middle, and the order is 1. "verlet" has a
+    Forces depend on the velocity v + lead h a, predicted from the last step. With a lead of 1/2 the
+    forces at the end of a step use the velocity of its middle, and the order is 1. "verlet" has a
     lead of 1 in damped chains, and the order 2.
     """
 
     name: str = "lagged-verlet"
     order: int = 1
-    # Forces that are h / 2 late slow a motion down: its phase shifts by omega h / 4 while it lasts.
+    # The delay of the forces by h / 2 slows a motion down: its phase shifts by omega h / 4.
     error_constant: float = 0.25
     reference: str = "LAMMPS, fix nve with velocity-dependent pair forces"
     evaluations: int = 1
@@ -59,7 +59,7 @@ class LaggedVerlet:
 
 @dataclass(frozen=True)
 class Gear:
-    """Gear's predictor-corrector for x'' = a(x) with five values a grain."""
+    """Gear's predictor-corrector of order 4, the method of the paper, with five values a grain."""
 
     name: str = "gear4"
     order: int = 4
@@ -77,12 +77,12 @@ class Gear:
 
     @cached_property
     def stability_limit(self) -> float:
-        """Largest omega h for which x'' = -omega^2 x grows by less than a hundredth a step."""
+        """Largest omega h for which x'' = -omega^2 x grows by less than a hundredth in a step."""
         return first_growth(self.growth, 1e-2)
 
     def growth(self, reach: float) -> float:
-        """Return by what factor x'' = -omega^2 x grows a step: always."""
-        # Taylor's series of x, h x', h^2 x'' / 2 ...: binomial coefficients
+        """Return the growth factor of x'' = -omega^2 x in a step, which is always above 1."""
+        # Taylor series of x, h x', h^2 x'' / 2 ... have binomial coefficients.
         predict = np.array(
             [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]]
         )

@@ -1,4 +1,4 @@
-"""What all runs with derivatives share: given steps, grains that are observed, what is imposed."""
+"""Base of differentiable runs: prescribed steps, observed grains, imposed motions and forces."""
 
 from __future__ import annotations
 
@@ -62,29 +62,29 @@ def hold_steps(
 
 
 def schedule_of(scene: Scene, step: float, looks: int, adaptive: bool) -> Steps:
-    """Return the schedule of steps up to this length, s, that end on so many looks."""
+    """Return steps up to this length, s, that end at `looks` equally spaced observations."""
     interval = scene.duration / looks
     count = max(1, math.ceil(interval / step * (1 - 1e-12)))
     return Steps.spread(interval, count, adaptive=adaptive)
 
 
 def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> list[Array]:
-    """Return the steps of a run that shortens them where contacts open or close.
+    """Return the adaptive steps of a run, which are shorter near openings of contacts.
 
     Parameters
     ----------
     scene : Scene
     method : Splitting
-        Of an order above 2.
+        Its order must be above 2.
     step : float
-        The longest one, s.
+        Longest step, s.
     looks : int
-        Equal parts of the duration, at whose ends a step ends.
+        Number of equal parts of the duration; a step ends at the end of each part.
 
     Returns
     -------
     list of `looks` arrays
-        s; those of each part add up to it.
+        Steps of each part, s.
     """
     schedule = schedule_of(scene, step, looks, True)
     run = NativeStepper(ChainBatch([scene.replace(samples=looks + 1)]), method, schedule, {})
@@ -106,7 +106,7 @@ class ImposedCourse:
     Attributes
     ----------
     size : int
-        2, or the number of samples, or 1 for the speed of a piston.
+        Number of parameters: 2, or the number of samples, or 1 for the speed of a piston.
     """
 
     def __init__(self, excitation: Drive | Force):
@@ -117,16 +117,16 @@ class ImposedCourse:
 
     @cached_property
     def _basis(self) -> Any:
-        """The curve through 1 at one sample and 0 at the others, for each of them."""
+        """For each sample, the curve through 1 at this sample and 0 at the others."""
         drive = self.excitation
         if drive.times is None:
-            # of a piston: its motion for a speed of 1
+            # The motion of a piston for a speed of 1.
             unit = drive.replace(velocity=1.0).waveform.spline
             return PPoly(unit.c[..., None], unit.x)
         return curve_through(drive.times, np.eye(self.size), drive.interpolation, drive.holds)
 
     def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:
-        """Return the piece of the spline at each time, and powers for its coefficients, (4, T)."""
+        """Return the piece of the spline at each time, and factors of its coefficients, (4, T)."""
         knots = self._basis.x
         piece = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, knots.size - 2)
         s = time - knots[piece]
@@ -136,9 +136,9 @@ class ImposedCourse:
         )
 
     def _sine(self, time: Array, order: int) -> Array:
-        """Return derivatives by amplitude and frequency, (2, ...)."""
+        """Return the derivatives by amplitude and frequency, (2, ...)."""
         wave = self.waveform
-        # of A sin(w t) by w: t / w times its rate
+        # The derivative of A sin(w t) by w is its rate times t / w.
         by_frequency = time * wave.at(time, order + 1) + (wave.at(time, 1) if order else 0.0)
         return np.array(
             [
@@ -148,19 +148,19 @@ class ImposedCourse:
         )
 
     def pull(self, time: Array, weight: Array, order: int) -> Array:
-        """Return derivatives (P,) of the sum of weight times value, or rate (order 1), at times."""
+        """Return the derivatives (P,) of the sum of weight times value, or rate (order 1)."""
         time = time.ravel()
         weight = weight.ravel()
         if self.waveform.spline is None:
             return self._sine(time, order) @ weight
         piece, powers = self._pieces(time, order)
-        # summed by pieces first: of coefficients there are as many as samples squared
+        # Sum over pieces first, because the coefficients are as many as the samples squared.
         count = self._basis.x.size - 1
         by_piece = np.array([np.bincount(piece, weight * power, count) for power in powers])
         return np.tensordot(by_piece, self._basis.c, 2)
 
     def push(self, time: Array, change: Array, order: int) -> Array:
-        """Return changes (D, ...) of value, or rate (order 1), at times, for changes (D, P)."""
+        """Return the changes (D, ...) of value, or rate (order 1), for changes (D, P)."""
         if self.waveform.spline is None:
             return np.tensordot(change, self._sine(time, order), 1)
         piece, powers = self._pieces(time, order)
@@ -170,18 +170,18 @@ class ImposedCourse:
 
 
 def acting(scene: Scene) -> ImposedCourse | None:
-    """Return the motion or force that is imposed after t = 0, if any is."""
+    """Return the motion or force that is imposed after t = 0, or None."""
     excitation = scene.excitation
     return ImposedCourse(excitation) if isinstance(excitation, (Drive, Force)) else None
 
 
 class ObservedRun:
-    """A chain laid out for a run by given steps, and what is seen of it.
+    """A chain in the memory layout of a run with prescribed steps, and its observed grains.
 
     Parameters and attributes are those of `adjoint.DifferentiableRun`.
     """
 
-    _times: Callable[..., Array]  # of rows as a class counts them, s
+    _times: Callable[..., Array]  # Times of rows, s.
 
     def __init__(
         self,
@@ -209,16 +209,16 @@ class ObservedRun:
 
     @property
     def displacement(self) -> Array:
-        """Displacement of the grains looked at, (looks+1, G) m."""
+        """Displacement of the observed grains, (looks+1, G) m."""
         return self._looks.values[0]
 
     @property
     def velocity(self) -> Array:
-        """Velocity of the grains looked at, (looks+1, G) m/s."""
+        """Velocity of the observed grains, (looks+1, G) m/s."""
         return self._looks.values[1]
 
     def _path(self, *rows: Any) -> ImposedPath:
-        """Return the imposed motion or force in rows that `_times` knows, or none."""
+        """Return the imposed motion or force at the times of rows."""
         if self.imposed is None:
             return ImposedPath(0, np.empty(0), np.empty(0))
         body = int(self._arrays.wave["body"][0])
@@ -226,14 +226,14 @@ class ObservedRun:
         return ImposedPath(body, imposed, np.zeros(imposed.size))
 
     def _fill_motion_of_driven(self, values: Array) -> None:
-        """Fill what is seen of a driven grain, whose velocity the loops leave out."""
+        """Fill the observed motion of a driven grain, whose velocity the loops do not compute."""
         if self.imposed and self._driven:
             for order in (0, 1):
                 motion = self.imposed.waveform.at(self.time, order)
                 values[order][:, self.grains == 1] = motion[:, None]
 
     def _fill_change_of_driven(self, values: Array, drive: Array) -> None:
-        """Fill by how much what is seen of a driven grain changes with its drive (D, P)."""
+        """Fill the changes of the observed motion of a driven grain for changes (D, P)."""
         if self.imposed and self._driven:
             for order in (0, 1):
                 motion = self.imposed.push(self.time, drive, order)

@@ -16,8 +16,8 @@ from .kernels.layout import Shortening
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# Auxiliary runs with this many steps between two samples land on each of them: a landing then
-# changes their steps by little, and a collision may show in one sample only;
+# Auxiliary runs with at least so many steps between two samples land on every sample. A landing
+# then changes their steps little, and a collision may be seen in a single sample;
 # analysis/calibration/richardson_estimate.py
 MANY_STEPS = 32
 
@@ -36,7 +36,7 @@ class Steps(NamedTuple):
     adaptive : bool
         Whether steps are shorter where a contact is about to open or has just closed.
     ratio : float
-        Step over that of the answer.
+        Ratio of the step to that of the answer.
     coarse_openings : bool
         Whether steps near openings are too long to keep the order of the method there.
     dense : int
@@ -60,7 +60,7 @@ class Steps(NamedTuple):
         adaptive: bool = False,
         coarse_openings: bool = False,
     ) -> Steps:
-        """Return so many steps from landing to landing, of samples that are `interval` s apart."""
+        """Return steps with this number from landing to landing; samples are `interval` s apart."""
         step = interval * stride / per_landing
         dense = int(stride > 1)
         return cls(per_landing, stride, step, adaptive, 1.0, coarse_openings, dense)
@@ -73,7 +73,7 @@ class Steps(NamedTuple):
         return self._replace(per_landing=steps, stride=1, step=self.step * ratio, dense=0)
 
     def shorten(self, per_landing: int) -> Steps:
-        """Return so many steps from landing to landing, none of them coarse near openings."""
+        """Return steps with this number from landing to landing, not coarse near openings."""
         step = self.step * (self.per_landing / per_landing)
         return self._replace(per_landing=per_landing, step=step, coarse_openings=False)
 
@@ -105,14 +105,14 @@ class Steps(NamedTuple):
 
     @property
     def halved(self) -> Steps:
-        """The steps of an auxiliary run at half the step."""
+        """The steps of an auxiliary run with half the step."""
         return self._replace(
             per_landing=2 * self.per_landing, step=self.step / 2, ratio=self.ratio / 2
         )
 
     @property
     def filled(self) -> int:
-        """Samples from one that the run fills, by landing or interpolation, to the next."""
+        """Samples from one filled sample to the next; landing or interpolation fills a sample."""
         return self.dense or self.stride
 
     def total(self, samples: int) -> int:
@@ -158,17 +158,15 @@ class OpeningSteps:
 
     Attributes
     ----------
-    shortened : float
-        h' / h at the time 1 / omega from the opening of the contact that matters most: small enough
-        that these steps leave as little error as the others.
-    coarse : float
-        The same of coarse ones, where samples hold steps short and that does not matter.
+    shortened, coarse : float
+        Ratio h' / h at the time 1 / omega from the opening of the most important contact: so small
+        that the shorter steps have no larger errors than the others; and for coarse steps.
     crossing : float
         omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening, for
-        delta = 1.5; for other exponents the step that leaves the same error.
+        delta = 1.5; for other exponents, the step with the same error.
     least_crossing : float
-        omega h' over the (delta + 1)th root of EPSILON: what a shorter step would gain is
-        round-off.
+        Smallest omega h' over the (delta + 1)th root of EPSILON. The error of a shorter step is
+        below rounding.
     """
 
     shortened: float = 0.2
@@ -181,9 +179,9 @@ OPENING_STEPS = OpeningSteps()
 
 
 def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> Shortening:
-    """Return the lengths of steps near openings, of these schedules of one kind."""
+    """Return the lengths of steps near openings, for schedules of one kind."""
     steps = OPENING_STEPS
-    # a step across an opening is wrong by its length to the power delta + 1
+    # The error of a step across an opening is its length to the power delta + 1.
     falls = 1 / (batch.opening_power + 1)
     shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened
     power = (order + 1) * falls
@@ -191,11 +189,11 @@ def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> 
     least = steps.least_crossing * EPSILON**falls
 
     def nearness(reach: float, least: float) -> float:
-        """Return that of the step that crosses an opening, omega h of others being `reach`."""
+        """Return the nearness of the step that crosses an opening; other steps have this reach."""
         crosses = max(crossing * reach**power, least)
         return (shortened * reach / crosses) ** (14 / 9)
 
-    # of numbers of Python, whose powers have the same bits on every processor
+    # Powers of Python numbers have the same bits on every processor.
     omegas = batch.arrays.omega.tolist()
     nearest = [[nearness(s.step * omega, least * s.ratio) for omega in omegas] for s in schedules]
     return Shortening(
