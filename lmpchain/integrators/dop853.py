@@ -34,7 +34,7 @@ class DormandPrince:
 
     @cached_property
     def tables(self) -> tuple[Array, Array, Array, Array]:
-        """Nodes, inner weights of two integrations, weights, inner weights; see `kernels.dop853`."""
+        """Nodes, inner weights of two integrations, weights, inner ones; see `kernels.dop853`."""
         from scipy.integrate import DOP853
 
         # a @ a integrates twice, from accelerations to displacements.
