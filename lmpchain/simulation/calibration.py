@@ -1,4 +1,4 @@
-"""Measuring how fast the engines are on this machine, for the cost model."""
+"""Measurement of the speed of the engines on this machine, for the cost model."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ REPEATS = 5  # of each answer that is timed
 
 
 def calibrate() -> tuple[Path, float]:
-    """Measure how fast the engines are here, and keep it.
+    """Measure the speed of the engines on this machine, and store it.
 
     Returns
     -------
-    the file, and how long the measurement took, s: some tenths, after kernels are compiled
+    the file, and the time of the measurement, s: some tenths, after kernels are compiled
 
     Raises
     ------
     OSError
-        If it cannot be kept; it is used in this process all the same.
+        If the result cannot be stored; this process uses it anyway.
     """
     # Grains, and the duration in tens of time units.
     small = 2, 1
@@ -52,7 +52,7 @@ def calibrate() -> tuple[Path, float]:
             slowness,
         )
     took = time.perf_counter() - began
-    # engines that were not timed keep what an earlier measurement says of them
+    # Engines that were not timed keep the results of an earlier measurement.
     speeds = dict(measured()) | speeds
     path = cache_file()
     measured.cache_clear()
