@@ -157,9 +157,9 @@ class Monitor:
 
     def _bound_sure_approach(self) -> float:
         """Return an approach beyond that at rest, m, up to which every run is certainly stable."""
-        if self._chains.arrays.acts:
-            return 0.0
-        return min([float(scene.approach_bounds.max()) for scene in self._scenes])
+        # A single scene has computed this bound for the choice of its steps.
+        single = len(self._scenes) == 1 and not self._chains.arrays.acts
+        return float(self._scene.approach_bounds.max()) if single else 0.0
 
     @cached_property
     def _closest_allowed(self) -> Array:

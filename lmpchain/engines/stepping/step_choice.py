@@ -13,6 +13,7 @@ Equations I, section II.4.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...errors import InputError
@@ -180,6 +181,23 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     # A step that divides the interval up to rounding is taken as it is.
     steps = math.ceil(interval / step * (1 - 1e-12))
     return Steps.spread(interval, steps)
+
+
+def choose_steps(
+    scene: Scene,
+    methods: Sequence[Method],
+    tolerance: float,
+    adaptive: bool,
+    step: float | None = None,
+) -> tuple[Method, Steps]:
+    """Return the method of least cost, with a given step, s, or with the longest steps."""
+    ways = [
+        (method, choose_step(scene, method, tolerance, adaptive))
+        if step is None
+        else (method, choose_given_step(scene, method, step))
+        for method in methods
+    ]
+    return min(ways, key=lambda way: work(*way)) if len(ways) > 1 else ways[0]
 
 
 def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> Steps:

@@ -25,7 +25,7 @@ from .auxiliary_runs import LONGER, AuxiliarySteps, longer_steps
 from .monitor import Monitor, TwinMonitor
 from .rounding import native_floor, plain_loss
 from .run import SteppingRun, restrict
-from .step_choice import FIRST_STEP, STEP_CONTROL, choose_given_step, choose_step, work
+from .step_choice import FIRST_STEP, STEP_CONTROL, choose_steps
 
 AUTOMATIC = ("rkn4", "rkn6")  # Integrator "auto" is the cheaper one of these.
 AUTOMATIC_DAMPED = ("dop853",)  # the cheapest method for damped chains, at every tolerance
@@ -116,13 +116,9 @@ class TimeSteppingEngine(Engine):
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose the given step, or the longest that should meet the tolerance."""
-        ways = [
-            (method, choose_step(scene, method, tolerance, self.adaptive))
-            if self.step is None
-            else (method, choose_given_step(scene, method, self.step))
-            for method in self.methods(scene)
-        ]
-        return self.propose_steps(scene, tolerance, *min(ways, key=lambda way: work(*way)))
+        methods = self.methods(scene)
+        way = choose_steps(scene, methods, tolerance, self.adaptive, self.step)
+        return self.propose_steps(scene, tolerance, *way)
 
     def propose_steps(
         self, scene: Scene, tolerance: float, method: Method, steps: Steps
