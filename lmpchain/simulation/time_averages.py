@@ -37,32 +37,32 @@ if TYPE_CHECKING:
 
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
 A_TIME = "a time above 0 s"
-NO_INTERVAL = "unknown"  # half-width of an interval for which the time is too short
-STEPS_AT_ONCE = 2**23  # grains x steps between two opportunities to stop
+NO_INTERVAL = "unknown"  # Half-width of an interval if the time is too short.
+STEPS_AT_ONCE = 2**23  # Grains times steps between two opportunities to stop.
 
 
 @dataclass(frozen=True)
 class Averaging:
-    """How a motion is followed that is averaged; analysis/calibration/batch_means.py.
+    """Parameters of averaging along a motion; analysis/calibration/batch_means.py.
 
     Attributes
     ----------
     warm_up : float
-        Share of the time that is left out at the beginning.
+        Fraction of the time that is left out at the beginning.
     turn : float
-        Phase of the fastest motion between two samples, at most.
+        Largest phase of the fastest motion between two samples.
     fewest : int
-        Samples of a stretch.
+        Smallest number of samples in a stretch.
     energies : int
-        Samples from one whose energy is looked at to the next.
+        Samples between two evaluations of the energy.
     judged : int
-        Energies that are seen before a step is called too long.
+        Number of energies after which a step may be found too long.
     attempts : int
-        Steps that are tried.
+        Largest number of steps that are tried.
     change : float
-        By which copies of a chain begin apart, relative to the largest motion.
+        Initial distance between copies of a chain, relative to the largest motion.
     apart : float
-        Distance over the largest motion at which copies know nothing of each other.
+        Distance over the largest motion at which copies are independent.
     """
 
     warm_up: float = 0.2
@@ -77,16 +77,16 @@ class Averaging:
 
 @dataclass(frozen=True)
 class EnergyErrors:
-    """What energy a splitting makes up, relative; analysis/calibration/batch_means.py.
+    """Relative energy errors of splittings; analysis/calibration/batch_means.py.
 
     Attributes
     ----------
     wobble : float
         Root mean square at omega h = 1 with velocity Verlet, which falls with the square of h.
     walk : float
-        The same by the openings of a radian of the fastest motion, of which it is a random walk.
+        Step of the random walk by openings, for each radian of the fastest motion.
     smooth : float
-        Of rkn6, where no contact opens, falling with the sixth power.
+        Root mean square with rkn6 if no contact opens, which falls with the sixth power of h.
     longest : float
         Longest omega h over the stability limit.
     """
@@ -98,37 +98,38 @@ class EnergyErrors:
 
 
 AVERAGING = Averaging()
-LEAST_TOLERANCE = 1e-10  # below, rounding alone shifts the energy of long motions
+LEAST_TOLERANCE = 1e-10  # Rounding alone shifts the energy of long motions by about as much.
 ENERGY_ERRORS = EnergyErrors()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Averages(Shown, Tabular):
-    """Averages of quantities over time, by name, with intervals of 95 % confidence.
+    """Averages of quantities over time, by name, with 95 % confidence intervals.
 
     Attributes
     ----------
     scene : Scene
     time : float
-        Of motion, warm-up included, of each copy, s.
+        Time of the motion of each copy, warm-up included, s.
     warm_up : float
-        Left out at the beginning, s.
+        Time that is left out at the beginning, s.
     copies : int
-        Chains that were averaged over.
+        Number of copies of the chain.
     unit : dict of str
-        Of each quantity; empty for a ratio.
+        Unit of each quantity; empty for a ratio.
     mean, variance : dict of float
-        Of each quantity over time; in its unit, and its square.
+        Mean and variance of each quantity over time.
     interval, variance_interval : dict of (float, float)
-        Of 95 % confidence, with what the error of the energy can do; infinite if the time was too
-        short to tell.
+        95 % confidence intervals, including the effect of the energy error; infinite if the time
+        was too short.
     correlation_time : dict of float
-        Over which a quantity remembers: the integral of its correlation over positive lags, s; NaN
-        if the time was too short.
+        Correlation time of each quantity, the integral of its correlation over positive lags, s;
+        NaN if the time was too short.
     batches : dict of int
-        How many independent ones the interval of the mean is worth; 0 if there is no interval.
+        Number of independent batches of the interval of the mean; 0 if there is no interval.
     energy_error : float
-        Of the integration: root mean square of the energy above rest over that at t = 0, less 1.
+        Error of the integration: root mean square of the energy above rest over that at t = 0,
+        less 1.
     integrator : str
     step : float
         s.
