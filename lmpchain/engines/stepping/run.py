@@ -206,6 +206,9 @@ def fit_block(fit: int, samples: int, together: int) -> int:
 
 def restrict(stepper: str, state: Mapping[str, Array] | None) -> dict[str, Array]:
     """Return the state of one stepper, by the names of its own arrays."""
+    if state is None:
+        return {}
     prefix = f"{stepper}."
-    arrays = (state or {}).items()
-    return {key.removeprefix(prefix): array for key, array in arrays if key.startswith(prefix)}
+    return {
+        key.removeprefix(prefix): array for key, array in state.items() if key.startswith(prefix)
+    }
