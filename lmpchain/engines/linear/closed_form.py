@@ -19,8 +19,6 @@ from .engine import Chebyshev, LinearEngine, LinearRun
 from .model_error import unlike
 from .solutions import LinearSolution
 
-UNIFORM = 1e-12  # Largest relative difference of equal masses and constants.
-
 
 class ClosedForm(LinearEngine):
     """A formula for the linear wave in a uniform column, compared with the exact linear solution.
@@ -41,7 +39,7 @@ class ClosedForm(LinearEngine):
         cases = [
             (key, "grains that are all alike")
             for key, difference in unlike(chain).items()
-            if difference > UNIFORM
+            if difference > 1e-12
         ]
         if not scene.excitation.strikes_top:
             cases.append(("excitation", "an impulse on grain 1"))

@@ -121,7 +121,6 @@ class OpeningOrder:
 OPENINGS = OpeningOrder()
 STRIKES = (Impulse, Displacement)  # Strikes of a single grain.
 LONGER = (2.0, 4.0)  # Ratios of the steps of auxiliary runs to those of the answer.
-DIVIDING = (2.0, 3.0, 4.0)  # Ratios if every auxiliary run must land on every sample.
 # Auxiliary runs land on every sample if the motion decays between samples by this exponent.
 DIES = 0.25
 FEWEST_STEPS = 8  # With fewer steps, longer steps of two auxiliary runs may be the same.
@@ -286,7 +285,7 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
     steps = answer.per_landing
     dies = scene.sampling_decay > DIES
     if steps < MANY_STEPS and dies:
-        ratios = [ratio for ratio in DIVIDING if steps % ratio == 0][:2]
+        ratios = [ratio for ratio in (2.0, 3.0, 4.0) if steps % ratio == 0][:2]
     else:
         ratios = list(LONGER)
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
