@@ -219,7 +219,7 @@ class NativeStepper:
             raise
         if len(self._teams) == 1:
             return sum(steps)
-        # Each thread knows the extreme values of its own grains; all have made the same steps.
+        # Each thread has the extreme values of its own grains; all have made the same steps.
         strains = [state["least_strain"] for state in self._states]
         self._state["least_strain"] = np.min(strains, axis=0)
         for name in ("largest_approach", "largest_displacement", "largest_speed"):

@@ -46,7 +46,7 @@ class ClosedForm(LinearEngine):
         if chain.top != "free":
             cases.append(("top", 'top = "free"'))
         reasons = [
-            (key, f"{self.name} knows {case} only; use modes or chebyshev") for key, case in cases
+            (key, f"{self.name} needs {case}; use modes or chebyshev") for key, case in cases
         ]
         return super().refuses(reached) + reasons
 
@@ -118,9 +118,9 @@ class Continuum(ClosedForm):
         """Return why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
         if scene.chain.law.power is None:
-            reasons.append(("law", "continuum knows powers of the overlap only; use modes"))
+            reasons.append(("law", "continuum needs a power of the overlap; use modes"))
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
-            why = "continuum knows chains under gravity alone; use modes or chebyshev"
+            why = "continuum needs a chain under gravity alone; use modes or chebyshev"
             reasons.append(("top_load", why))
         return reasons
 

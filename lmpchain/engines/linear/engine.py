@@ -54,7 +54,7 @@ class LinearEngine(Engine):
             why = "a wall that only touches cannot be linearised; give a top_load or use native"
             reasons.append(("top", why))
         if not scene.excitation.linear:
-            why = "linear engines know no motion or force by points; use the engine native"
+            why = "linear engines solve no motion or force by points; use the engine native"
             reasons.append(("excitation", why))
         return reasons
 
@@ -136,7 +136,7 @@ class Chebyshev(LinearEngine):
             and excitation.does_work
             and not (scene.drive and np.isinf(scene.drive.waveform.end))
         ):
-            why = f"{self.name} knows motions that are a sine without end only; use modes"
+            why = f"{self.name} needs a motion that is an endless sine; use modes"
             reasons.append(("excitation", why))
         return reasons
 
