@@ -20,7 +20,5 @@ else:
         def __get__(self, instance: Any, owner: type | None = None) -> Any:
             if instance is None:
                 return self
-            values = instance.__dict__
-            if self.attrname not in values:
-                values[self.attrname] = self.func(instance)
-            return values[self.attrname]
+            # Python looks here only if the instance has no value yet.
+            return instance.__dict__.setdefault(self.attrname, self.func(instance))
