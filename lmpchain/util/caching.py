@@ -21,4 +21,6 @@ else:
             if instance is None:
                 return self
             # Python looks here only if the instance has no value yet.
-            return instance.__dict__.setdefault(self.attrname, self.func(instance))
+            values = instance.__dict__
+            values[self.attrname] = self.func(instance)
+            return values[self.attrname]
