@@ -147,7 +147,7 @@ def compile_all(progress: bool = False) -> None:
     """
     from . import design
     from .chain.chain import Chain
-    from .engines.cost_model import PATIENCE_S, announce
+    from .engines.cost_model import announce, is_long
     from .integrators.kernels.contact_forces import FORMS, addresses
     from .measure import front
     from .scene.excitation import Impulse
@@ -186,7 +186,7 @@ def compile_all(progress: bool = False) -> None:
             left -= seconds
             # What was compiled before takes next to no time, and promises the same of the rest.
             left_s = (compiled_s() - before) / done * left
-            if left_s > PATIENCE_S and not told:
+            if not told and is_long(left_s):
                 told = True
                 announce(
                     left_s,

@@ -24,7 +24,7 @@ from scenes import drawn
 
 from lmpchain.engines.native import Native
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.openings import OPENING_STEPS
+from lmpchain.integrators.steps import OPENING_STEPS
 
 REACHES = {
     "rkn4": (0.8, 0.4, 0.2),

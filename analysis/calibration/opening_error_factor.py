@@ -33,7 +33,7 @@ from lmpchain import Scene
 from lmpchain.engines.native import Native
 from lmpchain.engines.stepping.auxiliary_runs import OPENINGS
 from lmpchain.engines.stepping.step_choice import FIRST_STEP
-from lmpchain.integrators.openings import OPENING_STEPS
+from lmpchain.integrators.steps import OPENING_STEPS
 
 TOLERANCES = (1e-3, 1e-6, 1e-9)
 

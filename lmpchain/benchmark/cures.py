@@ -10,8 +10,7 @@ from typing import NamedTuple
 from ..engines.lammps.engine import HEIGHTS, Lammps, gauge_diameter
 from ..engines.native import Native
 from ..errors import InputError, RunFailed
-from ..integrators.damped_verlet import LAGGED
-from ..integrators.methods import methods_of
+from ..integrators.methods import LAGGED, methods_of
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..trajectory.trajectory import Trajectory

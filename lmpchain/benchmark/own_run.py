@@ -15,8 +15,7 @@ from ..engines.lammps.deck_reader import read_deck
 from ..engines.lammps.engine import HEIGHTS
 from ..engines.native import Native
 from ..errors import InputError
-from ..integrators.damped_verlet import LAGGED
-from ..integrators.methods import BY_NAME
+from ..integrators.methods import BY_NAME, LAGGED
 from ..integrators.splittings import SPLITTINGS
 from ..measure import energy, front
 from ..scene.scene import Scene

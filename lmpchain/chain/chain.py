@@ -196,14 +196,7 @@ class Chain(ChainPicture, Checked):
         if self.given_law and "given_exponent" in self.model_fields_set:
             yield "law", "takes the place of an exponent: give one of them"
         if isinstance(self.given_law, Law):
-            for name, value in self.given_law.values:
-                if np.ndim(value) and len(value) != self.grains - 1:
-                    count = f"{self.grains - 1} entries for {self.grains} grains"
-                    yield f"law.{name}", f"must be one number, or have {count}, not {len(value)}"
-            if elsewhere := [kink for kink in self.given_law.kinks if np.any(kink)]:
-                place = f"{np.ravel(elsewhere[0])[0]:.3g} m"
-                fault = "no method keeps its order there: put the kink at o = 0"
-                yield "law.force", f"has a kink at o = {place}; {fault}"
+            yield from self.given_law.misfits(self.grains)
             if self.law.given_constant is not None and self.given_contact_constants is not None:
                 yield "law.k", "takes the place of contact_constants: give one of them"
         yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)

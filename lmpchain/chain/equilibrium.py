@@ -167,8 +167,6 @@ def _contact_constants(
         reduced(*_neighbours(modulus)), reduced(*_neighbours(diameter / 2)), lengths[1]
     )
     between = natural if given is None else given
-    # the constant of a wall is in the proportion of Hertz's law to that of the next contact
-    scale = np.ones(1) if given is None else given / natural
     ends: list[float | Array] = []
     for end, kind, wall in (
         (0, chain.top, chain.top_material),
@@ -186,7 +184,10 @@ def _contact_constants(
             radius = reduced(_end(diameter, end) / 2, np.array(math.inf))
             pair = reduced(of_grain, plane)
             constant = chain.law.constant(pair, radius, lengths[end])
-            ends.append(constant * _end(scale, end) if chain.grains > 1 else constant)
+            # The ratio of the constants of a wall and of the next contact is that of Hertz's law.
+            if given is not None and chain.grains > 1:
+                constant = constant * _end(given / natural, end)
+            ends.append(constant)
     return ends[0], between, ends[1]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import Annotated, Any, NamedTuple
 
@@ -208,6 +208,17 @@ class Law(ContactLaw):
             dict(self.values) | dict(zip(functions.names, parameters, strict=True)),
         )
         return law
+
+    def misfits(self, grains: int) -> Iterator[tuple[str, str]]:
+        """Yield parameters that do not fit a chain of this length, and kinks away from o = 0."""
+        for name, value in self.values:
+            if np.ndim(value) and len(value) != grains - 1:
+                count = f"{grains - 1} entries for {grains} grains"
+                yield f"law.{name}", f"must be one number, or have {count}, not {len(value)}"
+        if elsewhere := [kink for kink in self.kinks if np.any(kink)]:
+            place = f"{np.ravel(elsewhere[0])[0]:.3g} m"
+            fault = "no method keeps its order there: put the kink at o = 0"
+            yield "law.force", f"has a kink at o = {place}; {fault}"
 
     def spread(self, grains: int) -> Law:
         """Return the law with each array of parameters for all contacts, walls included, (N+1,)."""

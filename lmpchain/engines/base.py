@@ -1,9 +1,8 @@
 """The seam: an engine is a way to answer a scene.
 
-Every engine states which equation it solves, says beforehand what an answer will cost and how far
-off it will be, and delivers the answer in blocks with an estimate of its own error. The light cone,
-the choice of the engine, step control, progress, Ctrl-C and where the output goes are not its
-business: `lmpchain.simulation` does that for all.
+Every engine states which equation it solves, predicts the cost and the error of an answer, and
+yields the answer in blocks with an estimate of its own error. `lmpchain.simulation` does the rest
+for all engines: light cone, choice of the engine, step control, progress, Ctrl-C and output.
 
 In the terms of solvers of differential equations: an engine is the solver, and `step_control` the
 controller. The engine proposes `Steps`, its `Run` takes them and estimates the error, and if that
@@ -32,8 +31,6 @@ from ..util.tables import finite
 # fields of a proposal in a plan
 PLAN_COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
            "step", "cost_s", "kept", "why")  # fmt: skip
-# what a proposal without an answer has in their place
-NO_STEPS = Steps(1, 1, math.nan)
 
 
 class Proposal(NamedTuple):
@@ -44,35 +41,35 @@ class Proposal(NamedTuple):
     engine : str
         Name of the engine.
     equation : int or None
-        Number in the paper of the equation that it solves; None if the engine was not asked.
+        Number in the paper of the equation that the engine solves; None if the engine was not
+        asked.
     steps : Steps
-        Time steps; of an exact solution, one from sample to sample.
+        Time steps; an exact solution has one step from sample to sample.
     active_grains : int
-        Grains that are computed; 0 if the engine has no answer to propose.
+        Number of grains that are computed; 0 if the engine has no answer to propose.
     model_error, solver_error : float
-        Expected relative errors: of the equation, and of its numerical solution (NaN if not
-        estimated).
+        Expected relative errors of the equation and of its numerical solution; NaN if not
+        estimated.
     cost_s : float
         Expected time, s.
     tolerance : float
-        Tolerance for which the steps were chosen; infinite if no tolerance chose them, as with a
-        given step.
+        Tolerance for which the steps were chosen; infinite with a given step.
     fixed : bool
         Whether the user gave the step, so that no tolerance is enforced.
     integrator : str
-        The method that steps through time; empty where the solution is exact.
+        Name of the method of time integration; empty if the solution is exact.
     choices : mapping
-        What the engine chose on the user's behalf, for `Engine.start` and for the record: numbers
-        as numbers.
+        Choices that the engine made for the user. `Engine.start` and the record of the trajectory
+        read them.
     kept : bool
-        Whether it is expected to meet the tolerance.
+        Whether the proposal is expected to meet the tolerance.
     why : str
-        Why it is kept or not.
+        Reason for `kept`.
     """
 
     engine: str
     equation: int | None = None
-    steps: Steps = NO_STEPS
+    steps: Steps = Steps(1, 1, math.nan)
     active_grains: int = 0
     model_error: float = math.nan
     solver_error: float = math.nan
@@ -96,24 +93,24 @@ class Proposal(NamedTuple):
 
     @property
     def price_s(self) -> float:
-        """Expected time, s; infinite if it is not kept."""
+        """Expected time, s; infinite if the proposal is not kept."""
         return self.cost_s if self.kept else math.inf
 
     def with_steps(self, steps: Steps) -> Proposal:
-        """Return this proposal with other steps, at their cost."""
+        """Return this proposal with other steps and the cost of these steps."""
         rate = steps.per_landing / steps.stride
         before = self.steps.per_landing / self.steps.stride
         return self._replace(steps=steps, cost_s=self.cost_s * rate / before)
 
     def record(self) -> dict[str, str]:
-        """Return the choices in words."""
+        """Return the choices as text."""
         return {
             key: value if isinstance(value, str) else repr(value)
             for key, value in self.choices.items()
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields of a plan for a JSON file; numbers that are not known are null."""
+        """Return the fields of a plan for a JSON file; unknown numbers are null."""
         fields = {name: getattr(self, name) for name in PLAN_COLUMNS}
         return finite(fields | {"active_grains": self.active_grains or None})
 
@@ -121,23 +118,23 @@ class Proposal(NamedTuple):
 class ErrorBudget(NamedTuple):
     """Estimated error of a run and its parts, as defined for `ErrorEstimate`.
 
-    A trajectory and its files hold an `ErrorEstimate`, which is at most 2. Step control also needs
-    the parts, and values however large.
+    A trajectory stores an `ErrorEstimate`, which is at most 2. Step control also needs the parts,
+    without this limit.
 
     Attributes
     ----------
     truncation, roundoff : float
-        From the step and from rounding.
+        Truncation error of the steps, and rounding error.
     order : float
-        Order at which the truncation error falls with the step, as far as it is trusted.
+        Trusted order of convergence of the truncation error.
     model : float
-        Estimated error of the equation itself, where it is not Eq. (1).
+        Estimated error of the equation itself; 0 for Eq. (1).
     remark : str
-        Why the equation does not hold here, if it is known not to.
+        Why the equation does not hold for this scene; empty if it does or if nothing is known.
     model_bound : float
-        A bound on the error of the equation, if that is larger than the estimate.
+        An upper bound on the error of the equation, if it is larger than the estimate.
     amplified : (T,) array
-        Round-off that the scene has made larger, sample by sample; empty if it was not measured.
+        Rounding error, amplified by the scene, at each sample; empty if it was not measured.
     """
 
     truncation: float
@@ -150,26 +147,28 @@ class ErrorBudget(NamedTuple):
 
     @property
     def solver(self) -> float:
-        """Truncation and round-off together."""
+        """Sum of truncation and rounding error."""
         return self.truncation + self.roundoff
 
     @property
     def total(self) -> float:
-        """Equation and solution together."""
+        """Sum of the errors of the equation and of its solution."""
         return self.model + self.solver
 
     @property
     def bound(self) -> float:
-        """A bound on the error of equation and solution together."""
+        """An upper bound on the sum of the errors of the equation and of its solution."""
         return max(self.model, self.model_bound) + self.solver
 
     @property
     def estimate(self) -> ErrorEstimate:
-        """Estimate that goes with a trajectory, at most `LARGEST_ERROR`."""
+        """The estimate that a trajectory states, at most `LARGEST_ERROR`."""
         return ErrorEstimate(min(self.model, LARGEST_ERROR), min(self.solver, LARGEST_ERROR))
 
     def last_known(self, tolerance: float, time: Array) -> float:
-        """Return the first time at which amplified round-off exceeds the tolerance, s, or infinity.
+        """Return the first time, s, at which the amplified rounding error exceeds the tolerance.
+
+        The time is infinite if the error never does.
 
         `time` holds the times of the samples, (T,) s.
         """
@@ -178,19 +177,19 @@ class ErrorBudget(NamedTuple):
 
 
 class Run(ABC):
-    """An answer in the making. Close it, also after an error.
+    """A running solution of one scene or of a batch. Close it, also after an error.
 
     Attributes
     ----------
     judge : callable
-        Called with the run where its estimate is looked at on the way; raises to end the attempt.
+        Called with the run at some samples before the end; raises an exception to end the attempt.
     """
 
     judge: Callable[[Run], None] = staticmethod(lambda _: None)
 
     @abstractmethod
     def blocks(self) -> Iterator[Block]:
-        """Yield the answer in order, at most some 0.2 s of work apart."""
+        """Yield the answer in order, with at most about 0.2 s of work between two blocks."""
 
     @property
     @abstractmethod
@@ -199,17 +198,17 @@ class Run(ABC):
 
     @abstractmethod
     def errors(self) -> list[ErrorBudget]:
-        """Return the estimate for every realisation, once all blocks are out."""
+        """Return the error estimate of every realisation, for the samples so far."""
 
     def outlook(self) -> list[ErrorBudget]:
-        """Return the estimate for every realisation that is expected at the end."""
+        """Return the error of every realisation, extrapolated to the end of the run."""
         return self.errors()
 
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
-        """Return the energies that every realisation has summed up along the run, by name.
+        """Return the energies of every realisation that the run has integrated, by name.
 
-        `errors` are the estimates that `errors()` returned at the end.
-        The names are those of `trajectory.gathered.ENERGIES`. By default none are summed up.
+        `errors` are the estimates at the end of the run. The names are those of
+        `trajectory.gathered.ENERGIES`. By default a run integrates no energies.
         """
         return []
 
@@ -219,7 +218,7 @@ class Run(ABC):
 
     @abstractmethod
     def state(self) -> Mapping[str, Array]:
-        """Return the arrays from which `Engine.start` goes on, bit by bit, after the last block."""
+        """Return the arrays from which `Engine.start` continues with the same bits."""
 
     def close(self) -> None:
         """Release everything; by default there is nothing to release."""
@@ -227,40 +226,39 @@ class Run(ABC):
 
 
 class Engine(ABC):
-    """A way to answer a scene; its options are constructor arguments, kept under their names.
+    """A way to answer a scene; its options are constructor arguments and attributes of that name.
 
     Attributes
     ----------
     name : str
     equation : int
-        Number in the paper of the equation that it solves.
+        Number in the paper of the equation that the engine solves.
     auto : "never", "cheapest" or "last"
-        When "auto" takes the engine: never, where it is the cheapest, or where no other engine can
-        do the scene.
+        When "auto" chooses the engine: never, if it is the cheapest, or if no other engine can do
+        the scene.
     style : (str, str)
-        Colour and marker of its points in charts.
+        Colour and marker of the engine in charts.
     citation : str
-        What a publication that shows its answers cites beside this package.
+        Reference that a publication cites for answers of this engine, beside this package.
     integrators : tuple of str
-        The methods among which it lets choose; empty if it does not step through time.
+        Names of the methods that a user may choose; empty if the engine does not step through time.
     inputs, logs : tuple of str
-        Files that it may write to a run folder: with which a proposal runs without this package,
-        and what it says on the way.
+        Files in a run folder: inputs with which a proposal runs without this package, and logs.
     integrator, step
-        What the user gave of these.
+        Options as given by the user.
     batches : bool
-        Whether like scenes are answered in less time together.
+        Whether a batch of like scenes takes less time than the scenes one by one.
     whole : bool
-        Whether it needs all grains of a scene, also those outside of the light cone.
+        Whether the engine needs all grains of a scene, not only those of the light cone.
     suspect : str
-        What of a user's own may move grains as the scene does not say, and what to do; named where
-        an estimate fails.
+        Commands of the user that may change the motion, and what to do about them. Messages on a
+        failed estimate name them.
     dissipates : bool
-        Whether it knows chains that lose energy.
+        Whether the engine solves chains that lose energy.
     ranks_of_mpi : bool
-        Whether it shares a scene out over the ranks of MPI.
+        Whether the ranks of MPI share a scene.
     start_up_s, seconds_per_grain_step : float
-        Timings of the cost model, s: of every answer, and of a force evaluation for one grain;
+        Times of the cost model, s: of every answer, and of a force evaluation for one grain;
         measured by analysis/calibration/cost_model.py.
     """
 
@@ -283,30 +281,30 @@ class Engine(ABC):
     step: float | None = None
 
     def methods(self, scene: Scene) -> Sequence[Method]:
-        """Return the methods that it may take; none if it does not step through time."""
+        """Return the methods for a scene; none if the engine does not step through time."""
         return ()
 
     @property
     def moves_grains(self) -> bool:
-        """Whether it solves an equation of motion of the grains, Eq. (1) or (3)."""
+        """Whether the engine solves an equation of motion of the grains, Eq. (1) or (3)."""
         return self.equation in (1, 3)
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why a scene cannot be done, as (key, reason); empty by default: it can."""
+        """Return why the engine cannot do a scene, as (key, reason); by default nothing."""
         return []
 
     def trial_s(self, scene: Scene, tolerance: float) -> float:
-        """Return the expected time of the runs by which an engine finds its step, s; 0 if none."""
+        """Return the expected time of trial runs that find the step, s; 0 without trial runs."""
         return 0.0
 
     @abstractmethod
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
-        """Propose how to answer within the tolerance.
+        """Propose steps with which the answer should meet the tolerance.
 
         Raises
         ------
         ToleranceNotMet
-            If it knows beforehand that it cannot.
+            If it is clear beforehand that no steps can.
         """
 
     @abstractmethod
@@ -315,14 +313,14 @@ class Engine(ABC):
     ) -> Proposal | None:
         """Propose the next attempt after a run that missed the tolerance.
 
-        Its error is None if it broke down. Return None if nothing can help, for round-off alone
-        exceeds the tolerance.
+        The error is None if the run broke down. Return None if nothing can help, because the
+        rounding error alone exceeds the tolerance.
         """
 
     def batch_key(self, scene: Scene, proposal: Proposal) -> Hashable:
-        """Return a key of scenes that have the answers and errors in a batch that they have alone.
+        """Return a key; scenes of one key have the same answers and errors in a batch as alone.
 
-        None by default: such a scene is answered alone.
+        By default the key is None: the scene is answered alone.
         """
         return None
 
@@ -333,12 +331,12 @@ class Engine(ABC):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> Run:
-        """Start one scene, or a batch of scenes that differ in numbers only."""
+        """Start a run of one scene, or of a batch of scenes that differ in numbers only."""
 
     def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
-        """Describe, for the record, what shapes the answer besides the choices of a proposal.
+        """Return what determines the answer besides the choices of a proposal, for the record.
 
-        Versions of compilers and libraries, for example; nothing by default.
+        For example versions of compilers and libraries; by default nothing.
         """
         return {}
 
@@ -348,20 +346,20 @@ class Engine(ABC):
         Raises
         ------
         InputError
-            If one of them cannot be written down.
+            If one of them cannot be written to a file.
         """
         return {name: getattr(self, name) for name in signature(type(self)).parameters}
 
     def prepare(self, folder: Path) -> Self:
-        """Return an engine that leaves what it writes on the way in this run folder."""
+        """Return an engine that writes its files to this run folder."""
         return copy(self)
 
     def write_inputs(
         self, scene: Scene, proposal: Proposal, tolerance: float, folder: Path
     ) -> None:
-        """Write input files to a run folder, with which the proposal runs without this package."""
+        """Write the input files with which a proposal runs without this package to a folder."""
         return
 
     def part(self, scene: Scene) -> Scene:
-        """Return the part of a scene that is computed: the light cone, or all grains."""
+        """Return the part of a scene that the engine computes: the light cone, or all grains."""
         return scene.fine if self.whole else scene.fine.reached

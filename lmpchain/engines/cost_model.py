@@ -1,11 +1,12 @@
 """The cost model: how long an answer is expected to take on this machine.
 
-An engine knows how its work grows with the scene; two numbers turn that into time: what every
-answer takes (`Engine.start_up_s`), and how many times slower this machine is than the one on which
-the engine was timed, 1 unless it was measured. `lmpchain.simulation.calibration` measures both,
-once, when a user asks for it (`lmpchain plan --calibrate`), and keeps them in the user's cache
-folder; never by itself, since planning should be reproducible. Without it the shipped numbers
-serve: engines differ by factors of ten where the choice matters, machines by two.
+An engine predicts how its work grows with the scene. Two numbers convert work to time: the start-up
+time of every answer (`Engine.start_up_s`), and the slowness of this machine relative to the one on
+which the engine was timed, 1 unless it was measured. `lmpchain.simulation.calibration` measures
+both when a user asks for it (`lmpchain plan --calibrate`), and stores them in the user's cache
+folder. It never does so by itself, because plans should be reproducible. Without a measurement the
+shipped numbers are used: where the choice matters, engines differ by factors of ten, machines by
+two.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from time import process_time
 from ..errors import LmpchainError
 
 PATIENCE_S = 30.0  # Work that is expected to take longer is announced.
-# CPU time, as a multiple of the budget, after which work ends whose expected time was wrong.
+# Work whose expected time was too short ends after this multiple of the budget, as CPU time.
 OVERRUN = 2
-PLAUSIBLE = 1e4  # largest factor between a machine and the one of the shipped numbers
+PLAUSIBLE = 1e4  # Largest plausible factor between this machine and the reference machine.
 
 
 def seconds(engine: str, start_up_s: float, work_s: float) -> float:
@@ -39,7 +40,7 @@ class TooLong(LmpchainError):
     """Work that exceeds the budget of its caller, see `budget`."""
 
 
-# Largest expected time, s, and the CPU time of this process at which work ends, s.
+# Largest expected time of work, s, and the CPU time of this process at which work ends, s.
 _limits: ContextVar[tuple[float, float]] = ContextVar("limits", default=(math.inf, math.inf))
 _announced: ContextVar[bool] = ContextVar("work that the caller has announced", default=False)
 
@@ -48,10 +49,10 @@ _announced: ContextVar[bool] = ContextVar("work that the caller has announced", 
 def budget(budget_s: float) -> Iterator[None]:
     """Let `announce` and `check_time` raise `TooLong` for work that exceeds a time, s.
 
-    Within another budget, work may use half of the CPU time that is left of that one, so that the
-    work in its place, with a larger tolerance, has some time, too.
+    Within another budget, work may use half of the remaining CPU time, so that another attempt with
+    a larger tolerance has some time, too.
     """
-    now = _used()
+    now = _cpu_time()
     left_s = min(OVERRUN * budget_s, (_limits.get()[1] - now) / 2)
     token = _limits.set((min(budget_s, left_s), now + left_s))
     try:
@@ -61,21 +62,21 @@ def budget(budget_s: float) -> Iterator[None]:
 
 
 def is_long(cost_s: float) -> bool:
-    """Return whether work of this time, s, is announced, or exceeds the budget of the caller."""
+    """Return whether work of this time, s, must be announced or exceeds the caller's budget."""
     return cost_s > min(PATIENCE_S, _limits.get()[0])
 
 
 def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
-    """Warn of work that will keep the user waiting, before it begins, even if warnings are aside.
+    """Warn of long work before it begins, even if other warnings are collected.
 
     Parameters
     ----------
     cost_s : float
         Expected time of the work, s.
     work, cure : str
-        What is done and why it takes so long, and which choice takes less.
+        What the work is and why it takes so long, and which choice takes less.
     spent_s : float
-        Time already spent on the same answer, s, which counts for the budget.
+        Time already spent on the same answer, s, which counts towards the budget.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
 
 @contextmanager
 def announced(cost_s: float, work: str, cure: str) -> Iterator[None]:
-    """Announce work of many parts, and none of its parts."""
+    """Announce work as a whole, and suppress the announcements of its parts."""
     announce(cost_s, work, cure)
     token = _announced.set(True)
     try:
@@ -106,22 +107,22 @@ def check_budget(cost_s: float, work: str) -> None:
 
 
 def check_time() -> None:
-    """Raise `TooLong` if the work took far longer than its budget, though it promised less."""
+    """Raise `TooLong` if the work has taken far longer than its budget."""
     limit_s = _limits.get()[1]
-    # without a budget no clock is read
-    if limit_s < math.inf and _used() > limit_s:
+    # Without a budget no clock is read.
+    if limit_s < math.inf and _cpu_time() > limit_s:
         raise TooLong("the work took far longer than was expected")
 
 
-def _used() -> float:
-    """Return the CPU time of this process without compilation, which happens once, s."""
+def _cpu_time() -> float:
+    """Return the CPU time of this process without compilation, s."""
     from ..util.compilation import compiled_s
 
     return process_time() - compiled_s()
 
 
 def in_words(time_s: float) -> str:
-    """Return a time to two digits.
+    """Return a time as text, to two digits.
 
     Examples
     --------
@@ -138,8 +139,8 @@ def in_words(time_s: float) -> str:
 
 
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:
-    """Return start-up time, s, and slowness over the reference machine, measured or as shipped."""
-    # a file that was edited or half written must not make an engine the cheapest for ever
+    """Return start-up time, s, and slowness relative to the reference machine."""
+    # An edited or incomplete file must not make an engine the cheapest one for ever.
     start, slowness = measured().get(engine, (start_up_s, 1.0))
     plausible = (
         start_up_s / PLAUSIBLE < start < start_up_s * PLAUSIBLE
@@ -150,24 +151,24 @@ def speed(engine: str, start_up_s: float) -> tuple[float, float]:
 
 @cache
 def measured() -> Mapping[str, tuple[float, float]]:
-    """Return start-up time, s, and slowness of engines as measured on this machine, by name."""
+    """Return measured start-up times, s, and slownesses of engines on this machine, by name."""
     try:
         table = json.loads(cache_file().read_text(encoding="utf-8"))
         pairs = {
             name: (float(start), float(slowness))
             for name, (start, slowness) in table["engines"].items()
         }
-        # a home folder may be that of many machines
+        # Several machines may share a home folder.
         if table["host"] != platform.node():
             return {}
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        # none, damaged, out of reach
+        # The file is missing, damaged or unreadable.
         return {}
     return pairs
 
 
 def cache_file() -> Path:
-    """Return where the numbers of this machine are kept."""
+    """Return the file with the measurements of this machine."""
     from platformdirs import user_cache_path
 
     return user_cache_path("lmpchain") / "speeds.json"

@@ -8,7 +8,7 @@ import numba
 
 from ..errors import InputError, shown
 from ..integrators.batch import FORCES
-from ..integrators.damped_verlet import LAGGED
+from ..integrators.methods import LAGGED
 from ..scene.scene import Scene
 from ..util.arrays import check_flags
 from ..util.plotting import COLOURS
@@ -23,19 +23,19 @@ class Native(CompiledSteps):
     Parameters
     ----------
     integrator : "auto", "rkn6", "rkn4", "kahan-li8", "kahan-li6", "verlet", "dop853" or "gear4"
-        auto takes the cheaper one of rkn4 and rkn6.
+        "auto" is the cheaper one of rkn4 and rkn6, or dop853 for damped chains.
     step : float, optional
-        s; the largest step up to it that divides the sample interval is used, and no tolerance is
-        enforced.
+        Step, s. The largest step that divides the sampling interval and is at most `step` is used,
+        and no tolerance is enforced.
     threads : int
-        Over which a batch of chains is shared out, or one long chain, of which each takes at least
-        4096 grains in motion; not with dop853 and gear4. The bits are those of one thread.
+        Number of threads. They share a batch of chains, or one long chain if each thread gets at
+        least 4096 moving grains; dop853 and gear4 share no chain. The bits are those of one thread.
     force : "auto", "exact" or "plain"
-        The form of the force: exact keeps the digits of the weakest wave, plain is faster and wrong
-        by the last digit of the force at rest, auto takes what loses nothing.
+        Form of the force: "exact" keeps all digits of the weakest waves. "plain" is faster; its
+        error is one ulp of the force at rest. "auto" is the fastest form without a loss.
     adaptive : bool
-        Whether steps shorten where a contact is about to open or has just closed, which keeps the
-        order of the method there; not with a given step.
+        Whether steps are shorter near the opening or closing of a contact, which keeps the order of
+        the method. A given step is never adaptive.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Step control: shorter steps until the tolerance is met, or until it is clear that it cannot be.
 
-It serves a single run, a batch of like scenes and the scenes of a sweep alike: `next_attempt`
-judges an attempt from its error estimate, `solve_to_tolerance` goes from attempt to attempt.
+Single runs, batches of like scenes and sweeps share it: `next_attempt` judges an attempt by its
+error estimate, `solve_to_tolerance` makes one attempt after another.
 """
 
 from __future__ import annotations
@@ -18,39 +18,39 @@ from ..trajectory.record import LARGEST_ERROR, Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
 from .base import Engine, ErrorBudget, Proposal, Run
-from .cost_model import check_budget
+from .cost_model import check_budget, check_time, is_long
 
 
 @dataclass(frozen=True)
 class Patience:
-    """When shorter steps are given up; analysis/calibration/chaos_test.py.
+    """Limits beyond which no shorter steps are tried; analysis/calibration/chaos_test.py.
 
     Attributes
     ----------
     attempts : int
-        Most attempts that run through.
+        Largest number of complete attempts.
     hopeless : float
-        Rounding error over the tolerance beyond which no attempt can meet the tolerance,
+        Ratio of rounding error to tolerance beyond which no attempt can meet the tolerance.
     hopeless_attempts : int
-        and the largest number of attempts then: shorter steps would only improve an answer that
-        misses its tolerance anyway.
+        Largest number of attempts beyond `hopeless`, where shorter steps would only improve an
+        answer that misses its tolerance anyway.
     breakdowns : int
-        Most attempts that break down.
-    stalls : int
-        Attempts after which the truncation error must have fallen
-    stalled : float
-        to this share of what it was: one alone may be erratic, where contacts open.
+        Largest number of attempts that break down before the last one.
+    stalls, stalled : int, float
+        The truncation error must fall by the factor `stalled` within `stalls` attempts. A single
+        attempt may be erratic if contacts open.
     lost : float
-        Error over the tolerance on the way at which an attempt is lost; analysis/lost_attempts.py.
+        Ratio of error to tolerance at which an attempt ends early; analysis/lost_attempts.py.
     known : float
-        Share of the tolerance that amplified rounding takes where the answer to a scene ends that
-        cannot be predicted further: the shorter steps that it may need round more often.
+        An unpredictable run ends when the amplified rounding error reaches this fraction of the
+        tolerance. The rest is left for the shorter steps of the next attempt, which round more
+        often.
     visible : float
-        Amplified rounding, relative to the motion, beyond which a run with a given step, which has
-        no tolerance, is said to be unpredictable.
+        Amplified rounding error, relative to the motion, beyond which a run with a given step is
+        called unpredictable.
     beginning : int
-        Attempts at such an answer after which it ends at half the time: what amplifies rounding
-        amplifies errors of steps alike, which must be as small for it to last so long.
+        Attempts at an unpredictable run after which its duration is halved. The scene amplifies
+        truncation errors as much as rounding errors, and they must be as small.
     """
 
     attempts: int = 12
@@ -66,38 +66,38 @@ class Patience:
 
 
 PATIENCE = Patience()
-# what chaos leaves to know, and its call
+# Suggested when no trajectory can be predicted.
 AVERAGES = "averages over time (lmpchain.averages)"
 Collected = TypeVar("Collected")  # of the blocks of a run
 
 
 class Attempt(NamedTuple):
-    """One attempt of several, with what the decision about the next one rests on.
+    """An attempt to meet a tolerance, with the history of earlier attempts.
 
     Attributes
     ----------
     proposal : Proposal
     tolerance : float
-        That it is to meet.
+        Tolerance of this attempt.
     refusal : str
-        Why that is not the one that was asked for, if it is not.
+        Why the tolerance differs from the requested one; empty if it does not.
     planned_s : float
-        Time spent before it on finding proposals and setting up, s.
+        Earlier time for proposals and for setting up runs, s.
     spent_s : float
-        Time spent before it on integrations and their estimates, s.
+        Earlier time for integrations and error estimates, s.
     compiled_s : float
-        Time spent before it on compilation, part of none of these, s.
+        Earlier time for compilation, s; not included in the other two.
     truncations : tuple of float
-        Truncation errors of the attempts before it that did not break down; infinite of one that
-        ended on the way, for it was lost.
+        Truncation errors of the earlier attempts that did not break down; infinite for an attempt
+        that was ended early.
     breakdowns : int
-        How many did not.
+        Number of earlier attempts that broke down.
     best : (float, Proposal), optional
-        The least error of these attempts, and the steps that gave it.
+        Smallest error of the complete attempts, and the proposal of that attempt.
     repeats : bool
-        Whether it is this best one again, for none met the tolerance.
+        Whether this attempt repeats the best earlier one.
     known_until : float
-        Time up to which the scene is answered, s, for it cannot be predicted any longer.
+        Predictability horizon of the scene, s, at which the run ends; infinite if none is known.
     """
 
     proposal: Proposal
@@ -114,11 +114,11 @@ class Attempt(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Which attempt it is, from 1."""
+        """Number of this attempt, from 1."""
         return len(self.truncations) + self.breakdowns + 1
 
     def work(self, samples: int) -> str:
-        """Return in words what the attempt is, and why it takes its time."""
+        """Return a description of the run for messages about its time."""
         proposal = self.proposal
         words = f"the run by {proposal.engine}"
         if proposal.integrator:
@@ -130,24 +130,24 @@ class Attempt(NamedTuple):
 
 
 class Outcome(NamedTuple, Generic[Collected]):
-    """The last attempt: what was collected from it, and why it missed the tolerance, if it did.
+    """The result of the last attempt.
 
     Attributes
     ----------
     collected : object
-        What `collect` returned.
+        Return value of `collect`.
     attempt : Attempt
     errors : list of ErrorBudget
-        Of every scene.
+        Error of every scene.
     error : ErrorBudget
-        The largest of these.
+        The largest of these errors.
     cost : Cost
-        With the planning and the attempts before.
+        Cost including the planning and the earlier attempts.
     missed : str
-        Empty if the tolerance was met, or none is enforced.
+        Why the tolerance was missed; empty if it was met, or if none is enforced.
     known_until : float
-        Time at which amplified round-off exceeds the tolerance, s; infinite if it never does, or if
-        the answer met its tolerance.
+        Time at which the amplified rounding error exceeds the tolerance, s; infinite if it never
+        does, or if the answer met its tolerance.
     """
 
     collected: Collected
@@ -160,7 +160,7 @@ class Outcome(NamedTuple, Generic[Collected]):
 
 
 class _Lost(Exception):
-    """An attempt that will miss its tolerance, with the one that is to follow."""
+    """The attempt will miss its tolerance; carries the attempt that follows."""
 
     def __init__(self, following: Attempt):
         self.following = following
@@ -169,9 +169,9 @@ class _Lost(Exception):
 def first_attempt(
     propose: Callable[[float], Proposal], tolerance: float, best_effort: bool = False
 ) -> Attempt:
-    """Return the first attempt, from the proposal for a tolerance.
+    """Return the first attempt.
 
-    If the tolerance is refused, `best_effort` asks for four times as much, and so on.
+    With `best_effort`, a tolerance that cannot be met is multiplied by four until it can.
 
     Raises
     ------
@@ -190,7 +190,6 @@ def first_attempt(
             if tolerance > 0.1 or not best_effort:
                 raise
             reason = reason or refusal.reason
-            # a refusal names no tolerance that would do
             tolerance *= 4
     planned_s = clock() - began
     compiled = compiled_s() - compiled
@@ -205,38 +204,42 @@ def solve_to_tolerance(
     begin: Callable[[Attempt], Mapping[str, Array] | None] = lambda _: None,
     patient: bool = False,
 ) -> Outcome[Collected]:
-    """Run a scene, or a batch of like ones, at ever shorter steps until the tolerance is met.
+    """Run a scene, or a batch of like scenes, at shorter and shorter steps.
 
-    An attempt whose estimate shows on the way that it is lost ends there.
+    The last attempt meets the tolerance, or shows that no steps can. An attempt ends early when its
+    error estimate shows that it will miss the tolerance.
 
     Parameters
     ----------
     engine : Engine
     scenes : sequence of Scene
-        The parts that the engine computes. The one with the largest error decides.
+        The parts of scenes that the engine computes. The scene with the largest error decides.
     attempt : Attempt
-        To begin with.
+        The first attempt.
     collect : callable
-        Takes a run and goes through its blocks.
+        Called with a run; iterates over its blocks and returns what is kept of them.
     begin : callable
-        Told of every attempt before it starts; returns the state to start it from, None for the
-        beginning.
+        Called with every attempt before it starts; returns the state from which the run continues,
+        or None.
     patient : bool
-        Whether to go on, for the best answer there is, where the first attempt shows that none
-        meets the tolerance.
+        Whether to search for the best answer if the first attempt shows that none can meet the
+        tolerance.
 
     Raises
     ------
     RunFailed
-        If the run breaks down, at a given step or again and again.
+        If a run with a given step, or the last of several attempts, breaks down.
     ToleranceNotMet
-        If it is clear on the way that the scene cannot be predicted to its end, unless `patient`;
-        or that the beginning of one takes too long.
+        If an attempt shows that the scene cannot be predicted to its end, unless `patient`; or if
+        the part up to the predictability horizon takes too many attempts.
     """
     compiled = compiled_s() - attempt.compiled_s
     while True:
         # A native trial, too, may need far more steps than its first attempt.
-        check_budget(attempt.proposal.cost_s + attempt.spent_s, attempt.work(scenes[0].samples))
+        cost_s = attempt.proposal.cost_s + attempt.spent_s
+        if is_long(cost_s):
+            check_budget(cost_s, attempt.work(scenes[0].samples))
+        check_time()
         began = clock()
         run = engine.start(scenes, attempt.proposal, begin(attempt))
         if not attempt.proposal.fixed:
@@ -249,7 +252,7 @@ def solve_to_tolerance(
         except _Lost as verdict:
             lost = verdict.following
         except RunFailed as failure:
-            # a given step is not shortened
+            # A given step is not shortened.
             if attempt.proposal.fixed or attempt.breakdowns == PATIENCE.breakdowns:
                 if engine.suspect:
                     raise RunFailed(f"{engine.suspect}; {failure}") from failure
@@ -257,7 +260,7 @@ def solve_to_tolerance(
         finally:
             cost = run.cost()
             run.close()
-        # a batch has one step, so its worst scene decides
+        # All scenes of a batch have the same steps, so that the largest error decides.
         error = _worst(errors) if errors else None
         following, missed = lost, ""
         if not lost:
@@ -280,10 +283,7 @@ def solve_to_tolerance(
 def _check_beginning(
     scene: Scene, attempt: Attempt, following: Attempt | None, missed: str
 ) -> None:
-    """Raise `ToleranceNotMet` if a shorter beginning of an unpredictable scene is to be solved.
-
-    What is kept of such a scene is within the tolerance.
-    """
+    """Raise `ToleranceNotMet` if the duration of an unpredictable scene is to be halved."""
     if attempt.known_until == math.inf:
         return
     known_s = attempt.known_until / 2
@@ -295,30 +295,30 @@ def _check_beginning(
 def _conclude(
     engine: Engine, scene: Scene, attempt: Attempt, error: ErrorBudget, missed: str
 ) -> tuple[str, float]:
-    """Return why the last attempt missed its tolerance, if so, and until when it is right, s."""
+    """Return why the last attempt missed its tolerance, and the predictability horizon, s."""
     missed = attempt.refusal or missed
     if missed and engine.suspect:
         missed = f"{engine.suspect}; {missed}"
     known_s = math.inf
     if attempt.proposal.fixed:
-        known_s = _known_until(error, PATIENCE.visible, scene)
+        known_s = _find_horizon(error, PATIENCE.visible, scene)
     elif missed:
-        known_s = _known_until(error, attempt.tolerance, scene)
+        known_s = _find_horizon(error, attempt.tolerance, scene)
     return missed, min(known_s, attempt.known_until)
 
 
 def _worst(errors: Sequence[ErrorBudget]) -> ErrorBudget:
-    """Return the largest error of several scenes."""
+    """Return the error with the largest solver error."""
     return max(errors, key=lambda budget: budget.solver)
 
 
 def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: Run) -> None:
-    """End an attempt on the way that will miss its tolerance, if another one may meet it.
+    """End a run that will miss its tolerance, if another attempt may meet it.
 
     Raises
     ------
     ToleranceNotMet
-        If no step does, for rounding is amplified, and nobody wants the best answer there is.
+        If no steps can, because the scene amplifies rounding errors, unless `patient`.
     """
     error = _worst(run.errors())
     tolerance = attempt.tolerance
@@ -326,7 +326,7 @@ def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: R
     if attempt.repeats or (on_course and patient):
         return
     expected = _worst(run.outlook())
-    known_s = _known_until(expected, tolerance, scene)
+    known_s = _find_horizon(expected, tolerance, scene)
     if on_course and known_s == math.inf:
         return
     helps = engine.refine(attempt.proposal, expected, tolerance)
@@ -336,7 +336,7 @@ def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: R
     following, _ = next_attempt(engine, scene, attempt, expected, patient, ended=False)
     if following:
         raise _Lost(following)
-    # what it comes to is the answer
+    # No attempt follows: this run gives the answer.
     run.judge = Run.judge
 
 
@@ -348,12 +348,24 @@ def next_attempt(
     patient: bool = False,
     ended: bool = True,
 ) -> tuple[Attempt | None, str]:
-    """Judge an attempt by its error, None if it broke down; expected, if it has not `ended`.
+    """Return the next attempt, and why this one missed the tolerance.
+
+    Parameters
+    ----------
+    engine, scene, attempt
+    error : ErrorBudget, optional
+        Error of the attempt; None if it broke down.
+    patient : bool
+        See `solve_to_tolerance`.
+    ended : bool
+        Whether the run is complete; otherwise the error is extrapolated to its end.
 
     Returns
     -------
-    the next attempt, None if this was the last one; and why it missed the tolerance, empty if it
-    did not
+    attempt : Attempt or None
+        None if this was the last one.
+    missed : str
+        Empty if the tolerance was met, or if another attempt follows.
     """
     proposal = attempt.proposal
     if error is None:
@@ -380,10 +392,10 @@ def next_attempt(
 def _is_worth_repeating(
     best: Proposal, proposal: Proposal, error: ErrorBudget, tolerance: float
 ) -> bool:
-    """Return whether an earlier attempt is run again: samples of one run alone are held.
+    """Return whether the best earlier attempt is run again, because its samples were not kept.
 
-    Shorter steps may have been worse by chance; where rounding is the limit, the shortest are right
-    for longest.
+    Shorter steps may have given a larger error by chance. If rounding is the limit, the shortest
+    steps are right for the longest time.
     """
     return best != proposal and error.roundoff <= tolerance
 
@@ -391,12 +403,12 @@ def _is_worth_repeating(
 def _shorten(
     engine: Engine, attempt: Attempt, error: ErrorBudget, patient: bool
 ) -> Proposal | None:
-    """Return shorter steps, for the tolerance or the best that rounding leaves; None if none help.
+    """Return a proposal of shorter steps, or None if they do not help.
 
-    Where rounding alone is too much, a patient user gets what is right as long as round-off allows,
-    and others an error that is no more than three times that of rounding: distances of runs, which
-    count twice, are themselves as large as rounding there. If rounding exceeds the tolerance by
-    far, others get the best of few attempts.
+    If the rounding error alone exceeds the tolerance, a patient run still aims at the tolerance for
+    its truncation error. Other runs accept three times the rounding error, because the distances
+    between runs, counted twice, are then as large as rounding. If the rounding error is hopeless,
+    they end after a few attempts.
     """
     proposal = attempt.proposal
     tolerance = attempt.tolerance
@@ -410,17 +422,16 @@ def _shorten(
 
 
 def _stalls(attempt: Attempt) -> bool:
-    """Say whether shorter steps hardly make the error smaller, or there were many attempts."""
+    """Return whether the error has nearly stopped falling, or the attempts are used up."""
     truncations = attempt.truncations
     if len(truncations) <= PATIENCE.stalls:
         return False
-    # of several attempts, for one alone may be erratic
     stalls = truncations[-1] > PATIENCE.stalled * truncations[-1 - PATIENCE.stalls]
     return stalls or len(truncations) == PATIENCE.attempts
 
 
 def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
-    """Return why an attempt missed its tolerance, and the cure."""
+    """Return why an attempt missed its tolerance, and what to do."""
     tolerance = attempt.tolerance
     solver = error.estimate.solver
     unknown = " (nothing is known)" if solver == LARGEST_ERROR else ""
@@ -431,8 +442,8 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     elif _stalls(attempt):
         reason += f", and steps shorter than {attempt.proposal.step:.2g} s do not help"
     if error.roundoff > tolerance / 2:
-        reason += f", for round-off alone may make {min(error.roundoff, LARGEST_ERROR):.2g}"
-    time_s = _known_until(error, tolerance, scene)
+        reason += f", because round-off alone may make {min(error.roundoff, LARGEST_ERROR):.2g}"
+    time_s = _find_horizon(error, tolerance, scene)
     if time_s == math.inf:
         return f"{reason}: ask for less"
     return (
@@ -441,9 +452,11 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     )
 
 
-def _known_until(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
-    """Return until when amplified round-off leaves room for other errors, s; infinite if always."""
+def _find_horizon(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
+    """Return the time until which amplified rounding leaves room for other errors, s.
+
+    The time is infinite if it does to the end, or if rounding is too large from the beginning.
+    """
     if error.amplified.max(initial=0.0) <= tolerance:
         return math.inf
-    # from the beginning on it is rounding as it is, and no later time is to be named
     return error.last_known(PATIENCE.known * tolerance, scene.time) or math.inf

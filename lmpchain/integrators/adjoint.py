@@ -1,18 +1,18 @@
 """Exact derivatives of a run by a kick-drift splitting: its discrete adjoint and its tangent.
 
-The run is a chain of kicks and drifts, and the adjoint takes derivatives with respect to what was
-seen of it back through them, one by one: the result is the derivative of the numbers that the run
-gives, to round-off, and so that of the solution up to the error of the steps. A contact that opens
-or closes is no exception for delta > 1, where its force and stiffness are continuous. For delta = 1
-the stiffness jumps: what is returned is the derivative with every contact open or closed where the
-run found it so, which is that of the run unless an evaluation falls on the very opening, and
-converges to that of the solution with the step, at first order only.
+The run is a sequence of kicks and drifts, and the adjoint propagates derivatives with respect to
+the observed motion backward through them. The result is the derivative of the numbers of the run,
+exact up to rounding, and therefore that of the solution up to the error of the steps. For delta > 1
+the force and stiffness of a contact that opens or closes are continuous. For delta = 1 the
+stiffness jumps: the result is the derivative for contacts that open and close at the same
+evaluations. It is that of the run unless an evaluation falls exactly on an opening, and converges
+to that of the solution at first order in the step.
 
-The run itself is made by the loops of the native engine, and leaves a checkpoint now and then.
-Where all contacts are pressed at rest, and delta is 3/2 or the wave so weak that a series does, the
-way back undoes each piece between two checkpoints in the same pass in which it takes adjoints back.
-Else it makes the piece once more, and keeps of it one number a contact and evaluation, within the
-cache: undone, round-off would open or close contacts that only touch.
+The run is made by the loops of the native engine and stores checkpoints. If all contacts are
+pressed at rest, and delta is 3/2 or the wave so weak that a series suffices, the backward pass
+undoes the steps between two checkpoints while it propagates adjoints. Otherwise it repeats these
+steps and stores one number for each contact and evaluation, within the cache, because rounding
+would open or close touching contacts if the steps were undone.
 """
 
 from __future__ import annotations
@@ -40,20 +40,21 @@ from .splittings import Splitting
 
 
 class Checkpoints(NamedTuple):
-    """How far checkpoints of a run are apart.
+    """Distances of checkpoints.
 
     Attributes
     ----------
     kept_bytes : int
-        For what is kept between two of them, about what stays in the cache.
+        Memory for the rows between two checkpoints, about the size of the cache.
     fewest_rows : int
-        Between two of them.
+        Smallest number of rows between two checkpoints.
     undone_rows : int
-        That are undone from one of them: with 8 to 512 derivatives are the same to 7e-14.
+        Number of rows that are undone from a checkpoint. With 8 to 512 rows, derivatives agree to
+        7e-14.
     total_bytes : int
-        Of all of them.
+        Memory for all checkpoints.
     rows_of_call : int
-        In a call of the compiled loops where something is imposed in each.
+        Rows in a call of the compiled loops if a force or motion is imposed.
     """
 
     kept_bytes: int = 2**19
@@ -64,9 +65,9 @@ class Checkpoints(NamedTuple):
 
 
 class Pages(NamedTuple):
-    """Distance of rows of the way back in numbers, modulo a page.
+    """Distance of rows of the backward pass in numbers, modulo a page.
 
-    A load waits for a store to the same place of another page, which no two rows must need.
+    A load waits for a store to the same place of another page, which the distance avoids.
     """
 
     size: int = 512
@@ -75,11 +76,10 @@ class Pages(NamedTuple):
 
 CHECKPOINTS = Checkpoints()
 PAGES = Pages()
-# strain between two checkpoints over the largest at any
+# Ratio of the largest strain between two checkpoints to that at the checkpoints.
 UNSEEN = 2.0
-# coefficients of `economised`
+# Number of coefficients of `economise` for small strains; 6 for larger ones.
 SHORT = 4
-LONG = 6
 
 
 class Inputs(NamedTuple):
@@ -88,18 +88,18 @@ class Inputs(NamedTuple):
     Attributes
     ----------
     masses : (N,) array
-        kg, with the forces at rest as they are.
+        Masses, kg, at constant forces at rest.
     constants : (N+1,) array
-        K_n of all contacts, those with walls included, with the forces at rest as they are.
+        K_n of all contacts, those with walls included, at constant forces at rest.
     forces : (N+1,) array
-        What every contact carries at rest, N; nothing where that is nothing.
+        Force of every contact at rest, N; 0 for contacts without such a force.
     displacement, velocity : (N,) arrays
-        Of every grain at t = 0, m and m/s.
+        Displacement and velocity of every grain at t = 0, m and m/s.
     drive : (P,) array
         Amplitude and frequency of a drive or a force, or its samples.
     viscosity, drag : (N+1,) and (N,) arrays
-        A of all contacts, s, and gamma of every grain, 1/s; nothing of a run by a splitting, which
-        knows no damping.
+        A of all contacts, s, and gamma of every grain, 1/s; 0 for a run by a splitting, which has
+        no damping.
     """
 
     masses: Array
@@ -116,13 +116,14 @@ class Inputs(NamedTuple):
 
 
 class Call(NamedTuple):
-    """Pieces, from the first to the one behind the last, that a call of a compiled loop takes.
+    """The pieces of a run in one call of a compiled loop.
 
     Attributes
     ----------
     pieces : (2,) array
+        First piece, and the one behind the last.
     row, rows : int
-        Their first row, and how many there are.
+        First row, and number of rows.
     """
 
     pieces: NDArray[np.intp]
@@ -130,8 +131,8 @@ class Call(NamedTuple):
     rows: int
 
 
-def aligned(rows: int, width: int) -> Array:
-    """Return zeros (rows, width), where rows of whole cache lines begin with one."""
+def make_aligned(rows: int, width: int) -> Array:
+    """Return zeros (rows, width); rows of whole cache lines begin at a cache line."""
     memory = np.zeros(rows * width + PAD)
     skip = -memory.ctypes.data // memory.itemsize % PAD
     return memory[skip : skip + rows * width].reshape(rows, width)
@@ -140,7 +141,8 @@ def aligned(rows: int, width: int) -> Array:
 def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[Array, Array]:
     """Return derivatives by the constants and by the forces at rest of contacts, (N+1,) arrays.
 
-    From the sums over p and f, see `kernels.adjoint`: by constants at a fixed force at rest.
+    They follow from the sums over p and f, see `kernels.adjoint`; those by constants are at a
+    constant force at rest.
     """
     by_constant = by_force - contacts.force * by_power
     none = np.zeros(by_power.size)
@@ -150,44 +152,44 @@ def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[A
     )
 
 
-def economised(exponent: float, reach: float) -> Array:
+def economise(exponent: float, reach: float) -> Array:
     """Return a polynomial for ((1 + s)^exponent - 1) / s, |s| <= reach: (4,) or (6,) coefficients.
 
-    The binomial series in Chebyshev polynomials. For delta = 3/2 four are right to every digit up
-    to 3e-4, six up to 0.007 and to 4e-15 at 0.0126.
+    It is the economised binomial series. For delta = 3/2, four coefficients are exact up to 3e-4,
+    six up to 0.007, and six have an error of 4e-15 at 0.0126.
     """
     k = np.arange(12)
     reach = min(max(reach, 1e-6), 0.02)
     series = poly2cheb(np.cumprod((exponent - k) / (k + 1)) * reach**k)
-    terms = SHORT if np.abs(series[SHORT:]).sum() <= 1e-16 * abs(series[0]) else LONG
-    # numpy takes zeros at the end away
+    terms = SHORT if np.abs(series[SHORT:]).sum() <= 1e-16 * abs(series[0]) else 6
+    # numpy removes zeros at the end.
     coefficients = cheb2poly(series[:terms])
     return np.pad(coefficients, (0, terms - coefficients.size)) / reach ** np.arange(terms)
 
 
 class DifferentiableRun(ObservedRun):
-    """A run by given steps with its exact derivatives.
+    """A run with prescribed steps and its exact derivatives.
 
     Parameters
     ----------
     scene : Scene
     method : Splitting
     step : float, or sequence of `looks` arrays
-        s; the largest step up to it that divides the time between two looks is used. Or all steps
-        between two looks.
+        Longest step, s: the largest step that divides the time between two observations is used.
+        Or all steps between two observations.
     looks : int
-        Equal parts of the duration, at whose ends grains are looked at.
+        Number of equal parts of the duration, at whose ends grains are observed.
     grains : (G,) array
-        Numbers of the grains that are looked at.
+        Numbers of the observed grains.
 
     Attributes
     ----------
     time : (looks+1,) array
-        When grains are looked at, s; from 0 to the duration.
+        Times of the observations, from 0 to the duration, s.
     step : float
-        The longest step taken, s.
+        Longest step, s.
     displacement, velocity : (looks+1, G) arrays
-        m and m/s.
+        Observed motion, m and m/s.
     """
 
     def __init__(
@@ -203,18 +205,18 @@ class DifferentiableRun(ObservedRun):
         self._course = Course(
             np.array(method.kicks), np.array(method.drifts), self._lengths, self._before
         )
-        # rows before each look: one a stage, and the last kick before each look
+        # Rows before each observation: one for each stage, and one for the last kick.
         self._offsets = method.evaluations * self._before + np.arange(looks + 1)
         self._lay_out(scene.chain)
         self._cut()
         self._run()
 
     def _lay_out(self, chain: Chain) -> None:
-        """Lay out the contacts for the compiled loops."""
+        """Prepare the contacts for the compiled loops."""
         arrays = self._arrays
         width = self._x.shape[1]
-        # on the way back a contact has the place of the body below it
-        above = aligned(3, width)
+        # In the backward pass a contact has the place of the body below it.
+        above = make_aligned(3, width)
         above[0, 1:] = arrays.inverse_length[0, :-1]
         above[1, 1:] = arrays.strength[0, :-1]
         exponent = chain.law.power_of("derivatives of a run")
@@ -236,7 +238,7 @@ class DifferentiableRun(ObservedRun):
         """Cut the run into pieces between checkpoints."""
         width = self._x.shape[1]
         rows = int(self._offsets[-1])
-        # as far apart as round-off, or the cache, allows; further where memory does not hold all
+        # Rounding or the cache limits the distance of checkpoints; memory limits their number.
         longest = CHECKPOINTS.undone_rows
         if not self._undone:
             longest = max(CHECKPOINTS.fewest_rows, CHECKPOINTS.kept_bytes // (8 * width))
@@ -250,22 +252,22 @@ class DifferentiableRun(ObservedRun):
         self._longest = min(longest, rows)
 
     def _times(self, row: int, count: int) -> Array:
-        """Return the times of some rows, s."""
+        """Return the times of rows, s."""
         rows = np.arange(row, row + count)
         look = np.searchsorted(self._offsets, rows, side="right") - 1
         step, stage = np.divmod(rows - self._offsets[look], len(self._reach))
         step += self._course.begun[look]
-        # the last kick before a look belongs to the step that ends there
+        # The last kick before an observation belongs to the step that ends there.
         last = step == self._course.begun[look + 1]
         step = np.where(last, step - 1, step)
         inside = self._begins[step] + self._reach[stage] * self._course.lengths[step]
         return np.where(last, self.time[look + 1], inside)
 
     def _calls(self) -> list[Call]:
-        """Return the calls of a compiled loop that a way through the run takes."""
+        """Return the calls of a compiled loop for one pass through the run."""
         starts = self._pieces.starts
         size = starts.size
-        # what is imposed in each row takes memory
+        # An imposed force or motion is stored for each row of a call.
         if self.imposed is not None:
             size = max(1, CHECKPOINTS.rows_of_call // self._longest)
         cuts = np.append(np.arange(0, starts.size - 1, size), starts.size - 1)
@@ -275,7 +277,7 @@ class DifferentiableRun(ObservedRun):
         ]
 
     def _run(self) -> None:
-        """Move on to the end, with checkpoints at the begin of every piece."""
+        """Integrate to the end, with checkpoints at the beginning of every piece."""
         bodies, values = self._looks
         values[:, 0] = self._x[0, bodies], self._v[0, bodies]
         for pieces, row, count in self._calls():
@@ -286,22 +288,22 @@ class DifferentiableRun(ObservedRun):
         self._fill_motion_of_driven(values)
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
-        """Return the derivatives of an answer by all inputs, from those by what was seen.
+        """Return the derivatives of a result by all inputs, from those by the observed motion.
 
         Parameters
         ----------
         displacement, velocity : (looks+1, G) arrays
-            Derivatives of the answer with respect to each displacement, 1/m, and velocity, s/m,
-            looked at.
+            Derivatives of the result with respect to each observed displacement, 1/m, and velocity,
+            s/m.
         everywhere : bool
-            Whether derivatives by displacement and velocity at t = 0 are wanted, also of grains
-            that never move. Without them, the way back stays within the light cone of the run.
+            Whether to compute derivatives by displacement and velocity at t = 0 also for grains
+            that never move. Otherwise the backward pass stays within the light cone of the run.
         """
         chain = self.scene.chain
         grains = chain.grains
         looks = np.array([displacement, velocity], dtype=float)
         by_course = np.zeros(self.imposed.size if self.imposed else 0)
-        # what is seen of a driven grain is what its motion says, and no grain moves it
+        # The motion of a driven grain is prescribed.
         if self.imposed and self._driven:
             by_x, by_v = looks[..., self.grains == 1].sum(-1)
             by_course += self.imposed.pull(self.time, by_v, 1)
@@ -309,25 +311,25 @@ class DifferentiableRun(ObservedRun):
             looks[1][:, self.grains == 1] = 0.0
         width = self._x.shape[1]
         long = width + PAD + (PAGES.stride - width - PAD) % PAGES.size
-        adjoint, bodies, above = np.split(aligned(11, long), (5, 8))
+        adjoint, bodies, above = np.split(make_aligned(11, long), (5, 8))
         bodies[2, 1 : width + 1] = self._mobility
         above[:, :width] = self._above
         law = self._law
-        # a polynomial for the strains of this run, which are known only now
+        # The polynomial depends on the strains of this run, which are known only now.
         if law.way == Way.UNDONE_SERIES:
-            terms = economised(law.less, min(UNSEEN * self._strain, self.scene.largest_strain))
+            terms = economise(law.less, min(UNSEEN * self._strain, self.scene.largest_strain))
             way = Way.UNDONE_SHORT if terms.size == SHORT else Way.UNDONE_SERIES
             law = law._replace(way=int(way), terms=terms)
         memory = kernels.Memory(
             bodies=Bodies(*bodies),
             adjoint=Adjoint(*adjoint),
             above=Above(*above),
-            powers=aligned(1 if self._undone else self._longest, width),
-            forces=aligned(self._longest if law.way == Way.OTHER else 1, width),
+            powers=make_aligned(1 if self._undone else self._longest, width),
+            forces=make_aligned(self._longest if law.way == Way.OTHER else 1, width),
             tops=np.empty((2, self._longest)),
             room=self._room,
         )
-        # a grain that the run never moves would have moved from another start
+        # A grain that never moves would move from another initial state.
         pieces = self._pieces
         if everywhere:
             pieces = pieces._replace(windows=np.full_like(pieces.windows, (PAD, width - PAD)))
@@ -337,7 +339,7 @@ class DifferentiableRun(ObservedRun):
             kernels.backward(law, self._course, pieces, numbers, derivatives, path, memory)
             if self.imposed:
                 by_course += self.imposed.pull(self._times(row, count), path.derivative, 0)
-        # what is seen at t = 0 is the start itself
+        # The observation at t = 0 is the initial state itself.
         x, pull, _, _, by_mass = adjoint[:, PAD + 1 : PAD + 1 + grains]
         v = pull * chain.masses
         np.add.at(x, self.grains - 1, looks[0, 0])
@@ -390,7 +392,7 @@ class DifferentiableRun(ObservedRun):
         looks = self._looks._replace(values=np.zeros((len(changes.x), *self._looks.values.shape)))
         looks.values[:, 0, 0] = changes.x[:, looks.bodies]
         looks.values[:, 1, 0] = changes.v[:, looks.bodies]
-        # deviations need no checkpoints: they go on from call to call
+        # Deviations need no checkpoints, because one call continues the other.
         pieces = self._pieces
         x, v = pieces.states[0].copy()
         moved = Bodies(x, v, self._mobility)
@@ -407,15 +409,15 @@ class DifferentiableRun(ObservedRun):
 
     @property
     def _strain(self) -> float:
-        """Largest strain of any contact, to either side, at the end of any row."""
+        """Largest strain of any contact, of either sign, at the end of any row."""
         state = self._state[0]
         closer = state["largest_approach"] * self._above.inverse_length.max()
         return float(max(-state["least_strain"], closer))
 
 
 def _way(chain: Chain, arrays: BatchArrays) -> Way:
-    """Choose the way back of the one chain of a batch."""
-    # undone where no contact can open: round-off would close or open those that only touch
+    """Return the kind of backward pass for a chain."""
+    # Steps are undone if no contact can open. Rounding would close or open touching contacts.
     form = arrays.form[0]
     hertz = chain.law.power == 1.5
     if chain.linearisable and not arrays.uncompressed[0]:

@@ -1,8 +1,8 @@
 """Exact derivatives of a run of a damped chain by DOP853: its discrete adjoint and its tangent.
 
-As in `adjoint`, the result is the derivative of the numbers that the run gives, to round-off. The
-run leaves a checkpoint now and then, from which the way back makes the stages of a few steps once
-more, and takes adjoints back through them.
+As in `adjoint`, the result is the derivative of the numbers of the run, exact up to rounding. The
+run stores checkpoints, from which the backward pass repeats the stages of a few steps and then
+propagates adjoints backward through them.
 """
 
 from __future__ import annotations
@@ -19,32 +19,31 @@ from ..util.arrays import Array
 from .adjoint import Inputs, by_contacts
 from .batch import ChainBatch
 from .dop853 import DormandPrince
-from .held_steps import schedule_of
 from .kernels import adjoint_dop853 as kernels
 from .kernels.adjoint_rows import AdjointForce, Way
 from .kernels.course import Looks
 from .kernels.dop853 import Weighted
 from .kernels.layout import PAD, Noted
-from .observed_run import ObservedRun
+from .observed_run import ObservedRun, schedule_of
 from .stepper import NativeStepper, room_for
 from .steps import Steps
 
 
 class Dop853Checkpoints(NamedTuple):
-    """How far checkpoints of a run are apart.
+    """Distances of checkpoints.
 
     Attributes
     ----------
     kept_bytes : int
-        For the stages of the steps between two of them, about what stays in the cache,
+        Memory for the stages of the steps between two checkpoints, about the size of the cache.
     fewest_steps : int
-        but no fewer than these: what is copied takes time, too.
+        Smallest number of steps between two checkpoints.
     total_bytes : int
-        Of all of them, about.
+        Memory for all checkpoints, roughly.
     noted_bytes : int
-        Of those of a call of the march.
+        Memory for the checkpoints of one call of the march.
     steps_of_call : int
-        In a call of the compiled loops where something is imposed in each.
+        Steps in a call of the compiled loops if a force or motion is imposed.
     """
 
     kept_bytes: int = 2**19
@@ -55,12 +54,10 @@ class Dop853Checkpoints(NamedTuple):
 
 
 CHECKPOINTS = Dop853Checkpoints()
-# times as many as equal ones that adaptive steps are taken to be
-MORE = 4
 
 
 class Followed(NamedTuple):
-    """A run of the native engine: its steps up to each look, checkpoints, and what is seen.
+    """A run of the native engine: steps up to each observation, checkpoints, observed motion.
 
     Attributes
     ----------
@@ -83,12 +80,13 @@ def follow(
     looks: int,
     grains: NDArray[np.intp],
 ) -> Followed:
-    """Make a run by the march of the native engine, and keep what the way back needs."""
+    """Run the march of the native engine, and return what the backward pass needs."""
     batch = ChainBatch([scene.replace(samples=looks + 1)])
     run = NativeStepper(batch, method, schedule, {})
     width = batch.arrays.inverse_mass.shape[1]
-    expected = looks * schedule.per_landing * (MORE if schedule.adaptive else 1)
-    # as far apart as the cache allows; further where memory does not hold all
+    # Adaptive steps are at most about four times as many as equal ones.
+    expected = looks * schedule.per_landing * (4 if schedule.adaptive else 1)
+    # The cache limits the distance of checkpoints, memory limits their number.
     every = CHECKPOINTS.kept_bytes // (3 * 8 * method.evaluations * width)
     every = max(
         CHECKPOINTS.fewest_steps, every, math.ceil(expected * 16 * width / CHECKPOINTS.total_bytes)
@@ -111,7 +109,7 @@ def follow(
         calls.append(Noted(ends[:made], every, noted.states[:pieces], noted.windows[:pieces]))
     final = run.watched["first"], run.watched["last"]
     ends = np.concatenate([noted.ends for noted in calls])
-    # a window is widest at the end of a piece
+    # A window is widest at the end of a piece.
     windows = np.concatenate([*(noted.windows for noted in calls), np.array(final).T])[1:]
     sizes = [noted.ends.size for noted in calls]
     before = np.cumsum(sizes) - sizes
@@ -125,10 +123,10 @@ def follow(
 
 
 class DifferentiableDampedRun(ObservedRun):
-    """A run of a damped chain by DOP853 with its exact derivatives, in which steps are held.
+    """A run of a damped chain by DOP853 with its exact derivatives for constant steps.
 
-    Parameters, attributes and methods are those of `adjoint.DifferentiableRun`; if it is
-    `adaptive`, steps are shorter where contacts open or close.
+    Parameters, attributes and methods are those of `adjoint.DifferentiableRun`. With `adaptive`,
+    steps are shorter near the opening and closing of contacts.
     """
 
     def __init__(
@@ -153,7 +151,7 @@ class DifferentiableDampedRun(ObservedRun):
         self._fill_motion_of_driven(self._looks.values)
 
     def _lay_out(self, method: DormandPrince) -> None:
-        """Lay out the chain for the compiled loops."""
+        """Prepare the chain for the compiled loops."""
         chain = self.scene.chain
         arrays = self._arrays
         width = self._x.shape[1]
@@ -164,9 +162,9 @@ class DifferentiableDampedRun(ObservedRun):
         exponent = chain.law.power_of("derivatives of a run")
         damped.stiffness[:] = exponent * damped.strength * damped.inverse_length
         damped.viscosity[self._contacts] = chain.contact_viscosity
-        # what is held or driven moves as it is told
+        # Held and driven grains have no drag.
         damped.drag[self._bodies] = np.where(mobility[self._bodies] > 0, chain.drag, 0.0)
-        # a correction for strains serves no contact that only touches, whose strains have no bound
+        # The correction is one for strains, and the strain of a touching contact is unbounded.
         hertz = exponent == 1.5 and not chain.loose_grains
         law = AdjointForce(
             way=int(Way.HERTZ if hertz else Way.OTHER),
@@ -178,19 +176,19 @@ class DifferentiableDampedRun(ObservedRun):
         if law.touching > 0:
             damped.stiffness[PAD] = exponent * law.touching
         tableau = kernels.Tableau(*method.tables)
-        # see `layout.BatchArrays`
+        # See `layout.BatchArrays`.
         alike = arrays.alike
         lag = float(chain.contact_viscosity[0]) if alike else 0.0
         self._system = kernels.DampedSystem(law, damped, tableau, not alike, lag)
 
     @property
     def _bodies(self) -> slice:
-        """Grains in a row of bodies."""
+        """Places of the grains in a row of bodies."""
         return slice(PAD, PAD + self.scene.chain.grains)
 
     @property
     def _contacts(self) -> slice:
-        """Contacts in a row of those above each body."""
+        """Places of the contacts in a row of the contacts above the bodies."""
         return slice(PAD, PAD + self.scene.chain.grains + 1)
 
     def _memory(
@@ -207,15 +205,15 @@ class DifferentiableDampedRun(ObservedRun):
         )
 
     def _calls(self) -> list[NDArray[np.intp]]:
-        """Return the pieces, (2,), from the first to the one behind the last, of each call."""
+        """Return the first piece of each call, and the one behind its last, (2,) each."""
         count = self._pieces.starts.size - 1
-        # what is imposed in each stage takes memory
+        # An imposed force or motion is stored for each stage of a call.
         size = max(1, CHECKPOINTS.steps_of_call // self._longest) if self.imposed else count
         cuts = np.append(np.arange(0, count, size), count)
         return [np.array(cut) for cut in pairwise(cuts)]
 
     def _times(self, pieces: NDArray[np.intp]) -> Array:
-        """Return the times of all stages of some pieces, and of that behind the last step, s."""
+        """Return the times of all stages of pieces, and the end of the last step, s."""
         begin, end = self._pieces.starts[pieces]
         steps = slice(begin, end)
         nodes = self._system.tableau.nodes
@@ -223,14 +221,14 @@ class DifferentiableDampedRun(ObservedRun):
         return np.append(times, self.time[-1]) if end == self.steps else times.ravel()
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
-        """Return the derivatives of an answer by all inputs, from those by what was seen.
+        """Return the derivatives of a result by all inputs, from those by the observed motion.
 
         See `adjoint.DifferentiableRun.pull`.
         """
         chain = self.scene.chain
         looks = np.array([displacement, velocity], dtype=float)
         by_course = np.zeros(self.imposed.size if self.imposed else 0)
-        # what is seen of a driven grain is what its motion says, and no grain moves it
+        # The motion of a driven grain is prescribed.
         if self.imposed and self._driven:
             for order in (0, 1):
                 seen = looks[order][:, self.grains == 1]
@@ -242,7 +240,7 @@ class DifferentiableDampedRun(ObservedRun):
         sums = kernels.AdjointSums(
             x, w, power, force, viscosity, mass, drag, np.zeros((stages, width)), *room
         )
-        # a grain that the run never moves would have moved from another start
+        # A grain that never moves would move from another initial state.
         pieces = self._pieces
         if everywhere:
             pieces = pieces._replace(windows=np.full_like(pieces.windows, (PAD, width - PAD)))
@@ -262,7 +260,7 @@ class DifferentiableDampedRun(ObservedRun):
             )
             if self.imposed:
                 by_course += self.imposed.pull(self._times(numbers), path.derivative, 0)
-        # what is seen at t = 0 is the start itself
+        # The observation at t = 0 is the initial state itself.
         np.add.at(x, self._looks.bodies, looks[0, 0])
         np.add.at(w, self._looks.bodies, looks[1, 0])
         by_constant, by_rest = by_contacts(

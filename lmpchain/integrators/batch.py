@@ -17,45 +17,44 @@ from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, addresses
 from .kernels.layout import PAD, WAVE, BatchArrays
 from .kernels.table import aligned_rows, fill_batch, place_bodies
 
-# strike number from which the fastest form of the force loses nothing;
+# The plain form of the force loses nothing from this strike number on;
 # analysis/calibration/roundoff.py
 STRONG = 1.0
 FORCES = ("auto", "exact", "plain")
-# overlap, m, of contacts that only touch among others that are pressed: far below the rounding of
-# one that a strike makes, and its powers are numbers
+# Overlap, m, of contacts that only touch among pressed contacts. It is far below the rounding of
+# overlaps in a wave, and its powers do not underflow.
 TOUCHING = 1e-30
-# bodies: shorter chains are computed as a whole, for less than it costs to follow the wave;
-# analysis/calibration/light_cone.py
+# Chains of at most so many bodies are computed as a whole, which costs less than following the
+# wave; analysis/calibration/light_cone.py
 WINDOW_MIN = 14 * PAD
 
 
 class ChainBatch:
-    """A batch of like chains, laid out in memory for the compiled loops.
+    """A batch of like chains in the memory layout of the compiled loops.
 
     Parameters
     ----------
     scenes : sequence of R scenes
-        Of one kind and length.
+        Scenes of one kind and length.
     force : "auto", "exact" or "plain"
-        Which form of the force.
+        Form of the force, see `Native`.
     initial : pair of (R, N) arrays, optional
-        Displacement, m, and velocity, m/s, of every grain at t = 0, in place of those of the
-        scenes.
+        Displacement, m, and velocity, m/s, of every grain at t = 0; by default those of the scenes.
 
     Attributes
     ----------
     arrays : BatchArrays
-        What the compiled loops read, in rows that begin at cache lines.
+        Arrays of the compiled loops, in rows that begin at cache lines.
     masses : (R, N) array
-        kg.
+        Masses, kg.
     contacts : Contacts
-        Of all chains, (R, N+1) arrays.
+        Contacts of all chains, (R, N+1) arrays.
     initial : pair of (R, N) arrays
         Displacement, m, and velocity, m/s, of every grain at t = 0.
     plain : list of R bool
-        Whether the form of the force loses the last digit of that at rest.
+        Whether the form of the force loses an ulp of the force at rest.
     opening_power : float
-        The force of a contact that opens goes as the overlap to this power.
+        Onset power of the force as a function of the overlap.
     """
 
     def __init__(
@@ -70,7 +69,7 @@ class ChainBatch:
         excitation = scenes[0].excitation
         self.grains = chain.grains
         self.driven = excitation.driven
-        # one start serves all scenes of one excitation, unless it depends on the chain
+        # Scenes of one excitation share their initial values, unless these depend on the chain.
         same = not excitation.of_chain and all(s.excitation is excitation for s in scenes)
         self._struck = scenes[:1] if same else scenes
         self.initial = initial or self._initial()
@@ -80,8 +79,8 @@ class ChainBatch:
         self.plain = [form in PLAIN and chain.compressed for form in forms]
         self.opening_power = chain.law.onset
         formulas = chain.law.formulas
-        at_rest = _at_rest(self.contacts, chain.loose_grains)
-        acts, reach, wave, knots, pieces, laws = self._imposed()
+        at_rest = _at_rest(self.contacts, chain.loose_grains, formulas is None)
+        acts, reach, wave, knots, pieces, laws = self._impose()
         size = len(scenes)
         damped, viscosity, drag = self._damping()
         alike = damped and not (
@@ -103,7 +102,9 @@ class ChainBatch:
             loops=np.array([addresses(form, formulas) for form in forms]),
             precompressed=float(chain.compressed),
             coefficients=series(chain.law.onset),
-            parameters=_in_rows(self.contacts, at_rest[0], rows.shape[2]),
+            parameters=_in_rows(self.contacts, at_rest[0], rows.shape[2])
+            if formulas
+            else np.zeros((size, rows.shape[2], 0)),
             omega=omega,
             scale=scale,
             units=units,
@@ -139,7 +140,7 @@ class ChainBatch:
             arrays.least_strain[:] = 0.0
 
     def _weigh_openings(self, overlap: Array) -> None:
-        """Give each contact the weight of its force at a typical overlap, which is no power."""
+        """Set the weights of contacts by formulas from their forces at a typical overlap."""
         arrays = self.arrays
         contacts = slice(PAD - 1, PAD + self.grains)
         typical = arrays.scale[:, :1] + 1e-300
@@ -151,7 +152,7 @@ class ChainBatch:
         arrays.opening_reach[:, contacts] *= ratio ** (2 / 3)
 
     def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """Return an array with a row for each of the R scenes, from one for all or one for each."""
+        """Broadcast one row, or R rows, to R rows."""
         return np.repeat(rows, len(self.scenes), axis=0) if len(rows) < len(self.scenes) else rows
 
     def _initial(self) -> tuple[Array, Array]:
@@ -162,8 +163,8 @@ class ChainBatch:
     def place(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, NDArray[Any]]:
         """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R,).
 
-        Grains are at u and move with v, (copies, R, N) or (1, R, N) for all. Around what moves
-        there is a window; a short chain is computed as a whole.
+        u and v are displacements and velocities of grains, (copies, R, N), or (1, R, N) for all
+        copies. The window of a long chain contains the grains that move.
         """
         return place_bodies(u, v, copies, self.driven, self.arrays, WINDOW_MIN)
 
@@ -179,8 +180,8 @@ class ChainBatch:
         viscosity = np.array([chain.contact_viscosity for chain in chains])
         return True, viscosity, np.array([chain.drag for chain in chains])
 
-    def _imposed(self) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
-        """Return the motions or forces that act after t = 0: six fields of `BatchArrays`."""
+    def _impose(self) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
+        """Return the forces or motions after t = 0: six fields of `BatchArrays`."""
         size = len(self.scenes)
         if not self.scenes[0].excitation.does_work:
             return _nothing_imposed(size, self.grains)
@@ -196,7 +197,7 @@ class ChainBatch:
                 continue
             body = PAD - 1 + scene.excitation.acts_on
             if not scene.excitation.wall and not scene.excitation.driven:
-                # below 0: the body is pushed, see `layout.WAVE`
+                # A negative number stands for a force on the body, see `layout.WAVE`.
                 body = -body
             count = 0 if spline is None else len(spline.x)
             table[real] = wave.amplitude, wave.omega, wave.envelope, wave.end, count, body
@@ -210,23 +211,24 @@ class ChainBatch:
 def _nothing_imposed(
     size: int, grains: int
 ) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
-    """Return what `ChainBatch._imposed` does where nothing acts: no loop writes to these arrays."""
-    # the last body that is acted on lies before the first
+    """Return the fields of `ChainBatch._impose` without a force or motion after t = 0.
+
+    The arrays are shared, because no loop writes to them.
+    """
+    # No body is acted on: the last one precedes the first one.
     reach = np.array([[PAD - 1 + grains, PAD]] * size)
     knots = np.zeros((size, 0))
     return False, reach, np.zeros(size, WAVE), knots, np.zeros((size, 4, 0)), np.zeros(2, np.int64)
 
 
-def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array]:
+def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array, Array, Array]:
     """Return overlap, m, force, N, constant, and stiffness, N/m, at rest, (R, N+1) arrays each.
 
-    Contacts that only touch among others that are pressed have a trace of overlap and force, and no
-    stiffness, springs either. The compiled forms of the force need a length: with that of
-    `TOUCHING` they are the law without load but for less than their rounding. A wall at the top of
-    a chain of powers has a form of its own.
+    Contacts that only touch among pressed contacts get the overlap `TOUCHING` and no stiffness,
+    because the compiled forms of the force need a length. The difference from the law without load
+    is below rounding. A wall that touches the top of a chain of `powers` has a form of its own.
     """
     constant, force, overlap, stiffness = contacts.arrays
-    powers = contacts.law.power is not None
     if powers and not loose:
         return overlap, force, constant, stiffness
     touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
@@ -235,7 +237,7 @@ def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array
         # The kernels read this as the size of the force; a law that pulls carries none at rest.
         force = stiffness * overlap
     trace = np.maximum(contacts.law.force(TOUCHING, constant), np.finfo(float).tiny)
-    # read-only as the others, so that the loops are compiled once
+    # Read-only like the other arrays, so that the loops are compiled only once.
     return (
         read_only(np.where(touch, TOUCHING, overlap)),
         read_only(np.where(touch, trace, force)),
@@ -254,12 +256,10 @@ def parameter_rows(contacts: Contacts, overlap: Array) -> Array:
 
 
 def _in_rows(contacts: Contacts, overlap: Array, width: int) -> Array:
-    """Return `BatchArrays.parameters` of R chains, (R, W, 2 + P), or (R, W, 0) of powers."""
+    """Return `BatchArrays.parameters` of R chains with a law by formulas, (R, W, 2 + P)."""
     size, count = overlap.shape
-    if contacts.law.power is not None:
-        return np.zeros((size, width, 0))
     rows = parameter_rows(contacts, overlap)
-    # a formula may divide by parameters, also where there is no contact
+    # Places without a contact get parameters, too, because a formula may divide by them.
     ends = np.zeros((size, width, rows.shape[2])) + rows[:, -1:]
     ends[..., :2] = 0.0
     ends[:, PAD - 1 : PAD - 1 + count] = rows
@@ -275,17 +275,16 @@ def series(exponent: float) -> Array:
 
 @cache
 def weakest(exponent: float) -> float:
-    """Return |r / length| up to which seven terms of the binomial series give every digit."""
+    """Return the largest |r / length| for which seven terms of the binomial series are exact."""
     k = np.arange(8)
     eighth = abs(np.prod((exponent - k) / (k + 1)))
     return min(0.02, float(1e-16 * exponent / max(float(eighth), 1e-16)) ** (1 / 7))
 
 
 def force_form(scene: Scene, force: str = "auto") -> int:
-    """Choose the form of the force: "plain" is fastest, "exact" keeps all digits of weak waves.
+    """Return the form of the force: "plain" is fastest, "exact" keeps all digits of weak waves.
 
-    The plain form is wrong by the last digit of the force at rest, which is nothing in strong
-    waves.
+    The error of the plain form is an ulp of the force at rest, which is negligible in strong waves.
     """
     exponent = scene.chain.law.power
     if exponent is None:
@@ -297,21 +296,21 @@ def force_form(scene: Scene, force: str = "auto") -> int:
         return Form.UNCOMPRESSED_POWER if roots is None else roots
     if force == "auto" and scene.largest_strain < weakest(exponent):
         return Form.POLYNOMIAL
-    # the plain form subtracts two forces, and loses what is below the last digit of that at rest
+    # The plain form subtracts two forces, and loses digits below an ulp of the force at rest.
     if roots is not None and (force == "plain" or (force == "auto" and _strong(scene))):
         return roots
-    # the correction is one for strains, and that of a contact that only touches has no bound
+    # The correction is one for strains, and the strain of a touching contact is unbounded.
     if exponent == 1.5 and not scene.chain.loose_grains:
         return Form.CORRECTED
     return Form.POWER
 
 
 def _strong(scene: Scene) -> bool:
-    """Return whether waves are so strong that the last digits of the forces at rest are nothing."""
+    """Return whether waves are so strong that ulps of the forces at rest are negligible."""
     chain = scene.chain
     if not chain.loose_grains:
         return scene.strike_number > STRONG
-    # the strike number of a grain that only touches is infinite, however gently it strikes others
+    # The strike number of a touching grain is infinite, however gently it strikes others.
     deepest = scene.first_overlaps.max()
     return bool(deepest > (1 + STRONG) * chain.contacts.overlap.max())
 

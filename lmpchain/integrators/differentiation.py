@@ -1,4 +1,4 @@
-"""Methods of time integration that have exact derivatives, and runs by them."""
+"""Methods of time integration with exact derivatives, and differentiable runs by these methods."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..scene.scene import Scene
 from .adjoint import DifferentiableRun
 from .adjoint_dop853 import DifferentiableDampedRun
 from .dop853 import DormandPrince
-from .held_steps import adaptive_steps
+from .observed_run import adaptive_steps
 from .splittings import SPLITTINGS, Splitting
 
 AnyMethod = Splitting | DormandPrince
@@ -21,7 +21,7 @@ DIFFERENTIABLE: dict[str, AnyMethod] = {**SPLITTINGS, DOP853.name: DOP853}
 
 
 def method_for(scene: Scene, names: Collection[str], by_default: str) -> AnyMethod:
-    """Return the method for derivatives by parameters of these names: DOP853 where they damp."""
+    """Return the method for derivatives by these parameters; DOP853 if there is any damping."""
     damped = scene.chain.damped or any(name.startswith("damping.") for name in names)
     return DOP853 if damped else DIFFERENTIABLE[by_default]
 
@@ -34,9 +34,9 @@ def differentiable(
     grains: NDArray[np.intp],
     adaptive: bool = False,
 ) -> AnyRun:
-    """Return a run by this method with its derivatives; see `adjoint.DifferentiableRun`.
+    """Return a differentiable run by this method; see `adjoint.DifferentiableRun`.
 
-    If it is `adaptive`, steps are shorter where contacts open or close.
+    With `adaptive` steps are shorter near the opening and closing of contacts.
     """
     if isinstance(method, DormandPrince):
         return DifferentiableDampedRun(scene, method, step, looks, grains, adaptive)

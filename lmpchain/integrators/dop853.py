@@ -11,8 +11,7 @@ import numpy as np
 from ..util.arrays import Array
 from ..util.caching import cached_property
 from .method import March, first_growth
-from .openings import shorten_steps
-from .steps import Steps
+from .steps import Steps, shorten_steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DormandPrince:
-    """DOP853 for x'' = a(x): its coefficients are SciPy's."""
+    """DOP853 for x'' = a(x), with the coefficients of SciPy."""
 
     name: str = "dop853"
     order: int = 8
@@ -35,17 +34,17 @@ class DormandPrince:
 
     @cached_property
     def tables(self) -> tuple[Array, Array, Array, Array]:
-        """Nodes, inner weights twice, weights, and inner weights once; see `kernels.dop853`."""
+        """Nodes, inner weights of two integrations, weights, inner ones; see `kernels.dop853`."""
         from scipy.integrate import DOP853
 
-        # of two integrations at once, of accelerations to displacements
+        # a @ a integrates twice, from accelerations to displacements.
         a = DOP853.A[:12, :12]
         b = DOP853.B
         return DOP853.C[:12], a @ a, np.array([b @ a, b]), np.array(a)
 
     @cached_property
     def spread(self) -> float:
-        """Root of the sum of its squared weights, some of which are large."""
+        """Root of the sum of the squared weights, some of which are large."""
         return float(np.linalg.norm(self.tables[2][1]))
 
     @cached_property
@@ -54,10 +53,10 @@ class DormandPrince:
         return first_growth(self.growth, 1e-12)
 
     def growth(self, reach: float) -> float:
-        """Return by what factor x'' = -omega^2 x grows a step; it shrinks up to the limit."""
+        """Return the growth factor of x'' = -omega^2 x in a step; below 1 up to the limit."""
         from scipy.integrate import DOP853
 
-        # the stability function at i omega h
+        # The stability function at i omega h.
         a = DOP853.A[:12, :12]
         slopes = np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12))
         return float(abs(1 + 1j * reach * DOP853.B @ slopes))

@@ -1,11 +1,11 @@
-"""Shorter steps until an answer is accurate enough, as answers with other steps show.
+"""Halving of steps until the differences between answers show that they are accurate enough.
 
 Richardson's formula: with steps h and q h a method of order p gives answers that differ by
 
     x(q h) - x(h) = (q^p - 1) C h^p + ...,    so    |x(h) - x| = |x(q h) - x(h)| / |q^p - 1|.
 
-Here nothing is divided: where a contact opens the force is not smooth, and the order is lost. The
-difference itself, times `SAFETY`, is the bound. L. F. Richardson, Phil. Trans. R. Soc. A 210, 307
+Here the difference is not divided, because the order is lost if a contact opens. The difference
+itself, times `SAFETY`, is the bound. L. F. Richardson, Phil. Trans. R. Soc. A 210, 307
 (1911); E. Hairer, S. P. Norsett and G. Wanner, Solving Ordinary Differential Equations I, section
 II.4.
 """
@@ -17,18 +17,18 @@ from typing import Generic, NamedTuple, TypeVar
 
 Answer = TypeVar("Answer")
 
-# factor on the difference to answers with other steps; analysis/calibration/halved_steps.py
+# Factor on the difference between two answers; analysis/calibration/halved_steps.py
 SAFETY = 2.5
 
 
 class HalvedAnswer(NamedTuple, Generic[Answer]):
-    """An answer with steps of one length, and how accurate it is.
+    """An answer with steps of one length, and its error.
 
     Attributes
     ----------
     answer : any
     excess : float
-        Its error, `SAFETY` times a difference, over the error that is allowed.
+        Ratio of the error, which is `SAFETY` times a difference, to the allowed error.
     """
 
     answer: Answer
@@ -36,16 +36,16 @@ class HalvedAnswer(NamedTuple, Generic[Answer]):
 
 
 def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnswer[Answer]:
-    """Return the most accurate answer as steps are halved until its error is allowed.
+    """Halve the steps until the error is allowed, and return the most accurate answer.
 
-    It ends there, or after a number of answers, when round-off or chaos leaves a larger error.
+    Rounding or chaos may leave a larger error in all answers.
 
     Parameters
     ----------
     solve : function
-        Of how many times the first steps are halved, from 0.
+        Returns the answer for a number of halvings, from 0.
     most : int
-        Most answers.
+        Largest number of answers.
 
     Examples
     --------
@@ -57,6 +57,6 @@ def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnsw
         if attempt.excess <= 1:
             break
         attempt = solve(halvings)
-        # round-off may make the last one worse than those before
+        # Rounding may make the last answer worse than an earlier one.
         best = min(best, attempt, key=lambda attempt: attempt.excess)
     return best

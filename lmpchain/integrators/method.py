@@ -1,4 +1,4 @@
-"""Interface of the methods of time integration, and their properties."""
+"""Protocol of the methods of time integration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from .steps import Steps
 
-if TYPE_CHECKING:  # numba, which it imports, is not needed to know a method
+if TYPE_CHECKING:  # The properties of a method are known without importing numba.
     from .batch import ChainBatch
 
 
@@ -19,17 +19,17 @@ class March(NamedTuple):
     Attributes
     ----------
     run : function
-        See `kernels.sample_loop`.
+        Compiled loop, see `kernels.sample_loop`.
     make_work : function
-        Returns what a thread works in, of its chains and the method.
+        Allocates the scratch arrays of one thread for its chains and the method.
     method : tuple
-        Coefficients, and what depends on schedules and chains, as `run` takes them.
+        Coefficients, and arrays that depend on steps and chains; an argument of `run`.
     history : int
-        Values a grain that it keeps of earlier steps.
+        Number of stored values of each grain from earlier steps.
     shared : bool
         Whether threads can share a chain.
     by_step : function, optional
-        The same, noting the steps of a chain; see `kernels.dop853.march_by_step`.
+        Compiled loop that records the steps of a chain; see `kernels.dop853.march_by_step`.
     """
 
     run: Callable[..., int]
@@ -41,11 +41,11 @@ class March(NamedTuple):
 
 
 class Method(Protocol):
-    """A method of time integration: its order, cost and stability, and its compiled march."""
+    """A method of time integration: order, cost and stability, and its compiled march."""
 
     @property
     def name(self) -> str:
-        """The name by which it is requested, and which answers state."""
+        """Name of the method in options and in results."""
 
     @property
     def order(self) -> int:
@@ -53,33 +53,33 @@ class Method(Protocol):
 
     @property
     def evaluations(self) -> int:
-        """Force evaluations a step."""
+        """Number of force evaluations in a step."""
 
     @property
     def spread(self) -> float:
-        """Amplification, per step, of independent errors of the force evaluations (1: none).
+        """Amplification of independent errors of the force evaluations in a step (1: none).
 
-        analysis/calibration/roundoff.py.
+        Measured by analysis/calibration/roundoff.py.
         """
 
     @property
     def damping(self) -> tuple[bool, ...]:
-        """Which chains it moves: False stands for those without damping, True for damped ones."""
+        """Chains that the method solves: False for chains without damping, True for damped ones."""
 
     @property
     def error_constant(self) -> float:
         """Relative error at omega h = 1 for omega T = 60.
 
-        analysis/calibration/error_constants.py.
+        Measured by analysis/calibration/error_constants.py.
         """
 
     @property
     def reference(self) -> str:
-        """Where it comes from."""
+        """Source of the method."""
 
     @property
     def adaptive(self) -> bool:
-        """Whether its steps can be shorter where a contact is about to open or has just closed."""
+        """Whether its steps can be shorter near the opening or closing of a contact."""
 
     @property
     def interpolates(self) -> bool:
@@ -90,13 +90,13 @@ class Method(Protocol):
         """Largest omega h for which a harmonic oscillator stays bounded, or hardly grows."""
 
     def growth(self, reach: float) -> float:
-        """Return the factor by which an oscillator grows a step, or shrinks, at omega h = reach."""
+        """Return the growth factor of an oscillator in a step at omega h = reach."""
 
     def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
-        """Return the compiled march of a batch of chains by these schedules, of one kind."""
+        """Return the compiled march of a batch of chains by steps of one kind."""
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:
-    """Return the first omega h, by thousandths, at which an oscillator grows by `more` a step."""
+    """Return the first omega h, by thousandths, with a growth above 1 + `more` in a step."""
     grid = np.arange(1, 10000) / 1000
     return float(next(y for y in grid if growth(y) > 1 + more))

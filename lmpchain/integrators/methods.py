@@ -1,13 +1,102 @@
-"""The registry of the methods of time integration."""
+"""The registry of the methods of time integration, with Gear's and lagged velocity Verlet."""
 
 from __future__ import annotations
 
-from .damped_verlet import LAGGED
-from .dop853 import DormandPrince
-from .gear import Gear
-from .method import Method
-from .splittings import SPLITTINGS
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..util.caching import cached_property
+from .dop853 import DormandPrince
+from .method import March, Method, first_growth
+from .splittings import SPLITTINGS, VERLET
+from .steps import Steps
+
+if TYPE_CHECKING:
+    from .batch import ChainBatch
+
+
+@dataclass(frozen=True)
+class LaggedVerlet:
+    """Velocity Verlet for damped chains as in `fix nve` of LAMMPS.
+
+    Forces depend on the velocity v + lead h a, predicted from the last step. With a lead of 1/2 the
+    forces at the end of a step use the velocity of its middle, and the order is 1. "verlet" has a
+    lead of 1 in damped chains, and the order 2.
+    """
+
+    name: str = "lagged-verlet"
+    order: int = 1
+    # The delay of the forces by h / 2 slows a motion down: its phase shifts by omega h / 4.
+    error_constant: float = 0.25
+    reference: str = "LAMMPS, fix nve with velocity-dependent pair forces"
+    evaluations: int = 1
+    spread: float = 1.0
+    damping: tuple[bool, ...] = (True,)
+    adaptive: bool = False
+    interpolates: bool = False
+
+    @property
+    def stability_limit(self) -> float:
+        """Largest omega h of a lossless oscillator.
+
+        Damping lowers it: at the largest h, (omega h)^2 + 2 (A omega^2 + gamma) h = 4.
+        """
+        return VERLET.stability_limit
+
+    def growth(self, reach: float) -> float:
+        """Return the growth of a lossless oscillator in a step at omega h = reach."""
+        return VERLET.growth(reach)
+
+    def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
+        """Return the compiled march of a batch of chains by steps of these schedules."""
+        from .kernels.damped_verlet import make_work, march
+
+        return March(march, make_work, (0.5,), history=2)
+
+
+@dataclass(frozen=True)
+class Gear:
+    """Gear's predictor-corrector of order 4, the method of the paper, with five values a grain."""
+
+    name: str = "gear4"
+    order: int = 4
+    evaluations: int = 1
+    spread: float = 1.0
+    error_constant: float = 1e-3
+    reference: str = (
+        "Gear, Numerical Initial Value Problems in Ordinary Differential Equations (1971), "
+        "chapter 9"
+    )
+    damping: tuple[bool, ...] = (False,)
+    adaptive: bool = False
+    interpolates: bool = False
+    corrections: tuple[float, ...] = (19 / 120, 3 / 4, 1.0, 1 / 2, 1 / 12)
+
+    @cached_property
+    def stability_limit(self) -> float:
+        """Largest omega h for which x'' = -omega^2 x grows by less than a hundredth in a step."""
+        return first_growth(self.growth, 1e-2)
+
+    def growth(self, reach: float) -> float:
+        """Return the growth factor of x'' = -omega^2 x in a step, which is always above 1."""
+        # Taylor series of x, h x', h^2 x'' / 2 ... have binomial coefficients.
+        predict = np.array(
+            [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]]
+        )
+        off = -0.5 * reach**2 * predict[0] - predict[2]
+        return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
+
+    def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
+        """Return the compiled march of a batch of chains by steps of these schedules."""
+        from .kernels.gear import make_work, march
+
+        return March(march, make_work, (np.array(self.corrections),), history=3)
+
+
+LAGGED = LaggedVerlet()
 _ALL: tuple[Method, ...] = (*SPLITTINGS.values(), DormandPrince(), Gear(), LAGGED)
 BY_NAME = {method.name: method for method in _ALL}
 _OF_CHAINS = {
@@ -18,5 +107,5 @@ METHODS = _OF_CHAINS[False]
 
 
 def methods_of(damped: bool) -> dict[str, Method]:
-    """Return the methods that move chains with damping, or without it, by name."""
+    """Return the methods for chains with damping, or for chains without damping, by name."""
     return _OF_CHAINS[damped]

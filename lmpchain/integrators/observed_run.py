@@ -1,45 +1,52 @@
-"""What all runs with derivatives share: given steps, and grains that are looked at."""
+"""Base of differentiable runs: prescribed steps, observed grains, imposed motions and forces."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PPoly
 
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
+from ..scene.waveform import curve_through
 from ..util.arrays import Array
+from ..util.caching import cached_property
 from .batch import ChainBatch
-from .imposed import ImposedCourse
 from .kernels.adjoint import ImposedPath
 from .kernels.course import Looks
 from .kernels.layout import ALONE, PAD, Chains
+from .method import Method
+from .stepper import NativeStepper
+from .steps import Steps
 
 
-class HeldSteps(NamedTuple):
-    """Steps that a run is to take.
+def hold_steps(
+    scene: Scene, step: float | list[Array], looks: int
+) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Return the steps of a run: K steps with an observation after some of them.
 
-    Attributes
+    Parameters
     ----------
+    scene : Scene
+    step : float or list of `looks` arrays
+        Longest length of equal steps, s, or the steps between two observations, s.
+    looks : int
+        Number of observations after t = 0.
+
+    Returns
+    -------
     time : (looks+1,) array
-        When grains are looked at, s; from 0 to the duration.
+        Times of the observations, from 0 to the duration, s.
     lengths, begins : (K,) arrays
-        s.
+        Length and beginning of each step, s.
     before : (looks+1,) array
-        How many steps are made before each look.
+        Number of steps before each observation.
     """
-
-    time: Array
-    lengths: Array
-    begins: Array
-    before: NDArray[np.intp]
-
-
-def hold_steps(scene: Scene, step: float | list[Array], looks: int) -> HeldSteps:
-    """Return the steps of a run, as `ObservedRun` takes them."""
     time = np.linspace(0.0, scene.duration, looks + 1)
     if isinstance(step, list):
         lengths = np.concatenate(step)
@@ -51,22 +58,130 @@ def hold_steps(scene: Scene, step: float | list[Array], looks: int) -> HeldSteps
         lengths = np.full(looks * count, scene.duration / (looks * count))
         counts = [count] * looks
         begins = np.arange(looks * count) * lengths[0]
-    return HeldSteps(time, lengths, begins, np.concatenate(([0], np.cumsum(counts))))
+    return time, lengths, begins, np.concatenate(([0], np.cumsum(counts)))
+
+
+def schedule_of(scene: Scene, step: float, looks: int, adaptive: bool) -> Steps:
+    """Return steps up to this length, s, that end at `looks` equally spaced observations."""
+    interval = scene.duration / looks
+    count = max(1, math.ceil(interval / step * (1 - 1e-12)))
+    return Steps.spread(interval, count, adaptive=adaptive)
+
+
+def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> list[Array]:
+    """Return the adaptive steps of a run, which are shorter near openings of contacts.
+
+    Parameters
+    ----------
+    scene : Scene
+    method : Splitting
+        Its order must be above 2.
+    step : float
+        Longest step, s.
+    looks : int
+        Number of equal parts of the duration; a step ends at the end of each part.
+
+    Returns
+    -------
+    list of `looks` arrays
+        Steps of each part, s.
+    """
+    schedule = schedule_of(scene, step, looks, True)
+    run = NativeStepper(ChainBatch([scene.replace(samples=looks + 1)]), method, schedule, {})
+    u, v = np.empty((2, 1, 2, scene.chain.grains))
+    steps: list[Array] = []
+    for look in range(looks):
+        times = [0.0]
+        while run.sample == look:
+            run.fill(u, v, look, look + 1, 1)
+            times.append(float(run.watched["done"][0]))
+        times[-1] = scene.duration / looks
+        steps.append(np.diff(times))
+    return steps
+
+
+class ImposedCourse:
+    """A motion or a force over time as a function of amplitude and frequency, or of its samples.
+
+    Attributes
+    ----------
+    size : int
+        Number of parameters: 2, or the number of samples, or 1 for the speed of a piston.
+    """
+
+    def __init__(self, excitation: Drive | Force):
+        self.waveform = excitation.waveform
+        self.frequency = excitation.frequency
+        self.excitation = excitation
+        self.size = excitation.numbers.size
+
+    @cached_property
+    def _basis(self) -> Any:
+        """For each sample, the curve through 1 at this sample and 0 at the others."""
+        drive = self.excitation
+        if drive.times is None:
+            # The motion of a piston for a speed of 1.
+            unit = drive.replace(velocity=1.0).waveform.spline
+            return PPoly(unit.c[..., None], unit.x)
+        return curve_through(drive.times, np.eye(self.size), drive.interpolation, drive.holds)
+
+    def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:
+        """Return the piece of the spline at each time, and factors of its coefficients, (4, T)."""
+        knots = self._basis.x
+        piece = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, knots.size - 2)
+        s = time - knots[piece]
+        ones = np.ones_like(s)
+        return piece, np.array(
+            [s**3, s**2, s, ones] if order == 0 else [3 * s**2, 2 * s, ones, 0 * s]
+        )
+
+    def _sine(self, time: Array, order: int) -> Array:
+        """Return the derivatives by amplitude and frequency, (2, ...)."""
+        wave = self.waveform
+        # The derivative of A sin(w t) by w is its rate times t / w.
+        by_frequency = time * wave.at(time, order + 1) + (wave.at(time, 1) if order else 0.0)
+        return np.array(
+            [
+                replace(wave, amplitude=1.0).at(time, order),
+                by_frequency / (self.frequency or np.inf),
+            ]
+        )
+
+    def pull(self, time: Array, weight: Array, order: int) -> Array:
+        """Return the derivatives (P,) of the sum of weight times value, or rate (order 1)."""
+        time = time.ravel()
+        weight = weight.ravel()
+        if self.waveform.spline is None:
+            return self._sine(time, order) @ weight
+        piece, powers = self._pieces(time, order)
+        # Sum over pieces first, because the coefficients are as many as the samples squared.
+        count = self._basis.x.size - 1
+        by_piece = np.array([np.bincount(piece, weight * power, count) for power in powers])
+        return np.tensordot(by_piece, self._basis.c, 2)
+
+    def push(self, time: Array, change: Array, order: int) -> Array:
+        """Return the changes (D, ...) of value, or rate (order 1), for changes (D, P)."""
+        if self.waveform.spline is None:
+            return np.tensordot(change, self._sine(time, order), 1)
+        piece, powers = self._pieces(time, order)
+        # (D, 4, P-1)
+        coefficients = np.tensordot(change, self._basis.c, (1, 2))
+        return np.einsum("k...,dk...->d...", powers, coefficients[:, :, piece])
 
 
 def acting(scene: Scene) -> ImposedCourse | None:
-    """Return the motion or force that is imposed after t = 0, if any is."""
+    """Return the motion or force that is imposed after t = 0, or None."""
     excitation = scene.excitation
     return ImposedCourse(excitation) if isinstance(excitation, (Drive, Force)) else None
 
 
 class ObservedRun:
-    """A chain laid out for a run by given steps, and what is seen of it.
+    """A chain in the memory layout of a run with prescribed steps, and its observed grains.
 
     Parameters and attributes are those of `adjoint.DifferentiableRun`.
     """
 
-    _times: Callable[..., Array]  # of rows as a class counts them, s
+    _times: Callable[..., Array]  # Times of rows, s.
 
     def __init__(
         self,
@@ -94,16 +209,16 @@ class ObservedRun:
 
     @property
     def displacement(self) -> Array:
-        """Displacement of the grains looked at, (looks+1, G) m."""
+        """Displacement of the observed grains, (looks+1, G) m."""
         return self._looks.values[0]
 
     @property
     def velocity(self) -> Array:
-        """Velocity of the grains looked at, (looks+1, G) m/s."""
+        """Velocity of the observed grains, (looks+1, G) m/s."""
         return self._looks.values[1]
 
     def _path(self, *rows: Any) -> ImposedPath:
-        """Return the imposed motion or force in rows that `_times` knows, or none."""
+        """Return the imposed motion or force at the times of rows."""
         if self.imposed is None:
             return ImposedPath(0, np.empty(0), np.empty(0))
         body = int(self._arrays.wave["body"][0])
@@ -111,14 +226,14 @@ class ObservedRun:
         return ImposedPath(body, imposed, np.zeros(imposed.size))
 
     def _fill_motion_of_driven(self, values: Array) -> None:
-        """Fill what is seen of a driven grain, whose velocity the loops leave out."""
+        """Fill the observed motion of a driven grain, whose velocity the loops do not compute."""
         if self.imposed and self._driven:
             for order in (0, 1):
                 motion = self.imposed.waveform.at(self.time, order)
                 values[order][:, self.grains == 1] = motion[:, None]
 
     def _fill_change_of_driven(self, values: Array, drive: Array) -> None:
-        """Fill by how much what is seen of a driven grain changes with its drive (D, P)."""
+        """Fill the changes of the observed motion of a driven grain for changes (D, P)."""
         if self.imposed and self._driven:
             for order in (0, 1):
                 motion = self.imposed.push(self.time, drive, order)

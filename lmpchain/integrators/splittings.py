@@ -1,8 +1,8 @@
-"""Kick-drift splittings that both engines share, with their order and stability limit.
+"""Kick-drift splittings, used by the native engine and by LAMMPS.
 
 One step of length h is: kick b_1 h, drift a_1 h, kick b_2 h, ... drift a_S h, kick b_(S+1) h, where
-a kick changes velocities by the acceleration and a drift moves grains by their velocity. All are
-symmetric, so explicit, time-reversible and symplectic.
+a kick changes velocities by the acceleration and a drift moves grains by their velocity. All
+splittings are symmetric, and therefore explicit, time-reversible and symplectic.
 """
 
 from __future__ import annotations
@@ -18,14 +18,10 @@ from ..util.arrays import Array
 from ..util.caching import cached_property
 from .kernels.layout import SplittingStages
 from .method import March
-from .openings import shorten_steps
-from .steps import Steps
+from .steps import Steps, shorten_steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch
-
-# what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
-DENSE_ROWS = 4
 
 
 @dataclass(frozen=True)
@@ -40,10 +36,10 @@ class Splitting:
     kicks, drifts : tuples of float
         b_1 ... b_(S+1) and a_1 ... a_S as fractions of the step.
     substeps : tuple of float
-        For a composition of velocity Verlet steps, their lengths; empty otherwise.
+        Lengths of the velocity Verlet steps of a composition; empty otherwise.
     damping : tuple of bool
-        See `Method.damping`. Velocity Verlet moves damped chains with a lead of 1, see
-        `damped_verlet.LaggedVerlet`: Groot and Warren, J. Chem. Phys. 107, 4423 (1997), lambda = 1,
+        See `Method.damping`. Velocity Verlet solves damped chains with a lead of 1, see
+        `methods.LaggedVerlet`: Groot and Warren, J. Chem. Phys. 107, 4423 (1997), lambda = 1,
         which is `fix mvv/dpd 1.0` of LAMMPS.
     error_constant : float
         Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60:
@@ -62,7 +58,7 @@ class Splitting:
 
     @cached_property
     def evaluations(self) -> int:
-        """Force evaluations a step: the last kick of a step and the first of the next share one."""
+        """Force evaluations in a step: the last kick shares one with the next step."""
         return len(self.drifts)
 
     @cached_property
@@ -71,7 +67,7 @@ class Splitting:
 
     @cached_property
     def reach(self) -> tuple[float, ...]:
-        """Where in a step each drift ends, as fractions of it."""
+        """Ends of the drifts, as fractions of the step."""
         return (*np.cumsum(self.drifts[:-1]).tolist(), 1.0)
 
     @cached_property
@@ -83,7 +79,7 @@ class Splitting:
 
     @cached_property
     def adaptive(self) -> bool:
-        """Whether steps can be shorter near openings, which leave an order of 2 as it is."""
+        """Whether steps can be shorter near openings; a method of order 2 keeps its order there."""
         return self.order > 2
 
     @property
@@ -103,12 +99,13 @@ class Splitting:
         if batch.scenes[0].chain.damped:
             return March(damped_verlet.march, damped_verlet.make_work, (1.0,), history=2)
         schedule = schedules[0]
-        # samples between steps are interpolated by the adaptive march alone
+        # Only the adaptive march interpolates samples between steps.
         if not (schedule.adaptive or schedule.dense > 0):
             return March(splitting.march, splitting.make_work, self._stages, shared=True)
         assert not (schedule.dense and batch.arrays.acts), "see kernels.dense_output"
         openings = shorten_steps(self.order, batch, schedules)
-        history = DENSE_ROWS if schedule.dense else 0
+        # `kernels.dense_output` keeps u, v, a and j of the beginning of a step.
+        history = 4 if schedule.dense else 0
         method = self._stages, openings
         march = adaptive_splitting.march
         return March(march, adaptive_splitting.make_work, method, history, shared=True)
@@ -116,7 +113,7 @@ class Splitting:
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
         square = frequency**2
-        # x and v from (1, 0) and (0, 1); for |half the trace| > 1 one of the two motions grows
+        # x and v from (1, 0) and (0, 1). If |half the trace| > 1, one of the two motions grows.
         x = np.array([np.ones_like(square), np.zeros_like(square)])
         v = np.array([np.zeros_like(square), np.ones_like(square)])
         for b, a in zip(self.kicks, (*self.drifts, 0.0), strict=True):
@@ -126,7 +123,7 @@ class Splitting:
 
 
 def _symmetric(half: list[float], count: int) -> tuple[float, ...]:
-    """Mirror the first half of `count` coefficients; the last one given follows from the sum 1."""
+    """Return `count` symmetric coefficients of sum 1 from the first half without its last one."""
     if count % 2:
         middle = 1 - 2 * sum(half)
         return (*half, middle, *reversed(half))
@@ -135,9 +132,9 @@ def _symmetric(half: list[float], count: int) -> tuple[float, ...]:
 
 
 def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Kicks and drifts of velocity Verlet steps of these lengths, one after another."""
+    """Return kicks and drifts of successive velocity Verlet steps of these lengths."""
     padded = (0.0, *substeps, 0.0)
-    # half a kick of the step that ends, and half of the one that begins
+    # Half a kick of the step that ends, and half a kick of the step that begins.
     kicks = tuple((ending + beginning) / 2 for ending, beginning in pairwise(padded))
     return kicks, substeps
 

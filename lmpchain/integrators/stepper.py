@@ -1,4 +1,4 @@
-"""Chains moved forward in time: the interface of all engines, and the native one."""
+"""Steppers, which move chains forward in time: the protocol of all engines, and the native one."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from .method import March, Method
 from .steps import Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
-UNFIT = "the state that was kept does not fit"
+UNFIT = "the stored state does not fit"
 
 
 def room_for(*shape: int) -> tuple[Array, Array]:
-    """Return where a stepper can put displacements and velocities of grains, (..., N) each."""
-    # in long rows, what no wave has reached stays zero
+    """Return arrays for the displacements and velocities of grains, (..., N) each."""
+    # In long rows steppers write no grains at rest, so that the arrays must be zero.
     make = np.empty if shape[-1] <= WHOLE_ROWS else np.zeros
     return make(shape), make(shape)
 
@@ -40,12 +40,12 @@ def room_for(*shape: int) -> tuple[Array, Array]:
 class Stepper(Protocol):
     """A batch of chains that can be moved forward in time."""
 
-    stride: int  # samples from one that it stops at to the next
-    guessed_rate: float  # a low guess of the force evaluations of grains in a second
+    stride: int  # Samples from one landing to the next.
+    guessed_rate: float  # Low guess of grains times force evaluations in a second.
 
     @property
     def ranks(self) -> int:
-        """How many processes share a chain."""
+        """Number of processes that share a chain."""
 
     @property
     def sample(self) -> int:
@@ -53,36 +53,34 @@ class Stepper(Protocol):
 
     @property
     def steps(self) -> NDArray[Any]:
-        """Steps that each chain has made, (R,)."""
+        """Number of steps of each chain so far, (R,)."""
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Move on to the sample `until`, or by some `max_steps` steps.
+        """Move on to the sample `until`, or by about `max_steps` steps; return the number of steps.
 
-        Samples from `offset` on are put into u and v, (R, B, N) m and m/s, made by `room_for`.
-        Returns the steps made.
+        Samples from `offset` on are written to u and v, (R, B, N) m and m/s, made by `room_for`.
         """
 
     @property
     def progress(self) -> float:
-        """Part of its work that is done, 0 to 1."""
+        """Part of the work done, 0 to 1."""
 
     @property
     def own_part(self) -> float:
-        """Part of its steps that were those of the answer."""
+        """Part of all steps that were steps of the answer."""
 
     def state(self) -> dict[str, Array]:
-        """Return the arrays from which a run goes on with the same bits."""
+        """Return the arrays from which a run continues with the same bits."""
 
     def close(self) -> None:
         """Release everything."""
 
 
 class NativeStepper:
-    """A batch of chains in displacements from equilibrium, shared out over threads.
+    """A batch of chains in displacements from equilibrium, which threads share.
 
-    If there are fewer chains than threads, and they are long, the threads share each of them.
-    Auxiliary runs of the same chains, by other schedules of the same method, are moved in the same
-    compiled call.
+    Long chains that are fewer than the threads are shared one by one. Auxiliary runs of the same
+    chains, with other steps of the same method, are moved in the same compiled call.
 
     Parameters
     ----------
@@ -90,15 +88,16 @@ class NativeStepper:
     method : Method
     schedule : Steps
     state : mapping
-        Empty, or what `state` returned.
+        Empty, or a state of `state`.
     threads : int
     auxiliary : sequence of S Steps
+        Steps of the auxiliary runs.
 
     Attributes
     ----------
     balance : (S + 1, R, T, 2) array
-        Takes the energy lost and the work at the samples, J, see `layout.STATE`, if it is put in
-        the place of that for no samples.
+        Dissipated energy and work at the samples, J, see `layout.STATE`. By default it has T = 0,
+        and none are stored.
     """
 
     ranks = 1
@@ -120,7 +119,7 @@ class NativeStepper:
         count = len(self._schedules)
         u = chains.initial[0][None]
         v = chains.initial[1][None]
-        # a state has the bodies of every schedule
+        # A state has the bodies of the answer and of the auxiliary runs.
         if state:
             u, v = (
                 np.array(state[name], dtype=float).reshape(count, self._size, chains.grains)
@@ -134,15 +133,15 @@ class NativeStepper:
         march = method.march(chains, self._schedules)
         self._march = march.run
         self._by_step = march.by_step
-        # threads share chains out; a chain each, or each chain if there are too few of them
+        # Each thread moves chains of its own, or all threads share each chain if they are few.
         sharing = 1
         if march.shared and self._size < threads:
             sharing = min(threads, chains.grains // LEAST_SHARE)
         shares = min(threads, self._size) if sharing < 2 else 1
         self._teams = team(sharing) if sharing > 1 else [ALONE]
-        # each thread that shares a chain has a state of its own, in which only extremes differ
+        # Each thread that shares a chain has its own state, which differs only in extreme values.
         self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
-        # the thread that asks is one of them
+        # The calling thread is one of the threads.
         others = shares * len(self._teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
         self.balance = np.zeros((count, self._size, 0, 2))
@@ -152,17 +151,16 @@ class NativeStepper:
                 raise ValueError(UNFIT)
             self._history[:] = state["history"]
         self._shares = self._share_out(march, shares)
-        # to no goal: this only compiles, so that the time of the first fill is that of steps
+        # Compile now, so that the first call of `fill` times the integration alone.
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
             fields = Fields(none, none, NOTHING, NOTHING, 0, self.balance)
             self._march(*self._shares[0][0], fields, 0, 0, 0, 0)
 
     def _share_out(self, march: March, shares: int) -> list[tuple[tuple[Any, ...], int, int]]:
-        """Return the part of each thread, of so many that share the chains out.
+        """Return the part of each thread: arguments of the march, first chain, and end of chains.
 
-        What it moves by the method, where it works, and by which clocks; the first of its chains,
-        and the one behind the last.
+        `shares` threads divide the chains among them.
         """
         scene = self.chains.scenes[0]
         borders = [share * self._size // shares for share in range(shares + 1)]
@@ -176,13 +174,13 @@ class NativeStepper:
         return parts
 
     def _check_state(self, state: NDArray[Any]) -> None:
-        """Raise `ValueError` if a state does not fit: compiled loops trust its window."""
+        """Raise `ValueError` if a state does not fit, because compiled loops do not check it."""
         fits = state.shape == self._state.shape and state.dtype == self._state.dtype
         if fits:
             first, last, sample = (state[name] for name in ("first", "last", "sample"))
             width = self._x.shape[1]
             inside = (first >= PAD) & (first < last) & (last <= width - PAD) & (sample == sample[0])
-            # a clock that is no number never ends; extremes need not be numbers, after a breakdown
+            # Steps to a time that is NaN never end. Extreme values may be NaN after a breakdown.
             fits = bool(inside.all() and np.isfinite(state["done"]).all())
         if not fits:
             raise ValueError(UNFIT)
@@ -196,10 +194,10 @@ class NativeStepper:
         max_steps: int,
         beside: tuple[Array, Array] = (NOTHING, NOTHING),
     ) -> int:
-        """Step on to the sample `until`, or by `max_steps` a thread.
+        """Move on to the sample `until`, or by `max_steps` in each thread.
 
-        Samples from `offset` on go into u, v, those of auxiliary runs into the arrays beside, (S,
-        R, B, N).
+        Samples from `offset` on are written to u and v, (R, B, N) m and m/s; those of auxiliary
+        runs to `beside`, (S, R, B, N).
         """
         fields = Fields(u, v, *beside, offset, self.balance)
         if not self._pool:
@@ -216,12 +214,12 @@ class NativeStepper:
                 *(other.result() for other in others),
             ]
         except BaseException:
-            # Ctrl-C between two of them, too: nobody is to wait for one who does not come
+            # After any exception, Ctrl-C included, no thread must wait for another one.
             self._teams[0].gate[GIVEN_UP] = 1
             raise
         if len(self._teams) == 1:
             return sum(steps)
-        # each has looked at its own grains; all have made the same steps
+        # Each thread has the extreme values of its own grains; all have made the same steps.
         strains = [state["least_strain"] for state in self._states]
         self._state["least_strain"] = np.min(strains, axis=0)
         for name in ("largest_approach", "largest_displacement", "largest_speed"):
@@ -229,7 +227,7 @@ class NativeStepper:
         return steps[0]
 
     def fill_by_step(self, u: Array, v: Array, offset: int, until: int, noted: Noted) -> int:
-        """Step one chain on as `fill` does, and note its steps; returns how many.
+        """Move one chain on as `fill` does, record its steps, and return their number.
 
         The method must be DOP853.
         """
@@ -239,7 +237,7 @@ class NativeStepper:
         return self._by_step(*moved, fields, begin, until, noted)
 
     def _move(self, share: tuple[Any, int, int], fields: Fields, until: int, max_steps: int) -> int:
-        """Move the chains of one thread."""
+        """Move the chains of one thread on."""
         moved, begin, end = share
         try:
             return self._march(*moved, fields, begin, end, until, max_steps)
@@ -249,30 +247,30 @@ class NativeStepper:
 
     @property
     def sample(self) -> int:
-        """The last sample that all chains have reached."""
+        """Last sample that all chains have reached."""
         return int(self._state["sample"].min())
 
     @property
     def steps(self) -> NDArray[Any]:
-        """Steps that each chain has made by the first schedule, (R,)."""
+        """Number of steps of the answer so far, (R,)."""
         return self._state["steps"][: self._size]
 
     @property
     def own_part(self) -> float:
-        """Part of all steps that the first schedule has made."""
+        """Part of all steps that were steps of the answer."""
         steps = self._state["steps"].tolist()
         return sum(steps[: self._size]) / max(sum(steps), 1)
 
     @property
     def progress(self) -> float:
-        """Part of all landings that are done."""
+        """Part of all landings done, 0 to 1."""
         samples = self._state["sample"].reshape(-1, self._size).mean(1)
         rates = [1 / schedule.stride for schedule in self._schedules]
         return float(samples @ rates) / (sum(rates) * self.chains.scenes[0].intervals)
 
     @property
     def watched(self) -> NDArray[Any]:
-        """The state of every chain by every schedule, (F R,) of `layout.STATE`."""
+        """State of the answer and the auxiliary runs, (F R,) of `layout.STATE`."""
         return self._state
 
     def closest(self) -> Array:
@@ -280,17 +278,17 @@ class NativeStepper:
         return self._state["largest_approach"].copy().reshape(-1, self._size)
 
     def largest(self) -> Array:
-        """Return the largest displacement and speed of any grain by the answer, (R, 2) m and m/s.
+        """Return the largest displacement and speed of any grain in the answer, (R, 2) m and m/s.
 
-        They are seen after steps, at first a radian of the fastest motion apart (or one step, if
-        that is longer), later more rarely.
+        They are measured after steps: at first once in a radian of the fastest motion, later less
+        often.
         """
         state = self._state[: self._size]
-        # a call of np.stack would take four times as long
+        # np.stack takes four times as long.
         return np.array((state["largest_displacement"], state["largest_speed"])).T
 
     def state(self) -> dict[str, Array]:
-        """Return the arrays from which a run goes on with the same bits."""
+        """Return the arrays from which a run continues with the same bits."""
         inside = slice(PAD, PAD + self.chains.grains)
         u, v = (
             bodies[:, inside].reshape(-1, self._size, inside.stop - PAD)
@@ -300,7 +298,7 @@ class NativeStepper:
         return {name: array.copy() for name, array in arrays.items()}
 
     def leave(self, broken: NDArray[np.bool_], until: int) -> None:
-        """Let those chains, (S + 1, R), be at the sample `until` as they are."""
+        """Leave these chains, (S + 1, R) bool, as they are until the sample `until`."""
         broken = broken.ravel()
         self._state["sample"][broken] = until
         self._state["done"][broken] = 0.0

@@ -1,18 +1,23 @@
-"""The steps of a run, and where they land on samples."""
+"""The steps of a run: where they land on samples, and how short they are near openings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, get_type_hints
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
+from .kernels.layout import Shortening
 
-# Auxiliary runs with this many steps between two samples land on each of them: a landing then
-# changes their steps by little, and a collision may show in one sample only;
+if TYPE_CHECKING:
+    from .batch import ChainBatch
+
+# Auxiliary runs with at least so many steps between two samples land on every sample. A landing
+# then changes their steps little, and a collision may be seen in a single sample;
 # analysis/calibration/richardson_estimate.py
 MANY_STEPS = 32
 
@@ -31,7 +36,7 @@ class Steps(NamedTuple):
     adaptive : bool
         Whether steps are shorter where a contact is about to open or has just closed.
     ratio : float
-        Step over that of the answer.
+        Ratio of the step to that of the answer.
     coarse_openings : bool
         Whether steps near openings are too long to keep the order of the method there.
     dense : int
@@ -55,7 +60,7 @@ class Steps(NamedTuple):
         adaptive: bool = False,
         coarse_openings: bool = False,
     ) -> Steps:
-        """Return so many steps from landing to landing, of samples that are `interval` s apart."""
+        """Return steps with this number from landing to landing; samples are `interval` s apart."""
         step = interval * stride / per_landing
         dense = int(stride > 1)
         return cls(per_landing, stride, step, adaptive, 1.0, coarse_openings, dense)
@@ -68,7 +73,7 @@ class Steps(NamedTuple):
         return self._replace(per_landing=steps, stride=1, step=self.step * ratio, dense=0)
 
     def shorten(self, per_landing: int) -> Steps:
-        """Return so many steps from landing to landing, none of them coarse near openings."""
+        """Return steps with this number from landing to landing, not coarse near openings."""
         step = self.step * (self.per_landing / per_landing)
         return self._replace(per_landing=per_landing, step=step, coarse_openings=False)
 
@@ -100,14 +105,14 @@ class Steps(NamedTuple):
 
     @property
     def halved(self) -> Steps:
-        """The steps of an auxiliary run at half the step."""
+        """The steps of an auxiliary run with half the step."""
         return self._replace(
             per_landing=2 * self.per_landing, step=self.step / 2, ratio=self.ratio / 2
         )
 
     @property
     def filled(self) -> int:
-        """Samples from one that the run fills, by landing or interpolation, to the next."""
+        """Samples from one filled sample to the next; landing or interpolation fills a sample."""
         return self.dense or self.stride
 
     def total(self, samples: int) -> int:
@@ -145,3 +150,54 @@ def clocks(schedules: Sequence[Steps], interval: float, final: int) -> NDArray[A
     """Return a row of compiled loops for each of these steps, (F,) of CLOCK."""
     landing = (0.0, 0.0, 0.0, 0, 0.0)
     return np.array([(*steps, interval, final, *landing) for steps in schedules], CLOCK)
+
+
+@dataclass(frozen=True)
+class OpeningSteps:
+    """Lengths of steps near an opening; analysis/calibration/adaptive_steps.py.
+
+    Attributes
+    ----------
+    shortened, coarse : float
+        Ratio h' / h at the time 1 / omega from the opening of the most important contact: so small
+        that the shorter steps have no larger errors than the others; and for coarse steps.
+    crossing : float
+        omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening, for
+        delta = 1.5; for other exponents, the step with the same error.
+    least_crossing : float
+        Smallest omega h' over the (delta + 1)th root of EPSILON. The error of a shorter step is
+        below rounding.
+    """
+
+    shortened: float = 0.2
+    coarse: float = 0.4
+    crossing: float = 0.03
+    least_crossing: float = 0.1
+
+
+OPENING_STEPS = OpeningSteps()
+
+
+def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> Shortening:
+    """Return the lengths of steps near openings, for schedules of one kind."""
+    steps = OPENING_STEPS
+    # The error of a step across an opening is its length to the power delta + 1.
+    falls = 1 / (batch.opening_power + 1)
+    shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened
+    power = (order + 1) * falls
+    crossing = steps.crossing ** (2.5 * falls)
+    least = steps.least_crossing * EPSILON**falls
+
+    def nearness(reach: float, least: float) -> float:
+        """Return the nearness of the step that crosses an opening; other steps have this reach."""
+        crosses = max(crossing * reach**power, least)
+        return (shortened * reach / crosses) ** (14 / 9)
+
+    # Powers of Python numbers have the same bits on every processor.
+    omegas = batch.arrays.omega.tolist()
+    nearest = [[nearness(s.step * omega, least * s.ratio) for omega in omegas] for s in schedules]
+    return Shortening(
+        shortened=shortened,
+        close=shortened ** (-14 / 3),
+        nearest=np.array(nearest),
+    )

@@ -17,7 +17,7 @@ from scipy.linalg import svd
 
 from ..chain.chain import Chain
 from ..chain.damping import Damping
-from ..engines.cost_model import PATIENCE_S, announce
+from ..engines.cost_model import PATIENCE_S, announce, is_long
 from ..errors import InputError, RunFailed, shown
 from ..scene.excitation import Drive, Force
 from ..util.arrays import Array, check_flags
@@ -468,7 +468,8 @@ def follow(
             times = [*times[-2:], (clock(), march.miss)]
             # The first steps are short, so that their pace says little of those that follow.
             settled = times[-1][0] - began > PATIENCE_S / 3
-            if settled and not march.done and not told and (left_s := _left_s(times)) > PATIENCE_S:
+            left_s = _left_s(times)
+            if settled and not march.done and not told and is_long(left_s):
                 told = True
                 position = curve.position(march.members[-1])
                 announce(

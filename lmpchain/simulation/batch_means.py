@@ -1,14 +1,14 @@
-"""Intervals of time averages from the means of batches, whose neighbours resemble each other.
+"""Confidence intervals of time averages from the means of correlated batches.
 
-The mean of a long time varies by s over that time, where s, the sum of the covariance over all
-lags, is the spectrum at frequency 0. Cosines of the time with few half periods see the spectrum
-next to 0: their amplitudes in the means of batches are independent normal numbers of variance s, so
-that Student's t with as many degrees of freedom gives the interval of the average: U. K. Mueller,
-Journal of Econometrics 141, 1331 (2007); E. Lazarus, D. J. Lewis, J. H. Stock and M. W. Watson,
-Journal of Business and Economic Statistics 36, 541 (2018). For a memory of time c they are too
-small by the square of c over the period, where the spread of a few long batches is too small by c
-over a batch. The correlation of neighbours shows c: D. S. Steiger and J. R. Wilson, Management
-Science 48, 1569 (2002).
+The variance of the mean over a long time is s over that time, where s, the sum of the covariance
+over all lags, is the spectrum at frequency 0. Cosines of the time with few half periods measure the
+spectrum near 0: their amplitudes in the means of batches are independent normal numbers of variance
+s, so that Student's t with as many degrees of freedom gives the interval: U. K. Mueller, Journal of
+Econometrics 141, 1331 (2007); E. Lazarus, D. J. Lewis, J. H. Stock and M. W. Watson, Journal of
+Business and Economic Statistics 36, 541 (2018). With a correlation time c they are too small by the
+square of c over the period, whereas the spread of a few long batches is too small by c over a
+batch. The correlation of neighbours shows c: D. S. Steiger and J. R. Wilson, Management Science 48,
+1569 (2002).
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from ..util.arrays import Array
 
 @dataclass(frozen=True)
 class Batching:
-    """How batches and cosines are chosen; analysis/calibration/batch_means.py.
+    """Numbers of batches and cosines; analysis/calibration/batch_means.py.
 
     Attributes
     ----------
     stretches : int
-        Batches of a copy, which are averaged one by one.
+        Number of batches of each copy.
     cosines : tuple of int
-        Of a copy that are tried, many first, the constant one included: few cost width.
+        Numbers of cosines that are tried, the constant one included. Fewer cosines give a wider
+        interval.
     finer : int
         Stretches whose neighbours are compared, in half a period of the fastest cosine.
     resemblance : float
-        Largest correlation of neighbouring stretches: beyond it the cosines are too fast.
+        Largest correlation of neighbouring stretches. Beyond it the cosines are too fast.
     """
 
     stretches: int = 256
@@ -43,21 +44,21 @@ class Batching:
 
 
 BATCHING = Batching()
-LEVEL = 0.95  # of the intervals
+LEVEL = 0.95  # confidence level of the intervals
 
 
 class Estimate(NamedTuple):
-    """An average over time and how well it is known.
+    """An average over time with its confidence interval.
 
     Attributes
     ----------
     mean : float
     error : float
-        Its standard error; infinite if the motion remembers too long.
+        Standard error of the mean; infinite if the correlation time is too long.
     half_width : float
-        Of its interval of 95 % confidence.
+        Half-width of the 95 % confidence interval.
     batches : int
-        Independent ones that the interval is worth: cosines of all copies; 0 if there is none.
+        Number of independent amplitudes, the cosines of all copies; 0 without an interval.
     resemblance : float
         Correlation of neighbouring stretches, an eighth of half a period of the fastest cosine.
     """
@@ -70,14 +71,14 @@ class Estimate(NamedTuple):
 
 
 def estimate(means: Array, known: Array | None = None) -> Estimate:
-    """Return the average of the means of stretches of some time, with its interval.
+    """Return the average of the means of successive stretches, with its interval.
 
     Parameters
     ----------
     means : (R, S) array
-        Of S = `BATCHING.stretches` of equal length, one after the other, in each of R copies.
+        Means over S = `BATCHING.stretches` stretches of equal length in each of R copies.
     known : (R, S) array, optional
-        What shifts them by some factor, and is not to count: an error of the energy, which walks.
+        A known disturbance, up to a factor, which is removed: the drift of the energy.
 
     Examples
     --------
@@ -100,7 +101,7 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
     amplitudes = dct(means - means.mean(), norm="ortho")
     resemblance = math.nan
     for count in BATCHING.cosines:
-        # of longer stretches, too: those that remember a little for long show it late
+        # Longer stretches show a weak correlation over a long time.
         resemblances = {
             finer: correlation_of_neighbours(means.reshape(copies, count * finer, -1).mean(-1))
             for finer in (BATCHING.finer, BATCHING.finer // 2)
@@ -117,11 +118,11 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
 
 
 def _widening(resemblances: dict[int, float]) -> float:
-    """Return by what factor the variance of cosines is too small, from correlations of stretches.
+    """Return the factor by which the variance of cosines is too small.
 
-    Stretches of length b remember for c = 2 b times their correlation. With an exponential memory
-    the spectrum at angular frequency w is s / (1 + (c w)^2), which is averaged up to pi / (b f) by
-    cosines of at least f stretches in half a period.
+    The correlation time c of stretches of length b is 2 b times their correlation. With an
+    exponential correlation, the spectrum at angular frequency w is s / (1 + (c w)^2), and cosines
+    of at least f stretches in half a period average it up to pi / (b f).
     """
     slowest = max(0.0, *(each / finer for finer, each in resemblances.items()))
     return 1 + (2 * math.pi * slowest) ** 2 / 3
@@ -133,5 +134,5 @@ def correlation_of_neighbours(means: Array) -> float:
     square = float((deviation**2).mean())
     if not square:
         return 0.0
-    # the mean of the same numbers is taken off, which makes it too small by 1 / size
+    # The subtracted mean of the same numbers lowers the correlation by 1 / size.
     return float((deviation[:, 1:] * deviation[:, :-1]).mean()) / square + 1 / means.size

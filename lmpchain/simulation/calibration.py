@@ -1,4 +1,4 @@
-"""Measuring how fast the engines are on this machine, for the cost model."""
+"""Measurement of the speed of the engines on this machine, for the cost model."""
 
 from __future__ import annotations
 
@@ -17,44 +17,42 @@ from ..util.files import replacing
 from ..util.remarks import warnings_aside
 from .api import simulate
 
-# of the answers that are timed
-REPEATS = 5
-ACCURACY = 1e-9
-# grains, and tens of time units
-SMALL = (2, 1)
-LARGE = (60, 40)
+REPEATS = 5  # of each answer that is timed
 
 
 def calibrate() -> tuple[Path, float]:
-    """Measure how fast the engines are here, and keep it.
+    """Measure the speed of the engines on this machine, and store it.
 
     Returns
     -------
-    the file, and how long the measurement took, s: some tenths, after kernels are compiled
+    the file, and the time of the measurement, s: some tenths, after kernels are compiled
 
     Raises
     ------
     OSError
-        If it cannot be kept; it is used in this process all the same.
+        If the result cannot be stored; this process uses it anyway.
     """
+    # Grains, and the duration in tens of time units.
+    small = 2, 1
+    large = 60, 40
     timed = [
         engine
         for engine in map(engines.get, engines.automatic())
-        if not engine.refuses(_scene(*SMALL))
+        if not engine.refuses(_scene(*small))
     ]
     for engine in timed:
-        _timed(engine, *SMALL)  # compiles and imports
+        _time(engine, *small)  # compiles and imports
     began = time.perf_counter()
     speeds = {}
     for engine in timed:
-        (short, light), (long, heavy) = (_timed(engine, *size) for size in (SMALL, LARGE))
+        (short, light), (long, heavy) = (_time(engine, *size) for size in (small, large))
         slowness = max((long - short) / (heavy - light), 2 / PLAUSIBLE)
         speeds[engine.name] = (
             max(short - slowness * light, 2 * engine.start_up_s / PLAUSIBLE),
             slowness,
         )
     took = time.perf_counter() - began
-    # engines that were not timed keep what an earlier measurement says of them
+    # Engines that were not timed keep the results of an earlier measurement.
     speeds = dict(measured()) | speeds
     path = cache_file()
     measured.cache_clear()
@@ -80,15 +78,15 @@ def _scene(grains: int, periods: int) -> Scene:
     )
 
 
-def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
+def _time(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
     """Return the shortest time of an answer, s, and its work on the reference machine, s."""
     scene = _scene(grains, periods)
     start, slowness = speed(engine.name, engine.start_up_s)
-    work = (engine.propose(engine.part(scene), ACCURACY).cost_s - start) / slowness
+    work = (engine.propose(engine.part(scene), 1e-9).cost_s - start) / slowness
     times = []
     with warnings_aside():
         for _ in range(REPEATS):
             began = time.perf_counter()
-            simulate(scene, engine, ACCURACY)
+            simulate(scene, engine, 1e-9)
             times.append(time.perf_counter() - began)
     return min(times), work

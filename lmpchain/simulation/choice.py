@@ -1,7 +1,6 @@
-"""Choice of the engine: the one that was named, or with "auto" the cheapest one for the scene.
+"""Choice of the engine: the named one, or with "auto" the cheapest one for the scene.
 
-With "auto" nothing here distinguishes one engine from another: what counts is which equation they
-solve, what they cost, and how large they expect their errors to be.
+With "auto" engines are compared by their equations, expected costs and expected errors only.
 """
 
 from __future__ import annotations
@@ -22,16 +21,15 @@ from ..util.provenance import versions
 from ..util.suggestions import not_among
 
 AUTO = "auto"
-GIVEN_STEP = "none, for a step was given"  # on record in place of the tolerance
-# by the equation that it solves
+GIVEN_STEP = "none, for a step was given"  # recorded in place of the tolerance
+# Names of theories by equation.
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
-SUM_ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 
 
 def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
-    """Return an engine by its name; None for "auto", with which each scene gets its own engine.
+    """Return an engine by name; None for "auto", which chooses an engine for each scene.
 
-    With options "auto" stands for the engine `engines.DEFAULT`, to which they belong.
+    With options, "auto" stands for the engine `engines.DEFAULT`.
 
     Raises
     ------
@@ -46,11 +44,11 @@ def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
 
 
 def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
-    """Return why an engine, or with None any engine, cannot do a scene, as (key, reason)."""
+    """Return why an engine, or with None every engine, cannot do a scene, as (key, reason)."""
     if engine:
         return engines.obstacles(engine, scene)
     reasons = []
-    # one engine that can is enough; its faults are told only if none can
+    # One possible engine is enough.
     for other in map(engines.plain, (*engines.automatic(), *engines.automatic("last"))):
         faults = engines.obstacles(other, scene)
         if not faults:
@@ -62,9 +60,9 @@ def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
 def choose(
     scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool = False
 ) -> Attempt:
-    """Return the first attempt of an engine, or with None of the cheapest engine.
+    """Return the first attempt with an engine, or with None with the cheapest engine.
 
-    `best_effort` loosens a tolerance that cannot be met.
+    `best_effort` increases a tolerance that cannot be met.
 
     Raises
     ------
@@ -83,17 +81,17 @@ def _choose(scene: Scene, tolerance: float) -> Proposal:
 
 
 def _explain(proposal: Proposal, **why: str) -> Proposal:
-    """Return a proposal that keeps on record why it was chosen."""
+    """Return a proposal with the reasons of the choice on record."""
     return proposal._replace(choices={**proposal.choices, **why})
 
 
 def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
-    """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance.
+    """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance, or None.
 
     Raises
     ------
     ToleranceNotMet
-        If there is none.
+        If no engine for Eq. (1) can meet the tolerance.
     """
     before = engines.plain(attempt.proposal.engine)
     tolerance = attempt.tolerance
@@ -104,7 +102,7 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
     left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the solution"
     if error.remark:
         left_out += f", {error.remark}"
-    # engines that were not asked are listed with their reason, too
+    # Engines that were not asked are listed with their reasons, too.
     exact = [each for each in propose(scene, tolerance) if each.equation in (1, None)]
     if not any(proposal.kept for proposal in exact):
         why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
@@ -122,22 +120,22 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
 def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposal]:
     """Return the proposals of the engines, with the verdicts.
 
-    Engines for Eq. (1) are asked first. Most scenes they answer before another engine would have
-    begun, which is then not asked.
+    Engines for Eq. (1) are asked first. Another engine is asked only if its start-up time is less
+    than the cost of these proposals.
 
     Parameters
     ----------
     scene : Scene
     tolerance : float
     every : bool
-        Whether to ask all, for a table: those that take longer to begin are never the cheapest.
+        Whether to ask all engines, for a table.
     """
     automatic = [engines.plain(name) for name in engines.automatic()]
     exact = [engine for engine in automatic if engine.equation == 1]
     proposals = [ask(engine, scene, tolerance) for engine in exact]
     cheapest_s = min(proposal.price_s for proposal in proposals)
     for engine in automatic:
-        # no proposal costs less than its start
+        # A proposal never costs less than its start-up time.
         begins_s, _ = speed(engine.name, engine.start_up_s)
         if engine.equation != 1 and (every or begins_s < cheapest_s):
             proposals.append(ask(engine, scene, tolerance))
@@ -145,7 +143,7 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
 
 
 def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) -> list[Proposal]:
-    """Return the proposals of engines that are asked only where no other one can do the scene."""
+    """Return the proposals of engines that are asked only if no other one can do the scene."""
     if any(proposal.possible for proposal in others):
         why = "only if asked for by name, or if no other engine can do the scene"
         return [Proposal(name, why=why) for name in engines.automatic("last")]
@@ -164,7 +162,7 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     Returns
     -------
     Proposal
-        Without steps where the engine cannot do the scene or meet the tolerance.
+        Without steps if the engine cannot do the scene or meet the tolerance.
     """
     name = engine.name
     equation = engine.equation
@@ -184,7 +182,8 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
 def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     """Return a proposal with the verdict on it."""
     theory = THEORY.get(proposal.equation or 1, f"Eq. ({proposal.equation})")
-    if proposal.model_error + proposal.solver_error <= tolerance * SUM_ROUNDING:
+    # The sum of the errors may exceed an equal tolerance by rounding.
+    if proposal.model_error + proposal.solver_error <= tolerance * (1 + 1e-9):
         return proposal._replace(kept=True, why="within the tolerance")
     if proposal.solver_error > tolerance:
         why = f"its solver leaves about {proposal.solver_error:.1g}, above the tolerance"
@@ -197,30 +196,30 @@ def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
 
 
 def percent(error: float) -> str:
-    """Return an error in per cent, or as a number if it is far below one."""
+    """Return an error as text, in per cent unless it is far below one per cent."""
     if error < 1e-4:
         return f"{error:.1g} of the solution"
     return f"{100 * error:.0f} %" if error > 0.1 else f"{100 * error:.2g} %"
 
 
 def cheapest(proposals: Sequence[Proposal]) -> Proposal:
-    """Return the proposal to take.
+    """Return the cheapest proposal that is kept.
 
     Raises
     ------
     ToleranceNotMet
-        With what every engine that was asked says, if none is good enough.
+        If none is kept, with the reasons of all engines that were asked.
     """
     best = min(proposals, key=lambda proposal: proposal.price_s)
     if not best.kept:
-        # an engine that cannot do the scene at all says nothing of the tolerance
+        # The reasons of engines that cannot do the scene at all are left out.
         asked = [proposal for proposal in proposals if proposal.possible or proposal.equation == 1]
         raise ToleranceNotMet("; ".join(f"{proposal.engine}: {proposal.why}" for proposal in asked))
     return best
 
 
 def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
-    """Return why the cheapest proposal is taken, and why none that would cost less."""
+    """Return why the cheapest proposal is chosen, and why no cheaper one is kept."""
     why = f"solves Eq. ({best.equation}), the cheapest within the tolerance"
     for proposal in proposals:
         if proposal.cost_s < best.cost_s:
@@ -229,7 +228,7 @@ def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
 
 
 def record(engine: Engine, scene: Scene, proposal: Proposal, tolerance: float) -> dict[str, str]:
-    """Return the record of an answer: versions, choices, and the remarks of the engine."""
+    """Return the record of a trajectory: versions, choices, and remarks of the engine."""
     asked = GIVEN_STEP if engine.step else f"{tolerance:g}"
     return {
         **versions(),
@@ -241,5 +240,5 @@ def record(engine: Engine, scene: Scene, proposal: Proposal, tolerance: float) -
 
 
 def damping_record(scene: Scene) -> dict[str, str]:
-    """Return the record of damping: what leaving it out would change."""
+    """Return the record of damping: the change if it were left out."""
     return {"damping": scene.damping_remark} if scene.chain.damped else {}

@@ -1,7 +1,7 @@
-"""Files of a run folder: the order of the run, checkpoints and hashes; what lmpchain wrote itself.
+"""Files of a run folder: the order of the run, checkpoints and hashes.
 
-Each file that lmpchain writes bears a seal, by which it is recognised, or stands in SHA256SUMS.
-Other files are never replaced or removed.
+Each file of lmpchain has a seal, by which it is recognised, or is listed in SHA256SUMS. Other files
+are never replaced or removed.
 """
 
 from __future__ import annotations
@@ -52,22 +52,21 @@ CHECKPOINT_FILES = ("checkpoint", "checkpoint-before")
 OLD_PROPOSAL = ("step", "active_grains", "model_error", "solver_error", "cost_s", "tolerance",
                 "steps_per_landing", "stride", "fixed", "adaptive", "coarse_openings", "integrator",
                 "choices")  # fmt: skip
-UNSEALED = ("sha256", "sessions", SEALED)  # in run.json: what is no part of the order
-IN_STATE = "state."  # before the names of the arrays of a state, so that they never meet another
+UNSEALED = ("sha256", "sessions", SEALED)  # Keys of run.json that are no part of the order.
+IN_STATE = "state."  # Prefix of the arrays of a state in a checkpoint.
 HASH = hashlib.sha256
 LENGTH = HASH().digest_size
-SUM = re.compile(r"([0-9a-f]{64})  (.+)")  # a line of it
-# files of the Zarr store: descriptions and chunks, also half written ones
+SUM = re.compile(r"([0-9a-f]{64})  (.+)")  # A line of SHA256SUMS.
+# Files of the Zarr store: descriptions and chunks, also incomplete ones.
 IN_STORE = re.compile(
     rf"{re.escape(store.NAME)}/"
     r"(([^/]+/)?zarr(\.json|\.[0-9a-f]{32}\.partial)|[^/]+/c(/\d+)+(\.[0-9a-f]{32}\.partial)?)"
 )
 FOLDER_IN_STORE = re.compile(rf"{re.escape(store.NAME)}(/[^/]+(/c(/\d+)*)?)?")
-NAMED = 5  # files that an error line names
 
 
 def resume_command(folder: str | PathLike[str]) -> str:
-    """Return the command that goes on with a run."""
+    """Return the command that resumes a run."""
     return f"lmpchain resume {shlex.quote(str(folder))}"
 
 
@@ -78,7 +77,7 @@ def is_run(folder: str | PathLike[str]) -> bool:
 
 
 def is_sealed(folder: Path) -> bool:
-    """Return whether lmpchain wrote the order in a folder, and nobody has changed it since."""
+    """Return whether lmpchain wrote the order in a folder, unchanged since."""
     order = read_sealed_json(folder / RUN)
     try:
         text = (folder / SCENE).read_bytes().decode("utf-8")
@@ -88,7 +87,7 @@ def is_sealed(folder: Path) -> bool:
 
 
 def engine_of(folder: str | PathLike[str]) -> str:
-    """Return the engine that a run folder asks for, empty where it does not say."""
+    """Return the engine of a run folder; empty if it is not stated."""
     try:
         return str(json.loads((path_of(folder) / RUN).read_bytes())["engine"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
@@ -96,7 +95,7 @@ def engine_of(folder: str | PathLike[str]) -> str:
 
 
 def at_work(folder: Path) -> str:
-    """Return in words that another process has the lock of a run folder, and the cure."""
+    """Return a message that another process has locked a run folder, and what to do."""
     return f"{describe_holder(folder)} is at work here; wait for it, or stop it"
 
 
@@ -116,9 +115,9 @@ def check_run(folder: str | PathLike[str]) -> Path:
 def write_order(
     folder: Path, scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool
 ) -> None:
-    """Write what is asked of a new run, and this session; None stands for the engine "auto".
+    """Write the order of a new run and this session; None stands for the engine "auto".
 
-    The scene comes last, which makes a run folder of it.
+    The scene is written last, because its file marks a run folder.
     """
     order: dict[str, Any] = {
         "engine": engine.name if engine else AUTO,
@@ -145,13 +144,13 @@ def check_known(engine: Engine | None) -> None:
     name = engine.name
     if name not in engines.names() or type(engine) is not type(engines.get(name)):
         raise InputError.at(
-            "engine", "a run folder knows engines by name only, and this is none of lmpchain's"
+            "engine", "a run folder stores engines by name only, and this is none of lmpchain's"
         )
     engine.options()
 
 
 def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | None, float, bool]:
-    """Return what `write_order` took from a run folder, and note that this session works on it.
+    """Return the arguments of `write_order` from a run folder, and record this session.
 
     Raises
     ------
@@ -164,15 +163,15 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
         scene = Scene.from_text(text)
         options = dict(order["options"])
         old_versions = dict(order["sessions"][-1]["packages"])
-        # a folder may come from elsewhere: what it asks for must be what lmpchain wrote
+        # The folder may come from another person: only an order that lmpchain wrote is run.
         if order["sha256"] != _seal(order, text):
             raise ValueError("they are not those that the run began with")
         parallel = "ranks" in options
         if parallel and (ranks is not None or mpi.current_world()):
-            # those of mpirun serve
+            # The ranks of mpirun are used.
             options["ranks"] = ranks
         engine = engine_for(str(order["engine"]), **options)
-        # no commands of whoever wrote this folder
+        # Commands from the folder are not run.
         check_known(engine)
         check_tolerance(order["tolerance"])
         if not isinstance(order["best_effort"], bool) or not isinstance(order["sessions"], list):
@@ -194,7 +193,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
 
 
 def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
-    """Warn of packages with another version than in the last session."""
+    """Warn of packages whose version differs from that of the last session."""
     changes = [
         f"{name} {new.get(name)}, not {version}"
         for name, version in old.items()
@@ -226,7 +225,7 @@ def save_checkpoint(folder: Path, notes: Mapping[str, Any], state: Mapping[str, 
 
     At every moment one of the two newest is complete on the disk.
     """
-    # packed in memory first, so that the hash is of what is written
+    # The hash is that of the packed bytes.
     packed = io.BytesIO()
     arrays = {IN_STATE + name: values for name, values in state.items()}
     np.savez(packed, notes=np.array(json.dumps(notes)), **arrays)  # type: ignore[arg-type]
@@ -236,7 +235,7 @@ def save_checkpoint(folder: Path, notes: Mapping[str, Any], state: Mapping[str, 
         with open(aside, "wb") as opened:
             opened.write(HASH(content).digest())
             opened.write(content)
-        # renamed before the new one is moved into place: a kill leaves one of them whole
+        # The old checkpoint is renamed first, so that a kill leaves one complete checkpoint.
         if newest.exists():
             os.replace(newest, before)
 
@@ -273,7 +272,7 @@ def _unpack(content: memoryview) -> tuple[dict[str, Any], dict[str, Array]] | No
         }
         return dict(notes), state
     except Exception:
-        # whatever it is, it is no checkpoint, though it bears its hash
+        # The file has a valid hash but is no checkpoint.
         return None
 
 
@@ -311,14 +310,14 @@ def _renew_proposal(engine: str, old: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_new(folder: str | PathLike[str]) -> Path:
-    """Return the path of a run folder that is to be made; raises `InputError` if it cannot be."""
+    """Return the path of a new run folder; raise `InputError` if it cannot be made."""
     path = path_of(folder)
     if path.exists() and not path.is_dir():
         raise InputError.at(str(folder), "is a file; choose another name for the run folder")
     if is_run(path) and is_sealed(path):
         cure = f"go on with it, {resume_command(folder)}, or choose another folder"
         raise InputError.at(str(folder), f"holds a run already: {cure}")
-    # what is left of a run that was killed before it wrote its scene does no harm
+    # Files of a run that was killed before it wrote its scene may be replaced.
     if foreign := strangers(path):
         raise InputError.at(
             str(folder),
@@ -329,7 +328,7 @@ def check_new(folder: str | PathLike[str]) -> Path:
 
 
 def check_replaceable(folder: str | PathLike[str]) -> Path:
-    """Return the path of a run folder; raises `InputError` if it holds anything else."""
+    """Return the path of a run folder; raise `InputError` if it has files of others."""
     path = check_run(folder)
     if foreign := strangers(path):
         raise InputError.at(
@@ -341,8 +340,10 @@ def check_replaceable(folder: str | PathLike[str]) -> Path:
 
 
 def _in_words(paths: list[Path]) -> str:
-    names = [short(path) for path in paths[:NAMED]]
-    return ", ".join(names) + (f" and {len(paths) - NAMED} more" if len(paths) > NAMED else "")
+    """Return the names of at most five files, and how many others there are."""
+    names = [short(path) for path in paths[:5]]
+    others = len(paths) - len(names)
+    return ", ".join(names) + (f" and {others} more" if others else "")
 
 
 def _are(paths: list[Path]) -> str:
@@ -350,7 +351,7 @@ def _are(paths: list[Path]) -> str:
 
 
 def strangers(folder: Path) -> list[Path]:
-    """Return what is in a folder, below it, and not as lmpchain writes it to a run folder."""
+    """Return the files in a folder that lmpchain has not written to a run folder."""
     sums = _read_sums(folder)
     return [
         path.relative_to(folder)
@@ -360,7 +361,7 @@ def strangers(folder: Path) -> list[Path]:
 
 
 def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
-    """Return whether lmpchain wrote a file, or made a folder, and it is as it was."""
+    """Return whether lmpchain wrote a file or folder, unchanged since."""
     path = folder / name
     text = name.as_posix()
     if path.is_symlink() or not (path.is_dir() or path.is_file()):
@@ -368,7 +369,7 @@ def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
     if path.is_dir():
         parents = {Path(file).parent for file in _inputs()}
         return FOLDER_IN_STORE.fullmatch(text) is not None or name in parents
-    # zarr has hashes of its own in them
+    # Zarr files have hashes of their own.
     if IN_STORE.fullmatch(text) or _is_aside(name):
         return True
     checks: dict[str, Callable[[], bool]] = {
@@ -382,7 +383,7 @@ def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
         return check()
     if text in sums:
         return text in _names() and checksum(path) == sums[text]
-    # a log grows until the run is finished
+    # A log grows until the run is finished.
     return text in _logs()
 
 
@@ -400,12 +401,12 @@ def _logs() -> set[str]:
 
 
 def _names() -> set[str]:
-    """Return the names that files of a run folder may have, but for those of the store."""
+    """Return the possible names of files in a run folder, except those of the store."""
     return {SCENE, RUN, STATUS, SUMS, *CHECKPOINT_FILES, *_inputs(), *_logs()}
 
 
 def _read_sums(folder: Path) -> dict[str, str]:
-    """Return the hashes that a run folder lists, by name; none of a file that is another's."""
+    """Return the hashes that a run folder lists, by name; empty if lmpchain wrote no list."""
     try:
         lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
@@ -415,7 +416,7 @@ def _read_sums(folder: Path) -> dict[str, str]:
 
 
 def write_sums(folder: Path, finished: bool) -> None:
-    """Write the hashes of what is final: the engine's input, and in the end all but the status."""
+    """Write the hashes of final files: inputs of the engine, and at the end all but the status."""
     names = _inputs()
     if finished:
         names |= _names() - {STATUS, SUMS, *CHECKPOINT_FILES}
@@ -435,7 +436,7 @@ def write_sums(folder: Path, finished: bool) -> None:
 
 
 def half_written(folder: Path) -> Iterator[Path]:
-    """Yield files of a run folder that a process was writing as it was killed."""
+    """Yield incomplete files of a run folder, left by a killed process."""
     for path in folder.rglob("*.partial*"):
         name = path.relative_to(folder)
         if (name.suffix == ".partial" and IN_STORE.fullmatch(name.as_posix())) or _is_aside(name):
@@ -443,18 +444,18 @@ def half_written(folder: Path) -> Iterator[Path]:
 
 
 def clear(folder: Path) -> None:
-    """Remove what lmpchain wrote to a run folder; the folder stays, and what is not lmpchain's."""
+    """Remove the files of lmpchain from a run folder; the folder and other files stay."""
     sums = _read_sums(folder)
     present = [path.relative_to(folder) for path in sorted(folder.rglob("*"))]
     own = [name for name in present if _is_own(folder, name, sums)]
-    # the order goes last: a kill on the way leaves a run folder, which can be replaced again
+    # The order is removed last, so that a kill leaves a run folder, which can be replaced.
     last = [Path(name) for name in (SCENE, RUN, LOCK)]
     files = [name for name in own if not (folder / name).is_dir() and name not in last]
     for name in (*files, *(name for name in last if name in own)):
         (folder / name).unlink(missing_ok=True)
     for name in reversed(own):
         if (folder / name).is_dir():
-            # a file that came meanwhile keeps it
+            # A new file keeps its folder.
             with suppress(OSError):
                 (folder / name).rmdir()
 
@@ -472,7 +473,7 @@ def remove(folder: Path) -> None:
     if lock is None:
         raise InputError.at(str(folder), at_work(folder))
     try:
-        # under its lock, so that no process writes to it meanwhile
+        # The lock keeps other processes from writing to the folder.
         clear(folder)
     finally:
         lock.release()

@@ -1,4 +1,4 @@
-"""Answers to many scenes in memory, like ones in batches."""
+"""Trajectories of many scenes in memory; like scenes are solved in batches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .accumulation import GatheringRun, at_samples
 from .api import check_on_miss, simulate
 from .choice import choose, damping_record, engine_for, record, refusals
 
-# samples x grains of the scenes of a batch, which then stay in the cache of a processor
+# Largest number of samples times grains in a batch, which then fits into the cache of a processor.
 BATCH_NUMBERS = 2**18
 
 
@@ -31,38 +31,36 @@ def simulate_many(
     on_miss: Literal["raise", "warn"] = "raise",
     **options: Any,
 ) -> list[Trajectory]:
-    """Answer many scenes; like ones are integrated together, several times faster than one by one.
+    """Simulate many scenes; like scenes are integrated together, several times faster than alone.
 
-    Scenes are alike if their chains have one length, exponent and kind of ends, and if they record
-    the same grains at the same times. Each keeps the step that it would have alone, and has its own
-    error estimate. Last digits may differ from those of `simulate`, which computes no more than the
-    light cone.
+    Scenes are alike if their chains have the same length, contact law and kind of ends, and if they
+    record the same grains at the same times. Each scene has the step and the error estimate that it
+    would have alone. Rounding may differ from `simulate`, which computes the light cone only.
 
     Parameters
     ----------
     scenes : iterable of R scenes
-        All answers are held in memory: 16 bytes a sample and grain. `lmpchain.sweep` keeps those of
-        more on the disk.
+        All trajectories are kept in memory, 16 bytes for each sample and grain. `lmpchain.sweep`
+        stores trajectories on disk.
     tolerance : float
         As for `simulate`.
     engine : str or Engine
-        A name or an engine object. All but the native engine, and "auto", take one scene after the
-        other.
+        A name or an engine object. Only the native engine solves scenes in batches.
     on_miss, **options
         As for `simulate`.
 
     Returns
     -------
     list of R Trajectory
-        In the order of the scenes. Costs are those of the batch, shared out evenly.
+        In the order of the scenes. Each has an equal share of the cost of its batch.
 
     Raises
     ------
     InputError
-        If one of them is no scene, the engine cannot do it, or an option is wrong; with its place
-        in the list, from 0.
+        If an element is no scene, the engine cannot do it, or an option is wrong; with its index in
+        the list, from 0.
     ToleranceNotMet, RunFailed
-        As `simulate` does, for the first scene that has no answer.
+        As for `simulate`, for the first scene that fails.
 
     Examples
     --------
@@ -100,18 +98,18 @@ def simulate_many(
 def in_batches(
     engine: Engine, scenes: Mapping[int, Scene], tolerance: float
 ) -> Iterator[tuple[int, Trajectory | ToleranceNotMet]]:
-    """Yield answers to like scenes, solved in batches; the other scenes are left for `simulate`.
+    """Yield the trajectories of like scenes, solved in batches; `simulate` solves the others.
 
-    A batch has the step that each of its scenes would have alone.
+    Scenes of a batch have the step that each of them would have alone.
     """
     attempts: dict[int, Attempt] = {}
     if not engine.batches or engine.equation != 1:
-        # linear engines take one scene after the other anyway
+        # Linear engines solve the scenes of a batch one by one anyway.
         return
     for number, scene in scenes.items():
         with suppress(LmpchainError):
             attempt = choose(scene, engine, tolerance)
-            # else the light cone saves more than a batch
+            # With fewer active grains, the light cone saves more time than a batch.
             if 2 * attempt.proposal.active_grains >= scene.chain.grains:
                 attempts[number] = attempt
     while attempts:
@@ -126,7 +124,7 @@ def in_batches(
             try:
                 results = _solve(engine, batch, [attempts[n] for n in numbers], tolerance)
             except RunFailed:
-                # one of them; alone it will show which
+                # One scene has failed; `simulate` will show which one.
                 continue
             for number, (answer, later, missed) in zip(numbers, results, strict=True):
                 if later:
@@ -137,7 +135,7 @@ def in_batches(
 
 
 def _split(scenes: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator[list[int]]:
-    """Yield groups of scenes in pieces that are no larger than a batch."""
+    """Yield groups of scenes in pieces of at most the size of a batch."""
     for numbers in groups:
         scene = scenes[numbers[0]]
         size = max(1, BATCH_NUMBERS // (scene.fine.samples * scene.chain.grains))
@@ -147,7 +145,7 @@ def _split(scenes: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator
 def _solve(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
-    """Run scenes together; return answer, next attempt, and reason of a miss for each."""
+    """Run scenes together; return trajectory, next attempt and reason of a miss of each."""
     proposal = attempts[0].proposal
     parts = [scene.fine for scene in scenes]
     gathering = None
@@ -195,7 +193,7 @@ def _join(blocks: list[Array]) -> Array:
 
 
 def _share(cost: Cost, attempts: Sequence[Attempt]) -> Cost:
-    """Return the cost of one scene of a batch, with its share of the attempts before."""
+    """Return the cost of one scene of a batch, with its share of the earlier attempts."""
     size = len(attempts)
     estimate_s = cost.estimate_s + sum(attempt.spent_s for attempt in attempts)
     setup_s = cost.setup_s + sum(attempt.planned_s for attempt in attempts)

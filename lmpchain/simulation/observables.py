@@ -14,7 +14,7 @@ from ..scene.recording import contact_of
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 
-# of the whole chain, and of one grain or contact, whose number follows
+# Quantities of the whole chain, and of one grain or contact, whose number follows a colon.
 OF_CHAIN = ("kinetic_energy", "potential_energy", "temperature", "equipartition")
 OF_GRAIN = ("kinetic_energy", "velocity", "displacement")
 OF_CONTACT = ("force",)
@@ -26,11 +26,12 @@ class Observable(NamedTuple):
     Attributes
     ----------
     unit : str
-        Empty for a ratio.
+        Unit; empty for a ratio.
     at_rest : float
-        What it is where nothing moves.
+        Value if nothing moves.
     measure : function
-        Of displacements and velocities of all grains, (..., N) m and m/s; returns it, (...).
+        Returns the quantity, (...), from displacements and velocities of all grains, (..., N) m and
+        m/s.
     """
 
     unit: str
@@ -44,7 +45,7 @@ def observable(chain: Chain, name: object) -> Observable:
     Raises
     ------
     InputError
-        If there is none, or the chain has no such grain or contact.
+        If there is no such quantity, grain or contact.
     """
     if not isinstance(name, str):
         raise InputError.at("quantities", f"must be names (got {shown(name)})")
@@ -85,7 +86,7 @@ def _of_chain(chain: Chain, name: str) -> Observable:
     def equipartition(_: Array, v: Array) -> Array:
         square = v**2 * half_masses
         total = square.sum(-1)
-        # at rest nothing is shared unevenly
+        # A chain at rest counts as evenly shared.
         moves = total > 0
         spread = (square**2).sum(-1) / np.where(moves, total, 1.0) ** 2
         return np.where(moves, (movable + 2) / 3 * spread, 1.0)

@@ -1,4 +1,4 @@
-"""The plan of a scene: the engine, grains and step size that `simulate` would take, and why."""
+"""The plan of a scene: the engine, grains and step of `simulate`, with the reasons."""
 
 from __future__ import annotations
 
@@ -24,32 +24,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
-TRIAL_S = 0.5  # cost of a trial up to which engines that run one are asked, too
 
 
 @dataclass(frozen=True, repr=False)
 class Plan(Shown, Tabular):
-    """How a scene is answered within a tolerance at the least expected cost.
+    """The cheapest way to solve a scene within a tolerance.
 
     Attributes
     ----------
     engine, integrator : str
     active_grains : int
-        Grains that are computed.
+        Number of grains that are computed.
     step : float
-        s; of an exact solution, the time between two samples.
+        Step, s; for an exact solution, the time between two samples.
     expected_error : float
-        Of equation and solver together; the run states the error of the equation.
+        Expected error of equation and solver together; the run measures the error of the equation.
     expected_cost_s : float
         Time for setting up, integrating and estimating the error, s.
     why : str
     candidates : tuple of Proposal
-        What every engine proposed; that of the plan is among them.
+        Proposals of all engines, including the chosen one.
     tolerance : float
     damping_effect : float
-        About what leaving damping out would change at most, relative; 0 without damping.
+        Largest relative change if damping were left out, roughly; 0 without damping.
     damping : str
-        The same in words.
+        The effect of damping as text.
     """
 
     engine: str
@@ -65,7 +64,7 @@ class Plan(Shown, Tabular):
     damping: str = ""
 
     def table(self) -> str:
-        """Return all candidates as a table, and why the first is taken, within 80 columns.
+        """Return all candidates as a table within 80 columns, and why the first one is chosen.
 
         Errors are those of the equation, "model", and of its solution, "solver".
         """
@@ -77,7 +76,7 @@ class Plan(Shown, Tabular):
         return "\n".join([*align(self._summary()), *wrap(*sentences)])
 
     def _by_price(self) -> list[Proposal]:
-        """Return the candidates, those that are kept first, and the cheapest of them foremost."""
+        """Return the candidates: first the kept ones by cost, then the others."""
         return sorted(self.candidates, key=lambda proposal: proposal.price_s)
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
@@ -105,7 +104,7 @@ class Plan(Shown, Tabular):
             error = max(proposal.model_error + proposal.solver_error, LEAST_ERROR)
             if np.isfinite([error, proposal.cost_s]).all():
                 colour, marker = engines.class_of(proposal.engine).style
-                # hollow: expected to miss the tolerance
+                # Hollow markers are expected to miss the tolerance.
                 filling = colour if proposal.kept else "none"
                 label = proposal.engine if proposal.kept else f"{proposal.engine}, dropped"
                 style: dict[str, Any] = {"color": colour, "mfc": filling, "ls": "none"}
@@ -125,7 +124,7 @@ class Plan(Shown, Tabular):
         return ax
 
     def to_json(self) -> dict[str, Any]:
-        """Return the plan in plain numbers; what is not known is null."""
+        """Return the plan for a JSON file; unknown numbers are null."""
         fields = dict(self.__dict__)
         # last, as they are longest
         proposals = fields.pop("candidates")
@@ -136,7 +135,7 @@ class Plan(Shown, Tabular):
 
 
 def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Plan:
-    """Say which engine `simulate` takes for a scene with engine "auto", with which step, and why.
+    """Return the engine and the step that `simulate` with engine "auto" chooses, and why.
 
     Parameters
     ----------
@@ -144,8 +143,8 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
     tolerance : float
         Largest relative error, of equation and solver together.
     engine : str, optional
-        An engine, such as "lammps": what each of its integrators would take. By default all
-        engines.
+        Name of an engine, such as "lammps", whose integrators are compared. By default all engines
+        are compared.
 
     Returns
     -------
@@ -156,7 +155,7 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
     InputError
         If the tolerance is not between 0 and 1, or there is no such engine.
     ToleranceNotMet
-        If no engine, or not the one that is named, expects to meet it.
+        If no engine, or not the named one, is expected to meet the tolerance.
 
     Examples
     --------
@@ -193,21 +192,23 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
 
 
 def _ways(name: str, scene: Scene) -> list[Engine]:
-    """Return an engine with each of its integrators that can do a scene."""
+    """Return an engine with each of its integrators that applies to a scene."""
     engine = engines.get(name)
     methods = [kind for kind in methods_of(scene.chain.damped) if kind in engine.integrators]
     return [engines.get(name, integrator=kind) for kind in methods] or [engine]
 
 
 def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
-    """Return what an engine would take that is asked for by name only."""
+    """Return the proposal of an engine that must be asked for by name, with its step."""
     if proposal.possible or proposal.equation is not None:
         return proposal
-    # trials begin anew with shorter steps: where a drive may do any work, for how long is unknown
+    # Trials start again with shorter steps. If nothing bounds the work of a drive, their total time
+    # is unknown.
     unbounded = scene.excitation.does_work and scene.largest_strain == math.inf
     engine = engines.plain(proposal.engine)
     possible = not engines.obstacles(engine, scene)
-    if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > TRIAL_S):
+    # A plan waits half a second for a trial at most.
+    if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > 0.5):
         cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")
     asked = ask(engine, scene, tolerance)
@@ -220,7 +221,7 @@ def _label(proposal: Proposal) -> str:
 
 
 def _verdict(proposal: Proposal) -> str:
-    """Return in words whether a proposal is kept, and why."""
+    """Return the verdict on a proposal as text."""
     diameter = proposal.choices.get("diameter")
     drawn = f"; {diameter} diameter: {proposal.choices['why']}" if diameter else ""
     return f"{'kept' if proposal.kept else 'dropped'}: {proposal.why}{drawn}"

@@ -1,22 +1,21 @@
-"""A run folder: the order, the samples so far, and the state to resume the run from bit for bit.
+"""A run folder: the order, the samples so far, and the state from which the run is resumed.
 
 scene.toml, run.json
-    The order: scene, engine, tolerance; and every session that worked on it: command, host,
-    versions.
+    The order (scene, engine, tolerance), and for every session: command, host and versions.
 status.json
-    Running, stopped, finished or failed, why, and how far; see `status` for a run that was killed.
+    State of the run (running, stopped, finished or failed), reason, and progress; see `status` for
+    a run that was killed.
 trajectory.zarr
-    The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also while the run
-    goes on.
+    The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also during the run.
 checkpoint, checkpoint-before
-    The two newest states, from which a run goes on.
+    The two newest states, from which a run is resumed.
 deck, log.lammps
-    Of a run in LAMMPS: input that `lmp` runs by itself; what LAMMPS said, session by session.
+    For a run in LAMMPS: the input, which `lmp` runs by itself, and the log of every session.
 SHA256SUMS
-    Of what is final: of the deck, and of all that is lmpchain's once the run is finished.
+    Hashes of final files: of the deck, and of all files of lmpchain when the run is finished.
 
-Files that are not lmpchain's, or not as it wrote them (`lmpchain.simulation.folder_files`), are
-never replaced or removed, and no new run begins beside them.
+Files that lmpchain did not write, or that were changed since (`lmpchain.simulation.folder_files`),
+are never replaced or removed, and no new run starts in their folder.
 """
 
 from __future__ import annotations
@@ -63,13 +62,13 @@ class Intervals(NamedTuple):
     Attributes
     ----------
     checkpoint_share : float
-        Largest share of the time that checkpoints take.
+        Largest fraction of the time for checkpoints.
     checkpoint_s : float
         Shortest time between two checkpoints, s.
     lock_s : float
-        Longest wait for the lock of the folder, s; `status` keeps it for less.
+        Longest wait for the lock of the folder, s; `status` holds the lock for a shorter time.
     sample_s : float
-        Longest wait of a stop for the sample at work, s, which need not be done again then.
+        Longest time for which a stop waits for the next sample, s.
     """
 
     checkpoint_share: float = 0.01
@@ -82,11 +81,11 @@ INTERVALS = Intervals()
 
 
 class Stopped(LmpchainError):
-    """The run was stopped before its end; `lmpchain.resume` goes on with what its folder holds."""
+    """The run was stopped before its end; `lmpchain.resume` continues it."""
 
 
 class Requests:
-    """Requests to stop; inside the context, signals do nothing but make one.
+    """Requests to stop; inside the context, signals only make a request.
 
     Parameters
     ----------
@@ -103,8 +102,7 @@ class Requests:
 
     def __enter__(self) -> Requests:
         if threading.current_thread() is threading.main_thread():
-            # signals reach no other
-            # handlers that ignore a signal, as of nohup, stay
+            # Only the main thread gets signals. Signals that are ignored, as by nohup, stay so.
             handlers = {number: signal.getsignal(number) for number in SIGNALS}
             self._before = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
             for number in self._before:
@@ -126,7 +124,7 @@ class Requests:
         return "stopped at the end of its time" if time.monotonic() >= self._deadline else ""
 
     def pass_on(self) -> None:
-        """Raise the signal that came, for the handler outside of the context."""
+        """Raise the received signal again, for the handler outside of the context."""
         if self._number is not None:
             signal.raise_signal(self._number)
 
@@ -154,12 +152,12 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
 
 
 def _find_kill(path: Path) -> dict[str, str]:
-    """Return the state in place of "running" if no process is at work any more."""
+    """Return the state "killed" if no process has the lock of the folder."""
+    # The folder may be read-only.
     with suppress(OSError):
-        # perhaps it may be read only
         if lock := take_lock(path.parent):
             try:
-                # it may have come to its end just now
+                # The run may have ended just now.
                 state = json.loads(path.read_text(encoding="utf-8"))["state"]
             finally:
                 lock.release()
@@ -169,7 +167,7 @@ def _find_kill(path: Path) -> dict[str, str]:
 
 
 class RunFolder:
-    """A run folder at work, locked inside its context: a new one for a scene, or one to resume.
+    """A run folder, locked inside its context: a new one for a scene, or one to resume.
 
     Attributes
     ----------
@@ -180,11 +178,11 @@ class RunFolder:
     best_effort : bool
         Whether to return the best answer if the tolerance cannot be met.
     attempt : Attempt or None
-        The one to go on with.
+        The attempt to continue.
     samples : int
-        That are done.
+        Number of samples done.
     requests : Requests
-        To stop.
+        Requests to stop.
     """
 
     scene: Scene
@@ -212,7 +210,7 @@ class RunFolder:
         self.attempt: Attempt | None = None
         self.samples = 0
         self._state: Mapping[str, Array] = {}
-        # spent by the sessions before, s
+        # Times of earlier sessions, s.
         self._before = dict.fromkeys(("wall_s", *SPENT), 0.0)
         self._estimate: float | None = None
         self._began = time.monotonic()
@@ -229,7 +227,7 @@ class RunFolder:
             for path in files.half_written(self.path):
                 path.unlink()
             if self._is_new:
-                # another may have been faster
+                # Another process may have been faster.
                 files.check_new(self.path)
                 self._write_status("running")
                 asked = self.scene, self.engine, self.tolerance, self.best_effort
@@ -238,7 +236,7 @@ class RunFolder:
                 asked = files.read_order(self.path, self._ranks)
                 self.scene, self.engine, self.tolerance, self.best_effort = asked
                 self._load_checkpoint()
-                # the status file also knows of time after the last checkpoint
+                # The time of the status includes the time after the last checkpoint.
                 with suppress(InputError, LookupError):
                     wall_s = float(status(self.path)["wall_s"])
                     if math.isfinite(wall_s):
@@ -250,7 +248,7 @@ class RunFolder:
         return self
 
     def _take_lock(self) -> Any:
-        """Return the lock of the folder, taken; raises `InputError` if another process has it."""
+        """Lock the folder and return its lock; raise `InputError` if another process has it."""
         try:
             lock = take_lock(self.path, INTERVALS.lock_s)
         except OSError as error:
@@ -261,11 +259,11 @@ class RunFolder:
 
     @property
     def _known(self) -> Scene:
-        """The scene, or its beginning where it cannot be predicted any longer."""
+        """The scene up to its predictability horizon."""
         return self.scene.until(self.attempt.known_until) if self.attempt else self.scene
 
     def _load_checkpoint(self) -> None:
-        """Load the newest checkpoint that is whole, and whose samples are there."""
+        """Load the newest complete checkpoint whose samples are stored."""
         damaged = False
         for checkpoint in files.load_checkpoints(self.path):
             if checkpoint:
@@ -286,21 +284,21 @@ class RunFolder:
             )
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        # no run that could be gone on with
+        # There is no run that could be resumed.
         if isinstance(error, InputError) and self._is_new and not self.samples:
             files.clear(self.path)
             if self._made:
-                # what came meanwhile keeps it
+                # Files of others keep the folder.
                 with suppress(OSError):
                     self.path.rmdir()
         elif error:
             stopped = isinstance(error, Stopped) or not isinstance(error, Exception)
+            # The disk may be full.
             with suppress(OSError):
-                # the disk may be full
                 reason = str(error) or self.requests.reason or "interrupted"
                 self._write_status("stopped" if stopped else "failed", reason)
         self._lock.release()
-        # only now that all is on the disk does Ctrl-C end the program
+        # Ctrl-C ends the program only after all files are written.
         self.requests.pass_on()
         if isinstance(error, OSError | EngineUnavailable):
             fault = str(error)
@@ -314,19 +312,19 @@ class RunFolder:
             raise kind(f"{fault}; {done} and most are kept; {cure}") from error
 
     def prepare(self, engine: Engine) -> Engine:
-        """Return the engine that answers, which writes its messages into this folder."""
+        """Return the engine that solves the scene; it writes its messages to this folder."""
         self._answering = engine.prepare(self.path)
         return self._answering
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
-        """Make ready for an attempt; return the state if the run goes on with it."""
+        """Prepare the files of an attempt; return the state if the run continues from it."""
         state = self._state
         self._state = {}
         self.attempt = attempt
         if not state:
             self.samples = 0
             self._before = self._before | dict.fromkeys(SPENT, 0.0)
-            # both checkpoints: none may hold an earlier attempt, whose samples go
+            # Replace both checkpoints, because the samples of an earlier attempt are removed.
             for _ in files.CHECKPOINT_FILES:
                 files.save_checkpoint(self.path, self._notes(self._before), {})
             engine = self._answering
@@ -342,16 +340,16 @@ class RunFolder:
         return state or None
 
     def collect(self, run: Run, blocks: Iterable[Block]) -> None:
-        """Bring the blocks of a run to the disk, with a checkpoint now and then.
+        """Write the blocks of a run to disk, with checkpoints.
 
         Raises
         ------
         Stopped
-            As soon as it is asked for, and what is done is kept.
+            After a request to stop, when the samples so far are written.
         """
         request = math.inf
         for block in blocks:
-            # a block without samples gives control while the engine is at work
+            # A block without samples only returns control during the work of the engine.
             fresh = block.samples.stop > block.samples.start or block.resumable
             if fresh:
                 self._writer.put(block)
@@ -372,7 +370,7 @@ class RunFolder:
         self._writer.flush()
         error = run.errors()[0]
         self._estimate = error.estimate.total
-        # the samples are on the disk before the checkpoint says so
+        # The samples are written before the checkpoint that counts them.
         self._writer.note(error.estimate)
         files.save_checkpoint(self.path, self._notes(self._spent(run.cost())), run.state())
         self._write_status("running")
@@ -391,12 +389,12 @@ class RunFolder:
         }
 
     def _spent(self, cost: Cost) -> dict[str, float]:
-        """Return the times of all sessions for this attempt, s; wall time for all attempts."""
+        """Return the times of this attempt in all sessions, s; wall time of all attempts."""
         session = cost._asdict() | {"wall_s": time.monotonic() - self._began}
         return {key: value + session[key] for key, value in self._before.items()}
 
     def finish(self, outcome: Outcome[None], gathered: Mapping[str, Array]) -> Trajectory:
-        """Write the end of the run; return the answer, which stays on the disk."""
+        """Write the final files; return the trajectory, whose arrays stay on disk."""
         spent: Any = self._spent(outcome.cost)
         cost = outcome.cost._replace(**{key: spent[key] for key in SPENT})
         self._estimate = outcome.error.estimate.total
@@ -423,12 +421,12 @@ class RunFolder:
             "pid": os.getpid(),
         }
         with replacing(self.path / STATUS) as aside:
-            # JSON knows no infinity
+            # JSON has no infinity.
             aside.write_text(sealed_json(finite(report)), encoding="utf-8")
 
 
 def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
-    """Return the attempt of a checkpoint; raises `InputError` where its notes are strange."""
+    """Return the attempt of a checkpoint; raise `InputError` if its notes are invalid."""
     from pydantic import TypeAdapter, ValidationError
 
     try:
@@ -441,7 +439,7 @@ def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attem
         if not 0 < attempt.tolerance < 1:
             raise ValueError("it has no tolerance")
         fields = noted["proposal"].keys()
-        # another version may have more fields, or fewer
+        # Another version may have more or fewer fields.
         if proposal._asdict().keys() != fields or times.keys() != spent.keys():
             raise ValueError("it has other fields")
         if attempt.proposal.engine not in engines.names():

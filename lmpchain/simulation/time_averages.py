@@ -35,35 +35,34 @@ from .observables import Observable, observable
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FEW_MEANS = 2  # that fit in a line
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
 A_TIME = "a time above 0 s"
-NO_INTERVAL = "unknown"  # half-width of an interval for which the time is too short
-STEPS_AT_ONCE = 2**23  # grains x steps between two opportunities to stop
+NO_INTERVAL = "unknown"  # Half-width of an interval if the time is too short.
+STEPS_AT_ONCE = 2**23  # Grains times steps between two opportunities to stop.
 
 
 @dataclass(frozen=True)
 class Averaging:
-    """How a motion is followed that is averaged; analysis/calibration/batch_means.py.
+    """Parameters of averaging along a motion; analysis/calibration/batch_means.py.
 
     Attributes
     ----------
     warm_up : float
-        Share of the time that is left out at the beginning.
+        Fraction of the time that is left out at the beginning.
     turn : float
-        Phase of the fastest motion between two samples, at most.
+        Largest phase of the fastest motion between two samples.
     fewest : int
-        Samples of a stretch.
+        Smallest number of samples in a stretch.
     energies : int
-        Samples from one whose energy is looked at to the next.
+        Samples between two evaluations of the energy.
     judged : int
-        Energies that are seen before a step is called too long.
+        Number of energies after which a step may be found too long.
     attempts : int
-        Steps that are tried.
+        Largest number of steps that are tried.
     change : float
-        By which copies of a chain begin apart, relative to the largest motion.
+        Initial distance between copies of a chain, relative to the largest motion.
     apart : float
-        Distance over the largest motion at which copies know nothing of each other.
+        Distance over the largest motion at which copies are independent.
     """
 
     warm_up: float = 0.2
@@ -78,16 +77,16 @@ class Averaging:
 
 @dataclass(frozen=True)
 class EnergyErrors:
-    """What energy a splitting makes up, relative; analysis/calibration/batch_means.py.
+    """Relative energy errors of splittings; analysis/calibration/batch_means.py.
 
     Attributes
     ----------
     wobble : float
         Root mean square at omega h = 1 with velocity Verlet, which falls with the square of h.
     walk : float
-        The same by the openings of a radian of the fastest motion, of which it is a random walk.
+        Step of the random walk by openings, for each radian of the fastest motion.
     smooth : float
-        Of rkn6, where no contact opens, falling with the sixth power.
+        Root mean square with rkn6 if no contact opens, which falls with the sixth power of h.
     longest : float
         Longest omega h over the stability limit.
     """
@@ -99,37 +98,38 @@ class EnergyErrors:
 
 
 AVERAGING = Averaging()
-LEAST_TOLERANCE = 1e-10  # below, rounding alone shifts the energy of long motions
+LEAST_TOLERANCE = 1e-10  # Rounding alone shifts the energy of long motions by about as much.
 ENERGY_ERRORS = EnergyErrors()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Averages(Shown, Tabular):
-    """Averages of quantities over time, by name, with intervals of 95 % confidence.
+    """Averages of quantities over time, by name, with 95 % confidence intervals.
 
     Attributes
     ----------
     scene : Scene
     time : float
-        Of motion, warm-up included, of each copy, s.
+        Time of the motion of each copy, warm-up included, s.
     warm_up : float
-        Left out at the beginning, s.
+        Time that is left out at the beginning, s.
     copies : int
-        Chains that were averaged over.
+        Number of copies of the chain.
     unit : dict of str
-        Of each quantity; empty for a ratio.
+        Unit of each quantity; empty for a ratio.
     mean, variance : dict of float
-        Of each quantity over time; in its unit, and its square.
+        Mean and variance of each quantity over time.
     interval, variance_interval : dict of (float, float)
-        Of 95 % confidence, with what the error of the energy can do; infinite if the time was too
-        short to tell.
+        95 % confidence intervals, including the effect of the energy error; infinite if the time
+        was too short.
     correlation_time : dict of float
-        Over which a quantity remembers: the integral of its correlation over positive lags, s; NaN
-        if the time was too short.
+        Correlation time of each quantity, the integral of its correlation over positive lags, s;
+        NaN if the time was too short.
     batches : dict of int
-        How many independent ones the interval of the mean is worth; 0 if there is no interval.
+        Number of independent batches of the interval of the mean; 0 if there is no interval.
     energy_error : float
-        Of the integration: root mean square of the energy above rest over that at t = 0, less 1.
+        Error of the integration: root mean square of the energy above rest over that at t = 0,
+        less 1.
     integrator : str
     step : float
         s.
@@ -157,9 +157,9 @@ class Averages(Shown, Tabular):
     stretch_mean: Mapping[str, Array]
 
     def __repr__(self) -> str:
-        """Return the first means with their half intervals, and how many others there are."""
+        """Return the first means with half their intervals, and the number of other means."""
         said = []
-        for name, mean in islice(self.mean.items(), FEW_MEANS):
+        for name, mean in islice(self.mean.items(), 2):
             half_width = self.interval[name][1] - mean
             error = f"{half_width:.1g}" if math.isfinite(half_width) else NO_INTERVAL
             said.append(f"{name} = {mean:.4g} ± {error} {self.unit[name]}".rstrip())
@@ -212,7 +212,7 @@ class Averages(Shown, Tabular):
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers for JSON, null in place of infinite ends."""
+        """Return all numbers for a JSON file, with null in place of infinity."""
 
         def ends(interval: tuple[float, float]) -> list[float | None]:
             return [end if math.isfinite(end) else None for end in interval]
@@ -242,13 +242,13 @@ class Averages(Shown, Tabular):
     def plot(self, ax: Axes | None = None, of: str | None = None) -> Axes:
         """Draw the means of batches of a quantity over time, and return the axes.
 
-        With the average up to each time, and the interval of that of the whole time as a band.
+        The chart also has the average up to each time, and its final interval as a band.
 
         Parameters
         ----------
         ax : Axes, optional
         of : str, optional
-            By default the first quantity.
+            Name of the quantity; by default the first one.
         """
         from ..util.plotting import axes_in_units, legend, prefixed, set_title
 
@@ -279,16 +279,16 @@ class Averages(Shown, Tabular):
 
 
 class _Course(NamedTuple):
-    """The samples of a motion that is averaged.
+    """The samples of an averaged motion.
 
     Attributes
     ----------
     scene : Scene
-        For as long as it takes, recorded at these samples.
+        The scene for the whole time, with these samples.
     warm_up : int
-        Samples that are left out.
+        Number of samples that are left out.
     stretch : int
-        Samples of each stretch behind them.
+        Number of samples in each stretch after the warm-up.
     """
 
     scene: Scene
@@ -296,7 +296,7 @@ class _Course(NamedTuple):
     stretch: int
 
     def pieces(self, most: int) -> Iterator[tuple[int, int, int]]:
-        """Yield stretch, -1 of the warm-up, first sample and last one, of no more than `most`."""
+        """Yield stretch (-1: warm-up), first and last sample of pieces of `most` samples."""
         first = 1
         lengths = [self.warm_up, *[self.stretch] * BATCHING.stretches]
         for stretch, length in enumerate(lengths, -1):
@@ -312,15 +312,15 @@ class _Sums(NamedTuple):
     Attributes
     ----------
     reference : (Q, 1) array
-        From which values are counted: near the mean, so that squares keep their digits.
+        Values near the means, which are subtracted so that squares keep their digits.
     first, square : (Q, R, S) arrays
-        Sums of the values so counted, and of their squares.
+        Sums of the differences from `reference`, and of their squares.
     energy : (R, S) array
         Mean relative error of the energy in each stretch.
     energy_error : float
-        Its root mean square over all times.
+        Root mean square of the energy error over all times.
     lost_after : float, optional
-        Part of the motion after which the energy was off by more than allowed, so that it ended.
+        Part of the motion after which it ended, because the energy error was too large.
     """
 
     reference: Array
@@ -341,34 +341,33 @@ def averages(
     copies: int = 1,
     progress: bool = False,
 ) -> Averages:
-    """Average quantities of a chain over time, with intervals of 95 % confidence.
+    """Average quantities of a chain over time, with 95 % confidence intervals.
 
-    Beyond its predictability time no run knows where the grains of a chaotic chain are; averages
-    over time it knows, as a motion that is a little off has the same ones. A symplectic method
-    moves the chain by equal steps, which are made so short that its energy stays right, and nothing
-    is recorded on the way.
+    Beyond the predictability horizon of a chaotic chain, no run predicts the positions of grains.
+    Averages over time remain well defined, because a perturbed motion has the same ones. A
+    symplectic method integrates the chain with equal steps, which are so short that the energy is
+    conserved, and no samples are recorded.
 
     Parameters
     ----------
     scene : Scene
-        Of a chain that conserves energy and that no grain can leave, with initial data. Its
-        duration and samples do not matter if `time` is given.
+        Scene of a chain that conserves energy and keeps its grains, without a force or drive.
+        Its duration and samples do not matter if `time` is given.
     quantities : list of str
         "kinetic_energy", "potential_energy" (above rest), "temperature" (twice the kinetic energy a
         grain that moves, kB T in J), "equipartition" (see Notes), "force:10" of contact 10,
         "kinetic_energy:10", "velocity:10" and "displacement:10" of grain 10.
     time : float, optional
-        For how long the motion is followed, warm-up included, s; by default the duration of the
-        scene.
+        Time of the motion, warm-up included, s; by default the duration of the scene.
     tolerance : float
-        Largest error of the energy, relative to that above rest, as a root mean square over time.
-        It sets the step, and is what the integration may do to averages; how long the average is
-        taken sets the rest of the intervals.
+        Largest root mean square of the energy error, relative to the energy above rest. It
+        determines the step and the effect of the integration on averages. The rest of the intervals
+        depends on the time.
     warm_up : float, optional
-        Left out at the beginning, s: equilibration. By default a fifth of the time.
+        Time that is left out at the beginning for equilibration, s; by default a fifth of the time.
     copies : int
-        Chains that begin a relative 1e-9 apart and are averaged together, on all cores. Chaos must
-        part them within the warm-up.
+        Number of chains, with initial values that differ by a relative 1e-9, which are averaged
+        together on all cores. Chaos must separate them within the warm-up.
     progress : bool
         Whether to show a progress bar.
 
@@ -379,31 +378,31 @@ def averages(
     Raises
     ------
     InputError
-        If an option is wrong, energy is not conserved, grains can fly away, or copies do not part.
+        If an option is wrong, energy is not conserved, grains can fly away, or copies stay close.
     ToleranceNotMet
         If no step keeps the energy within the tolerance.
 
     Warns
     -----
     UserWarning
-        If a quantity remembers for so long that the time is too short for its interval, which is
-        then infinite, or that the interval is worth the fewest batches.
+        If the correlation time of a quantity is so long that its interval is infinite, or based on
+        the fewest batches.
 
     Notes
     -----
-    Intervals follow from the means of 256 batches a copy (`lmpchain.simulation.batch_means`):
-    Student's t with the amplitudes of 16, 8 or 4 slow cosines in them, the slower, the longer a
-    quantity remembers. They are wider by the energy error e: an average may shift by e times the
-    larger of its distance from rest and the standard deviation, a variance by 2 e of itself, for
-    neither grows faster than with the first and second power of the energy. An average gets twice
-    that, for steps shift it besides: by as much, of the kinetic energy of beads between walls.
+    Intervals follow from the means of 256 batches of each copy (`lmpchain.simulation.batch_means`)
+    by Student's t with the amplitudes of 16, 8 or 4 slow cosines; fewer for longer correlation
+    times. They include the effect of the energy error e: an average may shift by e times the larger
+    of its distance from rest and the standard deviation, and a variance by a fraction 2 e, because
+    they grow at most with the first and second power of the energy. Averages get twice this amount,
+    because steps also shift them directly, by about as much for beads between walls.
 
     The equipartition is ``(M + 2)/3 sum K_n^2 / (sum K_n)^2`` of the kinetic energies K_n of the M
-    grains that move. Its mean is 1 where all velocities of one kinetic energy are equally likely,
-    as in equilibrium, and (M + 2)/3 where one grain has all of it.
+    grains that move. Its mean is 1 if all velocities of the same kinetic energy are equally likely,
+    as in equilibrium, and (M + 2)/3 if one grain has all of the energy.
 
-    For a sonic vacuum between walls the microcanonical ensemble is known: the share of the kinetic
-    energy follows Beta's distribution with M/2 and M/(delta + 1), whose mean is (delta + 1) /
+    For a sonic vacuum between walls the microcanonical ensemble is known: the fraction of the
+    kinetic energy has a beta distribution with M/2 and M/(delta + 1), whose mean is (delta + 1) /
     (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, J. Stat. Mech. 2017, 123204 =
     arXiv:1701.05546.
 
@@ -435,7 +434,7 @@ def averages(
     with ProgressBar(samples, "averages", " samples", layout=RATE, shown=progress) as bar:
         for _ in range(AVERAGING.attempts):
             steps = math.ceil(longer.sampling_phase / reach)
-            # before the first of them alone
+            # Announce the first attempt only.
             if error == math.inf:
                 work = Native.seconds_per_grain_step * method.evaluations * steps * samples
                 cost_s = seconds(Native.name, 0.0, work * copies * scene.chain.grains)
@@ -450,7 +449,7 @@ def averages(
                 named = dict(zip(names, observables, strict=True))
                 return _conclude(scene, course, named, sums, schedule, method.name)
             error = sums.energy_error
-            # of a random walk, as it would be at the end
+            # The energy error is extrapolated to the end as a random walk.
             ratio = (tolerance / (error / math.sqrt(sums.lost_after))) ** (1 / method.order)
             reach *= min(max(0.9 * ratio, 0.25), 0.8) if math.isfinite(ratio) else 0.25
             bar.reach(0)
@@ -475,7 +474,7 @@ def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
 
 
 def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield why the motion of a scene does not go on for ever, with the same energy."""
+    """Yield why the motion of a scene does not last for ever at constant energy."""
     chain = scene.chain
     if chain.damped:
         cure = "leave damping out, as chain.replace(damping=None) does"
@@ -485,7 +484,7 @@ def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
         yield "excitation", f"must leave the energy as it is at t = 0: {cure}"
     elif scene.at_rest:
         yield "excitation", "moves nothing: there is nothing to average"
-    # neither weight nor load brings back what flies away
+    # Neither weight nor load brings back grains that fly away.
     held = chain.compressed or chain.top == "wall"
     if not held or chain.bottom == "free" or (chain.loose_grains and chain.top == "free"):
         cure = 'use top = "wall" and bottom = "wall", gravity or a load on grain 1'
@@ -506,7 +505,7 @@ def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
     interval = lasting / stretch
     before = round(left_out / interval)
     samples = before + stretch * BATCHING.stretches
-    # as the scene, a valid one, for another time
+    # A valid scene stays valid for another time.
     longer = make_unchecked(
         Scene,
         chain=scene.chain,
@@ -518,7 +517,7 @@ def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
 
 
 def _copies(scene: Scene, longer: Scene, copies: int) -> list[Scene]:
-    """Return the scene for a longer time, and copies of it that begin a little apart."""
+    """Return the scene for a longer time, and copies with slightly different initial values."""
     changes = AVERAGING.change * np.arange(1, copies)
     others = [
         make_unchecked(
@@ -534,10 +533,10 @@ def _copies(scene: Scene, longer: Scene, copies: int) -> list[Scene]:
 
 
 def _first_reach(scene: Scene, tolerance: float) -> tuple[Splitting, float]:
-    """Return the method for a motion, and omega h of the step with which its energy stays right.
+    """Return the method for a motion, and omega h of the first step.
 
-    A method of high order pays where forces are smooth. Where contacts open, each opening shifts
-    the energy by as much with one as with the other, and velocity Verlet has the shortest steps.
+    A method of high order is best for smooth forces. If contacts open, the energy error of an
+    opening does not depend on the order, and velocity Verlet has the shortest steps.
     """
     if scene.largest_strain <= FIRST_STEP.safe_strain:
         method = SPLITTINGS["rkn6"]
@@ -559,7 +558,7 @@ def _follow(
     tolerance: float,
     bar: ProgressBar,
 ) -> _Sums:
-    """Return sums over a motion, which ends where its energy is off by more than allowed."""
+    """Return sums over a motion, which ends early if its energy error is too large."""
     chain = course.scene.chain
     batch = ChainBatch(scenes)
     copies = len(scenes)
@@ -585,13 +584,13 @@ def _follow(
             energy = chain.excess_energy(shown_u[:, some], shown_v[:, some])
             energy = energy / energies - 1
             if begin == course.warm_up + 1:
-                # errors during the warm-up are none of the averages
+                # Energy errors during the warm-up do not affect the averages.
                 squares = 0.0
                 looked = 0
             squares += float((energy**2).sum())
             looked += energy.size
             error = math.sqrt(squares / looked)
-            # the wave is steepest when it is young
+            # The wave is steepest at the beginning.
             allowed = 4 * tolerance if stretch < 0 else tolerance
             if looked >= AVERAGING.judged and not error <= allowed:
                 lost_after = end / course.scene.samples
@@ -629,7 +628,7 @@ def _conclude(
     schedule: Steps,
     integrator: str,
 ) -> Averages:
-    """Return the averages that follow from sums over stretches."""
+    """Return the averages from the sums over stretches."""
     copies = sums.first.shape[1]
     lasting = course.stretch * BATCHING.stretches * course.scene.sampling_interval
     warm_up = course.warm_up * course.scene.sampling_interval
@@ -644,14 +643,14 @@ def _conclude(
         centre = mean.mean - float(sums.reference[row, 0])
         deviation = sums.square[row] / course.stretch - 2 * centre * from_reference + centre**2
         spread = estimate(deviation, sums.energy)
-        # the mean of the same values is nearer to them than the true one
+        # The values are closer to their own mean than to the true mean.
         known = mean.error if mean.batches else 0.0
         variance = max(spread.mean, 0.0) + known**2
         results["mean"][name] = mean.mean
         results["variance"][name] = variance
         size = max(abs(mean.mean - quantity.at_rest), math.sqrt(variance))
-        # as much again for what steps do to an average beside the energy: of the kinetic energy
-        # of 38 beads 80 in 100 intervals cover without that
+        # Steps shift an average also directly, by about as much. Otherwise only 80 of 100 intervals
+        # cover the kinetic energy of 38 beads.
         half_width = mean.half_width + 2 * sums.energy_error * size
         results["interval"][name] = (mean.mean - half_width, mean.mean + half_width)
         results["variance_interval"][name] = _of_variance(variance, mean, spread, sums.energy_error)
@@ -687,7 +686,7 @@ def _conclude(
 def _of_variance(
     variance: float, mean: Estimate, spread: Estimate, energy_error: float
 ) -> tuple[float, float]:
-    """Return the interval of a variance, in which its logarithm is spread evenly, as of chi^2."""
+    """Return the interval of a variance, symmetric in its logarithm, as for chi^2."""
     if not variance:
         return 0.0, 0.0
     if not (mean.batches and spread.batches):

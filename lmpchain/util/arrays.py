@@ -1,5 +1,6 @@
 """Arrays that hold physical quantities, and the precision of their numbers."""
 
+import math
 from decimal import Decimal
 from numbers import Real
 from typing import Any, TypeVar
@@ -35,7 +36,7 @@ def last_digit(size: float) -> float:
     >>> last_digit(3.0) == last_digit(1e-300) == EPSILON, last_digit(5e-324)
     (True, 1.0)
     """
-    return max(EPSILON, float(np.spacing(size)) / size)
+    return max(EPSILON, math.ulp(size) / size)
 
 
 def numbers(value: Any, key: str = "") -> Array:

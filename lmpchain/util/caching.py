@@ -20,7 +20,7 @@ else:
         def __get__(self, instance: Any, owner: type | None = None) -> Any:
             if instance is None:
                 return self
+            # Python looks here only if the instance has no value yet.
             values = instance.__dict__
-            if self.attrname not in values:
-                values[self.attrname] = self.func(instance)
+            values[self.attrname] = self.func(instance)
             return values[self.attrname]

@@ -18,7 +18,7 @@ from lmpchain.design import (
     parameters,
 )
 from lmpchain.design.gradients import at_step
-from lmpchain.integrators.adjoint import DifferentiableRun, economised
+from lmpchain.integrators.adjoint import DifferentiableRun, economise
 from lmpchain.integrators.splittings import SPLITTINGS
 
 LOOKS = 6
@@ -341,7 +341,7 @@ def test_adjoints_of_long_chains_agree_with_tangents(
 @pytest.mark.parametrize("exponent", [0.05, 0.5, 0.75, 1.0, 1.5, 2.0])
 @pytest.mark.parametrize(("reach", "terms"), [(0.0, 4), (1e-5, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)])
 def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float, terms: int):
-    found = economised(exponent, reach)
+    found = economise(exponent, reach)
     s = np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15)
     true = np.expm1(exponent * np.log1p(s)) / s
     assert found.size == terms or exponent in (1.0, 2.0)  # which fewer make exactly

@@ -77,7 +77,7 @@ def test_a_budget_ends_what_exceeds_it(monkeypatch: pytest.MonkeyPatch):
 
 def test_work_within_a_budget_leaves_half_of_its_time(monkeypatch: pytest.MonkeyPatch):
     used = [0.0]
-    monkeypatch.setattr("lmpchain.engines.cost_model._used", lambda: used[0])
+    monkeypatch.setattr("lmpchain.engines.cost_model._cpu_time", lambda: used[0])
     ends = []
 
     def work() -> None:

@@ -305,7 +305,7 @@ def test_what_cannot_be_linearised_is_refused():
         (
             Chain(grains=5, diameter=1e-3),
             points,
-            "excitation: linear engines know no motion or force by points",
+            "excitation: linear engines solve no motion or force by points",
         ),
     ):
         for engine in ENGINES:
@@ -361,26 +361,26 @@ def test_closed_forms_refuse_what_they_do_not_know():
             Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)),
             strike,
             "bessel",
-            "masses: bessel knows grains",
+            "masses: bessel needs grains",
         ),
         (
             chain,
             Impulse(velocity=1e-6, grain=2),
             "bessel",
-            "excitation: bessel knows an impulse on grain 1",
+            "excitation: bessel needs an impulse on grain 1",
         ),
-        (chain, Displacement(displacement=1e-12), "continuum", "excitation: continuum knows"),
+        (chain, Displacement(displacement=1e-12), "continuum", "excitation: continuum needs"),
         (
             Chain(grains=9, diameter=1e-3, top_load=1e-3),
             strike,
             "continuum",
-            "top_load: continuum knows chains",
+            "top_load: continuum needs a chain",
         ),
         (
             Chain(grains=9, diameter=1e-3, top="wall", top_load=1e-3),
             strike,
             "bessel",
-            "top: bessel knows",
+            "top: bessel needs",
         ),
     ):
         with pytest.raises(InputError, match=key):

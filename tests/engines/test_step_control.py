@@ -179,7 +179,7 @@ def test_where_rounding_is_the_limit_it_says_so_and_since_when(now):
     engine.last = True
     reason = (
         "the error is estimated at 3.3e-06, above the tolerance of 1e-06, "
-        "for round-off alone may make 3.3e-06: "
+        "because round-off alone may make 3.3e-06: "
     )
     time = f"{SCENE.time[2]:.4g}"
     assert solve(engine).missed == (
@@ -259,7 +259,7 @@ def test_who_wants_the_best_answer_there_is_gets_it(now):
             assert following.proposal.step < attempt.proposal.step
             attempt = following
     assert following is None
-    assert "for round-off alone may make 3e-06" in missed
+    assert "because round-off alone may make 3e-06" in missed
 
 
 def test_a_hopeless_tolerance_ends_with_the_third_attempt():
@@ -273,7 +273,7 @@ def test_a_hopeless_tolerance_ends_with_the_third_attempt():
         patient, _ = next_attempt(engine, SCENE, attempt, error, patient=True)
         assert patient is not None
         attempt = following
-    assert "for round-off alone may make 1e-06" in missed
+    assert "because round-off alone may make 1e-06" in missed
 
 
 def test_a_tolerance_is_loosened_fourfold_until_it_can_be_met():

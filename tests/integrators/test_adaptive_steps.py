@@ -13,12 +13,11 @@ from helpers.plain_methods import WIDE, Motion
 
 from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene, simulate
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.held_steps import adaptive_steps
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.openings import OPENING_STEPS
+from lmpchain.integrators.observed_run import adaptive_steps
 from lmpchain.integrators.splittings import RKN4, RKN6, Splitting
 from lmpchain.integrators.stepper import NativeStepper
-from lmpchain.integrators.steps import Steps
+from lmpchain.integrators.steps import OPENING_STEPS, Steps
 
 GRAINS = 7
 LOOKS = 4

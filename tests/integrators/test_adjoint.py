@@ -300,7 +300,7 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
 def test_few_terms_give_every_digit_of_weak_waves():
     for exponent in (0.05, 0.5, 1.25, 2.5):
         for reach, terms in ((0.0, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)):
-            coefficients = adjoint.economised(exponent, reach)
+            coefficients = adjoint.economise(exponent, reach)
             s = np.linspace(-1, 1, 42, dtype=WIDE) * max(reach, 1e-15)
             true = np.expm1(exponent * np.log1p(s)) / s
             series = np.polynomial.polynomial.polyval(s, coefficients)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive, InputError, Riemann, Scene, simulate
-from lmpchain.integrators.imposed import ImposedCourse
+from lmpchain.integrators.observed_run import ImposedCourse
 
 
 def relative(values: np.ndarray, expected: np.ndarray) -> float:

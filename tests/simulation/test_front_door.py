@@ -460,7 +460,7 @@ def test_engines_of_the_user_have_no_run_folder(tmp_path):
         name = "mine"
 
     for engine in (Mine(), type("Native", (Native,), {})()):
-        with pytest.raises(InputError, match="a run folder knows engines by name only"):
+        with pytest.raises(InputError, match="a run folder stores engines by name only"):
             simulate(SCENE, engine, folder=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -158,7 +158,7 @@ def test_measures_and_linear_engines_ask_the_law(truths: dict[str, Any]) -> None
     ("refused", "message"),
     [
         (lambda scene: lmpchain.simulate(scene, Lammps()), "exponent: granular in LAMMPS knows"),
-        (lambda scene: lmpchain.simulate(scene, "continuum"), "law: continuum knows powers"),
+        (lambda scene: lmpchain.simulate(scene, "continuum"), "law: continuum needs a power"),
         (lambda scene: scene.to_toml("scene.toml"), "law: a scene file holds for powers"),
         (
             lambda scene: design.gradient(scene, design.Momentum([1]), ["masses"]),

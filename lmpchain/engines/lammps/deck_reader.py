@@ -17,7 +17,7 @@ from ...chain.contact_law import power_law
 from ...chain.contacts import pair_value
 from ...chain.damping import Damping
 from ...errors import InputError, short
-from ...integrators.damped_verlet import LAGGED
+from ...integrators.methods import LAGGED
 from ...integrators.splittings import SPLITTINGS
 from ...scene.base import Excitation
 from ...scene.excitation import Drive, Force, Impulse, Profile

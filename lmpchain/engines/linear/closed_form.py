@@ -19,14 +19,12 @@ from .engine import Chebyshev, LinearEngine, LinearRun
 from .model_error import unlike
 from .solutions import LinearSolution
 
-UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
-
 
 class ClosedForm(LinearEngine):
-    """A formula for the linear wave in a uniform column, held against the exact linear solution.
+    """A formula for the linear wave in a uniform column, compared with the exact linear solution.
 
-    Its model error is what it differs by from Eq. (3), which is solved beside it, and what Eq. (3)
-    leaves out.
+    The model error is the sum of the difference from Eq. (3), which is solved, too, and of the
+    model error of Eq. (3).
     """
 
     batches: ClassVar[bool] = False
@@ -41,33 +39,33 @@ class ClosedForm(LinearEngine):
         cases = [
             (key, "grains that are all alike")
             for key, difference in unlike(chain).items()
-            if difference > UNIFORM
+            if difference > 1e-12
         ]
         if not scene.excitation.strikes_top:
             cases.append(("excitation", "an impulse on grain 1"))
         if chain.top != "free":
             cases.append(("top", 'top = "free"'))
         reasons = [
-            (key, f"{self.name} knows {case} only; use modes or chebyshev") for key, case in cases
+            (key, f"{self.name} needs {case}; use modes or chebyshev") for key, case in cases
         ]
         return super().refuses(reached) + reasons
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
-        """Propose the formula, whose error is known before the run only where it is exact."""
+        """Propose the formula, whose error is known before the run only if it is exact."""
         proposal = super().propose(scene.reached, tolerance)
         proposal = proposal._replace(active_grains=scene.chain.grains)
         return proposal if self.exact(scene) else proposal._replace(model_error=math.nan)
 
     def exact(self, scene: Scene) -> bool:
-        """Say whether the formula solves Eq. (3) for this scene."""
+        """Return whether the formula solves Eq. (3) for this scene."""
         return False
 
     def work(self, scene: Scene) -> float:
-        """Return the time for the exact solution beside it, and for the formula."""
+        """Return the time of the exact solution and of the formula, s."""
         return self._beside.work(scene) + 1e-6 * scene.samples * scene.recorded.size
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
-        """Return the exact solution beside the formula."""
+        """Return the exact solution with which the formula is compared."""
         return self._beside.solve(scene, state)
 
     def start(
@@ -76,7 +74,7 @@ class ClosedForm(LinearEngine):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> ClosedFormRun:
-        """Start one scene, or a batch of scenes recorded alike."""
+        """Start a run of one scene, or of a batch of scenes recorded alike."""
         return ClosedFormRun(self, scenes, self._beside.start(scenes, proposal, state), state or {})
 
     @abstractmethod
@@ -85,7 +83,7 @@ class ClosedForm(LinearEngine):
 
 
 class Bessel(ClosedForm):
-    """The homogeneous chain, Eqs. (4) and (13): contacts as stiff as the first, and no bottom."""
+    """The homogeneous chain without a bottom, Eqs. (4) and (13), with equally stiff contacts."""
 
     name: ClassVar[str] = "bessel"
     auto = "cheapest"
@@ -93,7 +91,7 @@ class Bessel(ClosedForm):
     equation: ClassVar[int] = 4
 
     def exact(self, scene: Scene) -> bool:
-        """Say whether all contacts are equally stiff and the bottom is out of reach."""
+        """Return whether all contacts are equally stiff and the wave does not reach the bottom."""
         uniform = scene.chain.gravity == 0 and scene.chain.compressed
         return uniform and scene.reached is not scene
 
@@ -120,9 +118,9 @@ class Continuum(ClosedForm):
         """Return why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
         if scene.chain.law.power is None:
-            reasons.append(("law", "continuum knows powers of the overlap only; use modes"))
+            reasons.append(("law", "continuum needs a power of the overlap; use modes"))
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
-            why = "continuum knows chains under gravity alone; use modes or chebyshev"
+            why = "continuum needs a chain under gravity alone; use modes or chebyshev"
             reasons.append(("top_load", why))
         return reasons
 
@@ -139,7 +137,7 @@ class Continuum(ClosedForm):
 
 
 class ClosedFormRun(Run):
-    """Samples of a closed form, beside those of the exact linear chain."""
+    """A run of a closed form, which also solves the linear chain exactly."""
 
     def __init__(
         self, engine: ClosedForm, scenes: Sequence[Scene], exact: Run, state: Mapping[str, Array]
@@ -149,9 +147,10 @@ class ClosedFormRun(Run):
         self._scenes = scenes
         self._exact = exact
         self._times = scenes[0].time
-        # largest difference of displacement and velocity
+        # Largest differences of displacement and velocity.
         self._apart = np.array(state.get("apart", np.zeros((2, len(scenes)))))
-        engine.wave(scenes[0], self._times[:1])  # what it imports is not its cost
+        # Import now, so that the time of the first block is that of the formula.
+        engine.wave(scenes[0], self._times[:1])
         self._formula_s = 0.0
 
     def blocks(self) -> Iterator[Block]:
@@ -179,7 +178,7 @@ class ClosedFormRun(Run):
         ]
 
     def cost(self) -> Cost:
-        """Return the cost so far; the exact solution is the estimate of the error."""
+        """Return the cost so far; the exact solution counts as the error estimate."""
         cost = self._exact.cost()
         return cost._replace(
             integration_s=self._formula_s,

@@ -1,4 +1,4 @@
-"""Dissipated energy and work of the forcing in the linearised chain, by quadrature.
+"""Dissipated energy and work of the forcing in a damped linearised chain, by quadrature.
 
 The powers are integrated along the solution itself, so that the energies depend neither on the
 samples nor on the balance of energy.
@@ -17,12 +17,9 @@ from ...util.arrays import Array
 from ..base import ErrorBudget
 from .solutions import LinearSolution
 
-# A product of two oscillations over a panel of this phase, rad, is a Legendre series of 32 terms
-# to rounding.
-PANEL = 10.0
-NODES, WEIGHTS = legendre.leggauss(32)
+GAUSS_NODES, _WEIGHTS = legendre.leggauss(32)
 # Coefficients of the Legendre series (32,) from the values at the nodes.
-PROJECT = (np.arange(32) + 0.5)[:, None] * WEIGHTS * legendre.legvander(NODES, 31).T
+PROJECT = (np.arange(32) + 0.5)[:, None] * _WEIGHTS * legendre.legvander(GAUSS_NODES, 31).T
 # A panel is halved at most so often: an overdamped mode decays within a small part of a panel.
 HALVINGS = 12
 
@@ -51,13 +48,15 @@ def sum_energies(
     Returns
     -------
     dict of arrays
-        Empty if the scene has neither damping nor a forcing, or if the quadrature takes more
-        evaluations.
+        Empty without damping, because the balance of energy then gives the work, and if the
+        quadrature takes more evaluations.
     """
     excitation = scene.excitation
-    left = most // NODES.size
-    count = math.ceil(scene.linear_frequency * scene.duration / PANEL)
-    if not (scene.chain.damped or excitation.does_work) or count > left:
+    left = most // GAUSS_NODES.size
+    # A product of two oscillations over a panel of 10 rad is a Legendre series of 32 terms to
+    # rounding.
+    count = math.ceil(scene.linear_frequency * scene.duration / 10.0)
+    if not scene.chain.damped or count > left:
         return {}
     corners = excitation.waveform.corners if excitation.waveform else ()
     edges = np.linspace(0.0, scene.duration, count + 1)
@@ -69,7 +68,7 @@ def sum_energies(
         left -= begin.size
         if left < 0:
             return {}
-        times = begin[:, None] + width[:, None] / 2 * (1 + NODES)
+        times = begin[:, None] + width[:, None] / 2 * (1 + GAUSS_NODES)
         powers = _powers(scene, solve(), times.ravel(), budget.total * scale)
         series = PROJECT @ powers.reshape(*times.shape, 4)
         largest = np.maximum(largest, np.abs(powers[:, :2]).max(0))
@@ -88,7 +87,7 @@ def sum_energies(
     errors = width @ (2 * tails + series[:, 0, 2:])
     energies = {}
     for column, name in enumerate(("dissipated", "drive")):
-        if not (excitation.does_work if column else scene.chain.damped):
+        if column and not excitation.does_work:
             continue
         integral = legendre.legint(series[order, :, column].T, lbnd=-1) * width[order] / 2
         before = np.cumsum(integral.sum(0)) - integral.sum(0)

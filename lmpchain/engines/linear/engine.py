@@ -24,28 +24,21 @@ from .energies import sum_energies
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
 from .solutions import ChebyshevSolution, LinearSolution, ModalSolution
 
-BLOCK = 16  # samples a block, if so many fit
-# values that are at hand at a time, and that take no time worth speaking of
+BLOCK = 16  # Samples of a block, if they fit into the memory.
+# Largest number of values in memory, and number of values that takes nearly no time.
 BLOCK_VALUES = 2**22
 SMALL_BLOCK = 2**14
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
-# digits in the last place that a burst loses in modes, at the lowest of its frequencies:
+# Rounding error of a burst in modes at the lowest of its frequencies, in ulps;
 # analysis/calibration/roundoff.py
 CANCELS = 40.0
 
 
 class LinearEngine(Engine):
-    """An engine for the linearised chain, Eq. (3), exact to round-off.
+    """An engine for the linearised chain, Eq. (3), exact up to rounding."""
 
-    Attributes
-    ----------
-    summed_values : int
-        Number of evaluations times grains that takes some 10 ms.
-    """
-
-    summed_values: ClassVar[int] = 2**14
     equation: ClassVar[int] = 3
-    # times of `work` are those of analysis/calibration/cost_model.py
+    # The times of `work` were measured by analysis/calibration/cost_model.py.
     batches: ClassVar[bool] = True
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -61,12 +54,12 @@ class LinearEngine(Engine):
             why = "a wall that only touches cannot be linearised; give a top_load or use native"
             reasons.append(("top", why))
         if not scene.excitation.linear:
-            why = "linear engines know no motion or force by points; use the engine native"
+            why = "linear engines solve no motion or force by points; use the engine native"
             reasons.append(("excitation", why))
         return reasons
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
-        """Propose the one way there is."""
+        """Propose the exact solution."""
         return Proposal(
             engine=self.name,
             equation=self.equation,
@@ -78,29 +71,29 @@ class LinearEngine(Engine):
         )
 
     def look(self, scene: Scene) -> PhaseError:
-        """Follow the linear solution and what it leaves out; end where a contact opens."""
+        """Compute the linear solution and its model error; end if a contact opens."""
         times = np.append(evaluation_times(scene), scene.duration)
         error = PhaseError(scene)
         recorded = np.ones(times.size, bool)
         size = max(1, BLOCK_VALUES // scene.chain.grains)
         for _ in _follow(self.solve(scene, {}), error, times, recorded, size):
-            # a contact that opens ends linear theory, whatever comes later
+            # Linear theory ends where a contact opens.
             if error.remark:
                 break
         return error
 
     def round_off(self, scene: Scene) -> float:
-        """Return the relative error by rounding: that of the frequencies, times the periods."""
+        """Return the relative rounding error, which grows with the phase."""
         return EPSILON * (10 + scene.linear_frequency * scene.duration)
 
     def most_summed(self, scene: Scene) -> int:
         """Return the largest number of evaluations for the energies of a run.
 
-        The quadrature must not make a short run much longer. A run with damping and a forcing is
-        allowed more, because the balance of energy then yields neither term.
+        The quadrature must not make a short run much longer. A forced run is allowed more, because
+        the balance of energy then yields neither the dissipated energy nor the work.
         """
-        both = scene.chain.damped and scene.excitation.does_work
-        values = self.summed_values * (4 if both else 1)
+        # So many evaluations times grains take 40 or 10 ms.
+        values = 2**16 if scene.excitation.does_work else 2**14
         return max(values // scene.chain.grains, _evaluations(scene))
 
     @abstractmethod
@@ -109,7 +102,7 @@ class LinearEngine(Engine):
 
     @abstractmethod
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
-        """Return the solution, from the start or from a kept state."""
+        """Return the solution, from t = 0 or from a stored state."""
 
     def start(
         self,
@@ -117,11 +110,11 @@ class LinearEngine(Engine):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> Run:
-        """Start one scene, or a batch of scenes recorded alike."""
+        """Start a run of one scene, or of a batch of scenes recorded alike."""
         return LinearRun(self, scenes, state or {})
 
     def refine(self, proposal: Proposal, error: ErrorBudget | None, tolerance: float) -> None:
-        """Nothing can be better than round-off."""
+        """Return None, because the only error is rounding."""
         return None
 
 
@@ -130,7 +123,6 @@ class Chebyshev(LinearEngine):
 
     name: ClassVar[str] = "chebyshev"
     auto = "cheapest"
-    summed_values: ClassVar[int] = 2**17
     style = (COLOURS["pink"], "D")
     start_up_s: ClassVar[float] = 2e-4
 
@@ -138,13 +130,13 @@ class Chebyshev(LinearEngine):
         """Return why linear theory, or the series of one propagator, does not hold here."""
         reasons = super().refuses(scene)
         excitation = scene.excitation
-        # the propagator of a chain with a sine as one more body is a constant matrix
+        # Only for a sine is the propagator of the chain and its drive a constant matrix.
         if (
             excitation.linear
             and excitation.does_work
             and not (scene.drive and np.isinf(scene.drive.waveform.end))
         ):
-            why = f"{self.name} knows motions that are a sine without end only; use modes"
+            why = f"{self.name} needs a motion that is an endless sine; use modes"
             reasons.append(("excitation", why))
         return reasons
 
@@ -158,7 +150,7 @@ class Chebyshev(LinearEngine):
         return 7e-10 * polynomials * (reached + 100) + 1.3e-8 * count * scene.chain.grains
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
-        """Return the solution, from the start or from a kept state."""
+        """Return the solution, from t = 0 or from a stored state."""
         return ChebyshevSolution(scene, state)
 
 
@@ -186,10 +178,9 @@ class Modes(LinearEngine):
         return reasons
 
     def round_off(self, scene: Scene) -> float:
-        """Return the relative error that rounding makes; eigenvectors have their part in it.
+        """Return the relative rounding error, including that of the eigenvectors.
 
-        A burst is the sum of three sines whose transients all but cancel, the more the sooner after
-        its beginning.
+        A burst is the sum of three sines, whose transients nearly cancel shortly after its start.
         """
         rounding = super().round_off(scene) + EPSILON * 4 * scene.chain.grains
         wave = scene.excitation.waveform
@@ -205,12 +196,12 @@ class Modes(LinearEngine):
         return rounding
 
     def work(self, scene: Scene) -> float:
-        """Return the time for the diagonalisation, and for sums over modes, s."""
+        """Return the time of the diagonalisation and of sums over modes, s."""
         grains = scene.chain.grains
         return 5.5e-11 * grains**3 + 6e-8 * grains * _evaluations(scene)
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
-        """Return the solution, whose start is all that is needed."""
+        """Return the solution, which needs no stored state."""
         return ModalSolution(scene)
 
 
@@ -221,7 +212,7 @@ def _smallest_motion(scene: Scene, largest: Array) -> float:
 
 
 def _evaluations(scene: Scene) -> int:
-    """Return how often a solution is evaluated, in samples and between them."""
+    """Return the number of evaluations of a solution, at samples and between them."""
     return scene.samples + (0 if dense(scene) else evaluations(scene))
 
 
@@ -241,7 +232,7 @@ def _follow(
 
 
 class LinearRun(Run):
-    """Samples of linear solutions, whichever way they are found."""
+    """A run of linear solutions."""
 
     def __init__(
         self,
@@ -287,14 +278,14 @@ class LinearRun(Run):
             evaluated = sum(self._fill(block, real) for real in range(realisations))
             self._sample = samples.stop
             took = clock() - began
-            # evaluations between the samples serve the model error alone
+            # Evaluations between the samples serve only the model error.
             integration_s = took * count * realisations / evaluated
             self._integration_s += integration_s
             self._estimate_s += took - integration_s
             yield block
 
     def _fill(self, block: Block, real: int) -> int:
-        """Fill a block with one realisation, and return how often that was evaluated."""
+        """Fill a block with one realisation, and return the number of evaluations."""
         times = self._scene.time
         before = times[block.samples.start - 1] if block.samples.start else -1.0
         between = self._between[real]
@@ -319,7 +310,7 @@ class LinearRun(Run):
         return self._sample / self._scene.samples
 
     def errors(self) -> list[ErrorBudget]:
-        """Return round-off, and what linearising leaves out."""
+        """Return the rounding errors and the model errors."""
         roundoff = self._engine.round_off(self._scene) / EPSILON
         return [
             ErrorBudget(

@@ -1,13 +1,13 @@
-"""How much is left out by linearising Eq. (1), from the overlaps along the linear solution.
+"""Model error of linear theory: the effect of linearising Eq. (1), from the linear solution.
 
-A compressed contact is stiffer than one at rest: a wave of strain s, the change of the overlap over
-the overlap at rest, is faster than a weak one by the fraction (delta - 1) s / 4. So it comes too
-early by the integral of that over time, and a wave that is off by dt is wrong by its rate of change
-times dt. Where waves meet and come back, their leads add up at random: like a random walk, with a
-step a radian. In few grains they may fit each other (`resonance`), and a train of waves steepens
-for as long as it travels. Held against the nonlinear engine over strike numbers from 1e-4 to 10,
-gravity from 0.1 to 10 g, exponents from 1.1 to 3, and chains that are struck at the top, within or
-all over, the estimate is within a factor of 3 of the true difference up to 0.3.
+A compressed contact is stiffer than one at rest. Therefore a wave of strain s, the change of the
+overlap over the overlap at rest, is faster than a weak wave by the fraction (delta - 1) s / 4. The
+arrival is early by dt, the integral of this fraction over time, and the error is the rate of change
+of the wave times dt. If waves are reflected and meet, their shifts add up as a random walk with one
+step in a radian. In a chain of few grains, modes may be in resonance (`resonance`), and a train of
+waves steepens as long as it travels. Compared with the nonlinear engine for strike numbers from
+1e-4 to 10, gravity from 0.1 to 10 g, exponents from 1.1 to 3, and strikes at the top, inside or of
+all grains, the estimate is within a factor of 3 of the true difference up to 0.3.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ class Factors:
     Attributes
     ----------
     strays : float
-        Error over (delta - 1) times the strains of a wave added up as a random walk.
+        Ratio of the error to (delta - 1) times the sum of strains as a random walk.
     steepens : float
-        Error over (delta - 1) s omega t of a train of waves, whose crests gain on its troughs;
-        theory gives 1/4.
+        Ratio of the error to (delta - 1) s omega t for a train of waves, whose crests are faster
+        than its troughs; theory gives 1/4.
     doubt : float
-        Bound over estimate.
+        Ratio of the upper bound to the estimate.
     large : float
-        Bound from which on it says no more than that the error is large: there are contacts near to
-        opening, where no factor holds.
+        Largest upper bound that is stated. Beyond it contacts are near to opening, no factor holds,
+        and the bound is 1.
     small : float
-        Of the largest motion, chosen: below this error what acts all the time is given the bound.
+        Relative error below which forced scenes get the upper bound as their estimate (chosen).
     """
 
     strays: float = 0.15
@@ -63,24 +63,24 @@ class Factors:
 
 @dataclass(frozen=True)
 class EvaluationTimes:
-    """When a linear solution is evaluated besides its samples.
+    """Times between the samples at which a linear solution is evaluated.
 
     Attributes
     ----------
     evenly : int
-        Least evaluations all over the run; analysis/calibration/linear_model_error.py.
+        Smallest number of evaluations; analysis/calibration/linear_model_error.py.
     few_values : int
-        Evaluations times grains all over the run that take next to no time: in few grains more of
-        them show better what the shifts of the phase come to.
+        Number of evaluations times grains that takes nearly no time. In a chain of few grains, more
+        evaluations give a better mean of the phase shifts.
     earliest, growth : float
-        First one after the start, in radians, and ratio of each of the next ones to it: a wave that
-        spreads has most of its strain at first.
+        First evaluation after the start, in radians, and ratio of successive ones, because a
+        spreading wave has its largest strain at first.
     resolved : float
-        Evaluations in a radian of the highest frequency where contacts may open.
+        Evaluations in a radian of the highest frequency if contacts may open.
     most_values : int
-        Evaluations times grains beyond which a run is too long for that.
+        Largest number of evaluations times grains for resolving openings.
     opening : float
-        Strain, known to 1e-2 from evaluations so close, from which on a contact counts as open;
+        Strain from which on a contact counts as open; such evaluations resolve the strain to 1e-2;
         analysis/calibration/linear_openings.py.
     """
 
@@ -104,14 +104,14 @@ class PhaseError:
     ----------
     scene : Scene
     state : array, optional
-        To go on from, as `state` was.
+        State from which to continue.
     """
 
     def __init__(self, scene: Scene, state: Array | None = None):
         chain = scene.chain
         contacts = chain.contacts
         inverse_mass = 1 / chain.masses
-        # what is held or driven answers no force
+        # Held and driven grains do not respond to forces.
         inverse_mass[chain.movable :] = 0.0
         inverse_mass[: scene.excitation.driven] = 0.0
         overlap = np.where(contacts.pressed, contacts.overlap, np.inf)
@@ -120,7 +120,7 @@ class PhaseError:
         self._excitation = scene.excitation
         self._grain = first_moved(scene) - 1
         self._fastest = scene.linear_frequency
-        # a little more than half of the time from one close evaluation to the next
+        # A little more than half of the time between two close evaluations.
         near = 0.6 / LOOKS.resolved / self._fastest
         opening = LOOKS.opening if may_open(scene) else -np.inf
         self._law = StrainError(self._excess / 4, near, opening)
@@ -131,7 +131,7 @@ class PhaseError:
         self._state = start() if state is None else np.array(state).view(STATE)
 
     def add(self, solution: Evaluations) -> None:
-        """Take in the solution at more times."""
+        """Add the solution at more times."""
         size = solution.time.size
         wall = np.zeros((size, 3))
         acceleration = np.zeros(size)
@@ -147,23 +147,23 @@ class PhaseError:
 
     @property
     def state(self) -> Array:
-        """Copy of the sums, from which another one goes on."""
+        """Copy of the sums, from which another object continues."""
         return self._state.view(np.float64).copy()
 
     @property
     def error(self) -> float:
-        """Estimated relative error, as defined for a trajectory; 1 says that it is large.
+        """Estimated relative error, as defined for a trajectory; 1 stands for any large error.
 
-        Below `Factors.small` it is the bound where something acts all the time or a packet runs:
-        what their few frequencies do to each other may add up in phase, and random trials found
-        estimates up to 8 times too low.
+        Below `Factors.small` the upper bound is taken for forced scenes and packets. The effects of
+        their few frequencies may add up in phase, and in random trials estimates were up to 8 times
+        too small.
         """
         bound = min(self.at_most, FACTORS.small) if self._in_phase else 0.0
         return max(self.estimate, bound)
 
     @property
     def estimate(self) -> float:
-        """Largest of these parts, and what open contacts add by pulling."""
+        """Largest of the parts of the error, plus the pull of open contacts."""
         if not self._decidable:
             return 1.0
         pulled = _over(self.sums.pulled, self.sums.velocity)
@@ -171,7 +171,7 @@ class PhaseError:
 
     @property
     def at_most(self) -> float:
-        """Upper bound on that error: reflections or a drive may shift the phase either way."""
+        """Upper bound on the error; reflections or a drive may shift the phase either way."""
         if self.remark:
             return 1.0
         bound = max(FACTORS.doubt * self.scattered, self.steepens)
@@ -179,24 +179,23 @@ class PhaseError:
 
     @property
     def scattered(self) -> float:
-        """Error of waves that are no long train, by the largest of three parts.
+        """Error of waves that are no long train, the largest of three parts.
 
-        It saturates: waves that have nothing in common differ by about their size.
+        It saturates below 1, because unrelated waves differ by about their size.
         """
         error = max(self.shifted, self.resonant, self.strayed)
-        # small errors as they are, large ones below 1
         return error / (1 + error)
 
     @property
     def shifted(self) -> float:
-        """Error that the shift of the phase makes in samples."""
+        """Error of the samples by the phase shift."""
         sums = self.sums
         displacement = _over(sums.displacement_error, sums.displacement)
         return max(displacement, _over(sums.velocity_error, sums.velocity))
 
     @property
     def resonant(self) -> float:
-        """Error of few grains whose waves fit each other."""
+        """Error by modes of few grains in resonance."""
         sums = self.sums
         displacement, velocity = self._resonance.motion(sums.time)
         return float(max(_over(displacement, sums.displacement), _over(velocity, sums.velocity)))
@@ -210,10 +209,10 @@ class PhaseError:
 
     @property
     def steepens(self) -> float:
-        """Steepening of a train of waves, which gains where compressed and loses where stretched.
+        """Error by steepening of a train of waves, whose crests are faster than its troughs.
 
-        It does so as long as it travels, a packet until it is apart from its second harmonic and
-        its mean strain.
+        It grows as long as the train travels; for a packet, until it separates from its second
+        harmonic and its mean strain.
         """
         if not self._travels:
             return 0.0
@@ -235,7 +234,7 @@ class PhaseError:
 
     @property
     def _begun(self) -> float:
-        """Part of its velocity that the wave has changed: 1 unless the run ends before."""
+        """Part of an oscillation that the run contains, at most 1."""
         return min(1.0, self._frequency * self.sums.time)
 
     @property
@@ -251,7 +250,7 @@ class PhaseError:
 
     @property
     def remark(self) -> str:
-        """Why the linear solution does not hold at all, or is not known to, if so."""
+        """Why the linear solution does not hold, or is not known to hold; empty if it does."""
         opened = self.sums.opened
         if not math.isnan(opened):
             return f"not linear here: contact {opened:.0f} opens"
@@ -261,61 +260,60 @@ class PhaseError:
 
 
 def _over(error: float, size: float) -> float:
-    """Return an error relative to a size, 0 where nothing moves."""
+    """Return an error relative to a size, 0 if nothing moves."""
     return error / size if size > 0 else 0.0
 
 
 def expected_error(scene: Scene) -> float:
-    """Predict the bound on the model error of Eq. (3) from the energy put in.
+    """Return an expected bound on the model error of Eq. (3) from the energy of the excitation.
 
-    The energy bounds the strain. It adds up as a random walk, or in phase where something acts all
-    the time or a packet runs. 1 where contacts may open. The run itself gives the bound.
+    The energy bounds the strain, which adds up as a random walk, or in phase for forced scenes and
+    packets. The bound is 1 if contacts may open. The run gives the final bound.
     """
     if may_open(scene):
         return 1.0
     radians = scene.linear_frequency * scene.duration
-    # strains that keep step add up to omega t of them, others to its root
+    # Strains in phase add up in proportion to omega t, others to its square root.
     walk = 1 + (radians if in_phase(scene) else math.sqrt(radians))
     strains = excess(scene) * scene.linear_strain * walk
     return min(1.0, FACTORS.doubt * FACTORS.strays * strains)
 
 
 def excess(scene: Scene) -> float:
-    """Return by how much a force bends away from a straight line; viscosity adds to it.
+    """Return the curvature of the contact force, delta - 1 for a power; see `ContactLaw.bend`.
 
-    It is delta - 1 for a power, see `ContactLaw.bend`.
-    Its force (1 + A d/dt) s^2 is larger by the modulus of 1 + i A omega than that of s^2 alone.
+    With viscosity the force (1 + A d/dt) s^2 is larger than s^2 by the modulus of 1 + i A omega.
     """
     turn = scene.chain.damping.longest_time * scene.linear_frequency
     return math.hypot(1.0, turn) * float(np.abs(scene.chain.contacts.bend).max())
 
 
 def in_phase(scene: Scene) -> bool:
-    """Whether something acts all the time, or a packet runs: few frequencies, which keep step."""
+    """Return whether the wave has few frequencies, which stay in phase: forced, or a packet."""
     return scene.excitation.does_work or isinstance(scene.excitation, Packet)
 
 
 def may_open(scene: Scene) -> bool:
-    """Whether the energy put in could open a contact of the linear chain."""
+    """Return whether the energy of the excitation could open a contact of the linear chain."""
     return scene.linear_strain >= 1
 
 
 def passage(scene: Scene) -> Array:
-    """Return how long a weak wave takes from grain to grain, (N-1,) s."""
+    """Return the travel time of a weak wave from grain to grain, (N-1,) s."""
     chain = scene.chain
     return np.asarray(np.sqrt(chain.masses[:-1] / chain.linear_stiffness))
 
 
 def first_moved(scene: Scene) -> int:
-    """Return the number of the grain that is acted on, or of the first that moves at t = 0."""
+    """Return the number of the forced grain, or of the first grain that moves at t = 0."""
     return scene.excitation.acts_on or scene.excitation.reach(scene.chain)[0]
 
 
 def travel(scene: Scene) -> float:
-    """Return how long a wave train travels at its largest strain, s.
+    """Return the time for which a wave train travels at its largest strain, s.
 
-    A packet travels to an end. What acts makes the same strain all the time, which falls on the way
-    as the flow of energy is kept (WKB): like 1 / (overlap sqrt(stiffness speed)).
+    A packet travels to an end. The strain of a forced wave changes along the chain with constant
+    energy flux (WKB), like 1 / (overlap sqrt(stiffness speed)).
     """
     times = passage(scene)
     if isinstance(scene.excitation, Packet):
@@ -332,59 +330,59 @@ def travel(scene: Scene) -> float:
 
 
 def unlike(chain: Chain) -> dict[str, float]:
-    """Return by what part of the largest one masses and contact constants differ, by name."""
+    """Return the relative spreads of masses and contact constants, by name."""
     arrays = {"masses": chain.masses, "contact_constants": chain.contact_constants}
     return {name: float(np.ptp(x) / x.max()) for name, x in arrays.items() if x.size}
 
 
 def evaluation_times(scene: Scene) -> Array:
-    """Return times, s, at which a linear solution is evaluated besides its samples.
+    """Return times between the samples at which a linear solution is evaluated, s.
 
-    They are close enough for every oscillation where contacts may open, unless that takes too many.
-    Otherwise they are spread all over the run, and not evenly, lest all fall on the same phase of
-    an oscillation.
+    They resolve every oscillation if contacts may open, unless too many are needed. Otherwise they
+    are spread over the run at random distances, so that they have different phases of an
+    oscillation.
     """
     if close := _close(scene):
         return np.linspace(0, scene.duration, close, endpoint=False)
     first = LOOKS.earliest / scene.linear_frequency
     early = first * LOOKS.growth ** np.arange(_early(scene))
     spread = _spread(scene)
-    # a fixed seed: a run that goes on must look at the same times
+    # The seed is fixed, because a resumed run must have the same times.
     offsets = np.random.default_rng(0).random(spread)
     offsets[0] = 0.0
     return np.union1d(early, (np.arange(spread) + offsets) * (scene.duration / spread))
 
 
 def evaluations(scene: Scene) -> int:
-    """Return how many these are."""
+    """Return the number of `evaluation_times`."""
     return _close(scene) or _spread(scene) + _early(scene)
 
 
 def decidable(scene: Scene) -> bool:
-    """Whether the energy excludes that contacts open, or every oscillation is looked at."""
+    """Return whether the run shows if contacts open, or the energy excludes it."""
     return not may_open(scene) or dense(scene) or bool(_close(scene))
 
 
 def dense(scene: Scene) -> bool:
-    """Whether samples resolve every oscillation, so that no other evaluations are needed."""
+    """Return whether the samples resolve every oscillation, so that they are enough."""
     in_a_radian = LOOKS.resolved if may_open(scene) else 1.0
     return bool(in_a_radian * scene.duration * scene.linear_frequency <= scene.intervals)
 
 
 def _early(scene: Scene) -> int:
-    """Return how many evaluations follow the beginning more and more slowly."""
+    """Return the number of evaluations after the start at growing distances."""
     radians = scene.duration * scene.linear_frequency
     return max(0, int(math.log(radians / LOOKS.earliest) / math.log(LOOKS.growth)) + 1)
 
 
 def _spread(scene: Scene) -> int:
-    """Return how many evaluations are spread all over the run."""
+    """Return the number of evaluations at random times of the run."""
     resolving = math.ceil(LOOKS.resolved * scene.duration * scene.linear_frequency)
     return max(LOOKS.evenly, min(LOOKS.few_values // scene.chain.grains, resolving))
 
 
 def _close(scene: Scene) -> int:
-    """Return how many evaluations resolve every oscillation where contacts may open, or 0."""
+    """Return the number of evaluations that resolve openings of contacts, or 0 if none may open."""
     needed = LOOKS.resolved * scene.duration * scene.linear_frequency + 1
     if may_open(scene) and needed * scene.chain.grains <= LOOKS.most_values:
         return max(LOOKS.evenly, math.ceil(needed))

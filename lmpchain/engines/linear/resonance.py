@@ -1,10 +1,10 @@
-"""Waves in resonance: the motion that two waves drive in a third by the curvature of the force law.
+"""Resonance: the motion that pairs of waves drive in a third one by the curvature of the force law.
 
 Beside its stiffness k times the change s of its overlap D, a contact has the force k c s^2 / (2 D),
-c = delta - 1 for a power (`ContactLaw.bend`), so two waves of frequencies a and b force every mode
-at a + b and |a - b|. A mode of frequency w answers with the amplitude force / (2 w) times min(t, 2
-/ |w - a - b|). In many grains so many answers go at random; in a few, modes fit each other by
-chance, and then the answer grows for as long as they do.
+c = delta - 1 for a power (`ContactLaw.bend`). Therefore two waves of frequencies a and b force
+every mode at a + b and |a - b|. A mode of frequency w responds with the amplitude force / (2 w)
+times min(t, 2 / |w - a - b|). In a chain of many grains these many responses have random phases. In
+a chain of few grains, modes may be in resonance by chance, and then a response grows in time.
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from ...util.caching import cached_property
 if TYPE_CHECKING:
     from ...theory.modes import Eigenmodes
 
-# grains up to which all pairs of waves are gone through; analysis/calibration/linear_openings.py
+# Largest number of grains for which all pairs of waves are computed;
+# analysis/calibration/linear_openings.py
 FEW = 12
 
 
 class PairForces(NamedTuple):
-    """How P pairs of waves force the M modes of a chain.
+    """Forces of P pairs of waves on the M modes of a chain.
 
     Attributes
     ----------
     shape : (G, M) array
         Modes, orthonormal in mass.
     frequency : (M,) array
-        Of the modes, rad/s.
+        Frequencies of the modes, rad/s.
     force : (P, M) array
-        Of a pair on a mode, over the root of its mass.
+        Force of a pair on a mode, over the root of the modal mass.
     detuning : (P, M) array
-        How far the beat of a pair is from the frequency of a mode, rad/s.
+        Difference between the beat of a pair and the frequency of a mode, rad/s.
     """
 
     shape: Array
@@ -57,17 +58,9 @@ class Resonance:
         self._scene = scene
 
     def motion(self, time: float) -> Array:
-        """Return its largest displacement and velocity by a time; 0 in more than `FEW` grains.
+        """Return the largest displacement and velocity up to a time, s, as an array (2,) m and m/s.
 
-        Parameters
-        ----------
-        time : float
-            s.
-
-        Returns
-        -------
-        (2,) array
-            m and m/s.
+        They are 0 in a chain of more than `FEW` grains.
         """
         chain = self._scene.chain
         driven = self._scene.excitation.driven
@@ -75,7 +68,7 @@ class Resonance:
         if not free or not chain.contacts.bend.any() or time <= 0:
             return np.zeros(2)
         pairs = self._pairs
-        # an answer grows for as long as beat and mode are in step
+        # A response grows as long as beat and mode are in phase.
         lasting = np.minimum(time, 2 / np.maximum(pairs.detuning, 1 / time))
         squared = (pairs.force * lasting / (2 * pairs.frequency)) ** 2
         powers = (1.0, pairs.frequency**2)
@@ -90,16 +83,16 @@ class Resonance:
         contacts = chain.contacts
         first = self._scene.excitation.driven
         last = chain.movable
-        # a wall that moves leaves all grains free
+        # All grains are free under a moving wall.
         free = slice(first, last + 1)
         modes = between(contacts.stiffness[free], chain.masses[first:last])
-        # by how much a mode squeezes each contact
+        # Compression of each contact by each mode.
         squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)
         waves, frequencies = self._waves(modes, squeezed)
         overlap = np.where(contacts.pressed, contacts.overlap, np.inf)[free]
         curvature = contacts.bend[free] * contacts.stiffness[free] / overlap
         products = (waves[:, :, None] * waves[:, None]).reshape(len(waves), -1).T
-        # each pair comes twice, as (a, b) and (b, a): twice the force, hence the root of 2
+        # Each pair occurs twice, as (a, b) and (b, a), with twice the force: hence the root of 2.
         factor = np.sqrt(2) / 4
         forces = factor * np.abs(products @ (curvature[:, None] * squeezed))
         beats = [np.abs(np.add.outer(frequencies, sign * frequencies)).ravel() for sign in (1, -1)]
@@ -112,7 +105,7 @@ class Resonance:
         )
 
     def _waves(self, modes: Eigenmodes, squeezed: Array) -> tuple[Array, Array]:
-        """Return by how much each wave squeezes each contact, and the frequencies of the waves."""
+        """Return the compression of each contact by each wave, and the frequencies of the waves."""
         drive = self._scene.drive
         first = self._scene.excitation.driven
         last = self._scene.chain.movable
@@ -120,11 +113,11 @@ class Resonance:
         amplitudes = u - 1j * v / modes.frequency
         if not drive:
             return squeezed * np.abs(amplitudes), modes.frequency
-        # a drive makes a steady motion, and free waves that are its opposite at t = 0
+        # A drive makes a steady motion and free waves, which cancel at t = 0.
         omega = 2 * np.pi * drive.frequency
         pull = self._scene.chain.contacts.stiffness[first] * drive.amplitude * modes.shape[0]
         apart = modes.frequency**2 - omega**2
-        # at resonance an answer grows for no longer than the run lasts
+        # At resonance the growth is limited by the duration.
         narrowest = modes.frequency / self._scene.duration
         steady = pull / np.copysign(np.maximum(np.abs(apart), narrowest), apart)
         top = drive.amplitude * (np.arange(len(squeezed)) == 0)

@@ -14,25 +14,25 @@ from ...util.arrays import Array
 
 
 class LinearSolution(Protocol):
-    """A solution of the linearised chain, as a run of a linear engine evaluates it."""
+    """A solution of the linearised chain."""
 
     @property
     def work(self) -> int:
-        """Evaluations so far, for the cost: polynomials, or modes."""
+        """Number of polynomials or modes so far, for the cost."""
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement and velocity at these times, (T, N) m and m/s.
+        """Return displacement and velocity, (T, N) m and m/s, and reach, (T, 2), at these times.
 
-        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
-        Times of a later call are later.
+        The reach is the first grain, from 0, and the grain behind the last one that may move. The
+        times of successive calls must increase.
         """
 
     def state(self) -> dict[str, Array]:
-        """Return the arrays from which `LinearEngine.solve` goes on."""
+        """Return the arrays from which `LinearEngine.solve` continues."""
 
 
 class ChebyshevSolution:
-    """The propagator, from one time to the next, each later than the last."""
+    """The solution by the propagator from each time to the next one."""
 
     def __init__(self, scene: Scene, state: Mapping[str, Array]):
         chain = scene.chain
@@ -43,7 +43,8 @@ class ChebyshevSolution:
         mobility[: scene.excitation.driven] = 0.0
         u, v = (np.array(state[key]) for key in "uv") if state else scene.initial()
         self._walls = int(scene.excitation.wall is not None)
-        if scene.excitation.wall:  # a wall that moves is one more body at the top
+        # A moving wall is one more body at the top.
+        if scene.excitation.wall:
             stiffness = np.append(0.0, stiffness)
             mobility = np.append(0.0, mobility)
             if not state:
@@ -54,7 +55,7 @@ class ChebyshevSolution:
 
     @property
     def work(self) -> int:
-        """Polynomials so far: applications of the matrix of the chain."""
+        """Number of polynomials so far, which are applications of the matrix of the chain."""
         return self._chain.terms
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
@@ -65,12 +66,12 @@ class ChebyshevSolution:
         return u[:, self._walls :], v[:, self._walls :], np.maximum(reach - self._walls, 0)
 
     def state(self) -> dict[str, Array]:
-        """Return displacement and velocity, and when they were so."""
+        """Return displacement and velocity, and their time."""
         return {"u": self._chain.u.copy(), "v": self._chain.v.copy(), "time": np.array(self._time)}
 
 
 class ModalSolution:
-    """The sum over eigenmodes, and what a motion or a force that is made of sines does to each."""
+    """The sum over eigenmodes, with their responses to a motion or force that consists of sines."""
 
     def __init__(self, scene: Scene):
         from ...theory.modes import between, damped
@@ -87,7 +88,7 @@ class ModalSolution:
         self._wave = excitation.waveform
         self._drive = scene.drive if first else None
         if scene.drive:
-            # a motion acts through the contact below it, a force at once
+            # A driven grain acts through the contact below it, a force acts directly.
             self._pull = stiffness[first] * self._modes.shape[0]
             self._viscosity = float(chain.contact_viscosity[first])
         else:
@@ -105,7 +106,7 @@ class ModalSolution:
         u, v = self._modes.response(times, *self._initial)
         top = np.empty((2, times.size, 0))
         if self._wave:
-            forced = self._forced(times[:, None])
+            forced = self._force(times[:, None])
             u = u + forced[0] @ self._modes.shape.T
             v = v + forced[1] @ self._modes.shape.T
         if self._drive:
@@ -115,7 +116,7 @@ class ModalSolution:
         v = np.hstack((top[1], v, rest))
         return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
-    def _forced(self, t: Array) -> tuple[Array, Array]:
+    def _force(self, t: Array) -> tuple[Array, Array]:
         """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion after them."""
         assert self._wave
         end = self._wave.end
@@ -124,16 +125,16 @@ class ModalSolution:
         )
         if np.isinf(end):
             return q, p
-        # after its end the modes swing on freely
+        # After the end of the forcing the modes oscillate freely.
         return self._modes.free(np.maximum(t - end, 0.0), q, p)
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
         """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
-        # which takes longer than many a run
+        # Importing scipy.special takes longer than many runs.
         from scipy.special import spherical_jn
 
         if self._modes.decay is not None:
-            return self._damped_by_sine(t, amplitude, omega)
+            return self._by_sine_of_damped(t, amplitude, omega)
         w = self._modes.frequency
         drive = abs(omega)
         m = (w + drive) / 2 * t
@@ -143,10 +144,10 @@ class ModalSolution:
         q = f / w * m * (m * spherical_jn(1, m) * np.cos(h) - h * spherical_jn(1, h) * np.cos(m))
         return q, f * drive * np.sin(m) * t * np.sinc(h / np.pi)
 
-    def _damped_by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
-        """Return the same of damped modes: what a sine does to the exponentials of each.
+    def _by_sine_of_damped(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
+        """Return the same for damped modes, by the response of their exponentials.
 
-        A motion acts by its rate, too, through the viscosity of the contact.
+        A driven grain also acts by its velocity, through the viscosity of the contact.
         """
         turn = 1j * omega
         push = amplitude * (1 + turn * self._viscosity)
@@ -171,5 +172,5 @@ class ModalSolution:
         return self._pull * q, self._pull * p
 
     def state(self) -> dict[str, Array]:
-        """Any time follows from the modes."""
+        """Return nothing, because the modes give the solution at any time."""
         return {}

@@ -1,7 +1,7 @@
-"""What engines share that move grains in steps, those of LAMMPS and of the native engine.
+"""Time stepping, shared by the native engine and LAMMPS.
 
-`time_stepping` has their engine, which proposes steps, with `step_choice`, and starts runs; and the
-one that moves grains by compiled loops. `run` moves an answer and auxiliary runs, whose
-steps `auxiliary_runs` chooses and by whose distances it estimates the truncation error. `monitor`
-adds `rounding`, and what a scene makes of it.
+`time_stepping` has the base class of both engines, which proposes steps (`step_choice`) and starts
+runs, and the engine of compiled loops. `run` moves an answer and its auxiliary runs forward.
+`auxiliary_runs` chooses the steps of the auxiliary runs and estimates the truncation error from
+their distances. `monitor` adds the rounding error (`rounding`) and its amplification by the scene.
 """

@@ -1,46 +1,47 @@
-"""Auxiliary runs: native runs at other steps, whose distances show the error of an answer.
+"""Auxiliary runs: native runs with other steps, whose distances show the error of an answer.
 
 Auxiliary runs have steps 2h and 4h, because the rate at which differences shrink gives the error.
-If 4h is too long, there is one at 2h; if that is too long, one at h/2. If contacts open again and
-again, or only touch at rest, errors scatter and two runs may agree by chance. Then there is one
-more run, at about 1.5h.
+If 4h is too long, there is one run with 2h; if 2h is too long, there is one with h/2. If contacts
+open again and again, or only touch at rest, errors scatter and two runs may agree by chance. Then
+there is one more run, with about 1.5h.
 
-The estimate of the largest relative error of an answer at steps h is
+The estimate of the largest relative error of an answer with steps h is
 
     e = max(2 d12 / (g - 1),  b)                                 truncation
-        + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      round-off, as it is or amplified
-        + 8 eps D x / v                                  and of reduced velocities
+        + max(eps (2 + w(n) + 1.5 omega T), w(n) A)      rounding, without or with amplification
+        + 8 eps D x / v                                  rounding of reduced velocities
 
-with b = 2 dn where an auxiliary run is at 1.5 h, else b = d24 / (r2^p - r1^p). One such run alone,
-at 2 h or h / 2, shows no rate: there the truncation error is 2 d12, or 2 d12 / (r1^p - 1) where
-nothing opens and steps are equal. Where equal steps press contacts to far beyond their overlap at
-rest, these began as good as open: a part of the error falls with h^2 alone, and with the share s of
-d12 that follows from the gain, e is at least 2 d12 ((1 - s) / (r1^p - 1) + s / (r1^2 - 1)).
+with b = 2 dn if there is an auxiliary run with 1.5 h, else b = d24 / (r2^p - r1^p). A single
+auxiliary run, with 2 h or h / 2, shows no rate: then the truncation error is 2 d12, or
+2 d12 / (r1^p - 1) with equal steps if no contact opens. If equal steps press contacts far beyond
+their overlap at rest, the contacts were nearly open at first: a part of the error falls only as
+h^2. With the share s of d12 that follows from the gain, the truncation error is then at least
+2 d12 ((1 - s) / (r1^p - 1) + s / (r1^2 - 1)).
 
 ========  ==========  =========================================================================
 symbol    variable    meaning
 ========  ==========  =========================================================================
-d12       fine        distance of the answer from an auxiliary run at steps r1 h = 2 h, over the
+d12       fine        distance of the answer from an auxiliary run with steps r1 h = 2 h, over the
                       largest motion
-d24       coarse      distance of that run from one at steps r2 h = 4 h
-dn        nearby      distance of the answer from one at 1.5 h, which runs where errors may scatter;
-                      over 1.5^p - 1 if no contact opened
+d24       coarse      distance of that run from the one with steps r2 h = 4 h
+dn        nearby      distance of the answer from the run with 1.5 h, if errors may scatter; over
+                      1.5^p - 1 if no contact opened
 r1, r2    ratios      steps of the auxiliary runs over h
-p         order       order that is trusted, see `AuxiliarySteps.truncation`
-g         gain        error at steps r1 h over that at h, as observed:
+p         order       trusted order of convergence, see `AuxiliarySteps.truncation`
+g         gain        observed ratio of the errors with steps r1 h and h:
                       (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
-                      of twice the length; g^(ln r / ln r1) where corners of a force cut steps, and
-                      r, `least_ratio`, is the smallest ratio of steps between two corners
+                      of twice the length; g^(ln r / ln r1) if kinks of a force end steps, where r,
+                      `least_ratio`, is the smallest ratio of steps between two kinks
 s         share       (r1^p - g) / (r1^p - r1^2), the part of d12 that falls with h^2, at most 1
-eps       EPSILON     unit of the last place of 1
-n, w(n)   rounding    evaluations of the force, and the last digits that they lose, sqrt(n), or
-                      max(sqrt(n k), n / (8 k)) where contacts open, see `rounding`
-k         flights     how far the fastest grain would fly, over the largest displacement
+eps       EPSILON     unit in the last place (ulp) of 1
+n, w(n)   rounding    evaluations of the force, and their rounding error in ulps: sqrt(n), or
+                      max(sqrt(n k), n / (8 k)) if contacts open, see `rounding`
+k         flights     path of the fastest grain in free flight, over the largest displacement
 omega T   radians     phase of the fastest motion in the duration
-A         amplified   what the scene makes of one last digit, see `rounding`; near the
-                      tolerance, or with a given step if they exceed the truncation error, it and
-                      the rounding of free flights are 2 times the distance of runs with the
-                      steps of the answer that begin a last digit apart
+A         amplified   amplification of one ulp by the scene, see `rounding`; near the tolerance, or
+                      with a given step if it exceeds the truncation error, it and the rounding of
+                      free flights are 2 times the distance of runs with the steps of the answer
+                      whose initial values differ by one ulp
 ========  ==========  =========================================================================
 
 The estimate of a trajectory is e or 2, see `ErrorEstimate`. Step control uses e, however large.
@@ -68,34 +69,31 @@ from ...util.arrays import Array
 
 @dataclass(frozen=True)
 class OpeningOrder:
-    """Effect of openings of contacts on the order of a method.
+    """Effect of contact openings on the order of a method.
 
     Measured by analysis/calibration/richardson_estimate.py.
 
     Attributes
     ----------
     near : float
-        r / eps below which the force of a contact is no longer a smooth function of time; -1 is an
+        Strain r / eps below which the force of a contact is not a smooth function of time; -1 is an
         opening.
-    order : float
-        That is trusted at most after steps that shorten near openings.
-    coarse_order : float
-        The same where these steps are coarse.
-    equal_order : float
-        The same after equal steps, which fall on openings as they come.
+    order, coarse_order, equal_order : float
+        Largest trusted orders if contacts open: with steps that shorten near openings, with coarse
+        steps there, and with equal steps.
     scattered_order : float
-        By which differences of these are divided: errors scatter with where in a step a contact
-        opens, from the first one on, and two runs may agree by chance.
+        Order assumed for differences of runs with equal steps if contacts open. Errors scatter with
+        the place of the opening in its step, and two runs may agree by chance.
     far : float
-        Strain from which a contact that is pressed by equal steps began as good as open.
+        Strain from which a contact counts as nearly open at first, with equal steps.
     kinked_below : float
-        Power of the overlap, with which a force sets in, below which it has a kink at an opening.
+        Smallest onset power of a force, as a function of the overlap, without a kink at an opening.
     returning : float
-        Phase of the fastest motion, in radians a grain, after which waves come back to contacts
-        that opened: errors scatter from there on.
+        Phase of the fastest motion for each grain, rad, after which waves return to contacts that
+        have opened, so that errors scatter.
     nearby, nearby_kinked : float
-        Step of the auxiliary run where errors scatter, over that of the answer, and that for
-        forces with kinks.
+        Ratio of the step of the auxiliary run for scattered errors to that of the answer; for
+        smooth forces and for forces with kinks.
     """
 
     near: float = -0.5
@@ -110,52 +108,49 @@ class OpeningOrder:
     nearby_kinked: float = 1.75
 
     def kinks(self, onset: float) -> bool:
-        """Say whether a force that sets in with this power has a kink at an opening."""
+        """Return whether a force with this onset power has a kink at an opening."""
         return onset < self.kinked_below
 
     def trusted_order(self, steps: Steps) -> float:
-        """Return the highest order that is trusted where contacts open, or nearly so."""
+        """Return the largest trusted order if contacts open, or nearly so."""
         if not steps.adaptive:
             return self.equal_order
         return self.coarse_order if steps.coarse_openings else self.order
 
 
 OPENINGS = OpeningOrder()
-STRIKES = (Impulse, Displacement)  # of one grain
-LONGER = (2.0, 4.0)  # steps of auxiliary runs over those of the answer
-DIVIDING = (2.0, 3.0, 4.0)  # the same where each is to land on every sample
-# exponent of the decay between two samples from which on auxiliary runs land on each
+STRIKES = (Impulse, Displacement)  # Strikes of a single grain.
+LONGER = (2.0, 4.0)  # Ratios of the steps of auxiliary runs to those of the answer.
+# Auxiliary runs land on every sample if the motion decays between samples by this exponent.
 DIES = 0.25
-FEWEST_STEPS = 8  # of a run whose auxiliary runs have longer steps: of fewer, two may have the same
+FEWEST_STEPS = 8  # With fewer steps, longer steps of two auxiliary runs may be the same.
 
 
 class AuxiliarySteps:
-    """The steps of the auxiliary runs of an answer to a scene, or to R like ones.
-
-    They say how these runs are compared, and what truncation error their distances show.
+    """The steps of the auxiliary runs for R like scenes, their comparison, and truncation errors.
 
     Parameters
     ----------
     method : Method
     scenes : sequence of R scenes
     steps : Steps
-        Those of the answer.
+        Steps of the answer.
     twins : int
-        Runs beside the answer that have its steps.
+        Number of runs beside the answer that have its steps.
 
     Attributes
     ----------
     answer : Steps
-        Those of the answer.
+        Steps of the answer.
     schedules : tuple of Steps
-        Those of the auxiliary runs.
+        Steps of the auxiliary runs.
     ratios : tuple of float
-        Mean steps of the auxiliary runs over those of the answer.
+        Ratios of the mean steps of the auxiliary runs to those of the answer.
     against, strides : (S,) arrays
-        With which run each of the S beside the answer is compared (0: the answer, from 1: one of
-        these), and every how many samples.
+        For each of the S runs beside the answer: the run with which it is compared (0: the answer;
+        from 1: one of the S runs), and the number of samples between comparisons.
     together : int
-        After so many samples all of these stop.
+        All runs land on every sample of this multiple.
     recurrent : list of R bool
         Whether contacts may open again and again, so that errors scatter.
     """
@@ -176,43 +171,46 @@ class AuxiliarySteps:
         self._least_ratio = [self._ratio_between_corners(scene) for scene in scenes]
 
     def order(self, opens: bool, smooth_excitation: bool) -> float:
-        """Return the order of the method that is trusted; less where contacts open or nearly so."""
-        # adaptive steps end on the knots of an excitation, equal ones pass over them
+        """Return the trusted order of the method, which is lower if contacts open or nearly so."""
+        # Adaptive steps end on the kinks of an excitation, equal ones pass over them.
         regular = not opens and (self.answer.adaptive or smooth_excitation)
         return self._method.order if regular else self._order_at_openings
 
     def compare_energies(self, balance: Array) -> Array:
         """Return the largest differences between energies of the runs, (S, R, 2) J.
 
-        `balance` has those of the answer or its twin, then of the auxiliary runs, (S + 1, R, T, 2).
+        `balance` has the energies of the answer or its twin, then of the auxiliary runs,
+        (S + 1, R, T, 2) J.
         """
         against = [*range(len(self.schedules) - self._nearby), *[0] * self._nearby]
         final = balance.shape[2] - 1
         differences = []
         for run, (schedule, other) in enumerate(zip(self.schedules, against, strict=True), 1):
-            # where both have landed
+            # Compare where both runs have landed.
             samples = np.append(np.arange(0, final, schedule.filled), final)
             apart = np.abs(balance[run][:, samples] - balance[other][:, samples])
             differences.append(apart.max(1))
         return np.array(differences)
 
-    def truncation(self, real: int, distances: Array, order: float, opens: bool) -> float:
+    def truncation(
+        self, real: int, distances: Sequence[Sequence[float]], order: float, opens: bool
+    ) -> float:
         """Return the truncation error of a realisation from the distances between its runs.
 
         Parameters
         ----------
         real : int
-            Its number, from 0.
-        distances : (S, 2) array
+            Number of the realisation, from 0.
+        distances : sequence of S pairs
             Largest distances in displacements and velocities, relative to the motion, as in
             `against`.
         order : float
-            That is trusted.
+            Trusted order.
         opens : bool
             Whether contacts open or nearly so.
         """
         proper = len(self.schedules) - self._nearby
-        # errors scatter where contacts open; elsewhere this distance, too, has the order
+        # Errors scatter if contacts open; otherwise this distance also converges with the order.
         gain = 1.0 if opens else self.ratios[-1] ** order - 1
         order, slow_order = self._orders(real, order, opens)
         settled = not self.answer.adaptive and slow_order == self._method.order
@@ -226,13 +224,14 @@ class AuxiliarySteps:
                 slow_order=slow_order,
                 least_ratio=self._least_ratio[real],
             )
-            for field in distances.T.tolist()
+            for field in zip(*distances, strict=True)
         )
 
     def _ratio_between_corners(self, scene: Scene) -> float:
-        """Return the smallest ratio of steps of the first auxiliary run between corners of a force.
+        """Return the smallest ratio of the steps of the first auxiliary run to those of the answer.
 
-        All runs end steps on corners, so that between these the ratio is that of two whole numbers.
+        All runs end steps on kinks of the forcing, so that the ratio of the steps between two kinks
+        is a ratio of two whole numbers.
         """
         if not scene.corners or not self.answer.adaptive:
             return self.ratios[0]
@@ -244,9 +243,9 @@ class AuxiliarySteps:
         return float(steps.min(initial=self.ratios[0]))
 
     def _orders(self, real: int, order: float, opens: bool) -> tuple[float, float]:
-        """Return by which orders differences are divided: of the error, and of its slowest part.
+        """Return the orders of the error and of its slowest part, by which differences are divided.
 
-        The error of a method of order 2 is its own: that of openings is smaller.
+        A method of order 2 keeps its order at openings.
         """
         if self.answer.adaptive or self._method.order <= OPENINGS.equal_order:
             return order, order
@@ -255,18 +254,18 @@ class AuxiliarySteps:
         return order, min(order, OPENINGS.equal_order) if self._far[real] else order
 
 
-@lru_cache(maxsize=256)  # like scenes have like auxiliary runs
+@lru_cache(maxsize=256)  # Like scenes have like auxiliary runs.
 def _arrange(
     answer: Steps, longer: tuple[float, ...], nearby: bool, twins: int, final: int
 ) -> tuple[tuple[Steps, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
-    """Return steps and ratios of auxiliary runs, `against`, `strides` and `together` of them.
+    """Return `schedules`, `ratios`, `against`, `strides` and `together` of `AuxiliarySteps`.
 
-    Their steps are longer by these ratios, or half as long if there are none.
+    The steps are longer by these ratios, or half as long if there are none.
     """
     schedules = tuple(answer.longer(ratio) for ratio in longer) or (answer.halved,)
     ratios = tuple(answer.total(final) / schedule.total(final) for schedule in schedules)
     runs = (*[answer] * twins, *schedules)
-    # each is compared with the one of the next shorter steps, but the nearby one with the answer
+    # Each run is compared with the run of the next shorter steps; the nearby one with the answer.
     against = np.array([*range(len(runs) - nearby), *[0] * nearby])
     strides = np.array([schedule.filled for schedule in runs])
     together = math.lcm(4, *(schedule.stride for schedule in runs))
@@ -274,11 +273,11 @@ def _arrange(
 
 
 def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
-    """Return how many times as long the steps of auxiliary runs are: 2 and 4, 2 alone, or none.
+    """Return the ratios of the steps of auxiliary runs to those of the answer: 2 and 4, 2, or none.
 
-    None where these are unstable or too few. Where damping ends a motion within a few samples its
-    error is there in the first of them alone, and auxiliary runs must land on each: then 3 serves,
-    too, but there must be two, and no corners of a force.
+    There are none if longer steps are unstable or too few. If damping ends the motion within a few
+    samples, only the first of them show the error, and auxiliary runs must land on every sample:
+    then a ratio of 3 is allowed, but there must be two runs, and no kinks of the forcing.
     """
     if answer.total(scene.intervals) < FEWEST_STEPS:
         return []
@@ -286,27 +285,28 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
     steps = answer.per_landing
     dies = scene.sampling_decay > DIES
     if steps < MANY_STEPS and dies:
-        ratios = [ratio for ratio in DIVIDING if steps % ratio == 0][:2]
+        ratios = [ratio for ratio in (2.0, 3.0, 4.0) if steps % ratio == 0][:2]
     else:
         ratios = list(LONGER)
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
-    # One auxiliary run at longer steps may be right by chance where motions die within a step or
-    # two, and where corners end steps, all of them may pass the last one before a sample alike.
+    # A single auxiliary run may be right by chance if motions decay within a step or two. If kinks
+    # end steps, all runs may have the same last step before a sample.
     seen = len(stable) > 1 and not scene.corners
     return stable if seen or not dies else []
 
 
 def recurs(scene: Scene) -> bool:
-    """Say whether contacts may open so often that errors scatter, by reflections or a drive.
+    """Return whether contacts may open so often that errors scatter, by reflections or a forcing.
 
-    Where the force has a kink at an opening, once is enough. Contacts that only touch at rest open
-    and close from the beginning.
+    If the force has a kink at openings, one opening is enough. Contacts that only touch at rest
+    open and close from the beginning.
     """
-    crossed = 1  # what acts all along, or on many grains, opens contacts again without a reflection
+    # A forcing, or a strike of many grains, opens contacts again without a reflection.
+    crossed = 1
     if isinstance(scene.excitation, STRIKES):
         above = scene.excitation.grain - 1
         below = scene.chain.grains - scene.excitation.grain
-        # a wave that runs from one end has the whole chain before it
+        # A wave that starts at one end crosses the whole chain.
         crossed = min(above, below) or scene.chain.grains
     returns = scene.total_phase > OPENINGS.returning * crossed
     chain = scene.chain
@@ -324,12 +324,11 @@ class Trust:
     Attributes
     ----------
     safety : float
-        Factor on the extrapolated error, and on the distance from an auxiliary run at 1.5 h.
+        Factor on the extrapolated error, and on the distance from an auxiliary run with 1.5 h.
     least_gain : float
-        Of steps of twice the length: differences that shrink by less show no order at all.
+        Smallest gain for steps of twice the length. Differences that shrink by less show no order.
     settled : float
-        Difference up to which two runs alone show the error: phases that are far off lose the
-        order.
+        Largest difference for which a single auxiliary run shows the error with the full order.
     """
 
     safety: float = 2.0
@@ -354,27 +353,26 @@ def estimate_truncation(
     Parameters
     ----------
     distances : sequence of one or two float
-        Relative distances d12 and d24, d12 alone where there is one run.
+        Relative distances d12 and d24, or d12 alone.
     ratios : sequence of as many float
-        Steps of these runs over that of the answer; below 1 for one at shorter steps.
+        Ratios of the steps of these runs to those of the answer; below 1 for shorter steps.
     order : float
-        That is trusted.
+        Trusted order.
     nearby : float
-        dn; 0 where there is no auxiliary run at 1.5 h.
+        Distance dn; 0 without an auxiliary run with 1.5 h.
     settled : bool
-        Whether the force is a smooth function of time, so that the order is sure.
+        Whether the force is a smooth function of time, so that the order is certain.
     slow_order : float
         Lowest order that a part of the error may have.
     least_ratio : float
-        Ratio r of steps that the first auxiliary run has at least everywhere; 0: ratios[0].
+        Smallest ratio r of the steps of the first auxiliary run; 0: ratios[0].
     """
     fine = distances[0]
     if not math.isfinite(fine):
-        # no rate follows from an auxiliary run that broke down
+        # An auxiliary run that broke down gives no convergence rate.
         return math.inf
     if len(distances) == 1:
-        # the distance alone bounds the error at the longer steps, and no rate is seen; a run
-        # at shorter ones shows no order either
+        # The distance bounds the error with the longer steps, and one run shows no order.
         gain = max(ratios[0] ** order, 2.0) if settled and fine <= TRUST.settled else 2.0
         return TRUST.safety * fine / (gain - 1)
     coarse = distances[1]
@@ -389,15 +387,15 @@ def estimate_truncation(
         share = min((steep - gain) / (steep - flat), 1.0)
         mean = (1 - share) / (steep - 1) + share / (flat - 1)
         extrapolated = max(extrapolated, TRUST.safety * fine * mean)
-    # one more run confirms the rate; without it, the coarse difference alone is a bound, too
+    # The run with 1.5 h confirms the rate. Without it, the coarse difference is another bound.
     bound = TRUST.safety * nearby if nearby > 0 else coarse / (second**order - first**order)
     return max(extrapolated, bound)
 
 
 def observe_gain(fine: float, coarse: float, first: float, second: float, order: float) -> float:
-    """Return the factor by which the error grows at steps `first` times as long, as observed."""
+    """Return the observed factor by which the error grows with steps `first` times as long."""
     doublings = math.log2(second / first)
-    # from two differences that are both round-off, no rate above the order follows, nor one below 1
+    # Two differences that are both rounding must not give a rate above the order or below 1.
     rate = math.log2(max(coarse, 1e-300) / max(fine, 1e-300)) / doublings
     rate = min(max(rate, math.log2(TRUST.least_gain)), order)
     return first**rate

@@ -1,7 +1,8 @@
-"""Rounding of native runs, and its amplification by a scene.
+"""Rounding errors of native runs, and their amplification by a scene.
 
-Reflections through opening contacts make much of a last digit (a finite-time Lyapunov exponent
-above 0), and no step can give it back. Native runs that begin a little apart show by how much.
+Waves that are reflected through opening contacts amplify rounding errors (their finite-time
+Lyapunov exponent is above 0), and no step prevents it. Native runs from slightly different initial
+values measure the amplification.
 """
 
 from __future__ import annotations
@@ -21,29 +22,28 @@ from ...scene.excitation import Profile
 from ...scene.scene import Scene
 from ...util.arrays import EPSILON, Array
 
-BLOCK_BYTES = 2**24  # of samples held at a time
-PIECES = 50  # into which a scene is cut that need not be followed to its end
-BURST = 10**6  # steps between two opportunities to stop
-
 
 @dataclass(frozen=True)
 class Rounding:
-    """Last digits that a native run loses.
+    """Rounding errors of native runs, in units in the last place.
 
     Attributes
     ----------
     phase : float
-        Of the phase of the fastest motion, a radian: masses, stiffnesses and fractions of a step
-        are rounded.
+        Error of the phase of the fastest motion for each radian, because masses, stiffnesses and
+        fractions of a step are rounded.
     drift : float
-        Of a motion, an evaluation of the force: in free flight equal steps round to one side.
+        Rounding bias for each evaluation of the force in free flight, where equal steps round to
+        one side.
     plain : float
-        Of the force at rest, a step: the plain form of the force subtracts it.
+        Error for each step, in units of the force at rest, which the plain form of the force
+        subtracts.
     interpolated : float
-        Of a displacement, a mean step: velocities between steps are differences of displacements.
+        Error of interpolated velocities for each mean step, in units of the displacement, because
+        velocities between steps are differences of displacements.
     reduced : float
-        Of the velocity at which damping alone would move displacements: that of a damped chain is a
-        sum of it and of the reduced one.
+        Error of the velocity of a damped chain, in units of the velocity that damping alone gives:
+        the velocity is the sum of this one and of the reduced velocity.
     """
 
     phase: float = 1.5
@@ -57,21 +57,21 @@ ROUNDING = Rounding()
 
 
 def accumulate(evaluations: float, flights: float = 0.0) -> float:
-    """Return the last digits that the rounding of so many evaluations of the force adds up to.
+    """Return the accumulated rounding error of force evaluations, in units in the last place.
 
-    While grains touch, it is a random walk of n evaluations, sqrt(n). A grain that is pushed for a
-    time t/k and flies freely for t has only the velocity of sqrt(n/k) evaluations off, but comes k
-    times as far with it: sqrt(n k). One that flies for the whole run by steps of one length is
-    rounded to the same side by all of them: drift n, or n/k of a grain that flies so far in a kth
-    of the time.
+    While grains touch, the error is a random walk of n evaluations, sqrt(n). The velocity of a
+    grain that is pushed for a time t/k and then flies freely has the error of sqrt(n/k)
+    evaluations, and the grain flies k times as far: sqrt(n k). Equal steps round the position of a
+    flying grain to the same side: drift n for a flight during the whole run, and drift n/k for a
+    grain that flies so far in the kth part of the time.
 
     Parameters
     ----------
     evaluations : float
-        n.
+        The number n of evaluations.
     flights : float
-        k, how far the fastest grain would come in the whole run, over the largest displacement; 0
-        where no contact opens.
+        The ratio k of the path of the fastest grain to the largest displacement; 0 if no contact
+        opens.
     """
     if not flights:
         return math.sqrt(evaluations)
@@ -79,27 +79,27 @@ def accumulate(evaluations: float, flights: float = 0.0) -> float:
 
 
 def drift(evaluations: float, flights: float) -> float:
-    """Return the last digits that steps of one length lose to one side; see `accumulate`."""
+    """Return the one-sided rounding error of equal steps, in ulps; see `accumulate`."""
     return ROUNDING.drift * evaluations / flights if flights else 0.0
 
 
 def flown(scene: Scene, displacement: float, velocity: float) -> float:
-    """Return how far a grain of the largest velocity would come, over the largest displacement."""
+    """Return the path of a grain at the largest velocity over the largest displacement."""
     return velocity * scene.duration / displacement
 
 
 def free_flights(scene: Scene, displacement: float, velocity: float) -> float:
-    """Return the same where contacts open: no grain turns faster than the fastest motion."""
+    """Return the ratio `flights` of `accumulate`; grains turn as often as the fastest motion."""
     return max(min(flown(scene, displacement, velocity), scene.total_phase), 1.0)
 
 
 def native_floor(evaluations: float, radians: float, flights: float = 0.0) -> float:
-    """Return the round-off of a native run, relative to the largest motion.
+    """Return the rounding error of a native run, relative to the largest motion.
 
     Parameters
     ----------
     evaluations : float
-        Of the force.
+        Number of evaluations of the force.
     radians : float
         Phase of the fastest motion.
     flights : float
@@ -110,27 +110,26 @@ def native_floor(evaluations: float, radians: float, flights: float = 0.0) -> fl
 
 
 def plain_loss(scene: Scene, steps: float) -> float:
-    """Return the velocity that the plain form of the force loses in so many steps, m/s.
+    """Return the rounding error of the velocity by the plain form of the force, m/s.
 
-    The last digit of the force at rest is an acceleration a = 0.9 EPSILON F_n / m; at every step it
-    goes either way, which makes a sqrt(duration h) of the velocity.
+    The rounding error of the force at rest is an acceleration a = 0.9 EPSILON F_n / m of random
+    sign at every step. The velocity then has the error a sqrt(duration h).
     """
     return ROUNDING.plain * EPSILON * scene.chain.load_over_mass * scene.duration / math.sqrt(steps)
 
 
 def interpolation_loss(steps: float, flights: float = 1.0) -> float:
-    """Return the round-off of velocities of interpolated samples, over the largest velocity.
+    """Return the rounding error of interpolated velocities, over the largest velocity.
 
-    `flights` is how far the fastest grain would come in the whole run, over the largest
-    displacement.
+    `flights` is the ratio of the path of the fastest grain to the largest displacement.
     """
     return ROUNDING.interpolated * EPSILON * steps / flights
 
 
 def reduced_loss(scene: Scene, displacement: float, closer: float) -> float:
-    """Return the velocity that a damped chain loses by cancellation, m/s.
+    """Return the rounding error of the velocity of a damped chain, m/s.
 
-    Its velocity is v = w + b(x) - gamma x, see `chain.damping`. In a slow motion v is small, and
+    The velocity is v = w + b(x) - gamma x, see `chain.damping`. In a slow motion v is small, but
     the rounding errors of w, b and gamma x are not.
 
     Parameters
@@ -149,7 +148,7 @@ def reduced_loss(scene: Scene, displacement: float, closer: float) -> float:
 
 
 def rounded_energy(scene: Scene, evaluations: float) -> float:
-    """Return the energy that contacts gain by the rounding of heights, J: the last digit walks."""
+    """Return the energy that contacts gain by the rounding of heights, J, as a random walk."""
     height = scene.chain.diameters.sum() + np.abs(scene.initial()[0]).max()
     closer = np.full(scene.chain.grains + 1, EPSILON * accumulate(evaluations) * height)
     return float(scene.chain.contacts.energy(closer).sum())
@@ -157,33 +156,33 @@ def rounded_energy(scene: Scene, evaluations: float) -> float:
 
 @dataclass(frozen=True)
 class DigitGrowth:
-    """How the growth of a last digit is measured; analysis/calibration/amplified_rounding.py.
+    """Parameters of measuring amplified rounding; analysis/calibration/amplified_rounding.py.
 
     Attributes
     ----------
     digit : float
-        A last digit, relative to the largest motion: a few units in the last place of a double.
+        Unit of a change at t = 0, relative to the largest motion: a few ulps of a double.
     changes : tuple of float
-        Changes at t = 0 that are tried, in last digits: what becomes of one alone scatters by ten.
+        Changes at t = 0, in units of `digit`. Several are tried, because the growth of a single one
+        scatters by a factor of ten.
     repeats : tuple of float
-        Changes, in units of the last place of 1, of the runs that show the rounding of an answer:
-        they round in other ways, while the changes themselves count for less.
+        Changes at t = 0, in ulps of 1, of runs with the steps of the answer. These runs round
+        differently from the answer, and the changes themselves matter less.
     reach : float
-        omega h of these runs with velocity Verlet: growth asks for stable steps, not for accurate
-        ones.
+        omega h of runs by velocity Verlet, which must be stable but need not be accurate.
     shorter : float
-        How many times shorter they are once more where a run breaks down.
+        Factor by which the steps of these runs are shortened once if a run breaks down.
     rate : float
-        Exponent a radian of the fastest motion that no scene exceeds: where that leaves a digit
-        below all that counts, nothing is measured.
+        Upper bound on the growth exponent for each radian of the fastest motion. Nothing is
+        measured if a change remains negligible at this rate.
     broken : float
-        Relative distance beyond which a run broke down, for two that keep to the largest motion are
-        never so far apart.
+        Relative distance of two runs beyond which one has broken down, because two runs within the
+        largest motion are never so far apart.
     safety : float
-        Factor on the distance of runs with the steps of an answer, which scatters.
+        Factor on the distance of runs with the steps of the answer, which scatters.
     pessimism : float
-        How many times too large the product of walk and growth may be: up to there such runs tell
-        whether a tolerance is met.
+        Largest ratio of the product of random walk and growth to the amplified rounding error. Up
+        to this ratio, runs with the steps of the answer decide whether the tolerance is met.
     """
 
     digit: float = 1e-15
@@ -201,9 +200,10 @@ GROWTH = DigitGrowth()
 
 
 def perturb(scene: Scene, change: float) -> Scene:
-    """Return the scene with velocities changed by a fraction of the largest, up and down in turn.
+    """Return the scene with velocities changed by a fraction of the largest, in alternating sign.
 
-    Of the largest displacement where nothing is struck; what does work becomes so much stronger.
+    Without initial velocities the displacements are changed. A force or motion after t = 0 is
+    scaled.
     """
     if scene.excitation.does_work:
         return scene.replace(excitation=scene.excitation.scaled(1 + change))
@@ -222,7 +222,7 @@ def separate(
     schedule: Steps,
     enough: float = math.inf,
 ) -> Array:
-    """Return how far runs that begin a small change apart come from the unchanged one.
+    """Return the distances of runs with changed initial values from the unchanged run.
 
     Parameters
     ----------
@@ -230,23 +230,22 @@ def separate(
     changes : sequence of C float
         See `perturb`.
     method, schedule
-        Of all runs, which land on every sample; what these leave out is the same in all.
+        Of all runs, which land on every sample. Their truncation errors are the same.
     enough : float
-        Distance beyond which they need not be followed: it stays as it is then.
+        Distance at which the runs end; later samples get the last distance.
 
     Returns
     -------
     (C, T) array
-        The larger of the distances in displacement and velocity, over the largest motion.
+        The larger one of the distances in displacement and velocity, over the largest motion.
     """
     batch = ChainBatch([scene, *(perturb(scene, change) for change in changes)])
     stepper = NativeStepper(batch, method, schedule, {})
     grains = scene.chain.grains
-    pieces = 1 if enough == math.inf else PIECES
-    count = max(1, min(scene.samples // pieces, BLOCK_BYTES // (64 * grains)))
+    pieces = 1 if enough == math.inf else 50
+    count = max(1, min(scene.samples // pieces, 2**24 // (64 * grains)))
     fields = np.zeros((2, 1 + len(changes), count, grains))
     displacement, velocity = fields
-    # no step leads to sample 0
     fields[:, :, 0] = batch.initial
     distances = np.zeros((2, len(changes), scene.samples))
     for first in range(0, scene.samples, count):
@@ -257,7 +256,7 @@ def separate(
             break
         final = min(first + count, scene.samples) - 1
         while stepper.sample < final:
-            stepper.fill(displacement, velocity, first, final, BURST)
+            stepper.fill(displacement, velocity, first, final, 10**6)
         samples = fields[:, :, : final + 1 - first]
         distances[:, :, first : final + 1] = np.abs(samples[:, 1:] - samples[:, :1]).max(-1)
     largest = stepper.largest()[0]
@@ -266,41 +265,42 @@ def separate(
 
 
 def could_grow(scene: Scene, evaluations: float) -> float:
-    """Return a bound on `amplify_rounding`, from the phase of the fastest motion alone."""
+    """Return an upper bound on `amplify_rounding` from the phase of the fastest motion alone."""
     exponent = GROWTH.rate * scene.total_phase
     digits = count_digits(evaluations)
-    return GROWTH.digit * digits * math.exp(min(exponent, 99.0))  # more than any scene has room for
+    # No scene amplifies an error by more than exp(99).
+    return GROWTH.digit * digits * math.exp(min(exponent, 99.0))
 
 
 def amplify_rounding(scene: Scene, evaluations: float) -> Array:
-    """Return the amplified rounding of so many evaluations of the force at each sample, (T,).
+    """Return the amplified rounding error of force evaluations at each sample, (T,).
 
-    Relative to the largest motion. The runs that show it take a fraction of the time of an answer.
+    It is relative to the largest motion. Measuring it takes a fraction of the time of the answer.
     """
     return count_digits(evaluations) * grow_digit(scene)
 
 
 def grow_digit(scene: Scene, enough: float = math.inf) -> Array:
-    """Return what becomes of a last digit at each sample, (T,), followed until it is `enough`."""
+    """Return the growth of a change of 1e-15 at each sample, (T,), until it is `enough`."""
     changes = (GROWTH.digit * np.array(GROWTH.changes)).tolist()
     method = methods_of(scene.chain.damped)["verlet"]
     for reach in (GROWTH.reach, GROWTH.reach / GROWTH.shorter):
         steps = math.ceil(scene.sampling_phase / reach)
         schedule = Steps.spread(scene.sampling_interval, steps)
         distances = separate(scene, changes, method, schedule, enough)
-        # steps too long for contacts that are pressed so much stiffer show no growth but their own
+        # Steps that are too long for strongly pressed contacts show the growth of an instability.
         if distances.max() <= GROWTH.broken:
             break
-    # a run that broke down says nothing of the growth in the others
+    # Runs that broke down are left out.
     followed = distances.max(1) <= GROWTH.broken
     return distances.max(0, where=followed[:, None], initial=0.0)
 
 
 def repeat_rounding(scene: Scene, method: Method, steps: Steps) -> Array:
-    """Return the rounding of an answer at each sample, (T,), as runs with its steps show it.
+    """Return the rounding error of an answer at each sample, (T,), from runs with its steps.
 
-    They begin a last digit apart, and round in other ways from there on. They take several times
-    the time of the answer.
+    The initial values of these runs differ by one ulp, so that they round differently. They take
+    several times the time of the answer.
     """
     changes = EPSILON * np.array(GROWTH.repeats)
     distances = separate(scene, changes.tolist(), method, steps.sampled)
@@ -308,5 +308,5 @@ def repeat_rounding(scene: Scene, method: Method, steps: Steps) -> Array:
 
 
 def count_digits(evaluations: float) -> float:
-    """Return the rounding of so many evaluations of the force in last digits, at least one."""
+    """Return the rounding error of force evaluations in units of `GROWTH.digit`, at least 1."""
     return max(1.0, EPSILON / GROWTH.digit * accumulate(evaluations))

@@ -1,4 +1,4 @@
-"""A run in time steps: it moves an answer and the auxiliary runs beside it, block by block."""
+"""A run in time steps: it moves an answer and its auxiliary runs forward, block by block."""
 
 from __future__ import annotations
 
@@ -8,54 +8,19 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ...integrators.method import Method
-from ...integrators.stepper import Stepper, room_for
+from ...integrators.stepper import UNFIT, Stepper, room_for
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import Array, as_slice
 from ...util.compilation import clock
 from ..base import ErrorBudget, Proposal, Run
-from .monitor import UNFIT, Fill, Monitor
+from .monitor import Fill, Monitor
 
-PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
-BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
-BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
-
-
-class Mover:
-    """A stepper that moves in short calls, so that a run can be stopped between them.
-
-    Attributes
-    ----------
-    name : str
-        Under which the state of the stepper is stored.
-    stepper : Stepper
-    seconds : float
-        Time spent in it, s.
-    """
-
-    def __init__(self, name: str, stepper: Stepper, rate: float):
-        self.name = name
-        self.stepper = stepper
-        self.seconds = 0.0
-        self._rate = rate
-        self._begun = stepper.progress
-
-    def move(self, fill: Fill, until: int) -> bool:
-        """Move on by as many steps as take a tenth of a second; say whether it has arrived."""
-        # at the rate of the call before
-        max_steps = max(1, int(self._rate * PIECE_S))
-        began = clock()
-        steps = fill(until, max_steps)
-        spent_s = clock() - began
-        self._rate = steps / max(spent_s, 1e-9)
-        self.seconds += spent_s
-        return steps < max_steps or self.stepper.sample >= until
-
-    @property
-    def lasts_s(self) -> float:
-        """Expected time of the whole run at the speed so far, s; 0 if it has not moved yet."""
-        moved = self.stepper.progress - self._begun
-        return self.seconds / moved if moved > 0 else 0.0
+PIECE_S = 0.1  # Longest time of one call of a stepper: a run can be stopped between two calls.
+# Memory of the samples of one block, bytes, and the longest time that a block may take, s: a run
+# that is interrupted loses one block at most.
+BLOCK_BYTES = 2**25
+BLOCK_S = 0.5
 
 
 class SteppingRun(Run):
@@ -64,18 +29,18 @@ class SteppingRun(Run):
     Parameters
     ----------
     steppers : mapping
-        Steppers by the name under which their state is stored, that of the answer first.
+        Steppers by the name under which their state is stored; the stepper of the answer is first.
     monitor : Monitor
     method : Method
     scenes : sequence of R scenes
         One, or a batch of like ones.
     proposal : Proposal
     state : mapping, optional
-        What `state` returned.
+        Arrays that `state` returned.
     work_s : float
-        Expected time of its steps, s, which decides when the run is judged on the way.
+        Expected time of the steps, s, which decides when the run is judged on the way.
     began : float
-        When the steppers were begun to be made, on `util.compilation.clock`, s.
+        Time of `util.compilation.clock` before the steppers were made, s.
     """
 
     def __init__(
@@ -94,17 +59,20 @@ class SteppingRun(Run):
         self.proposal = proposal
         self.monitor = monitor
         self.realisations = len(scenes)
-        work = self.realisations * self.scene.chain.grains * method.evaluations
-        self._movers = [
-            Mover(name, stepper, stepper.guessed_rate / work) for name, stepper in steppers.items()
-        ]
-        self._answer = self._movers[0].stepper
         samples = self.scene.samples
         grains = self.scene.chain.grains
+        self._names = list(steppers)
+        self._steppers = list(steppers.values())
+        self._answer = self._steppers[0]
+        # Time spent in each stepper, s, and its steps a second in the last call.
+        work = self.realisations * grains * method.evaluations
+        self._seconds = [0.0] * len(steppers)
+        self._rates = [stepper.guessed_rate / work for stepper in self._steppers]
+        self._begun = [0.0] * len(steppers)
         self._together = math.lcm(monitor.together, self._answer.stride)
         bytes_a_sample = 16 * (monitor.runs + 1) * self.realisations * grains
         self._longest_block = fit_block(BLOCK_BYTES // bytes_a_sample, samples, self._together)
-        # a guess to begin with
+        # Time of a sample, s; a guess until the first block is done.
         self._sample_s = proposal.cost_s * self.realisations / samples
         self._looks = monitor.choose_looks(work_s, self._together)
         monitor.make_room(self._longest_block + 1)
@@ -114,11 +82,12 @@ class SteppingRun(Run):
             begin = max(self._sample, 0)
             if any(stepper.sample != begin for stepper in steppers.values()):
                 raise ValueError(UNFIT)
+            self._begun = [stepper.progress for stepper in self._steppers]
             monitor.restore(state)
         self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the answer; samples that a restored state already had are not repeated."""
+        """Yield the answer, without the samples that precede a restored state."""
         final = self.scene.intervals
         while self._sample < final:
             if self._sample in self._looks:
@@ -130,9 +99,9 @@ class SteppingRun(Run):
             if first == 0:
                 u[:, 0], v[:, 0] = self.monitor.initial
             fills = self.monitor.fills(self._answer, u, v, first)
-            for mover, fill in zip(self._movers, fills, strict=True):
-                while not mover.move(fill, until):
-                    # adaptive steps of broken runs would be ever shorter
+            for number, fill in enumerate(fills):
+                while not self._move(number, fill, until):
+                    # The adaptive steps of a run that broke down become ever shorter.
                     self.monitor.leave_broken(first, until)
                     nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
                     yield Block(slice(first, first), nothing, nothing)
@@ -146,6 +115,16 @@ class SteppingRun(Run):
             if until < final:
                 self._sample_s = (self._spent_s - spent_s) / (until + 1 - first)
 
+    def _move(self, number: int, fill: Fill, until: int) -> bool:
+        """Move a stepper on for about a tenth of a second; return whether it has arrived."""
+        max_steps = max(1, int(self._rates[number] * PIECE_S))
+        began = clock()
+        steps = fill(until, max_steps)
+        spent_s = clock() - began
+        self._rates[number] = steps / max(spent_s, 1e-9)
+        self._seconds[number] += spent_s
+        return steps < max_steps or self._steppers[number].sample >= until
+
     def _end_of_block(self, final: int) -> int:
         """Return the last sample of the next block.
 
@@ -153,7 +132,7 @@ class SteppingRun(Run):
         """
         begin = max(self._sample, 0)
         fit = min(self._longest_block, int(BLOCK_S / self._sample_s))
-        # it is judged at samples that do not rest on the speed of the run, so that bits do not
+        # The run is judged at samples that do not depend on its speed, so that bits do not either.
         end = min((look for look in self._looks if look > begin), default=final)
         if begin + fit >= end:
             return end
@@ -161,14 +140,17 @@ class SteppingRun(Run):
 
     @property
     def _spent_s(self) -> float:
-        return sum([mover.seconds for mover in self._movers], self.monitor.seconds)
+        return sum(self._seconds, self.monitor.seconds)
 
     @property
     def progress(self) -> float:
-        """Part done of the time that all takes at its speed."""
-        done = [mover.stepper.progress for mover in self._movers]
-        # a stepper that has not begun counts for nothing
-        lasts_s = [mover.lasts_s for mover in self._movers]
+        """Part of the work done, 0 to 1, weighted by the expected time of each stepper."""
+        done = [stepper.progress for stepper in self._steppers]
+        # A stepper that has not moved yet has no weight.
+        lasts_s = [
+            spent_s / (part - begun) if part > begun else 0.0
+            for spent_s, part, begun in zip(self._seconds, done, self._begun, strict=True)
+        ]
         if not any(lasts_s):
             return min(done)
         return float(np.dot(lasts_s, done) / sum(lasts_s))
@@ -188,10 +170,10 @@ class SteppingRun(Run):
     def cost(self) -> Cost:
         """Return the cost so far.
 
-        Steps and evaluations are those of the realisation that took most.
+        Steps and evaluations are those of the realisation with the most steps.
         """
         steps = int(max(self._answer.steps.tolist()))
-        integration_s = self._answer.own_part * self._movers[0].seconds
+        integration_s = self._answer.own_part * self._seconds[0]
         return Cost(
             integration_s=integration_s,
             estimate_s=self._spent_s - integration_s,
@@ -207,15 +189,14 @@ class SteppingRun(Run):
     def state(self) -> dict[str, Array]:
         """Return the state of all runs and of their comparison at the last sample."""
         state = {"sample": np.array(self._sample)} | self.monitor.state()
-        for mover in self._movers:
-            arrays = mover.stepper.state()
-            state |= {f"{mover.name}.{key}": array for key, array in arrays.items()}
+        for name, stepper in zip(self._names, self._steppers, strict=True):
+            state |= {f"{name}.{key}": array for key, array in stepper.state().items()}
         return state
 
     def close(self) -> None:
         """Release every stepper."""
-        for mover in self._movers:
-            mover.stepper.close()
+        for stepper in self._steppers:
+            stepper.close()
 
 
 def fit_block(fit: int, samples: int, together: int) -> int:
@@ -224,7 +205,10 @@ def fit_block(fit: int, samples: int, together: int) -> int:
 
 
 def restrict(stepper: str, state: Mapping[str, Array] | None) -> dict[str, Array]:
-    """Return the state of one stepper, under the names that it knows."""
+    """Return the state of one stepper, by the names of its own arrays."""
+    if state is None:
+        return {}
     prefix = f"{stepper}."
-    arrays = (state or {}).items()
-    return {key.removeprefix(prefix): array for key, array in arrays if key.startswith(prefix)}
+    return {
+        key.removeprefix(prefix): array for key, array in state.items() if key.startswith(prefix)
+    }

@@ -1,8 +1,8 @@
-"""The step of an answer: the longest that should meet the tolerance, and its correction.
+"""The choice of the first step, and the step of the next attempt.
 
-The error of a method of order p is C (omega h)^p after the time for which C, its `error_constant`,
-is given; it grows in proportion to time, and with how far contacts open. The first step makes it
-half the tolerance, and the next one follows from the error estimate e,
+The error of a method of order p is C (omega h)^p at the phase for which its `error_constant` C is
+given. It grows in proportion to time, and with the strain beyond which contacts open. The first
+step makes the error half the tolerance. The next step follows from the error estimate e,
 
     h' = h (0.7 tolerance / e)^(1/p),
 
@@ -13,6 +13,7 @@ Equations I, section II.4.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...errors import InputError
@@ -26,35 +27,30 @@ from .rounding import interpolation_loss
 
 @dataclass(frozen=True)
 class FirstStep:
-    """Where the first step comes from; analysis/calibration/opening_error_factor.py.
+    """Parameters of the first step; analysis/calibration/opening_error_factor.py.
 
     Attributes
     ----------
     radians : float
         Phase of the fastest motion for which `Method.error_constant` is given.
-    longest : float
-        Longest step over the stability limit.
-    longest_opening : float
-        The same where contacts may open.
-    longest_damped : float
-        The same in a chain that loses energy.
+    longest, longest_opening, longest_damped : float
+        Longest step over the stability limit: if no contact can open, if contacts may open, and if
+        contacts may open in a damped chain.
     foreseen : float
-        Tolerance up to which an error is foreseen where nothing bounds the strain: for a tighter
-        one the first attempt shows how long steps may be.
+        Smallest tolerance for which the first step is predicted if nothing bounds the strain. For a
+        smaller tolerance, the error of the first attempt determines the step.
     safe_strain : float
-        Strain up to which no contact comes near to opening.
-    opening_error : float
-        Factor on the error where contacts open a little and steps are shorter there; it grows with
-        the root of the strain.
-    largest_opening_error : float
-        The most that it is.
+        Largest strain for which no contact comes near to opening.
+    opening_error, largest_opening_error : float
+        Factor on the error if contacts open a little and steps are shorter there, and its upper
+        bound. The factor grows with the square root of the strain.
     damped_opening_error, largest_damped_opening_error : float
-        The same two in a chain that loses energy, whose method has next to no error where nothing
-        opens; it grows with the strain itself. analysis/damping_cost.py.
+        The same two in a damped chain, whose method has nearly no error if no contact opens. The
+        factor grows with the strain; analysis/damping_cost.py.
     equal_error : float
-        Factor where contacts open and steps are equal.
+        Factor on the error if contacts open and steps are equal.
     coarse_error : float
-        Factor where steps near openings are coarse, over those that are not.
+        Factor on the error if steps near openings are coarse.
     """
 
     radians: float = 60.0
@@ -71,7 +67,7 @@ class FirstStep:
     coarse_error: float = 16.0
 
     def opening_factor(self, strain: float, adaptive: bool, damped: bool = False) -> float:
-        """Return the factor on the error of a scene whose strains are at most this."""
+        """Return the factor on the error of a scene with this bound on its strains."""
         if strain <= self.safe_strain:
             return 1.0
         if not adaptive:
@@ -85,20 +81,20 @@ class FirstStep:
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Interpolation of samples that steps pass over; analysis/calibration/long_steps.py.
+    """Interpolation of samples between steps; analysis/calibration/long_steps.py.
 
     Attributes
     ----------
     error : float
         Relative error at omega h = 1.
     order : float
-        With which it falls with the step.
+        Order of convergence with the step.
     evaluations : float
-        Time that a sample takes, in evaluations of the force.
+        Cost of a sample, in evaluations of the force.
     steps : int
-        From landing to landing, at least.
+        Smallest number of steps from landing to landing.
     values : int
-        Samples times grains between two landings, at most: they are held in memory.
+        Largest number of samples times grains between two landings, which are kept in memory.
     """
 
     error: float = 3e-8
@@ -110,16 +106,16 @@ class Interpolation:
 
 @dataclass(frozen=True)
 class StepControl:
-    """How a step is shortened; analysis/calibration/step_refinement.py.
+    """Parameters of the next step; analysis/calibration/step_refinement.py.
 
     Attributes
     ----------
     target : float
-        Share of the tolerance at which the next error is aimed.
+        The next error is aimed at this fraction of the tolerance.
     roundoff : float
-        Share of the tolerance beyond which round-off cannot be made up for.
+        Fraction of the tolerance that the rounding error must not exceed.
     least, most : float
-        Bounds on the ratio of the old step to the new one; `most` after a breakdown, too.
+        Bounds on the ratio of the old step to the new one. After a breakdown the ratio is `most`.
     """
 
     target: float = 0.7
@@ -128,12 +124,12 @@ class StepControl:
     most: float = 8.0
 
     def ratio(self, error: ErrorBudget | None, tolerance: float) -> float | None:
-        """Return the old step over the next one; None where round-off alone is too much.
+        """Return the ratio of the old step to the next one; None if rounding alone is too large.
 
         Parameters
         ----------
         error : ErrorBudget, optional
-            None after a run that broke down.
+            None if the run broke down.
         tolerance : float
         """
         if error is None:
@@ -143,7 +139,7 @@ class StepControl:
         return min(max(self.aim(error, tolerance), self.least), self.most)
 
     def aim(self, error: ErrorBudget, tolerance: float) -> float:
-        """Return the old step over the one at which the next error is aimed, without bounds."""
+        """Return the ratio of the old step to the next one, without bounds."""
         room = max(tolerance - error.roundoff, tolerance / 4)
         return (error.truncation / (self.target * room)) ** (1 / error.order)
 
@@ -154,24 +150,24 @@ STEP_CONTROL = StepControl()
 
 
 def work(method: Method, steps: Steps) -> float:
-    """Return the time that steps take for each sample, in evaluations of the force."""
+    """Return the cost of the steps for each sample, in evaluations of the force."""
     evaluations = method.evaluations * steps.per_landing / steps.stride
     if steps.stride == 1:
         return evaluations
-    # Steps that could all be equal cost half as much as those that look for samples between them.
+    # The search for samples between steps doubles the cost of equal steps.
     return evaluations * (1.0 if steps.adaptive else 2.0) + INTERPOLATION.evaluations
 
 
-MOST_STEPS = 2**53  # from one sample to the next: larger numbers have no ones any more
+MOST_STEPS = 2**53  # from one sample to the next; larger doubles do not count single steps
 
 
 def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
-    """Return the largest step up to the one that was given, s, which divides the sample interval.
+    """Return the largest step that divides the sampling interval and is at most the given one, s.
 
     Raises
     ------
     InputError
-        If the method is not stable at it.
+        If the method is unstable at the given step.
     """
     stable = method.stability_limit
     edge = scene.chain.fastest_rate
@@ -182,13 +178,30 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     if not interval / step < MOST_STEPS:
         least = f"longer than {interval / MOST_STEPS:.1g} s"
         raise InputError.at("step", f"must be {least}, or steps cannot be counted (got {step:g})")
-    # a step that divides it but for round-off does
+    # A step that divides the interval up to rounding is taken as it is.
     steps = math.ceil(interval / step * (1 - 1e-12))
     return Steps.spread(interval, steps)
 
 
+def choose_steps(
+    scene: Scene,
+    methods: Sequence[Method],
+    tolerance: float,
+    adaptive: bool,
+    step: float | None = None,
+) -> tuple[Method, Steps]:
+    """Return the method of least cost, with a given step, s, or with the longest steps."""
+    ways = [
+        (method, choose_step(scene, method, tolerance, adaptive))
+        if step is None
+        else (method, choose_given_step(scene, method, step))
+        for method in methods
+    ]
+    return min(ways, key=lambda way: work(*way)) if len(ways) > 1 else ways[0]
+
+
 def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> Steps:
-    """Return the longest step of a method that should meet the tolerance.
+    """Return the longest steps of a method that should meet the tolerance.
 
     Parameters
     ----------
@@ -196,7 +209,7 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     method : Method
     tolerance : float
     adaptive : bool
-        Whether steps may be shorter near openings, and pass over samples.
+        Whether steps may be shorter near openings, and may pass over samples.
     """
     may_open = scene.largest_strain > FIRST_STEP.safe_strain
     shortens = adaptive and method.adaptive and may_open
@@ -204,17 +217,17 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     interval = scene.sampling_interval
     phase = scene.sampling_phase
     steps = math.ceil(phase / reach)
-    # Two auxiliary runs land on every sample, by halves, thirds or quarters of its steps.
+    # Two auxiliary runs land on every sample with a half, a third or a quarter of these steps.
     while 2 < steps < MANY_STEPS and steps % 4 and steps % 6 and scene.sampling_decay > DIES:
         steps += 1
     coarse = False
     if shortens and not OPENINGS.kinks(scene.chain.law.onset):
-        # where samples hold steps short, shorter ones near openings would only cost
+        # If the samples require such short steps anyway, steps near openings need not be shorter.
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
     sampled = Steps.spread(interval, steps, 1, shortens, coarse)
-    # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign, and
-    # polynomials know nothing of the corners of what acts all along
+    # In the sonic vacuum fronts are so steep that interpolated values may get a wrong sign.
+    # Polynomial interpolation also fails at kinks of the applied force.
     smooth = scene.chain.linearisable and not scene.excitation.does_work
     if adaptive and smooth and method.interpolates:
         passing = _pass_samples(scene, tolerance, shortens, phase, reach)
@@ -230,20 +243,19 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
         tolerance = max(tolerance, FIRST_STEP.foreseen)
     radians = scene.total_phase
     error = method.error_constant
-    # an order of 1 loses nothing where contacts open, and the motion dies away as its error grows
+    # A method of order 1 loses no order if contacts open. The motion decays as its error grows.
     if method.order > 1:
         error *= max(1.0, radians / FIRST_STEP.radians)
         error *= FIRST_STEP.opening_factor(strain, adaptive, scene.chain.damped)
     reach = (tolerance / TRUST.safety / error) ** (1 / method.order)
-    # some methods are stable for longer steps than half a period of the fastest motion, and no good
-    # there
+    # Some methods are stable but inaccurate for steps beyond half a period of the fastest motion.
     stable = min(method.stability_limit, math.pi)
     if strain <= FIRST_STEP.safe_strain:
         reach = min(reach, FIRST_STEP.longest * stable)
     else:
-        # Two auxiliary runs, at up to four times the step, show the rate at which the error falls.
-        # If there is one alone, the distance itself counts, which is 2^order times the error. If
-        # nothing bounds the strain, errors of longer steps scatter, and two runs may agree by
+        # Two auxiliary runs, with up to four times the step, show the order of convergence. With a
+        # single auxiliary run the estimate is its distance, which is 2^order times the error. If
+        # nothing bounds the strain, the errors of longer steps scatter, and two runs may agree by
         # chance.
         longest = FIRST_STEP.longest_damped if scene.chain.damped else FIRST_STEP.longest_opening
         alone = min(reach / 2, longest * stable) if strain < math.inf else 0.0
@@ -259,9 +271,9 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
 def _pass_samples(
     scene: Scene, tolerance: float, adaptive: bool, phase: float, reach: float
 ) -> Steps | None:
-    """Return steps that pass over samples, if there are such steps.
+    """Return steps that pass over samples.
 
-    There is none where interpolated samples would be wrong, or too many to hold.
+    Return None if interpolated samples would be inaccurate, or too many for the memory.
     """
     smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
     rate = phase / min(reach, smooth)  # steps a sample
@@ -275,6 +287,6 @@ def _pass_samples(
 
 def land(scene: Scene, rate: float) -> tuple[int, int]:
     """Return steps and samples from one landing to the next, at about so many steps a sample."""
-    # blocks of samples are multiples of 4 long
+    # The lengths of blocks are multiples of 4 samples.
     stride = min(scene.intervals, 4 * math.ceil(INTERPOLATION.steps / rate / 4))
     return math.ceil(rate * stride), stride

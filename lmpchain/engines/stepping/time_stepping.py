@@ -1,4 +1,4 @@
-"""Engines that step through time: options, steps, and the start of a run; and compiled steps."""
+"""Engines that step through time: options, proposal of steps, and start of a run."""
 
 from __future__ import annotations
 
@@ -25,28 +25,30 @@ from .auxiliary_runs import LONGER, AuxiliarySteps, longer_steps
 from .monitor import Monitor, TwinMonitor
 from .rounding import native_floor, plain_loss
 from .run import SteppingRun, restrict
-from .step_choice import FIRST_STEP, STEP_CONTROL, choose_given_step, choose_step, work
+from .step_choice import FIRST_STEP, STEP_CONTROL, choose_steps
 
-AUTOMATIC = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
-AUTOMATIC_DAMPED = ("dop853",)  # the cheapest at every tolerance where forces know velocities
+AUTOMATIC = ("rkn4", "rkn6")  # Integrator "auto" is the cheaper one of these.
+AUTOMATIC_DAMPED = ("dop853",)  # the cheapest method for damped chains, at every tolerance
 LONGEST_RUN_S = 3e8  # ten years
-EVALUATION_OVERHEAD = 40  # of a force evaluation, in grains; analysis/calibration/cost_model.py
+# Overhead of a force evaluation, in grains; analysis/calibration/cost_model.py
+EVALUATION_OVERHEAD = 40
 
 
 class TimeSteppingEngine(Engine):
-    """An engine that moves through time with one of the methods.
+    """An engine that integrates in time steps.
 
     Attributes
     ----------
     monitor : type
-        What estimates the error of its runs.
+        Class that estimates the errors of the runs.
     adaptive : bool
-        Whether steps are shorter where contacts open and pass over samples, if the method allows.
+        Whether steps are shorter near openings and may pass over samples, if the method allows it.
+    foreign : tuple of str
+        Methods of other programs, which `lmpchain check` asks for.
     """
 
     adaptive: bool = False
     monitor: ClassVar[type[Monitor]] = TwinMonitor
-    # Methods of other programs, which `lmpchain check` asks for.
     foreign: ClassVar[tuple[str, ...]] = ()
     dissipates: ClassVar[bool] = True
 
@@ -64,14 +66,14 @@ class TimeSteppingEngine(Engine):
         self.step = step
 
     def methods(self, scene: Scene) -> list[Method]:
-        """Return the methods that it may take."""
+        """Return the methods among which the engine chooses for a scene."""
         damped = scene.chain.damped
         automatic = AUTOMATIC_DAMPED if damped else AUTOMATIC
         names = automatic if self.integrator == "auto" else [self.integrator]
         return [methods_of(damped)[name] for name in names]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why a scene cannot be done: a method of chains with damping, or without it."""
+        """Return why the chosen method does not apply: to damped chains, or without damping."""
         names = methods_of(scene.chain.damped)
         if self.integrator in ("auto", *names):
             return []
@@ -89,9 +91,9 @@ class TimeSteppingEngine(Engine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> Stepper:
-        """Make the stepper of the answer, from the start or a kept state.
+        """Return the stepper of the answer, at t = 0 or at a stored state.
 
-        A native stepper moves the auxiliary runs, too.
+        A native stepper also moves the auxiliary runs.
         """
 
     def steppers(
@@ -101,9 +103,9 @@ class TimeSteppingEngine(Engine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array] | None,
     ) -> dict[str, Stepper]:
-        """Make the steppers of a run, by the name of their state: that of the answer first.
+        """Return the steppers of a run, by the name of their state; that of the answer is first.
 
-        "native" is the one that moves the auxiliary runs, and here also a twin of the answer.
+        The stepper "native" moves the auxiliary runs and here also the native twin.
         """
         twin, *beside = schedules
         method = BY_NAME[proposal.integrator]
@@ -113,14 +115,10 @@ class TimeSteppingEngine(Engine):
         return {"answer": answer, "native": native}
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
-        """Propose a step size: the one given, or the longest that should meet the tolerance."""
-        ways = [
-            (method, choose_step(scene, method, tolerance, self.adaptive))
-            if self.step is None
-            else (method, choose_given_step(scene, method, self.step))
-            for method in self.methods(scene)
-        ]
-        return self.propose_steps(scene, tolerance, *min(ways, key=lambda way: work(*way)))
+        """Propose the given step, or the longest that should meet the tolerance."""
+        methods = self.methods(scene)
+        way = choose_steps(scene, methods, tolerance, self.adaptive, self.step)
+        return self.propose_steps(scene, tolerance, *way)
 
     def propose_steps(
         self, scene: Scene, tolerance: float, method: Method, steps: Steps
@@ -128,7 +126,7 @@ class TimeSteppingEngine(Engine):
         """Propose these steps of a method."""
         fixed = self.step is not None
         cost_s = self.cost(scene, method, steps.total(scene.intervals))
-        # years of work are a slip in a unit, as seconds for microseconds
+        # Years of work come from a wrong unit, such as seconds in place of microseconds.
         if cost_s > LONGEST_RUN_S:
             years = cost_s / 3.15e7
             cure = "shorten it, or ask for less accuracy"
@@ -148,60 +146,63 @@ class TimeSteppingEngine(Engine):
         )
 
     def choices(self, scene: Scene) -> Mapping[str, str | float]:
-        """Return the choices made on behalf of the user."""
+        """Return the choices that the engine makes for the user."""
         return {}
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
-        """Return about how long so many steps take, s."""
-        grain_steps = method.evaluations * steps * (self.computed(scene) + self.overhead(method))
+        """Return the expected time of so many steps, s."""
+        grain_steps = (
+            method.evaluations * steps * (self.count_active(scene) + self.overhead(method))
+        )
         return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
 
     @abstractmethod
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
-        """Predict the relative round-off of so many steps; `speed` is the largest velocity, m/s."""
+        """Return the expected rounding error of so many steps; `speed` is the largest one, m/s."""
 
     def overhead(self, method: Method) -> int:
-        """Return what a force evaluation takes besides its grains, in grains."""
+        """Return the overhead of a force evaluation, in grains."""
         return EVALUATION_OVERHEAD
 
-    def computed(self, scene: Scene) -> float:
-        """Return how many grains it computes in each step, on average."""
+    def count_active(self, scene: Scene) -> float:
+        """Return the mean number of grains that a step computes."""
         return scene.chain.grains
 
     def refine(
         self, proposal: Proposal, error: ErrorBudget | None, tolerance: float
     ) -> Proposal | None:
-        """Shorten the step as the error asks for; let steps adapt where contacts open after all."""
+        """Propose a shorter step; let steps adapt near openings if contacts opened."""
         method = BY_NAME[proposal.integrator]
         steps = proposal.steps
         ratio = STEP_CONTROL.ratio(error, tolerance)
         if ratio is None:
-            # to interpolate no sample loses less
+            # Samples that are not interpolated have a smaller rounding error.
             return proposal.with_steps(steps.sampled) if steps.stride > 1 else None
         if error is None or error.order < method.order:
-            # contacts open after all
+            # The run opened contacts that were expected to stay closed.
             steps = steps._replace(adaptive=self.adaptive and method.adaptive)
             if steps.coarse_openings:
-                # steps near openings get their full order, and those elsewhere may stay as long
+                # Steps near openings become shorter; the other steps may stay as long.
                 ratio = max(1.0, ratio / FIRST_STEP.coarse_error ** (1 / method.order))
         shorter = steps.shorten(math.ceil(steps.per_landing * ratio))
-        # with a step a sample or more, to interpolate none is cheaper
+        # With one step a sample or more, landing on every sample is cheaper.
         every = shorter.per_landing > shorter.stride
         return proposal.with_steps(shorter.sampled if every else shorter)
 
     def lengthen(
         self, scene: Scene, proposal: Proposal, error: ErrorBudget, tolerance: float
     ) -> Proposal | None:
-        """Lengthen a step as far as its error allows; None if that gains little, or is not asked.
+        """Propose the longest step that the error allows; None if little is gained.
 
-        Auxiliary runs at four times the step stay stable: they show the rate at which errors fall.
+        Auxiliary runs with four times the step must stay stable, because they show the order of
+        convergence. A given step is not changed.
         """
         method = BY_NAME[proposal.integrator]
         steps = proposal.steps
         interval = steps.step * steps.per_landing
         longest = min(method.stability_limit, math.pi) / LONGER[-1] / scene.highest_frequency
         aimed = steps.per_landing * STEP_CONTROL.aim(error, tolerance)
-        # auxiliary runs that broke down show no error to go by
+        # Auxiliary runs that broke down show no error.
         if math.isinf(aimed):
             return None
         fewer = math.ceil(max(aimed, interval / longest))
@@ -209,7 +210,7 @@ class TimeSteppingEngine(Engine):
         return proposal.with_steps(steps.shorten(fewer)) if gains and not proposal.fixed else None
 
     def batch_key(self, scene: Scene, proposal: Proposal) -> tuple:
-        """Return a key of scenes of one kind that take the same steps."""
+        """Return a key; scenes of one key are alike and have the same steps."""
         steps = proposal.steps
         longer = longer_steps(BY_NAME[proposal.integrator], scene, steps)
         return *kind(scene), steps, proposal.integrator, *longer, *proposal.choices.items()
@@ -220,13 +221,13 @@ class TimeSteppingEngine(Engine):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> SteppingRun:
-        """Start one scene, or a batch of scenes that differ in numbers only."""
+        """Start a run of one scene, or of a batch of scenes that differ in numbers only."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
         began = clock()
         method = BY_NAME[proposal.integrator]
         scene = scenes[0]
-        # as shipped: where a run is judged must not rest on the speed of a machine
+        # The time on the reference machine: bits must not depend on when a run is judged.
         evaluations = method.evaluations * proposal.steps.total(scene.intervals)
         work_s = self.seconds_per_grain_step * evaluations * scene.chain.grains * len(scenes)
         auxiliary = AuxiliarySteps(method, scenes, proposal.steps, self.monitor.twins)
@@ -238,7 +239,7 @@ class TimeSteppingEngine(Engine):
             monitor = self.monitor(native, auxiliary, method, scenes, proposal)
             return SteppingRun(steppers, monitor, method, scenes, proposal, state, work_s, began)
         except (LookupError, TypeError, ValueError) as error:
-            # without a state it is a fault of this package, not of a file
+            # Only a stored state can be at fault.
             if state is None or isinstance(error, InputError):
                 raise
             why = "does not fit its run, or was changed: run the scene anew"
@@ -246,13 +247,13 @@ class TimeSteppingEngine(Engine):
 
 
 class CompiledSteps(TimeSteppingEngine):
-    """Integrate Eq. (1) in displacements with compiled loops, by options that were checked."""
+    """Integrate Eq. (1) in displacements with compiled loops; the base of the native engine."""
 
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
     start_up_s: ClassVar[float] = 1e-4
-    # with the auxiliary runs that show the error
+    # The time includes the auxiliary runs.
     seconds_per_grain_step: ClassVar[float] = 8e-10
     monitor: ClassVar[type[Monitor]] = Monitor
     threads: int = 1
@@ -265,9 +266,9 @@ class CompiledSteps(TimeSteppingEngine):
     def propose_steps(
         self, scene: Scene, tolerance: float, method: Method, steps: Steps
     ) -> Proposal:
-        """Propose these steps, unless round-off alone exceeds the tolerance."""
+        """Propose these steps; raise `ToleranceNotMet` if rounding alone exceeds the tolerance."""
         proposal = super().propose_steps(scene, tolerance, method, steps)
-        # a given step is taken, whatever it leaves, and what is held has no error
+        # A given step has no tolerance, and held grains have no error.
         if not proposal.fixed and scene.recorded[0] <= scene.chain.movable:
             evaluations = steps.total(scene.intervals) * method.evaluations
             floor = native_floor(evaluations, scene.total_phase)
@@ -285,19 +286,19 @@ class CompiledSteps(TimeSteppingEngine):
         return {"force": name_of(force_form(scene, self.force))}
 
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
-        """Predict round-off: a random walk of force evaluations, and the loss of a plain force.
+        """Return the expected rounding error: a random walk, and the loss of a plain force.
 
-        The phase shifts by a quarter of what `native_floor` allows for.
+        The rounding of the phase is about a quarter of the bound in `native_floor`.
         """
         walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
         if force_form(scene, self.force) in PLAIN:
             walk += plain_loss(scene, steps) / speed
         return walk
 
-    def computed(self, scene: Scene) -> float:
-        """Return the grains that a step computes, on average: those that waves have reached."""
+    def count_active(self, scene: Scene) -> float:
+        """Return the mean number of grains that a step computes, those that waves have reached."""
         first, last = scene.excitation.reach(scene.chain)
-        # a front runs at half the highest frequency, so on average the cone has half its width
+        # A front advances by half a grain a radian, and the mean width is half the final one.
         reached = last - first + 1 + 2 * PAD + scene.total_phase / 4
         return min(scene.chain.grains, reached)
 
@@ -308,7 +309,7 @@ class CompiledSteps(TimeSteppingEngine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> NativeStepper:
-        """Make the stepper of the answer and of its auxiliary runs."""
+        """Return the stepper of the answer and of its auxiliary runs."""
         answer, *beside = schedules
         chains = ChainBatch(scenes, self.force)
         method = BY_NAME[proposal.integrator]
@@ -321,12 +322,12 @@ class CompiledSteps(TimeSteppingEngine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array] | None,
     ) -> dict[str, Stepper]:
-        """Make the one stepper of a run, by the name of its state."""
+        """Return the only stepper of a run, by the name of its state."""
         return {"native": self.stepper(scenes, proposal, schedules, restrict("native", state))}
 
 
 def kind(scene: Scene) -> tuple:
-    """Return a key of scenes that fit into one batch: kind of chain, ends, and recording."""
+    """Return a key of scenes that fit into one batch: chain, ends and recording."""
     chain = scene.chain
     excitation = scene.excitation
     ends = chain.top, chain.bottom, chain.loose_grains
