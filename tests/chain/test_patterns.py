@@ -274,8 +274,8 @@ def test_a_taper_in_a_file(tmp_path):
 
 
 def test_a_cell_of_one_kind_needs_no_arrays():
-    plain = write_out({"grains": 10**8, "cell": ["steel"], "diameter": 1e-3})
-    assert plain == {"grains": 10**8, "material": STEEL, "diameter": 1e-3}
+    plain = write_out({"grains": 10**6, "cell": ["steel"], "diameter": 1e-3})
+    assert plain == {"grains": 10**6, "material": STEEL, "diameter": 1e-3}
 
 
 def test_a_chain_in_python_names_the_function_for_a_cell(tmp_path):

@@ -148,6 +148,7 @@ def test_leaving_damping_out_changes_no_more_than_a_run_says(seed: int):
     assert solve(scene, 1e-12).error(other.displacement, other.velocity) < scene.damping_effect
 
 
+@pytest.mark.slow
 def test_an_answer_says_what_leaving_damping_out_would_change():
     scene = scene_of(ACTS["strike"], 5)
     weak = scene_of(ACTS["strike"], 5, damping={"drag": 100.0})

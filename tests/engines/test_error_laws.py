@@ -189,6 +189,7 @@ def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
         return float(max(map(abs, off)))
 
 
+@pytest.mark.slow
 def test_thousands_of_periods_shift_the_phase_by_rounding():
     """A last digit of mass, stiffness or step shifts it by that part of itself.
 

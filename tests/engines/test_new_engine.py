@@ -155,6 +155,7 @@ def test_refusals_name_it_where_it_can_do_more(spring: Scene, monkeypatch: pytes
         simulate(damped, "chebyshev")
 
 
+@pytest.mark.slow
 def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):
     spring.to_toml(tmp_path / "scene.toml")
     numbers = tmp_path / "numbers.json"

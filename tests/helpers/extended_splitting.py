@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from helpers.independent_integrators import Curve
+from helpers.forcing import Curve
 from numpy.typing import NDArray
 
 from lmpchain import Scene

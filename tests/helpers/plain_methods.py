@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from helpers.independent_integrators import Curve
+from helpers.forcing import Curve
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from helpers.independent_integrators import Curve, below_load
+from helpers.forcing import Curve, below_load
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:

@@ -262,6 +262,7 @@ def watch_first(chains):
     window.watch(sample_loop.chain_of(chains, 0, 0))
 
 
+@pytest.mark.slow
 @with_fma
 def test_other_loops_do_several_at_a_time():
     row = types.Array(float64, 1, "C")

@@ -434,6 +434,7 @@ def whole_history() -> set[str] | None:
     return set(git("rev-list", "HEAD").split()) if whole else None
 
 
+@pytest.mark.slow
 def test_a_picture_for_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """As large as the PNG, the same each time, without fonts, and small for all cells of a map."""
     monkeypatch.setattr(sys, "argv", ["analysis/fig7.py", "--svg"])

@@ -340,12 +340,12 @@ def run(scene: bytes, *options: str) -> None:
         nothing_injected(folder)
 
 
-@fuzzed(60, 2900)
+@fuzzed(20, 2900)
 def test_decks_of_hostile_scenes(count: int):
     examine(lambda tables: deck(toml(tables)), spoilt(scenes()), count)
 
 
-@fuzzed(40, 1500)
+@fuzzed(13, 1500)
 def test_runs_of_hostile_scenes(count: int):
     def check(case: tuple[Tables, str]) -> None:
         tables, engine = case
@@ -358,7 +358,7 @@ def test_runs_of_hostile_scenes(count: int):
     )
 
 
-@fuzzed(60, 1500)
+@fuzzed(20, 1500)
 def test_spoilt_text_of_scenes(count: int):
     def check(case: tuple[Tables, Callable[[bytes], bytes]]) -> None:
         deck(case[1](toml(case[0])))
@@ -366,7 +366,7 @@ def test_spoilt_text_of_scenes(count: int):
     examine(check, st.tuples(scenes(), damage()), count)
 
 
-@fuzzed(40, 700)
+@fuzzed(13, 700)
 def test_spoilt_tables_of_grains(count: int):
     def check(case: tuple[str, Callable[[bytes], bytes]]) -> None:
         name, spoil = case
@@ -426,12 +426,12 @@ def sweep(text: bytes) -> None:
         nothing_injected(folder)
 
 
-@fuzzed(25, 1000)
+@fuzzed(8, 1000)
 def test_hostile_sweeps(count: int):
     examine(lambda tables: sweep(toml(tables)), spoilt(sweeps()), count)
 
 
-@fuzzed(25, 500)
+@fuzzed(8, 500)
 def test_spoilt_text_of_sweeps(count: int):
     examine(lambda case: sweep(case[1](toml(case[0]))), st.tuples(sweeps(), damage()), count)
 
@@ -472,7 +472,7 @@ def read(path: Path, *more: object) -> None:
     call("fit", path, *more, "--json", path.with_suffix(".json"))
 
 
-@fuzzed(30, 1900)
+@fuzzed(10, 1900)
 def test_spoilt_files(answers: Path, count: int):
     def check(spoil: Callable[[bytes], bytes]) -> None:
         with Workplace(run__nc=spoil((answers / "run.nc").read_bytes())) as folder:
@@ -481,7 +481,7 @@ def test_spoilt_files(answers: Path, count: int):
     examine(check, damage(), count)
 
 
-@fuzzed(20, 500)
+@fuzzed(8, 500)
 def test_spoilt_dumps(answers: Path, count: int):
     def check(spoil: Callable[[bytes], bytes]) -> None:
         with Workplace(column__lammpstrj=spoil((answers / "dump").read_bytes())) as folder:
@@ -491,7 +491,7 @@ def test_spoilt_dumps(answers: Path, count: int):
 
 
 @pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run went so far")
-@fuzzed(30, 500)
+@fuzzed(10, 500)
 def test_spoilt_run_folders(answers: Path, count: int):
     """What a resumed run ends with are the right bits, or it or who reads them says
     that it cannot.

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_scenes import acted_scene
-from helpers.independent_integrators import Curve, extended_reference, relative_error
+from helpers.forcing import Curve
+from helpers.independent_integrators import extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump
+from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 from numpy.typing import NDArray
 from scipy.integrate import quad
@@ -202,6 +204,7 @@ def test_a_wall_that_moves_in_linear_engines(name: str):
         )
 
 
+@pytest.mark.slow
 def test_forces_in_modes():
     springs = Chain(**LOADED.given() | {"exponent": 1.0, "bottom": "wall"})
     for kind, given in forces(1e-2, grain=3).items():
@@ -309,7 +312,7 @@ def strong(kind: str) -> Any:
     return reference(scene_of(*STRONG[kind], samples=5))
 
 
-@pytest.mark.parametrize("kind", STRONG)
+@pytest.mark.parametrize("kind", thinned(STRONG, 2))
 def test_accuracy_is_as_asked_for_and_known(kind: str):
     """Where contacts open and close, too; the two references agree."""
     scene = scene_of(*STRONG[kind], samples=5)
@@ -329,9 +332,12 @@ def test_accuracy_is_as_asked_for_and_known(kind: str):
         assert (true - truth.error) / 3 <= t.error_estimate.total <= tolerance
 
 
-@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6", "verlet"])
+IN_LAMMPS = "force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"
+
+
 @pytest.mark.parametrize(
-    "kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"]
+    ("kind", "integrator"),
+    thinned(itertools.product(IN_LAMMPS, ("rkn6", "kahan-li6", "verlet")), 2),
 )
 def test_lammps(kind: str, integrator: str):
     """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its

@@ -186,6 +186,7 @@ def test_a_scene_ends_before_a_time():
     assert np.allclose(beginning.time, scene.time[:7], rtol=1e-15, atol=0)
 
 
+@pytest.mark.slow
 def test_round_off_of_lammps_is_judged_at_its_end(early):
     """Heights round as much at first, of which a slow drive had moved but little: refused then."""
     times = np.linspace(0.0, 4e-4, 401)

@@ -87,6 +87,11 @@ STOPPED = {
 }
 
 LONGEST = (
+    "several attempts",
+    "verlet",
+    "lammps, gauge",
+    "lammps, apart",
+    "chebyshev",
     "lammps, pushed",
     "lammps, wall moved",
     "lammps, driven",

