@@ -1,4 +1,4 @@
-"""Chains that lose energy: who answers, what is refused, where the wave can be, and the balance."""
+"""Damped chains: choice of the engine, refusals, light cone and energy balance."""
 
 import json
 import math
@@ -207,7 +207,7 @@ def test_beyond_the_light_cone_nothing_can_be_seen(viscoelastic):
     assert beyond.any()
     field = abs(true.displacement[-1])
     assert field[beyond].max() < 1e-20 * field.max()
-    # and not much further than that
+    # The light cone is not much wider than the wave.
     inside = np.flatnonzero(field > 1e-30 * field.max())
     assert cone.scene.chain.grains < 1.5 * (inside[-1] - inside[0] + 1) + 100
 

@@ -1,12 +1,10 @@
-"""References that the engines did not make: two integrators that share nothing
-with the package but Eq. (1).
+"""Two reference integrators that share only Eq. (1) with the package.
 
 Both take a scene and return ``(u, v, error)``: displacement (T, N) m and velocity (T, N) m/s of
-every grain at the recorded times, positive downward, and how far a second, looser run came out, in
-the sense of `relative_error`. They find the equilibrium from masses and the constants of contacts
-and walls themselves and integrate displacements in units of the strike, so weak waves keep all
-their digits. A driven grain is put where its motion says, at every evaluation of the force, and its
-knots end a step. Times are those of ``scene.time``.
+every grain at the recorded times, positive downward, and the `relative_error` of a second, looser
+run. They compute the equilibrium themselves and integrate displacements in units of the strike, so
+that weak waves keep all digits. The displacement of a driven grain is set at every evaluation of
+the force, and its knots end a step. Times are those of ``scene.time``.
 """
 
 from __future__ import annotations
@@ -104,9 +102,7 @@ class Motion:
         return largest
 
     def closeness(self, t: np.floating[Any], x: Array) -> Array:
-        """Return how much closer than at rest contacts (N+1,) are, over their
-        overlap at rest if they have one.
-        """
+        """Return the compression of contacts (N+1,) beyond rest, in units of their overlap at rest."""
         bodies = np.zeros(x.size + 2, dtype=x.dtype)  # a wall, or nothing, at either end
         bodies[1:-1] = x
         if self.acting and not self.pushes:
@@ -148,7 +144,7 @@ class Motion:
 
 
 def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Curve | None, int]:
-    """Return what acts after t = 0, if anything does, and the body: 0 is the wall above grain 1."""
+    """Return the forcing after t = 0, or None, and its body (0 is the wall above grain 1)."""
     given = scene.excitation
     if given.kind not in ("drive", "force"):
         return None, 0

@@ -184,7 +184,7 @@ def check_run(
     largest = np.abs(slopes).max((1, 3)) + 1e-300
     for order in (0, 1):
         error = np.abs(forth[order] - slopes[:, :, order]).max((1, 2))
-        # what hardly changes anything is known to the digits of what does
+        # Small slopes have the absolute error of the large ones.
         assert (
             error <= accuracy * np.maximum(largest[:, order], 1e-3 * largest[:, order].max())
         ).all()

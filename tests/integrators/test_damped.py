@@ -58,7 +58,7 @@ def test_order_of_convergence(damping):
     assert slope(scene, "dop853", [40, 50, 64, 80]) == pytest.approx(8, abs=0.05)
     counts = [4000, 8000, 16000, 32000]
     assert slope(scene, "verlet", counts) == pytest.approx(2, abs=0.05)
-    # with fix nve of LAMMPS, forces see velocities half a step old
+    # In fix nve of LAMMPS, forces use the velocities of the previous half step.
     assert slope(scene, "lagged-verlet", counts) == pytest.approx(1, abs=0.05)
 
 

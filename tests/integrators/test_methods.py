@@ -235,7 +235,7 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
             values = []
             for sign in (1, -1, 2, -2):
                 wave = changed(excitation, place, excitation.frequency + sign * h).waveform
-                # what ends later is as it was
+                # A waveform that ends later is unchanged.
                 wave = replace(wave, end=end if np.isinf(end) else 1.0)
                 values.append(wave.at(times, order) * (times < end))
             slopes[place] = (8 * (values[0] - values[1]) - (values[2] - values[3])) / (12 * h)

@@ -173,7 +173,7 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
 
 
 def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
-    """Return the same by plain NumPy, (2, T, N)."""
+    """Return displacement and velocity by plain NumPy, (2, T, N)."""
     motion = Motion(plain.column(scene))
     (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":

@@ -74,7 +74,7 @@ SWEEPS: list[Tables] = [
     {"disorder": {"m": 20.0, "seed": 1, "realisations": 2, "law": "dyson", "of": "constant"}},
 ]
 
-# what a key may be given; sizes that would only take long are left out
+# Values of keys, except sizes that would only cost time.
 COMMANDS = [
     f"{MARK}",
     f"glass\nshell touch {MARK}",
@@ -242,7 +242,7 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 
 
 def examine(check: Callable[[Any], None], cases: st.SearchStrategy, count: int) -> None:
-    """Check so many cases: always the same few in the quick suite, others every time in a soak."""
+    """Check this number of cases, which are fixed in the quick suite and random in a soak."""
     quick = count < 100
     seed = 0 if quick else secrets.randbits(64)
     print(f"{check.__name__}: {count} cases, seed {seed}")
@@ -260,7 +260,7 @@ def examine(check: Callable[[Any], None], cases: st.SearchStrategy, count: int) 
 
 
 def fuzzed(quick: int, soak: int) -> Any:
-    """Mark a test that does so many cases, and that many more in a soak."""
+    """Mark a test with its number of cases in the quick suite and in a soak."""
     return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])
 
 
@@ -516,7 +516,7 @@ def test_spoilt_run_folders(answers: Path, count: int):
             read(at)
             code, _ = call("resume", at)
             assert code != 1
-            # what SHA256SUMS alone guards
+            # Files that only SHA256SUMS protects.
             if code == 0 and path.name not in (
                 "status.json",
                 "zarr.json",

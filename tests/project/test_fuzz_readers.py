@@ -167,7 +167,7 @@ def examine(case: Callable[[random.Random], object], count: int) -> None:
 
 
 def fuzzed(quick: int, soak: int) -> Any:
-    """Mark a test that does so many cases, and that many in a soak."""
+    """Mark a test with its number of cases in the quick suite and in a soak."""
     return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])
 
 

@@ -89,7 +89,7 @@ def test_yade_finds_the_truth_by_the_same_rule_as_lammps(peer):
 
 
 def test_a_code_is_added_beside_lammps_by_turns(peer, monkeypatch):
-    """Its time of a step is the ratio of the least times, times that of LAMMPS in the file."""
+    """Its time per step is the file's time of LAMMPS, scaled by the ratio of the shortest times."""
     run = peer("run")
     scene = short(8.57e-4)
     code = peer("with_scipy").codes(peer("problem").Problem(scene))[1]

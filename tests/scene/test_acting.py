@@ -91,7 +91,7 @@ OWN = 5000.0  # rad/s: sqrt(50 / 2e-6)
 
 
 def course(given: Any) -> Any:
-    """Return what is imposed as a function of time, from its definition."""
+    """Return the imposed force or displacement as a function of time, from its definition."""
     if given.times is not None:
         values = given.force if given.kind == "force" else given.displacement
         curve = Curve(given, values, np.float64)
@@ -168,7 +168,7 @@ def test_one_grain_on_a_spring(kind: str, where: str):
         strength = 20.0 / 2e-6
     scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
     corners = [*given.waveform.corners]
-    # at resonance samples see little of the motion
+    # At resonance the samples miss most of the motion.
     between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]
     fields = duhamel(given, strength, between, corners)
     (x, v) = (field[7::8] for field in fields)
@@ -347,7 +347,7 @@ def test_lammps(kind: str, integrator: str):
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
     assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
-    # in steps of any length it is the native map: formulas are right to the last digits
+    # At equal steps LAMMPS and the native engine compute the same map.
     step = scene.duration / 200
     gauge = simulate(scene, engines.Lammps(integrator, step, "gauge"))
     assert err(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
@@ -454,7 +454,7 @@ def test_work_and_impulse_are_accounted_for(kind: str):
     assert np.abs(ledger.drift).max() <= ledger.drive_error + 1e-8 * ledger.total.max()
     largest = np.abs(ledger.momentum).max()
     assert np.abs(ledger.momentum_drift).max() <= ledger.impulse_error + 1e-8 * largest
-    # at the points of a curve the force on the driver bends
+    # The force on the driver has kinks at the points of a curve.
     assert ledger.drive_error < (2e-5 if "points" in kind else 1e-5) * ledger.total.max()
     parts = ledger.kinetic + ledger.contact + ledger.gravity + ledger.load
     assert parts == pytest.approx(ledger.total, rel=0, abs=1e-9 * np.abs(ledger.contact).max())

@@ -165,9 +165,7 @@ def exact(scene: str) -> tuple[Array, Array, float]:
 
 
 def check_order(scene: Scene, integrator: str) -> None:
-    """Hold the order at which the error falls with the number of steps against what is said of the
-    method.
-    """
+    """Compare the observed order of convergence with the documented order of the method."""
     u, v, own = exact(scene.to_text())
     errors = []
     counts = COUNTS[integrator]

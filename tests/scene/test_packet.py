@@ -97,7 +97,7 @@ def test_hardly_anything_goes_up(width: float, most: float):
     found = energy.shares(simulate(scene, "modes"))
     up = found.part(1, 170)[-1] / found.part(1, 500)[-1]
     assert up < most
-    # without its velocity, half of it goes up
+    # Without its velocity, half of the packet travels upward.
     rest = Profile(displacement=packet.initial(chain)[0])
     still = energy.shares(simulate(Scene(**scene.given() | {"excitation": rest}), "modes"))
     assert still.part(1, 200)[-1] / still.part(1, 500)[-1] == pytest.approx(0.5, abs=0.02)

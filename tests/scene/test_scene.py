@@ -1,4 +1,4 @@
-"""Scene files: every fault is found under its key, and what is written is read back equal."""
+"""Scene files: every fault names its key, and a written scene is read back equal."""
 
 from pathlib import Path
 

@@ -36,7 +36,7 @@ NUMBER = f"{SCENE.strike_number:.2g}"
 
 @pytest.fixture(autouse=True)
 def shipped(tmp_path, monkeypatch):
-    """Let costs be those of the package."""
+    """Use the shipped costs."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     cost_model.measured.cache_clear()
     yield

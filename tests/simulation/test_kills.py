@@ -124,7 +124,7 @@ def test_a_kill_at_any_change_of_the_disk(
         run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed"
     )
     assert status(run)["attempt"] >= (1 if case is fallback else 2)
-    # else there is nothing to go on with
+    # A folder without a scene cannot be resumed.
     begun = [folder for folder in left if (folder / "scene.toml").exists()]
     assert len(begun) > most / 2
     for folder in begun:
@@ -283,7 +283,7 @@ CASES = {
     "mpirun": (FEW, FIXED, [2, 1, 2]),
     "two ranks, then mpirun": (FEW, [*FIXED, *TWO], [1, 2, 1]),
 }
-# that need a second attempt
+# Cases that need a second attempt.
 SEVERAL = {
     "native to a tolerance",
     "lammps",
@@ -295,7 +295,7 @@ DOZE = {"MPIR_CVAR_POLLS_BEFORE_YIELD": "1", "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1"
 
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajectory]:
-    """Return what gives the uninterrupted answer to a case, on one rank."""
+    """Return a function that computes the uninterrupted answer to a case on one rank."""
 
     @cache
     def answer(case: str) -> Trajectory:
@@ -311,7 +311,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajector
 
 
 def reached(folder: Path) -> float:
-    """Return how many attempts a run folder says are done, with the share of the one under way."""
+    """Return the number of finished attempts of a run folder, plus the share of the current one."""
     if not (folder / "scene.toml").exists():
         return -1.0
     said = status(folder)

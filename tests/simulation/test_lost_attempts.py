@@ -33,7 +33,7 @@ def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
 
 
 def springs(duration: float) -> Scene:
-    """Return a chain near that of springs, whose contacts open: it is soon unpredictable."""
+    """Return a chain of nearly linear contacts that open, which is soon unpredictable."""
     chain = Chain(grains=12, diameter=1e-3, exponent=1.05)
     strike = Impulse(velocity=0.05)
     samples = round(duration / 2e-5) + 1
@@ -119,7 +119,7 @@ def test_a_beginning_that_takes_ever_shorter_steps_ends_at_half_the_time(tmp_pat
 
 
 def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
-    """In whichever attempt it is stopped; the beginning of what is unpredictable, too."""
+    """Stops in any attempt, also in a run that ends at its predictability horizon."""
     for name, scene in {"agitated": agitated(12, 4e-4), "springs": springs(4e-3)}.items():
         folder = tmp_path / name
         answers = []
@@ -173,7 +173,7 @@ def test_who_wants_the_best_answer_gets_all_of_it(early):
         simulate(scene, "native", 1e-6)
     kept = missed.value.trajectory
     assert answer.cost.step_s < kept.cost.step_s
-    # no less right as long as it can be
+    # It is as accurate up to the predictability horizon.
     apart = answer.velocity[: kept.time.size] - kept.velocity
     assert np.abs(apart).max() <= 2e-6 * np.abs(kept.velocity).max()
 

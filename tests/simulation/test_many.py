@@ -1,4 +1,4 @@
-"""A list of scenes at once: the answers, their order, their errors, and what is refused."""
+"""A list of scenes in one call: the answers, their order, their errors, and refusals."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A run folder: what is in it, who may work in it, and that its samples can be read at any time."""
+"""A run folder: its contents, its lock, and reading of samples during the run."""
 
 import hashlib
 import json

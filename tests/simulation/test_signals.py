@@ -28,7 +28,7 @@ ENDLESS = Scene(
     duration=1.0,
     samples=20001,
 )
-# so that a stop need not wait for a sample, however busy the machine
+# Many samples, so that a stop is quick on a busy machine.
 OFTEN = ENDLESS.replace(samples=200_001)
 VERLET = [
     "--engine",

@@ -227,7 +227,7 @@ def test_piston_at_springs(engine: str, tolerance: float) -> None:
 
 
 def test_overshoot_before_a_piston_at_springs() -> None:
-    """Peak velocity over that of the piston.
+    """The peak velocity relative to the piston velocity.
 
     1.2714 at grain 600, 1.2744 at infinity, for delta = 1.
 

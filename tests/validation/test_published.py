@@ -80,7 +80,7 @@ def test_peak_velocity_in_a_column(
         assert when == pytest.approx(arrival, rel=1e-6)
 
 
-# which has Hertz's contacts and springs
+# The paper has Hertzian contacts and springs.
 NATIVE = ("native", 1e-8, 1e-6)
 LAMMPS = ("lammps", 1e-5, 1e-4)
 

@@ -63,7 +63,7 @@ def maxima(
 
     The size falls by more than `fall` after it.
     """
-    # of values that are the same
+    # Equal values.
     last = np.append(np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1)
     first = np.append(0, last[:-1] + 1)
     level = np.append(y[last], 0.0)

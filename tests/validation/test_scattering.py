@@ -186,7 +186,7 @@ def test_packets(
     tolerance: float,
     off: float,
 ) -> None:
-    """Energy that passes is the mean of T over the spectrum, what returns that of R."""
+    """The transmitted energy is the mean of T over the spectrum, the reflected energy that of R."""
     passed, back, transmitted, reflected = _shares(engine, alpha, grains, k, strain, tolerance)
     assert passed == pytest.approx(transmitted, rel=0, abs=off)
     assert back == pytest.approx(reflected, rel=0, abs=off)

@@ -69,7 +69,7 @@ EDITS: list[tuple[str, str, str, bool]] = [
     ("driven", r"\nvariable +amplitude .*", "\nvariable amplitude index 2e-8", True),
     ("driven", r"\nvariable +dt .*", "\nvariable dt index 5e-8", True),
     ("driven", TIMESTEP, r"\g<0>\ntimestep 5e-8", False),
-    # of the data file
+    # Edits of the data file.
     ("struck", r"\n3 0 0 -0.0 ", "\n3 0 0 1e-4 ", False),
     ("struck", r"\n3 0 0 -0.0 ", "\n3 1e-4 0 0 ", False),
     ("struck", r"\n3 0 0 -0.0 0 0 0", "\n3 0 0 0 0 9 0", False),

@@ -276,7 +276,7 @@ def test_faults_that_lammps_does_not_report():
 
 
 def test_a_breakdown_long_before_a_sample_is_seen():
-    """Of many grains, what is read takes a part of a step: not after each pause, but soon."""
+    """With many grains a read costs a part of a step, so it does not follow every pause."""
     column = LammpsStepper(
         LammpsColumn(small(), gauge=0.0), VERLET, Steps(10**6, 1, 1e-7), {}, gather(1, "none")
     )

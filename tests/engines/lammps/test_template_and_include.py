@@ -65,7 +65,7 @@ def test_an_include_works_in_the_library(ranks: int):
     t = simulate(small(), engine=Lammps(**VERLET, include="my.include", ranks=ranks))
     assert np.array_equal(t.displacement, plain.displacement)
     assert t.provenance["include"] == INCLUDE
-    # of every 10th step, so of every sample
+    # The file has every 10th step, so it has every sample.
     energy = np.loadtxt("energy.txt")[:: t.cost.steps // 50, 1]
     assert energy == pytest.approx(0.5 * (t.velocity**2) @ t.scene.chain.masses, rel=1e-5)
     scene = Scene(**small().given() | {"samples": t.cost.steps // 10 + 1})
