@@ -216,7 +216,7 @@ def test_costs_of_linear_answers_grow_with_their_work():
 
 
 def resonance(scene: Scene, time: float) -> np.ndarray:
-    """Return what pairs of waves drive in every mode, by loops over pairs, modes and contacts.
+    """Return the force of wave pairs on every mode, by loops over pairs, modes and contacts.
 
     A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much
     closer it is.

@@ -102,7 +102,7 @@ class Motion:
         return largest
 
     def closeness(self, t: np.floating[Any], x: Array) -> Array:
-        """Return the compression of contacts (N+1,) beyond rest, in units of their overlap at rest."""
+        """Return the compression of contacts (N+1,) beyond rest, relative to the one at rest."""
         bodies = np.zeros(x.size + 2, dtype=x.dtype)  # a wall, or nothing, at either end
         bodies[1:-1] = x
         if self.acting and not self.pushes:

@@ -44,7 +44,7 @@ class Reference(NamedTuple):
     events: int
 
     def until(self, samples: int) -> Reference:
-        """Return the first samples; the largest motion is still that of the whole run."""
+        """Return the first samples, with the largest motion of the whole run."""
         return self._replace(
             displacement=self.displacement[:samples], velocity=self.velocity[:samples]
         )

@@ -32,9 +32,7 @@ def pressed(**options: Any) -> Chain:
 
 
 def flying(strains: float, **options: Any) -> Scene:
-    """Return a scene in which all grains fly about, contacts by so many
-    overlaps closer or apart.
-    """
+    """Return a scene of moving grains whose contacts differ from rest by this many overlaps."""
     chain = pressed(**options)
     scale = chain.contacts.overlap.max() or 1e-7
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))

@@ -167,7 +167,7 @@ def test_a_companion_of_many_steps_lands_on_all_samples():
 
 
 def test_a_companion_of_a_dense_run_is_compared_in_one_sample_a_step_or_more():
-    """Every fourth, second or each sample, as its steps pass over so many."""
+    """Steps land on every fourth, every second or every sample."""
     for steps, stride, ratio, dense in (
         (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2),
         (16, 8, 4, 2), (3, 2, 2, 1), (3, 3, 2, 2),

@@ -167,7 +167,7 @@ def test_what_acts_all_the_time(excitation: dict[str, Any]):
 
 @pytest.mark.slow
 def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
-    """The answer, its error estimate and what it goes on from know nothing of the threads."""
+    """The answer, its error estimate and its checkpoint do not depend on the threads."""
     scene = noisy(2 * LEAST_SHARE + 5, bottom="wall")
     scene = scene.replace(samples=11, duration=scene.duration / 16)
     one, two = (simulate(scene, "native", 1e-4, threads=threads) for threads in (1, 2))

@@ -172,9 +172,7 @@ Command = Callable[..., str]
 def command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
-    """Return what runs a script in this process, which has loaded what was compiled, and returns
-    what it prints.
-    """
+    """Return a function that runs a script in this process and returns its output."""
     monkeypatch.chdir(tmp_path)
 
     def run(script: str, *words: object) -> str:

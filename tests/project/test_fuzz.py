@@ -265,9 +265,7 @@ def fuzzed(quick: int, soak: int) -> Any:
 
 
 def call(*words: object) -> tuple[int, str]:
-    """Run a command; return its exit code and what it printed, once it is clear that it said what
-    is wrong, if so.
-    """
+    """Run a command; check that errors are explained, and return its exit code and output."""
     out = StringIO()
     err = StringIO()
     with redirect_stdout(out), redirect_stderr(err):

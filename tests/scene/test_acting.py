@@ -444,9 +444,7 @@ def test_the_integral_of_what_acts(wave: Waveform):
 
 @pytest.mark.parametrize("kind", STRONG)
 def test_work_and_impulse_are_accounted_for(kind: str):
-    """Energy is what the force or the driver has put in, momentum what it, the load and the walls
-    have.
-    """
+    """Energy is the work of the force or driver; momentum is its impulse, with load and walls."""
     scene = scene_of(*STRONG[kind], samples=4001)
     t = simulate(scene, "native", 1e-9)
     ledger = energy.ledger(t)

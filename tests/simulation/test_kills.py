@@ -319,7 +319,7 @@ def reached(folder: Path) -> float:
 
 
 class Command:
-    """A command of lmpchain that is to be killed.
+    """A process of lmpchain that a test kills.
 
     Hurried, in a fork of this process or under mpirun.
     """
@@ -340,7 +340,7 @@ class Command:
         return self._process.poll() is None
 
     def processes(self) -> list[int]:
-        """Return those of it, and of what it has started, that are there."""
+        """Return the live processes of the command and its children."""
         return [*processes(self._mark), *([self.pid] if self.at_work() else [])]
 
     def ended(self) -> tuple[int | None, str]:
@@ -358,7 +358,7 @@ class Command:
 def killed(
     case: str, folder: Path, parts: list[float], rng: random.Random
 ) -> tuple[Trajectory, int]:
-    """Run a case; kill a part of it, drawn at random, once so many of its attempts are done.
+    """Run a case and kill one of its processes at random after this number of attempts.
 
     Returns the answer, and how often something was killed. A part below 0 is of the time before the
     first sample.
