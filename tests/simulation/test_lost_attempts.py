@@ -118,6 +118,7 @@ def test_a_beginning_that_takes_ever_shorter_steps_ends_at_half_the_time(tmp_pat
     assert np.array_equal(disk.velocity[:], kept.velocity)
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
     """Stops in any attempt, also in a run that ends at its predictability horizon."""
     for name, scene in {"agitated": agitated(12, 4e-4), "springs": springs(4e-3)}.items():
