@@ -7,13 +7,11 @@ from math import gamma, pi, sqrt
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
-from helpers.independent_integrators import extended_reference
 from helpers.taylor_series import FINEST, reference, solve
 from scipy.optimize import brentq
 from validation.random_trials import FAMILIES, LONGEST, draw, table, trial
 
-from lmpchain import Chain, Drive, Impulse, Profile, Scene
+from lmpchain import Chain, Drive, Impulse, Scene
 
 slow = pytest.mark.slow
 TRIALS = {
@@ -98,32 +96,6 @@ def test_the_reference_finds_a_push_by_a_wall():
     assert error < 1e-12
     assert found.velocity[-1, 0] == pytest.approx(v(parts), rel=1e-9)
     assert found.displacement[-1, 0] == pytest.approx(u(parts) + v(parts) * (end - parts), rel=1e-9)
-
-
-@slow
-def test_the_reference_agrees_with_the_other_independent_one():
-    springs = Chain(grains=6, diameter=1e-3, exponent=1.0, top_load=1e-3, top="wall", bottom="wall")
-    vacuum = Chain(grains=12, diameter=1e-3, exponent=2.5, gravity=0.0, bottom="wall")
-    sine = Drive(amplitude=1e-8, frequency=2e4)
-    spline = Drive(times=[0, 1e-5, 3e-5, 5e-5, 6e-5], displacement=[0, 1e-9, -1e-9, 2e-9, 0])
-    for scene in (
-        paper("fig1", 5),
-        Scene(
-            chain=springs,
-            excitation=Profile(velocity=[0, 1e-3, 0, 0, -1e-3, 0]),
-            duration=3e-6,
-            samples=5,
-        ),
-        Scene(chain=vacuum, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5),
-        *(
-            Scene(chain=Chain(grains=5, diameter=1e-3), excitation=e, duration=5e-5, samples=5)
-            for e in (sine, spline)
-        ),
-    ):
-        found, error = reference(scene, 1e-19)
-        u, v, other = extended_reference(scene, 1e-16)
-        assert error < 1e-13
-        assert found.error(u, v) < 3 * (other + error)
 
 
 def test_the_reference_closes_a_contact_whose_force_is_below_one_ulp_of_its_load():
