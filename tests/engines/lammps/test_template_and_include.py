@@ -110,6 +110,7 @@ def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
         stepper.fill(u, v, 0, small().samples - 1, 7)
         state = stepper.state()
         stepper.close()
+    # The clock starts at exactly 0.
     assert np.loadtxt("clock.txt") == pytest.approx([0.0, 7 * candidate.step], rel=1e-12)
 
 
