@@ -39,11 +39,9 @@ def short(velocity: float, grains: int = 12) -> lmpchain.Scene:
 
 
 def truth(scene: lmpchain.Scene) -> Reference:
-    """Return an answer that shares nothing with the peers but Eq. (1)."""
+    """Return a solution that shares only Eq. (1) with the peers."""
     u, v, error = extended_reference(scene)
-    return Reference(
-        scene.time, u, v, error, "Stoermer's rule, extrapolated, in extended precision"
-    )
+    return Reference(scene.time, u, v, error, "Taylor series in extended precision")
 
 
 @pytest.mark.parametrize(("velocity", "within"), [(1e-9, 1e-11), (8.57e-4, 1e-11), (8.57e-3, 1e-9)])
