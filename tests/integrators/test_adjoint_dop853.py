@@ -7,6 +7,7 @@ from helpers import taylor_series
 from lmpchain import Chain, Damping, Force, Impulse, Scene
 from lmpchain.design import KineticEnergy, gradient, parameters
 from lmpchain.design.changes import changed
+from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
 
 GRAINS = 6
 CHAIN = Chain(
@@ -54,3 +55,20 @@ def test_gradients_of_damped_chains_are_differences(kind: str):
         rounding = 1e-15 * energy / step
         allowed = found.errors[name] + 1e-9 * np.abs(found[name]).max() + rounding
         assert abs(found[name][GRAIN] - (4 * slopes[0] - slopes[1]) / 3) <= allowed, name
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_adjoints_are_transposes_of_tangents(kind: str):
+    scene = Scene(chain=CHAIN, excitation=SCENES[kind], duration=8e-6, samples=5)
+    step = 0.5 / scene.highest_frequency
+    grains = np.arange(1, GRAINS + 1)
+    run = differentiable(scene, DIFFERENTIABLE["dop853"], step, 4, grains)
+    weights = np.random.default_rng(1).standard_normal((2, *run.velocity.shape))
+    weights[0] *= scene.highest_frequency
+    inputs = run.pull(*weights)
+    for name in [*NAMES, "velocity", "displacement"] if kind == "struck" else NAMES:
+        back = parameters.pull(scene, inputs, name)
+        u, v = run.push(parameters.push(scene, name, np.eye(back.size)))
+        along = (weights[0] * u).sum((1, 2)) + (weights[1] * v).sum((1, 2))
+        # Both sum the same terms, so that they differ by rounding errors of the largest.
+        assert np.abs(along - back).max() <= 1e-11 * np.abs(back).max(), name
